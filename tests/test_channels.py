@@ -18,6 +18,8 @@ from uav_recon.channels import FileChannel, MemoryChannel, decode, encode
 from uav_recon.types.camera import Frame, ImuSample, Intrinsics, PosedFrame
 from uav_recon.types.maps import GridSpec, SurfaceElements, TriangleMesh, VoxelMap
 from uav_recon.types.pose import Pose, StampedPose
+from uav_recon.types.reason import Reason
+from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.tasks import NothingLeft, PlanMode, PlanRequest, Task, TaskKind, ViewPath, Viewpoint
 from uav_recon.types.trajectory import Goal, Intent, Refusal, Setpoint, Trajectory
 from uav_recon.types.vehicle import FlightPhase, MissionProgress, VehicleState
@@ -41,6 +43,9 @@ TRAJECTORY = Trajectory(
     np.array([0.2]), 0, 3,
 )  # fmt: skip
 
+TEXT = Reason(ReasonCode.AUTOPILOT_TEXT, ("ä",))
+LEFT = Reason(ReasonCode.FRONTIERS_LEFT, (14,), (Reason(ReasonCode.FRONTIERS_TOO_NARROW, (9,)), TEXT))
+
 VALUES = [
     POSE,
     StampedPose(3.0, POSE, np.array([0.1, 0.2, 0.3]), np.eye(6), 80, 255, 2),
@@ -57,7 +62,7 @@ VALUES = [
     TASK,
     ViewPath((VIEW, VIEW), (RNG.random((3, 3)), RNG.random((1, 3))), PlanMode.MERGED, 5, 0, (TASK,), 0.01, 0.02),
     ViewPath((), (), PlanMode.EXPLORE, 5, 0, (), 0.01, 0.02, clearance_m=0.45),
-    NothingLeft("14 frontiers left: 9 too narrow, 5 outside the fence; ä", 0.1, 0.2),
+    NothingLeft(LEFT, 0.1, 0.2),
     PlanRequest(VOXELS, SURFACE, np.zeros(3), 0.1, 60, np.ones(3)),
     PlanRequest(VOXELS, None, np.zeros(3), 0.1, 60),
     SETPOINT,
@@ -65,11 +70,11 @@ VALUES = [
     Intent(9.0, Goal.FLY, TRAJECTORY),
     Intent(9.0, Goal.FLY, dataclasses.replace(TRAJECTORY, clearance_m=0.45)),
     Intent(9.0, Goal.STANDBY),
-    Intent(9.0, Goal.FLY, TRAJECTORY, "no operator for 30 s: returning", True),
-    Refusal("outside the fence", SETPOINT),
-    VehicleState(1.0, POSE, np.zeros(3), True, "OFFBOARD", FlightPhase.FLYING, float("nan"), False, float("nan"), -1, 3, ""),
-    VehicleState(1.0, POSE, np.zeros(3), True, "OFFBOARD", FlightPhase.FLYING, 0.5, False, 0.2, 4, 3, "slow", 0.3, 9.5),
-    MissionProgress(1.0, "SURVEY", "explore", 3, 60, 41.5, 12.25, 5, 2, 7, 0.75, "", False),
+    Intent(9.0, Goal.FLY, TRAJECTORY, Reason(ReasonCode.OPERATOR_LOST_RETURNING, (30.0,)), True),
+    Refusal(Reason(ReasonCode.OUTSIDE_FENCE, (1.0, -2.5, 0.25)), SETPOINT),
+    VehicleState(1.0, POSE, np.zeros(3), True, "OFFBOARD", FlightPhase.FLYING, float("nan"), False, float("nan"), -1, 3, None),
+    VehicleState(1.0, POSE, np.zeros(3), True, "OFFBOARD", FlightPhase.FLYING, 0.5, False, 0.2, 4, 3, LEFT, 0.3, 9.5),
+    MissionProgress(1.0, "SURVEY", "explore", 3, 60, 41.5, 12.25, 5, 2, 7, 0.75, None, False),
 ]
 
 
@@ -213,7 +218,7 @@ def test_no_bytes_crash_a_reader(kind: type[Any], data: bytes) -> None:
 
 @pytest.mark.parametrize("at", [0, 1, 2, 3, 4, 5, 6, 7, 9])
 def test_null_is_not_accepted_for_a_number_or_an_array(at: int) -> None:
-    tree = [5.0, [0, 1], 2, 3, 100, 0, 0, "good", "", [[4, 5], 0]]
+    tree = [5.0, [0, 1], 2, 3, 100, 0, 0, "good", None, [[4, 5], 0]]
     tree[at] = None
     with pytest.raises(ValueError, match="not a"):
         decode(_record(tree), StampedPose)
@@ -222,7 +227,7 @@ def test_null_is_not_accepted_for_a_number_or_an_array(at: int) -> None:
 def _record(tree: list[Any]) -> bytes:
     genuine = encode(StampedPose(5.0, Pose.identity(), np.zeros(3)))
     (length,) = struct.unpack_from("<I", genuine)
-    assert json.loads(genuine[4 : 4 + length]) == [5.0, [0, 1], 2, 3, 100, 0, 0, "good", "", [[4, 5], 0]]
+    assert json.loads(genuine[4 : 4 + length]) == [5.0, [0, 1], 2, 3, 100, 0, 0, "good", None, [[4, 5], 0]]
     head = json.dumps(tree).encode()
     return struct.pack("<I", len(head)) + head + genuine[4 + length :]
 

@@ -168,15 +168,24 @@ def _fields(kind: type) -> list[tuple[str, Any]]:
     return [(f.name, hints[f.name]) for f in dataclasses.fields(kind)]
 
 
+def _decode_union(tree: Any, kinds: tuple[Any, ...], arrays: list[np.ndarray[Any, Any]]) -> Any:
+    """Of one kind or nothing, or of several that JSON tells apart: numbers and text."""
+    if tree is None:
+        return None
+    inner = [a for a in kinds if a is not type(None)]
+    if len(inner) == 1:
+        return _decode(tree, inner[0], arrays)
+    if type(tree) not in inner:
+        raise ValueError(f"{type(tree).__name__} is none of {inner}")
+    return tree
+
+
 def _decode(tree: Any, kind: Any, arrays: list[np.ndarray[Any, Any]]) -> Any:
     origin = typing.get_origin(kind)
     if origin is np.ndarray:
         return arrays[tree]
-    if origin in (types.UnionType, typing.Union):  # X | None
-        if tree is None:
-            return None
-        (inner,) = [a for a in typing.get_args(kind) if a is not type(None)]
-        return _decode(tree, inner, arrays)
+    if origin in (types.UnionType, typing.Union):
+        return _decode_union(tree, typing.get_args(kind), arrays)
     if origin is tuple:
         arguments = typing.get_args(kind)
         if len(arguments) == 2 and arguments[1] is Ellipsis:

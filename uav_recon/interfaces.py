@@ -10,6 +10,7 @@ from uav_recon.types.camera import Frame, ImuSample, PosedFrame
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.maps import SurfaceElements, VoxelMap
 from uav_recon.types.pose import MapCorrection, Pose, StampedPose
+from uav_recon.types.reason import Reason
 from uav_recon.types.tasks import NothingLeft, PlanRequest, ViewPath, Viewpoint
 from uav_recon.types.trajectory import Setpoint, Trajectory
 from uav_recon.types.vehicle import MissionProgress
@@ -242,18 +243,18 @@ class OccupancyMapInterface(Protocol):
 class MotionPlannerInterface(Protocol):
     """Pure functions from paths to trajectories within limits.
 
-    A returned str is the reason for a failure.
+    A returned Reason says why there is no trajectory.
     """
 
     def through(
         self, path: ViewPath, voxels: VoxelMap, start: Setpoint, start_s: float, views_at_spacing_m: float, identifier: int
-    ) -> Trajectory | str:
+    ) -> Trajectory | Reason:
         """Plan from rest at ``start`` through every view of the path to rest at the last one."""
         ...
 
     def onward(
         self, path: ViewPath, voxels: VoxelMap, flying: Trajectory, leave_s: float, views_at_spacing_m: float, identifier: int
-    ) -> Trajectory | str:
+    ) -> Trajectory | Reason:
         """Follow ``flying`` until ``leave_s``, then fly every view of the path without stopping.
 
         The trajectory ends at rest at the last view.
@@ -310,11 +311,11 @@ class Journal(Protocol):
         """Log a keyframe."""
         ...
 
-    def phase(self, stamp_s: float, phase: str, note: str) -> None:
+    def phase(self, stamp_s: float, phase: str, note: Reason | None) -> None:
         """Log a change of phase."""
         ...
 
-    def refusal(self, stamp_s: float, reason: str) -> None:
+    def refusal(self, stamp_s: float, reason: Reason) -> None:
         """Log a rejected command, trajectory or setpoint with its reason."""
         ...
 
@@ -322,6 +323,6 @@ class Journal(Protocol):
         """Log the number of keyframes rejected by the mapper, by reason as text."""
         ...
 
-    def outcome(self, stamp_s: float, outcome: str, stop_reason: str) -> None:
+    def outcome(self, stamp_s: float, aborted: Reason | None, stop_reason: Reason | None) -> None:
         """Log the outcome of the flight, as the last line."""
         ...

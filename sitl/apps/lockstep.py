@@ -39,6 +39,8 @@ from uav_recon.recording.flight_log import FlightLog
 from uav_recon.recording.map_file import save_map
 from uav_recon.recording.timelapse import Timelapse
 from uav_recon.types.operator_command import GivenCommand
+from uav_recon.types.reason import Reason
+from uav_recon.types.reason_code import ReasonCode
 
 if TYPE_CHECKING:
     from uav_recon.recording.rerun_recorder import Recorder
@@ -220,7 +222,7 @@ def fly_in_lockstep(
                 conductor.request_start()
             if mission_rate.due(now_s) and meddler.runs("mission"):
                 if land():
-                    conductor.request_abort("the operator asked to land")
+                    conductor.request_abort(Reason(ReasonCode.OPERATOR_LAND))
                 if meddler.holds():
                     conductor.request_hold()
                 conductor.step()

@@ -10,6 +10,7 @@ from rich.live import Live
 from rich.text import Text
 
 from uav_recon.app.flight_channels import FlightChannels
+from uav_recon.types.reason import text_of
 from uav_recon.types.vehicle import FlightPhase, MissionProgress
 
 LINE_PERIOD_S = 10.0  # longest time without a line, where the console is no terminal
@@ -76,7 +77,7 @@ def _line(progress: MissionProgress) -> Text:
         f"{progress.mode:7}  views {progress.views:3}/{progress.views_budget} {'█' * filled:░<20}  ",
         f"explored {progress.explored_m3:5.1f} m³  path {progress.path_length_m:5.1f} m  ",
         f"plans {progress.plans} in {progress.planning_s:.2f} s  ",
-        (progress.note, "yellow"),
+        (text_of(progress.note), "yellow"),
         no_wrap=True,
         overflow="ellipsis",
     )

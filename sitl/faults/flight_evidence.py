@@ -6,7 +6,7 @@ What the product claims is not evidence.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -57,7 +57,8 @@ class FlightEvidence:
     heard: (time, custom mode, armed) of each heartbeat that reached the product.
     notes: values that the injectors measured, by name.
     firmware: version of a real firmware, "" for a simulated autopilot.
-    stop_reason: the product's reason for the end of the flight, for checks of that report; "" for none.
+    stop_codes: codes of the product's reason for the end of the flight, for checks of that report.
+    reported: (time, codes) of each STATUSTEXT.
     """
 
     onset_s: float
@@ -82,7 +83,8 @@ class FlightEvidence:
     boot_s: float = 0.0
     notes: dict[str, float] = field(default_factory=dict)
     firmware: str = ""
-    stop_reason: str = ""
+    stop_codes: tuple[str, ...] = ()
+    reported: tuple[tuple[float, tuple[str, ...]], ...] = ()
 
     @cached_property
     def speed_mps(self) -> F64:
@@ -136,6 +138,10 @@ class FlightEvidence:
         """Mask (K,) of the turns in which the autopilot was in a landing mode."""
         return np.array(["LAND" in mode for mode in self.mode], dtype=np.bool_)
 
+    def reported_s(self, codes: Collection[str]) -> list[float]:
+        """Return the instants of the STATUSTEXTs with one of these codes."""
+        return [stamp_s for stamp_s, found in self.reported if not set(found).isdisjoint(codes)]
+
     def since(self, mask: Bools, from_s: float) -> float:
         """Return the seconds from from_s to the first turn after it where mask (K,) holds.
 
@@ -146,7 +152,13 @@ class FlightEvidence:
 
 
 def gather(
-    meddler: FaultDirector, limits: GuardLimits, hull_s: F64, hull_m: F64, radius_m: float, stop_reason: str
+    meddler: FaultDirector,
+    limits: GuardLimits,
+    hull_s: F64,
+    hull_m: F64,
+    radius_m: float,
+    stop_codes: tuple[str, ...],
+    codes_in: Callable[[str], tuple[str, ...]],
 ) -> FlightEvidence:
     """Return the evidence of a finished flight.
 
@@ -160,6 +172,7 @@ def gather(
     airborne, boxes_m = armed & (positions[:, 2] > 0.05), np.full(len(stamps), math.inf)
     for obstacle in meddler.theatre.obstacles:
         boxes_m[airborne] = np.minimum(boxes_m[airborne], obstacle.hull_m(stamps[airborne], positions[airborne], radius_m))
+    wire = decode(tap.sent)
     return FlightEvidence(
         onset_s=meddler.onset_s,
         end_s=meddler.end_s,
@@ -176,14 +189,15 @@ def gather(
         charge=np.array([m.charge for m in ledger]),
         failsafes=tuple(world.flyer.failsafes),
         texts=tuple(world.flyer.texts),
-        wire=decode(tap.sent),
+        wire=wire,
         arrived_s=setpoints_in(tap.arrived),
         heard=tuple(modes_told(tap.heard)),
         limits=limits,
         boot_s=world.flyer.boot_s,
         notes=dict(meddler.theatre.notes),
         firmware=world.flyer.version,
-        stop_reason=stop_reason,
+        stop_codes=stop_codes,
+        reported=tuple((stamp_s, codes_in(text)) for stamp_s, text in wire.texts),
     )
 
 

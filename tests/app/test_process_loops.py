@@ -20,7 +20,7 @@ from uav_recon.types.vehicle import FlightPhase, VehicleState
 
 def vehicle(now_s: float, phase: FlightPhase, armed: bool) -> VehicleState:
     pose = Pose(np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3))
-    return VehicleState(now_s, pose, np.zeros(3), armed, "", phase, math.nan, False, math.nan, -1, 0, "")
+    return VehicleState(now_s, pose, np.zeros(3), armed, "", phase, math.nan, False, math.nan, -1, 0, None)
 
 
 class Turns:

@@ -151,7 +151,7 @@ def test_an_operator_gets_the_status_and_the_missing_conditions(pilot: subproces
     assert json.loads(say("status --json", config).stdout)["pilot"] == "connecting"
     for word, why in (
         ("start", "not ready: no heartbeat from the autopilot"),
-        ("land", "it is on the ground (connecting): nothing to land"),
+        ("land", "on the ground (connecting): nothing to land"),
     ):
         refused = say(word, config)
         assert (refused.returncode, refused.stderr) == (1, f"uav-recon: {word} refused: {why}\n")

@@ -14,7 +14,7 @@ AT = np.array([0.1, 0.0, -0.02])
 
 def _state(stamp_s: float, pitch_rad: float) -> VehicleState:
     return VehicleState(
-        stamp_s, Pose.identity(), np.zeros(3), True, "OFFBOARD", FlightPhase.FLYING, 0.9, False, pitch_rad, -1, 0, ""
+        stamp_s, Pose.identity(), np.zeros(3), True, "OFFBOARD", FlightPhase.FLYING, 0.9, False, pitch_rad, -1, 0, None
     )
 
 

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from uav_recon.localization.fusion_filter import FusionFilter
 from uav_recon.localization.imu_integration import GRAVITY_MPS2
+from uav_recon.localization.pose_gates import PoseRejection
 from uav_recon.types.camera import ImuSample
 from uav_recon.types.pose import Pose, PoseHealth, StampedPose
 
@@ -114,20 +115,20 @@ NOW_S = MOTION.start_s + 3.0
 @pytest.mark.parametrize(
     ("pose", "reason"),
     [
-        (replace(_pose(NOW_S - 0.05), covariance=np.full((6, 6), np.nan)), "not finite"),
-        (replace(_pose(NOW_S - 0.05), stamp_s=float("nan")), "not finite"),
-        (replace(_pose(NOW_S - 0.05), stamp_s=float("inf")), "not finite"),
-        (replace(_pose(NOW_S - 0.05), quality=0), "quality"),
-        (_pose(NOW_S + 0.2), "stamp"),
-        (_pose(NOW_S - 1.5), "stamp"),
-        (replace(_pose(NOW_S - 0.05), stamp_s=0.0), "stamp"),
-        (_pose(NOW_S - 0.05, offset_m=0.55), "jump"),
-        (_pose(NOW_S - 0.05, offset_m=-9e3), "jump"),
-        (_pose(NOW_S - 0.05, offset_m=-1e9), "out of range"),
-        (_pose(NOW_S - 0.05, turn_rad=0.6), "turn"),
+        (replace(_pose(NOW_S - 0.05), covariance=np.full((6, 6), np.nan)), PoseRejection.NOT_FINITE),
+        (replace(_pose(NOW_S - 0.05), stamp_s=float("nan")), PoseRejection.NOT_FINITE),
+        (replace(_pose(NOW_S - 0.05), stamp_s=float("inf")), PoseRejection.NOT_FINITE),
+        (replace(_pose(NOW_S - 0.05), quality=0), PoseRejection.QUALITY),
+        (_pose(NOW_S + 0.2), PoseRejection.STAMP),
+        (_pose(NOW_S - 1.5), PoseRejection.STAMP),
+        (replace(_pose(NOW_S - 0.05), stamp_s=0.0), PoseRejection.STAMP),
+        (_pose(NOW_S - 0.05, offset_m=0.55), PoseRejection.JUMP),
+        (_pose(NOW_S - 0.05, offset_m=-9e3), PoseRejection.JUMP),
+        (_pose(NOW_S - 0.05, offset_m=-1e9), PoseRejection.OUT_OF_RANGE),
+        (_pose(NOW_S - 0.05, turn_rad=0.6), PoseRejection.TURN),
     ],
 )
-def test_what_cannot_be_true_never_enters(pose: StampedPose, reason: str) -> None:
+def test_what_cannot_be_true_never_enters(pose: StampedPose, reason: PoseRejection) -> None:
     fusion, _ = _warm()
     before = fusion.odom_at(NOW_S)
     assert before
@@ -153,7 +154,7 @@ def test_what_a_source_claims_to_have_drifted_is_passed_on_within_reason() -> No
 def test_a_duplicate_never_enters() -> None:
     fusion, _ = _warm()
     assert not fusion.add_pose(_pose(fusion.newest_pose_s, offset_m=0.02), NOW_S)
-    assert fusion.rejected == {"duplicate": 1}
+    assert fusion.rejected == {PoseRejection.DUPLICATE: 1}
 
 
 def test_inertial_nonsense_never_enters() -> None:
@@ -177,7 +178,7 @@ def test_inertial_nonsense_never_enters() -> None:
     assert before
     assert after
     np.testing.assert_array_equal(before.odom_from_body.matrix(), after.odom_from_body.matrix())
-    assert fusion.rejected == {"imu not finite": 4, "imu force": 1, "imu stamp": 3}
+    assert fusion.rejected == {PoseRejection.IMU_NOT_FINITE: 4, PoseRejection.IMU_FORCE: 1, PoseRejection.IMU_STAMP: 3}
 
 
 def test_poses_out_of_order_end_in_the_same_place() -> None:

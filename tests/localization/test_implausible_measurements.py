@@ -13,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from uav_recon.localization.fusion_filter import FusionFilter
+from uav_recon.localization.pose_gates import PoseRejection
 from uav_recon.types.pose import Pose, StampedPose
 
 MOTION = FigureEight()
@@ -100,7 +101,7 @@ def test_no_pose_enters_twice(k: int, shift_s: float) -> None:
     assert not fusion.add_pose(again, NOW_S)
     assert not fusion.add_pose(replace(again, stamp_s=again.stamp_s + shift_s, odom_from_body=moved), NOW_S)
     assert _bits(fusion) == bits
-    assert fusion.rejected == {"duplicate": 2}
+    assert fusion.rejected == {PoseRejection.DUPLICATE: 2}
 
 
 @settings(max_examples=20, deadline=None)

@@ -4,6 +4,8 @@ import pytest
 
 from uav_recon.localization.odometry_health import OdometryHealthMonitor
 from uav_recon.types.pose import PoseHealth
+from uav_recon.types.reason import Reason
+from uav_recon.types.reason_code import ReasonCode
 
 GOOD, DEGRADED, LOST = PoseHealth.GOOD, PoseHealth.DEGRADED, PoseHealth.LOST
 
@@ -19,13 +21,13 @@ def _watch(rate_hz: float = 15.0, nis: float = 6.0, seconds: float = 3.0) -> Odo
 @pytest.mark.parametrize(
     ("age_s", "health", "why"),
     [
-        (0.19, GOOD, ""),
-        (0.21, DEGRADED, "no pose for 0.2 s"),
-        (0.26, LOST, "no pose for 0.3 s"),
-        (5.0, LOST, "no pose for 5.0 s"),
+        (0.19, GOOD, None),
+        (0.21, DEGRADED, Reason(ReasonCode.NO_POSE, (0.2,))),
+        (0.26, LOST, Reason(ReasonCode.NO_POSE, (0.3,))),
+        (5.0, LOST, Reason(ReasonCode.NO_POSE, (5.0,))),
     ],
 )
-def test_silence_is_told_by_its_length(age_s: float, health: PoseHealth, why: str) -> None:
+def test_silence_is_told_by_its_length(age_s: float, health: PoseHealth, why: Reason | None) -> None:
     assert _watch().health(age_s, inertial=True, on_trial=False) == (health, why)
 
 
@@ -33,34 +35,33 @@ def test_silence_is_told_by_its_length(age_s: float, health: PoseHealth, why: st
 def test_few_poses_are_told_by_their_number(rate_hz: float, health: PoseHealth) -> None:
     said, why = _watch(rate_hz).health(0.05, inertial=True, on_trial=False)
     assert said is health
-    assert why == ("" if health is GOOD else why)
-    assert said is GOOD or why.endswith("poses a second")
+    assert (why and why.code) is (None if health is GOOD else ReasonCode.FEW_POSES)
 
 
 def test_the_usual_pause_between_few_poses_is_no_silence() -> None:
     watch = _watch(5.0)
-    assert watch.health(0.30, inertial=True, on_trial=False)[1] == "5 poses a second"
+    assert watch.health(0.30, inertial=True, on_trial=False)[1] == Reason(ReasonCode.FEW_POSES, (5.0,))
     assert watch.health(0.46, inertial=True, on_trial=False)[0] is LOST
 
 
 def test_the_first_second_is_not_held_against_the_source() -> None:
     watch = _watch(15.0, seconds=0.2)
-    assert watch.health(0.05, inertial=True, on_trial=False) == (GOOD, "")
+    assert watch.health(0.05, inertial=True, on_trial=False) == (GOOD, None)
 
 
 def test_what_the_imu_does_not_bear_out_is_degraded() -> None:
     assert _watch(nis=14.0).health(0.05, inertial=True, on_trial=False)[0] is GOOD
     health, why = _watch(nis=40.0).health(0.05, inertial=True, on_trial=False)
-    assert (health, why) == (DEGRADED, "poses and IMU disagree (40 for 6)")
+    assert (health, why) == (DEGRADED, Reason(ReasonCode.IMU_DISAGREES, (40.0,)))
 
 
 def test_refused_poses_are_told_as_such() -> None:
-    assert _watch().health(0.1, inertial=True, on_trial=True) == (DEGRADED, "poses disagree for 0.1 s")
-    assert _watch().health(0.4, inertial=True, on_trial=True) == (LOST, "poses disagree for 0.4 s")
+    assert _watch().health(0.1, inertial=True, on_trial=True) == (DEGRADED, Reason(ReasonCode.POSES_DISAGREE, (0.1,)))
+    assert _watch().health(0.4, inertial=True, on_trial=True) == (LOST, Reason(ReasonCode.POSES_DISAGREE, (0.4,)))
 
 
 def test_no_imu_is_no_witness() -> None:
-    assert _watch().health(0.1, inertial=False, on_trial=False) == (DEGRADED, "no inertial samples")
+    assert _watch().health(0.1, inertial=False, on_trial=False) == (DEGRADED, Reason(ReasonCode.NO_IMU))
 
 
 @pytest.mark.parametrize(

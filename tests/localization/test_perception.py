@@ -16,6 +16,8 @@ from uav_recon.localization.perception import Perception
 from uav_recon.types.camera import Frame, ImuSample, Intrinsics, PosedFrame, body_from_camera
 from uav_recon.types.min_range_grid import MinRangeGrid
 from uav_recon.types.pose import Pose, PoseHealth, StampedPose
+from uav_recon.types.reason import Reason
+from uav_recon.types.reason_code import ReasonCode
 
 MOTION = FigureEight(start_s=200.0)
 OPTICS = Intrinsics(10.0, 10.0, 3.5, 2.5, 8, 6)
@@ -121,13 +123,12 @@ def test_odometry_comes_at_30_hz_stamped_now(world: World) -> None:
 
 
 def test_odometry_that_depth_contradicts_is_wrong_and_as_good_as_before(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(
-        DepthConsistencyMonitor, "drift", lambda _, now_s: "odom creeps" if now_s >= MOTION.start_s + 1.0 else ""
-    )
+    drift = Reason(ReasonCode.ODOMETRY_DRIFT, (0.05,))
+    monkeypatch.setattr(DepthConsistencyMonitor, "drift", lambda _, now_s: drift if now_s >= MOTION.start_s + 1.0 else None)
     _perception, seen = _run(world, 2.0)
     told = [odom for odom in seen.odom if odom.stamp_s >= MOTION.start_s + 1.0]
     assert len(told) >= 25
-    assert {(odom.health, odom.why, odom.quality) for odom in told} == {(PoseHealth.WRONG, "odom creeps", 100)}
+    assert {(odom.health, odom.why, odom.quality) for odom in told} == {(PoseHealth.WRONG, drift, 100)}
 
 
 def test_a_frame_gets_the_pose_of_its_own_stamp_once_it_is_known(world: World) -> None:

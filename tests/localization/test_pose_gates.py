@@ -8,6 +8,7 @@ import pytest
 
 from uav_recon.localization.pose_gates import (
     PoseGates,
+    PoseRejection,
     Sighting,
     max_step_noise_scale,
     normalized_innovation_squared,
@@ -31,37 +32,44 @@ def _spread(sigma_m: float = 0.01, sigma_rad: float = 0.005) -> np.ndarray:
 @pytest.mark.parametrize(
     ("way_m", "sigma_m", "word"),
     [
-        (0.0999, 0.001, ""),  # below 0.10 m whatever the standard deviation
-        (0.1001, 0.001, "jump"),
-        (0.1001, 0.0333, "jump"),
-        (0.1499, 0.05, ""),  # within three standard deviations
-        (0.1501, 0.05, "jump"),
-        (0.4999, 1.0, ""),
-        (0.5001, 1.0, "jump"),  # whatever the standard deviation
-        (math.nan, 0.01, "jump"),
+        (0.0999, 0.001, None),  # below 0.10 m whatever the standard deviation
+        (0.1001, 0.001, PoseRejection.JUMP),
+        (0.1001, 0.0333, PoseRejection.JUMP),
+        (0.1499, 0.05, None),  # within three standard deviations
+        (0.1501, 0.05, PoseRejection.JUMP),
+        (0.4999, 1.0, None),
+        (0.5001, 1.0, PoseRejection.JUMP),  # whatever the standard deviation
+        (math.nan, 0.01, PoseRejection.JUMP),
     ],
 )
-def test_a_jump_is_absolute_and_by_standard_deviations(way_m: float, sigma_m: float, word: str) -> None:
+def test_a_jump_is_absolute_and_by_standard_deviations(way_m: float, sigma_m: float, word: PoseRejection | None) -> None:
     assert GATES.leap(_residual(way_m), _spread(sigma_m=sigma_m)) == word
 
 
 @pytest.mark.parametrize(
     ("turn_deg", "sigma_deg", "word"),
-    [(7.99, 0.1, ""), (8.01, 0.1, "turn"), (14.9, 5.0, ""), (15.1, 5.0, "turn"), (29.9, 60.0, ""), (30.1, 60.0, "turn")],
+    [
+        (7.99, 0.1, None),
+        (8.01, 0.1, PoseRejection.TURN),
+        (14.9, 5.0, None),
+        (15.1, 5.0, PoseRejection.TURN),
+        (29.9, 60.0, None),
+        (30.1, 60.0, PoseRejection.TURN),
+    ],
 )
-def test_a_turn_likewise(turn_deg: float, sigma_deg: float, word: str) -> None:
+def test_a_turn_likewise(turn_deg: float, sigma_deg: float, word: PoseRejection | None) -> None:
     spread = _spread(sigma_rad=math.radians(sigma_deg))
     assert GATES.leap(_residual(turn_rad=math.radians(turn_deg)), spread) == word
 
 
 def test_the_standard_deviation_counts_along_the_jump() -> None:
     spread = np.diag([1.0, 1e-6, 1.0, 1e-6, 1e-6, 1e-6])
-    assert GATES.leap(_residual(0.3), spread) == "jump"
-    assert GATES.leap(np.array([0.3, 0.0, 0.0, 0.0, 0.0, 0.0]), spread) == ""
+    assert GATES.leap(_residual(0.3), spread) == PoseRejection.JUMP
+    assert GATES.leap(np.array([0.3, 0.0, 0.0, 0.0, 0.0, 0.0]), spread) is None
 
 
-@pytest.mark.parametrize(("way_m", "word"), [(0.299, ""), (0.301, "speed")])
-def test_two_metres_a_second_is_the_fastest_way(way_m: float, word: str) -> None:
+@pytest.mark.parametrize(("way_m", "word"), [(0.299, None), (0.301, PoseRejection.SPEED)])
+def test_two_metres_a_second_is_the_fastest_way(way_m: float, word: PoseRejection | None) -> None:
     before = Sighting(10.0, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), POSE)
     after = Sighting(10.1, (way_m, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), POSE)
     assert GATES.haste(before, after) == GATES.haste(after, before) == word
@@ -70,23 +78,23 @@ def test_two_metres_a_second_is_the_fastest_way(way_m: float, word: str) -> None
 @pytest.mark.parametrize(
     ("pose", "word"),
     [
-        (POSE, ""),
-        (replace(POSE, stamp_s=math.nan), "not finite"),
-        (replace(POSE, covariance=np.full((6, 6), math.inf)), "not finite"),
-        (replace(POSE, covariance=np.eye(3)), "not finite"),
-        (replace(POSE, covariance=np.diag([1e39] * 3 + [1e-5] * 3)), "out of range"),
-        (replace(POSE, covariance=np.diag([1e-4] * 5 + [10_001.0])), "out of range"),
-        (replace(POSE, covariance=np.diag([1e-4] * 5 + [10_000.0])), ""),
-        (replace(POSE, odom_from_body=Pose.from_yaw(0.0, np.array([0.0, -10_001.0, 0.0]))), "out of range"),
-        (replace(POSE, odom_from_body=Pose.from_yaw(0.0, np.array([0.0, -10_000.0, 0.0]))), ""),
-        (replace(POSE, quality=0), "quality"),
-        (replace(POSE, stamp_s=9.06), ""),
-        (replace(POSE, stamp_s=9.04), "stamp"),
-        (replace(POSE, stamp_s=10.059), ""),
-        (replace(POSE, stamp_s=10.061), "stamp"),
+        (POSE, None),
+        (replace(POSE, stamp_s=math.nan), PoseRejection.NOT_FINITE),
+        (replace(POSE, covariance=np.full((6, 6), math.inf)), PoseRejection.NOT_FINITE),
+        (replace(POSE, covariance=np.eye(3)), PoseRejection.NOT_FINITE),
+        (replace(POSE, covariance=np.diag([1e39] * 3 + [1e-5] * 3)), PoseRejection.OUT_OF_RANGE),
+        (replace(POSE, covariance=np.diag([1e-4] * 5 + [10_001.0])), PoseRejection.OUT_OF_RANGE),
+        (replace(POSE, covariance=np.diag([1e-4] * 5 + [10_000.0])), None),
+        (replace(POSE, odom_from_body=Pose.from_yaw(0.0, np.array([0.0, -10_001.0, 0.0]))), PoseRejection.OUT_OF_RANGE),
+        (replace(POSE, odom_from_body=Pose.from_yaw(0.0, np.array([0.0, -10_000.0, 0.0]))), None),
+        (replace(POSE, quality=0), PoseRejection.QUALITY),
+        (replace(POSE, stamp_s=9.06), None),
+        (replace(POSE, stamp_s=9.04), PoseRejection.STAMP),
+        (replace(POSE, stamp_s=10.059), None),
+        (replace(POSE, stamp_s=10.061), PoseRejection.STAMP),
     ],
 )
-def test_what_is_wrong_with_a_pose_by_itself(pose: StampedPose, word: str) -> None:
+def test_what_is_wrong_with_a_pose_by_itself(pose: StampedPose, word: PoseRejection | None) -> None:
     assert pose_fault(pose, now_s=10.05) == word
 
 

@@ -21,12 +21,17 @@ from uav_recon.types.camera import Frame, Intrinsics, PosedFrame
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.maps import FREE, OCCUPIED, FreeSpace, GridSpec, SurfaceElements, VoxelMap
 from uav_recon.types.pose import MapCorrection, Pose
+from uav_recon.types.reason import Reason
+from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.tasks import NothingLeft, PlanMode, PlanRequest, Task, TaskKind, ViewPath, Viewpoint
 from uav_recon.types.trajectory import Goal, Intent, Setpoint, Trajectory
 from uav_recon.types.vehicle import FlightPhase, MissionProgress, VehicleState
 
 GRID = GridSpec(np.array([-3.0, -3.0, -1.0]), 0.1, (60, 60, 40))
 LENS = Intrinsics(10.0, 10.0, 1.5, 1.5, 4, 4)
+
+
+TOO_NARROW = Reason(ReasonCode.FRONTIERS_LEFT, (2,), (Reason(ReasonCode.FRONTIERS_TOO_NARROW, (2,)),))
 
 
 class OpenSpace:
@@ -69,11 +74,11 @@ class ThreeViews:
 
     def plan(self, request: PlanRequest) -> ViewPath | NothingLeft:
         if not self.left:
-            return NothingLeft("2 frontiers left: 2 too narrow", 0.01, 0.02)
+            return NothingLeft(TOO_NARROW, 0.01, 0.02)
         return self._to(request, *(Viewpoint(place, 0.5, 0.26) for place in self.left[:2]))
 
     def route(self, request: PlanRequest, goal: Viewpoint) -> ViewPath | NothingLeft:
-        return NothingLeft("no known-free way leads there", 0.0, 0.0) if self.no_way_home else self._to(request, goal)
+        return NothingLeft(Reason(ReasonCode.NO_KNOWN_PATH), 0.0, 0.0) if self.no_way_home else self._to(request, goal)
 
     def was_at(self, position_world: FloatArray) -> None:
         self.left = [place for place in self.left if np.linalg.norm(place - position_world) > 0.15]
@@ -132,7 +137,7 @@ class Asked(MotionPlanner):
 
     def through(
         self, path: ViewPath, voxels: VoxelMap, start: Setpoint, start_s: float, views_at_spacing_m: float, identifier: int
-    ) -> Trajectory | str:
+    ) -> Trajectory | Reason:
         self.ways += 1
         return super().through(path, voxels, start, start_s, views_at_spacing_m, identifier)
 
@@ -157,7 +162,8 @@ class Desk:
         self.folder, self.journal = folder, FlightLog(folder)
         self.conductor = Conductor(stages, self.wires, orders, InlineExecutor(self.clock), self.journal, self.clock)
         self.phase, self.frames, self.refusals, self.human = FlightPhase.READY, True, 0, False
-        self.note, self.stands, self.battery, self.max_speed_mps = "", False, 0.9, math.inf
+        self.note: Reason | None = None
+        self.stands, self.battery, self.max_speed_mps = False, 0.9, math.inf
         self.attended, self._received_s = False, -math.inf
         self.seen: list[Phase] = []
         self._place_m = np.zeros(3)

@@ -15,6 +15,8 @@ from uav_recon.mission.flight_track import FlightTrack
 from uav_recon.mission.state_machine import Phase
 from uav_recon.recording.flight_log import read_timeline
 from uav_recon.types.pose import Pose
+from uav_recon.types.reason import Reason
+from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.vehicle import FlightPhase, VehicleState
 
 HOME_M = np.array([0.0, 0.0, 1.1])
@@ -27,7 +29,10 @@ def desk(tmp_path: Path) -> Iterator[Desk]:
     desk.journal.close()
 
 
-def turned_back_at(far_m: float, max_speed_mps: float = math.inf, per_s: float = 0.002) -> tuple[float, str]:
+RETURNS = (ReasonCode.BATTERY_RETURN, ReasonCode.BATTERY_RATE_UNKNOWN)
+
+
+def turned_back_at(far_m: float, max_speed_mps: float = math.inf, per_s: float = 0.002) -> tuple[float, Reason]:
     """The true share that is left when a vehicle that waits so far away wants home, and why; from 90 %, so much a second."""
     course = FlightTrack(0.0)
     steward = BatteryPolicy(course, HOME_M, 0.4)
@@ -35,7 +40,7 @@ def turned_back_at(far_m: float, max_speed_mps: float = math.inf, per_s: float =
         place = np.array([min(0.1 * k, far_m), 0.0, 1.1])
         gauge = round(0.9 - per_s * 0.1 * k, 2)
         vehicle = VehicleState(0.1 * k, Pose.from_yaw(0.0, place), np.zeros(3), True, "OFFBOARD", FlightPhase.FLYING,
-                               gauge, False, math.nan, 1, 0, "", max_speed_mps)  # fmt: skip
+                               gauge, False, math.nan, 1, 0, None, max_speed_mps)  # fmt: skip
         course.follow(vehicle)
         steward.update(0.1 * k, vehicle, None)
         if steward.left < steward.needed:
@@ -47,8 +52,8 @@ def test_the_farther_away_the_earlier_it_turns_back_and_says_with_what() -> None
     near, why_near = turned_back_at(2.0)
     far, why_far = turned_back_at(21.0)
     assert near + 0.05 < far
-    assert why_near == "battery at 25 %: the way home of 2 m needs 4 %"
-    assert why_far == "battery at 33 %: the way home of 21 m needs 10 %"
+    assert why_near == Reason(ReasonCode.BATTERY_RETURN, (25.0, 2.0, 4.0))
+    assert why_far == Reason(ReasonCode.BATTERY_RETURN, (33.0, 21.0, 10.0))
 
 
 def test_while_nothing_fast_is_let_pass_it_turns_back_earlier() -> None:
@@ -61,7 +66,7 @@ def test_a_moment_in_which_nothing_fast_is_let_pass_calls_nobody_home() -> None:
     for k in range(1_000):
         max_speed_mps = 0.3 if 900 <= k < 920 else math.inf
         vehicle = VehicleState(0.1 * k, Pose.from_yaw(0.0, np.array([min(0.1 * k, 12.0), 0.0, 1.1])), np.zeros(3), True,
-                               "OFFBOARD", FlightPhase.FLYING, 0.8, False, math.nan, 1, 0, "", max_speed_mps)  # fmt: skip
+                               "OFFBOARD", FlightPhase.FLYING, 0.8, False, math.nan, 1, 0, None, max_speed_mps)  # fmt: skip
         course.follow(vehicle)
         steward.update(0.1 * k, vehicle, None)
         needed.append(steward.needed)
@@ -81,9 +86,11 @@ def test_a_battery_that_fell_at_once_is_not_reckoned_with(desk: Desk) -> None:
     desk.battery = 0.29
     desk.run(3.5, until=Phase.RETURN)
     desk.run(120.0, until=Phase.DONE)
-    assert desk.conductor.close() == "completed"
+    assert desk.conductor.close() is None
     desk.journal.close()
-    assert read_timeline(desk.folder).outcomes[-1].stop_reason.startswith("battery at 29 %")
+    ended = read_timeline(desk.folder).outcomes[-1]
+    assert ended.stop_codes[0] in RETURNS
+    assert " 29 %" in ended.stop_reason
 
 
 def test_no_flight_is_begun_with_less_than_a_flight_needs(desk: Desk) -> None:
@@ -93,7 +100,7 @@ def test_no_flight_is_begun_with_less_than_a_flight_needs(desk: Desk) -> None:
     desk.conductor.request_start()
     desk.run(1.0, until=Phase.DONE)
     assert desk.seen == [Phase.READY, Phase.DONE]
-    assert desk.conductor.close() == "aborted: battery at 35 %: a flight needs 36 %"
+    assert desk.conductor.close() == Reason(ReasonCode.BATTERY_TAKEOFF, (35.0, 36.0))
 
 
 @pytest.mark.parametrize("battery", [0.36, math.nan])
@@ -110,13 +117,16 @@ def test_at_a_fifth_it_lands_where_it_is_though_it_is_held(desk: Desk) -> None:
     desk.battery = 0.21
     desk.run(5.0)
     assert desk.conductor.phase is Phase.HOLD, "a held vehicle is its operator's"
-    assert desk.progress.note.startswith("battery at 21 %"), "but he is told"
+    note = desk.progress.note
+    assert note is not None
+    assert note.code in RETURNS, "but he is told"
+    assert note.values[0] == 21.0
     desk.battery = 0.20
     desk.run(2.5)
     assert desk.conductor.phase is Phase.HOLD
     desk.run(1.0, until=Phase.LANDING)
     desk.run(1.0, until=Phase.DONE)
-    assert desk.conductor.close() == "aborted: battery at 20 %: landing where it is"
+    assert desk.conductor.close() == Reason(ReasonCode.BATTERY_LAND, (20.0,))
 
 
 def test_on_the_way_home_too(desk: Desk) -> None:

@@ -9,13 +9,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conductor_fixture import Desk
+from conductor_fixture import TOO_NARROW, Desk
 
 from uav_recon.clock import InlineExecutor
 from uav_recon.mission.conductor import Conductor
 from uav_recon.mission.state_machine import Phase
 from uav_recon.recording.flight_log import read_timeline
 from uav_recon.types.pose import MapCorrection, Pose
+from uav_recon.types.reason import Reason, codes_of
+from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.trajectory import Goal
 from uav_recon.types.vehicle import FlightPhase
 
@@ -37,10 +39,10 @@ def test_a_flight_from_pad_to_pad(desk: Desk) -> None:
     desk.conductor.request_start()
     desk.run(120.0, until=Phase.DONE)
     assert desk.seen == [Phase.READY, Phase.TAKEOFF, Phase.SURVEY, Phase.RETURN, Phase.LANDING, Phase.DONE]
-    assert desk.conductor.close() == "completed"
+    assert desk.conductor.close() is None
     assert len(desk.mapper.stamps) == 4 + 3  # the look round, and each task's own view
     timeline = read_timeline(desk.folder)
-    assert timeline.outcomes[-1].stop_reason == "2 frontiers left: 2 too narrow"
+    assert timeline.outcomes[-1].stop_codes == TOO_NARROW.codes()
     assert {plan.mode for plan in timeline.plans[:-1]} == {"explore"} and timeline.plans[-1].mode == ""
     waits = [plan.hover_wait_s for plan in timeline.plans]
     assert 0.0 < waits[0] < 0.5 and 0.0 < waits[-1] < 0.5 and not any(waits[1:-1])  # only the first and the last at rest
@@ -52,9 +54,9 @@ def test_the_view_budget_ends_the_survey(tmp_path: Path) -> None:
     desk.conductor.request_start()
     desk.run(120.0, until=Phase.DONE)
     assert len(desk.mapper.stamps) == 5
-    assert desk.conductor.close() == "completed"
+    assert desk.conductor.close() is None
     desk.journal.close()
-    assert read_timeline(tmp_path).outcomes[-1].stop_reason.startswith("view budget of 5 spent")
+    assert read_timeline(tmp_path).outcomes[-1].stop_codes[0] == ReasonCode.VIEWS_SPENT
 
 
 def test_frames_lost_holds_and_goes_on_when_they_are_back(desk: Desk) -> None:
@@ -68,7 +70,7 @@ def test_frames_lost_holds_and_goes_on_when_they_are_back(desk: Desk) -> None:
     assert np.linalg.norm(here.setpoint_at(desk.clock.now_s()).velocity_mps) < 1e-9
     desk.frames = True
     desk.run(120.0, until=Phase.DONE)
-    assert desk.conductor.close() == "completed"
+    assert desk.conductor.close() is None
 
 
 def test_a_battery_that_falls_for_a_moment_ends_nothing_and_one_that_stays_low_ends_the_survey(desk: Desk) -> None:
@@ -94,27 +96,27 @@ def test_a_battery_of_which_nothing_is_heard_any_more_brings_it_home(tmp_path: P
     assert desk.seen[-1] is (Phase.HOLD if without_frames else Phase.SURVEY)
     desk.run(0.5, until=Phase.RETURN)
     desk.run(120.0, until=Phase.DONE)
-    assert desk.conductor.close() == "completed"
+    assert desk.conductor.close() is None
     desk.journal.close()
-    assert read_timeline(tmp_path).outcomes[-1].stop_reason.startswith("battery unknown")
+    assert read_timeline(tmp_path).outcomes[-1].stop_codes[0] == ReasonCode.BATTERY_UNKNOWN
 
 
 def test_an_abort_lands_at_once(desk: Desk) -> None:
     desk.conductor.request_start()
     desk.run(30.0, until=Phase.SURVEY)
-    desk.conductor.request_abort("the operator asked to land")
+    desk.conductor.request_abort(Reason(ReasonCode.OPERATOR_LAND))
     desk.run(0.2, until=Phase.LANDING)
     desk.run(1.0, until=Phase.DONE)
-    assert desk.conductor.close() == "aborted: the operator asked to land"
+    assert desk.conductor.close() == Reason(ReasonCode.OPERATOR_LAND)
 
 
 def test_an_abort_ends_it_where_no_pilot_was_ever_heard(desk: Desk) -> None:
     desk.conductor.step()
     assert desk.conductor.phase is Phase.IDLE
-    desk.conductor.request_abort("the operator asked to land")
+    desk.conductor.request_abort(Reason(ReasonCode.OPERATOR_LAND))
     desk.conductor.step()
     assert desk.conductor.finished
-    assert desk.conductor.close() == "aborted: the operator asked to land"
+    assert desk.conductor.close() == Reason(ReasonCode.OPERATOR_LAND)
 
 
 def test_the_setpoint_does_not_climb_away_from_a_vehicle_that_still_stands(desk: Desk) -> None:
@@ -131,18 +133,18 @@ def test_the_setpoint_does_not_climb_away_from_a_vehicle_that_still_stands(desk:
 
 
 def test_what_the_pilot_waits_for_and_why_it_lands_is_told(desk: Desk) -> None:
-    desk.phase, desk.note = FlightPhase.CONNECTING, "pre-arm checks fail"
+    desk.phase, desk.note = FlightPhase.CONNECTING, Reason(ReasonCode.PREARM_FAILED)
     desk.run(1.0)
-    assert desk.progress.note == "pre-arm checks fail"
-    desk.phase, desk.note = FlightPhase.READY, ""
+    assert codes_of(desk.progress.note) == (ReasonCode.PREARM_FAILED,)
+    desk.phase, desk.note = FlightPhase.READY, None
     desk.conductor.request_start()
     desk.run(30.0, until=Phase.SURVEY)
-    assert desk.progress.note == ""
-    desk.phase, desk.note = FlightPhase.LANDING, "no pose for 0.7 s"
+    assert codes_of(desk.progress.note) == ()
+    desk.phase, desk.note = FlightPhase.LANDING, Reason(ReasonCode.NO_POSE, (0.7,))
     desk.run(0.5, until=Phase.LANDING)
     desk.phase = FlightPhase.LANDED
     desk.run(1.0, until=Phase.DONE)
-    assert desk.conductor.close() == "aborted: no pose for 0.7 s"
+    assert desk.conductor.close() == Reason(ReasonCode.NO_POSE, (0.7,))
 
 
 def test_home_is_clear_above_as_well_as_beside(desk: Desk) -> None:
@@ -168,7 +170,7 @@ def test_a_new_map_epoch_holds_maps_anew_and_goes_on(desk: Desk) -> None:
     assert desk.intent.trajectory.map_epoch == 1
     assert desk.voxels.declared[0] == 0.3  # about the places where it flew
     desk.run(120.0, until=Phase.DONE)
-    assert desk.conductor.close() == "completed"
+    assert desk.conductor.close() is None
     assert len(desk.mapper.stamps) >= views + 4  # a look round, as at first
     assert {path.map_epoch for path in desk.planner.accepted[plans:]} == {1}
 
@@ -203,7 +205,7 @@ def test_an_obstacle_on_the_way_brakes(desk: Desk) -> None:
     assert after is not None
     assert after.identifier != before.identifier
     assert np.linalg.norm(after.setpoint_at(desk.clock.now_s()).velocity_mps) < 1e-9
-    assert any("obstacle" in refusal.reason for refusal in read_timeline(desk.folder).refusals)
+    assert any(ReasonCode.MAP_BLOCKS_PATH in refusal.codes for refusal in read_timeline(desk.folder).refusals)
 
 
 def test_a_refused_trajectory_is_not_flown_on(desk: Desk) -> None:
@@ -252,7 +254,7 @@ def test_no_views_are_taken_while_its_pilot_holds_the_vehicle_elsewhere(desk: De
     desk.stands = False
     desk.run(120.0, until=Phase.DONE)
     assert len(desk.mapper.stamps) > taken
-    assert desk.conductor.close() == "completed"
+    assert desk.conductor.close() is None
 
 
 def test_where_nothing_fast_is_let_pass_nothing_fast_is_planned_until_it_is_again(desk: Desk) -> None:
@@ -330,7 +332,7 @@ def test_a_hold_stops_it_and_a_start_lets_it_go_on(desk: Desk) -> None:
     desk.conductor.resume()
     desk.run(0.2, until=Phase.SURVEY)
     desk.run(120.0, until=Phase.DONE)
-    assert desk.conductor.close() == "completed"
+    assert desk.conductor.close() is None
 
 
 def test_a_hold_outlasts_the_end_of_the_flight_time_but_not_a_human(desk: Desk) -> None:

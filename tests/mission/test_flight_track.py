@@ -15,7 +15,7 @@ from uav_recon.types.vehicle import FlightPhase, VehicleState
 
 def vehicle_at(x: float, y: float, z: float = 1.0, *, armed: bool = True, yaw_rad: float = 0.0) -> VehicleState:
     pose = Pose.from_yaw(yaw_rad, np.array([x, y, z]))
-    return VehicleState(0.0, pose, np.zeros(3), armed, "OFFBOARD", FlightPhase.FLYING, 1.0, False, 0.0, -1, 0, "")
+    return VehicleState(0.0, pose, np.zeros(3), armed, "OFFBOARD", FlightPhase.FLYING, 1.0, False, 0.0, -1, 0, None)
 
 
 def test_a_hold_is_where_the_pilot_brings_it_to_rest() -> None:

@@ -13,6 +13,8 @@ from uav_recon.clock import InlineExecutor
 from uav_recon.interfaces import Pending
 from uav_recon.mission.conductor import Conductor
 from uav_recon.mission.state_machine import Phase
+from uav_recon.types.reason import Reason
+from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.trajectory import Goal
 
 T = TypeVar("T")
@@ -64,7 +66,7 @@ def test_a_planner_that_does_not_answer_is_waited_for_so_long_and_no_longer(stuc
     desk.run(22.0, until=Phase.LANDING)
     assert desk.clock.now_s() - begin_s > 5.0
     desk.run(2.0, until=Phase.DONE)
-    assert desk.conductor.close() == "aborted: the planner has not answered for 20 s"
+    assert desk.conductor.close() == Reason(ReasonCode.PLANNER_SILENT, (20.0,))
 
 
 @pytest.mark.parametrize("seconds", [5.0, 18.0])
@@ -74,7 +76,7 @@ def test_a_planner_that_is_late_is_waited_for(stuck: tuple[Desk, Sticky], second
     desk.run(seconds)
     executor.stuck = False
     desk.run(120.0, until=Phase.DONE)
-    assert desk.conductor.close() == "completed"
+    assert desk.conductor.close() is None
 
 
 @pytest.mark.parametrize("phase", [Phase.RETURN, Phase.RETREAT])

@@ -7,13 +7,15 @@ import pytest
 from uav_recon.channels import MemoryChannel
 from uav_recon.mission.operator_commands import OperatorCommandReceiver
 from uav_recon.types.operator_command import GivenCommand, OperatorCommand
+from uav_recon.types.reason import Reason
+from uav_recon.types.reason_code import ReasonCode
 
 
 class Conductor:
     """Notes what it is asked."""
 
     def __init__(self) -> None:
-        self.asked: list[str] = []
+        self.asked: list[str | Reason] = []
 
     def request_start(self) -> None:
         self.asked.append("start")
@@ -24,7 +26,7 @@ class Conductor:
     def request_return(self) -> None:
         self.asked.append("return")
 
-    def request_abort(self, reason: str) -> None:
+    def request_abort(self, reason: Reason) -> None:
         self.asked.append(reason)
 
     def resume(self) -> None:
@@ -37,10 +39,10 @@ class Conductor:
         (OperatorCommand.START, ["resume", "start"]),
         (OperatorCommand.HOLD, ["hold"]),
         (OperatorCommand.RETURN, ["return"]),
-        (OperatorCommand.LAND, ["the operator asked to land"]),
+        (OperatorCommand.LAND, [Reason(ReasonCode.OPERATOR_LAND)]),
     ],
 )
-def test_each_order_is_passed_on_once(order: OperatorCommand, asked: list[str]) -> None:
+def test_each_order_is_passed_on_once(order: OperatorCommand, asked: list[str | Reason]) -> None:
     channel, conductor = MemoryChannel(GivenCommand), Conductor()
     standing = OperatorCommandReceiver(channel, 10.0)
     channel.publish(GivenCommand(11.0, order))

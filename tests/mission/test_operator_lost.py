@@ -11,7 +11,12 @@ from conductor_fixture import Desk
 
 from uav_recon.mission.state_machine import Phase
 from uav_recon.recording.flight_log import read_timeline
+from uav_recon.types.reason import Reason
+from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.trajectory import Goal
+
+WARNED = Reason(ReasonCode.OPERATOR_SILENT, (5.0, 30.0))
+RETURNS = Reason(ReasonCode.OPERATOR_LOST_RETURNING, (30.0,))
 
 
 @pytest.fixture
@@ -26,11 +31,11 @@ def test_a_start_waits_for_an_operator_and_says_so(desk: Desk) -> None:
     desk.run(3.0)
     assert desk.conductor.phase is Phase.READY
     assert desk.intent.goal is Goal.STANDBY
-    assert desk.progress.note == "no operator attends: uav-recon status --watch"
+    assert desk.progress.note == Reason(ReasonCode.OPERATOR_MISSING)
     desk.attended = True
     desk.run(1.0, until=Phase.TAKEOFF)
     desk.run(0.3)
-    assert desk.progress.note == ""
+    assert desk.progress.note is None
 
 
 def flying(desk: Desk) -> None:
@@ -49,17 +54,17 @@ def test_half_a_minute_of_silence_ends_a_flight_at_home_also_out_of_a_hold(desk:
     begun_s = desk.clock.now_s()
     desk.run(29.0)
     assert desk.conductor.phase is Phase.HOLD
-    assert (desk.intent.note, desk.intent.operator_lost) == ("no operator for 5 s: returns after 30", False)
+    assert (desk.intent.note, desk.intent.operator_lost) == (WARNED, False)
     desk.run(2.0, until=Phase.RETURN)
     assert desk.clock.now_s() - begun_s == pytest.approx(30.0, abs=0.2)
-    assert (desk.intent.note, desk.intent.operator_lost) == ("no operator for 30 s: returning", True)
+    assert (desk.intent.note, desk.intent.operator_lost) == (RETURNS, True)
     desk.run(60.0, until=Phase.DONE)
     assert desk.distance_m() < 0.1
-    assert desk.conductor.close() == "completed"
+    assert desk.conductor.close() is None
     told = read_timeline(desk.folder)
-    assert told.outcomes[-1].stop_reason.startswith("no operator for 30 s, ")
-    assert [record.reason for record in told.refusals] == [
-        "no operator for 5 s: returns after 30", "no operator for 30 s: returning",
+    assert told.outcomes[-1].stop_codes[0] == ReasonCode.OPERATOR_LOST
+    assert [record.codes for record in told.refusals] == [
+        WARNED.codes(), RETURNS.codes(),
     ]  # fmt: skip
 
 
@@ -82,5 +87,5 @@ def test_where_nobody_need_attend_nobody_is_missed(tmp_path: Path) -> None:
     desk.run(120.0, until=Phase.DONE)
     desk.journal.close()
     told = read_timeline(desk.folder)
-    assert not [record for record in told.refusals if "operator" in record.reason]
-    assert dataclasses.astuple(desk.intent)[3:] == ("", False)
+    assert not [record for record in told.refusals if record.codes[0].startswith("operator-")]
+    assert dataclasses.astuple(desk.intent)[3:] == (None, False)

@@ -10,6 +10,7 @@ from hall import MOTION, room, room_around, straight, wall
 
 from uav_recon.motion.motion_planner import NARROW_MPS
 from uav_recon.motion.time_scaling import joined
+from uav_recon.types.reason import Reason
 from uav_recon.types.tasks import ViewPath
 from uav_recon.types.trajectory import Setpoint, Trajectory
 
@@ -58,7 +59,7 @@ def test_a_motion_that_is_left_for_a_narrow_path_is_held_to_that(leave_s: float)
     path = dataclasses.replace(straight(here.tolist(), [3.0, MIDDLE_M, 1.5]), clearance_m=ROOM_M)
     left = MOTION.onward(path, GAP, begun, leave_s, np.inf, 2)
     assert isinstance(left, Trajectory) and left.clearance_m == ROOM_M
-    assert isinstance(MOTION.onward(dataclasses.replace(path, clearance_m=None), GAP, begun, leave_s, np.inf, 2), str)
+    assert isinstance(MOTION.onward(dataclasses.replace(path, clearance_m=None), GAP, begun, leave_s, np.inf, 2), Reason)
 
 
 def test_what_is_made_of_a_narrow_motion_keeps_its_measure() -> None:

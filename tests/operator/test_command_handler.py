@@ -14,6 +14,8 @@ from uav_recon.operator.command_handler import SILENT_S, CommandHandler
 from uav_recon.operator.status import Status
 from uav_recon.types.operator_command import GivenCommand, OperatorCommand
 from uav_recon.types.pose import Pose, StampedPose
+from uav_recon.types.reason import Reason, codes_of, text_of
+from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.trajectory import Goal, Intent
 from uav_recon.types.vehicle import FlightPhase, MissionProgress, VehicleState
 
@@ -23,7 +25,7 @@ GROUND = (FlightPhase.CONNECTING, FlightPhase.READY, FlightPhase.LANDED)
 class Vehicle:
     """A pilot that only notes what is asked of it, and its channels."""
 
-    def __init__(self, phase: FlightPhase, mission: bool = True, note: str = "") -> None:
+    def __init__(self, phase: FlightPhase, mission: bool = True, note: Reason | None = None) -> None:
         self.phase, self.asked, self.received_s = phase, list[str](), -math.inf
         self.clock = ManualClock(100.0)
         self.intent, self.orders = MemoryChannel(Intent), MemoryChannel(GivenCommand)
@@ -32,13 +34,13 @@ class Vehicle:
         vehicle.publish(VehicleState(99.9, at, np.zeros(3), True, "OFFBOARD", phase, 0.83, False, float("nan"), 1, 2, note))
         odom.publish(StampedPose(99.96, at, np.zeros(3), quality=97))
         self.progress = progress
-        progress.publish(MissionProgress(99.9, "survey", "explore", 31, 120, 42.7, 18.4, 5, 7, 40, 0.2, "", False))
+        progress.publish(MissionProgress(99.9, "survey", "explore", 31, 120, 42.7, 18.4, 5, 7, 40, 0.2, None, False))
         if mission:
             self.intent.publish(Intent(99.9, Goal.FLY))
         self.clerk = CommandHandler(self, vehicle, self.intent, progress, odom, self.orders, self.clock)
 
-    def request_land(self, why: str) -> None:
-        self.asked.append(f"land: {why}")
+    def request_land(self, why: Reason) -> None:
+        self.asked.append(f"land: {why.code.value}")
 
     def request_hold(self, hold: bool) -> None:
         self.asked.append("hold" if hold else "go on")
@@ -49,6 +51,16 @@ class Vehicle:
     def order(self, word: str) -> tuple[bool, str]:
         answer = self.clerk.serve(word)
         return answer["ok"], answer["said"]
+
+    def refused(self, word: str) -> Reason | None:
+        """The reason of a refusal, None for an order that is carried out; its text and codes are the answer's."""
+        order = OperatorCommand(word)
+        answer, reason = self.clerk.serve(word), self.clerk._refusal(order)
+        if answer["ok"]:
+            return None
+        assert reason is not None
+        assert (answer["said"], tuple(answer["codes"])) == (reason.text(), reason.codes())
+        return reason
 
     @property
     def passed_on(self) -> OperatorCommand | None:
@@ -61,27 +73,25 @@ def test_hold_and_land_work_whether_or_not_the_mission_lives(mission: bool) -> N
     flying = Vehicle(FlightPhase.FLYING, mission)
     assert flying.order("hold") == (True, "holding")
     assert flying.order("land") == (True, "landing")
-    assert flying.asked == ["hold", "land: the operator asked to land"]
+    assert flying.asked == ["hold", "land: operator-land"]
     assert flying.passed_on is OperatorCommand.LAND
 
 
-@pytest.mark.parametrize("note", ["yielded: mode changed to POSCTL", "yielded: the autopilot is silent"])
-def test_a_vehicle_that_is_not_ours_gets_no_order_and_the_reason_is_said(note: str) -> None:
+@pytest.mark.parametrize("why", [Reason(ReasonCode.MODE_CHANGED, ("POSCTL",)), Reason(ReasonCode.AUTOPILOT_SILENT)])
+def test_a_vehicle_that_is_not_ours_gets_no_order_and_the_reason_is_said(why: Reason) -> None:
+    note = Reason(ReasonCode.CONTROL_RELEASED, details=(why,))
     yielded = Vehicle(FlightPhase.YIELDED, note=note)
     for order in OperatorCommand:
-        said = f"not ours any more ({note}): nothing is asked of it until the pilot is started anew"
-        assert yielded.order(order.value) == (False, said)
+        assert yielded.refused(order.value) == Reason(ReasonCode.CONTROL_HANDED_OVER, details=(note,))
     assert (yielded.asked, yielded.passed_on) == ([], None)
-    assert Vehicle(FlightPhase.YIELDED).order("land")[1].startswith("not ours any more: nothing")
+    assert Vehicle(FlightPhase.YIELDED).refused("land") == Reason(ReasonCode.CONTROL_HANDED_OVER)
 
 
 @pytest.mark.parametrize("phase", GROUND)
 def test_on_the_ground_there_is_nothing_to_stop(phase: FlightPhase) -> None:
     grounded = Vehicle(phase)
     for word in ("hold", "return", "land"):
-        done, why = grounded.order(word)
-        assert not done
-        assert "on the ground" in why
+        assert grounded.refused(word) == Reason(ReasonCode.NOT_FLYING, (phase.value, word))
     assert (grounded.asked, grounded.passed_on) == ([], None)
 
 
@@ -92,11 +102,11 @@ def test_start_goes_to_the_mission() -> None:
 
 
 def test_start_says_what_is_missing() -> None:
-    note = "parameter GF_ACTION is 2, wanted 5: see uav-recon params diff"
-    assert Vehicle(FlightPhase.CONNECTING, note=note).order("start") == (False, f"not ready: {note}")
-    assert "mission is silent" in Vehicle(FlightPhase.READY, mission=False).order("start")[1]
+    note = Reason(ReasonCode.PARAMETER_DIFFERS, ("GF_ACTION", 2.0, "5", 1))
+    assert Vehicle(FlightPhase.CONNECTING, note=note).refused("start") == Reason(ReasonCode.NOT_READY, details=(note,))
+    assert Vehicle(FlightPhase.READY, mission=False).refused("start") == Reason(ReasonCode.MISSION_NOT_RUNNING)
     for phase in (FlightPhase.LANDING, FlightPhase.LANDED):
-        assert "this flight is over" in Vehicle(phase).order("start")[1]
+        assert Vehicle(phase).refused("start") == Reason(ReasonCode.FLIGHT_OVER)
 
 
 def test_start_in_the_air_ends_a_hold() -> None:
@@ -109,9 +119,7 @@ def test_start_in_the_air_ends_a_hold() -> None:
 def test_return_needs_a_mission_and_ends_a_hold() -> None:
     assert Vehicle(FlightPhase.FLYING).order("return") == (True, "returning")
     alone = Vehicle(FlightPhase.FLYING, mission=False)
-    done, why = alone.order("return")
-    assert not done
-    assert "hold or land" in why
+    assert alone.refused("return") == Reason(ReasonCode.MISSION_CANNOT_RETURN)
     assert (alone.asked, alone.passed_on) == ([], None)
 
 
@@ -136,11 +144,14 @@ def test_a_mission_that_died_a_moment_ago_is_silent() -> None:
 
 
 def test_an_unknown_word_is_told_the_known_ones() -> None:
-    assert Vehicle(FlightPhase.FLYING).order("jump")[1] == "'jump': want one of start, hold, return, land, status"
+    answer = Vehicle(FlightPhase.FLYING).clerk.serve("jump")
+    unknown = Reason(ReasonCode.UNKNOWN_COMMAND, ("'jump'", "start, hold, return, land, status"))
+    assert (answer["said"], answer["codes"]) == (unknown.text(), ["unknown-command"])
 
 
 def test_status_reads_like_an_instrument_panel() -> None:
-    answer = Vehicle(FlightPhase.FLYING, note="refused: too fast").clerk.serve("status")
+    refused = Reason(ReasonCode.REFUSED, details=(Reason(ReasonCode.POSE_STALE),))
+    answer = Vehicle(FlightPhase.FLYING, note=refused).clerk.serve("status")
     told = Status(**json.loads(json.dumps(answer["status"], allow_nan=False)))
     assert told.lines() == [
         "pilot     flying",
@@ -152,7 +163,7 @@ def test_status_reads_like_an_instrument_panel() -> None:
         "views     31 of 120",
         "explored  42.7 m³ on 18.4 m",
         "refused   2 by the guard",
-        "note      refused: too fast",
+        "note      refused: pose is stale",
     ]
 
 
@@ -163,14 +174,14 @@ def test_what_is_not_known_is_a_dash() -> None:
     lines = clerk.status().lines()
     assert lines[:3] == ["pilot     starting", "mission   silent", "mode      -"]
     battery = VehicleState(
-        1.0, Pose.identity(), np.zeros(3), False, "LAND", FlightPhase.LANDED, float("nan"), False, 0.0, -1, 0, ""
+        1.0, Pose.identity(), np.zeros(3), False, "LAND", FlightPhase.LANDED, float("nan"), False, 0.0, -1, 0, None
     )
     assert Status.of(1.0, battery, None, None, False).battery is None
 
 
 def test_what_nobody_has_told_yet_is_not_known() -> None:
     at = Pose(np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3))
-    silent = VehicleState(0.9, at, np.zeros(3), False, "", FlightPhase.CONNECTING, 0.5, False, float("nan"), -1, 0, "")
+    silent = VehicleState(0.9, at, np.zeros(3), False, "", FlightPhase.CONNECTING, 0.5, False, float("nan"), -1, 0, None)
     told = Status.of(1.0, silent, None, None, False)
     assert (told.mode, told.armed, told.position_m) == (None, None, None)
     told = Status.of(1.0, silent, StampedPose(0.95, at, np.zeros(3), quality=97), None, False)
@@ -192,8 +203,10 @@ def test_who_asks_or_orders_has_been_heard_and_who_babbles_has_not() -> None:
 
 
 def test_on_the_ground_status_says_what_the_mission_waits_for() -> None:
-    for phase, note in ((FlightPhase.READY, "no operator attends"), (FlightPhase.FLYING, "")):
+    missing = Reason(ReasonCode.OPERATOR_MISSING)
+    for phase, note in ((FlightPhase.READY, missing), (FlightPhase.FLYING, None)):
         waiting = Vehicle(phase)
-        progress = MissionProgress(99.9, "ready", "", 0, 120, 1.0, 0.0, 0, 0, 0, 0.0, "no operator attends", False)
+        progress = MissionProgress(99.9, "ready", "", 0, 120, 1.0, 0.0, 0, 0, 0, 0.0, missing, False)
         waiting.progress.publish(progress)
-        assert waiting.clerk.status().note == note
+        status = waiting.clerk.status()
+        assert (status.note, status.note_codes) == (text_of(note), codes_of(note))

@@ -13,6 +13,8 @@ from uav_recon.planning.camera_frustum import CameraGeometry
 from uav_recon.planning.tour.travel_time import YawWhileFlying
 from uav_recon.planning.view_planner import ViewPlanner
 from uav_recon.types.maps import FREE
+from uav_recon.types.reason import Reason
+from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.tasks import NothingLeft
 
 CASES = {
@@ -31,12 +33,12 @@ def test_explores_what_can_be_seen_and_stops(name: str) -> None:
     assert not np.any(solid[world.state == FREE])
     assert world.length_m < longest_m
     assert max(visits.values()) <= 3
-    assert "left" in reason
+    assert reason.code in (ReasonCode.FRONTIERS_LEFT, ReasonCode.NO_FRONTIERS_LEFT)
 
 
 def explore(
     solid: Solid, camera: CameraGeometry, start: np.ndarray[tuple[int, ...], np.dtype[np.float64]]
-) -> tuple[BoxWorld, str, Counter[tuple[int, ...]]]:
+) -> tuple[BoxWorld, Reason, Counter[tuple[int, ...]]]:
     world = BoxWorld(solid, camera, start)
     world.look_round()
     planner = ViewPlanner(PlannerConfig(), np.zeros(3), (np.array(solid.shape) - 2) * 0.1, camera, YawWhileFlying(0.8, 0.8))

@@ -20,6 +20,8 @@ from uav_recon.planning.tour.travel_time import YawWhileFlying
 from uav_recon.planning.view_planner import ViewPlanner
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.maps import FREE, OCCUPIED, UNKNOWN, VoxelMap
+from uav_recon.types.reason import Reason
+from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.tasks import NothingLeft, PlanRequest, ViewPath, Viewpoint
 
 USUAL_M, NARROW_M, HOMEWARD_M = 0.5, 0.45, 0.35
@@ -45,7 +47,7 @@ def through_narrows(variant: VariantName = "explore") -> NarrowPassagePlanner:
     return NarrowPassagePlanner(usual_planner(variant), NARROW_M, HOMEWARD_M, NARROW_M, timer=lambda: 0.0)
 
 
-def explore(world: BoxWorld, planner: ViewPlanner | NarrowPassagePlanner) -> tuple[list[ViewPath], str]:
+def explore(world: BoxWorld, planner: ViewPlanner | NarrowPassagePlanner) -> tuple[list[ViewPath], Reason]:
     """Fly until no task is left and check the clearance of each path.
 
     Returns the paths and the reason for the end.
@@ -100,7 +102,7 @@ def test_a_narrow_passage_is_passed_with_less_clearance_and_not_with_the_usual()
     alone, both = looked_round(0.9), looked_round(0.9)
     _, reason = explore(alone, usual_planner())
     flown, _ = explore(both, through_narrows())
-    assert "not reachable" in reason or "too narrow" in reason
+    assert {ReasonCode.FRONTIERS_NOT_REACHABLE, ReasonCode.FRONTIERS_TOO_NARROW} & set(reason.codes())
     assert max(point[0] for point in alone.track) < 3.0 and explored(alone) < 0.9
     assert explored(both) >= 0.97
     assert max(point[0] for point in both.track) > WALL_M
@@ -159,7 +161,7 @@ def test_a_passage_narrowed_by_specks_still_leads_home() -> None:
 def test_an_even_narrower_passage_is_not_passed(width_m: float) -> None:
     world, planner = looked_round(width_m), through_narrows()
     _, reason = explore(world, planner)
-    assert "left" in reason
+    assert reason.code in (ReasonCode.FRONTIERS_LEFT, ReasonCode.NO_FRONTIERS_LEFT)
     assert max(point[0] for point in world.track) < 3.0
     answer = planner.route(PlanRequest(world.request().voxels, None, np.array([6.5, 2.0, 1.2]), 0.0, 0), HOME)
     assert isinstance(answer, NothingLeft)
@@ -228,7 +230,8 @@ def test_a_narrow_path_is_proposed_only_for_an_opening(edge: int, squeezes: bool
     state[60 : 60 + edge, 20 : 20 + edge, 8 : 8 + edge] = UNKNOWN
     request = PlanRequest(voxel_map(state), None, START, 0.0, 50)
     alone, both = usual_planner().plan(request), through_narrows().plan(request)
-    assert isinstance(alone, NothingLeft) and "2 not reachable" in alone.reason
+    assert isinstance(alone, NothingLeft)
+    assert Reason(ReasonCode.FRONTIERS_NOT_REACHABLE, (2,)) in alone.reason.details
     assert isinstance(both, ViewPath) == squeezes
 
 

@@ -10,6 +10,8 @@ from uav_recon.planning.camera_frustum import CameraGeometry
 from uav_recon.planning.tour.travel_time import YawWhileFlying
 from uav_recon.planning.view_planner import ViewPlanner
 from uav_recon.types.maps import FREE, OCCUPIED, GridSpec, VoxelMap
+from uav_recon.types.reason import Reason
+from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.tasks import NothingLeft, PlanRequest, ViewPath, Viewpoint
 
 GRID = GridSpec(np.zeros(3), 0.1, (50, 30, 25))
@@ -42,7 +44,7 @@ def test_the_path_home_ends_at_home_even_without_views_left() -> None:
 def test_a_blocked_path_home_is_reported() -> None:
     answer = planner().route(request(wall=True), Viewpoint(np.array([1.0, 1.5, 1.1]), 0.0, 0.26))
     assert isinstance(answer, NothingLeft)
-    assert "no known-free way" in answer.reason
+    assert answer.reason == Reason(ReasonCode.NO_KNOWN_PATH)
 
 
 def test_the_path_home_leaves_the_visited_surface_unchanged() -> None:

@@ -15,6 +15,8 @@ from uav_recon.planning.tour.travel_time import YawWhileFlying
 from uav_recon.planning.view_planner import ViewPlanner
 from uav_recon.types.frames import ByteArray
 from uav_recon.types.maps import FREE, OCCUPIED, SurfaceElements, VoxelMap
+from uav_recon.types.reason import Reason
+from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.tasks import NothingLeft, PlanMode, PlanRequest, Task, TaskKind, ViewPath
 
 
@@ -181,18 +183,18 @@ def test_the_reasons_for_an_empty_plan_are_reported() -> None:
     position = np.array([3.0, 1.0, 1.2])
     done = planner.plan(PlanRequest(voxel_map(known), None, position, 0.0, 10))
     assert isinstance(done, NothingLeft)
-    assert done.reason == "no frontiers left"
+    assert done.reason == Reason(ReasonCode.NO_FRONTIERS_LEFT)
     hidden = known.copy()
     hidden[24:36, 21:29, 1:5] = 0  # the far end of a slot under the table, too low for the vehicle
     hidden[24:36, 29, 1:5] = OCCUPIED
     boxed = planner_for(known).plan(PlanRequest(voxel_map(hidden), None, position, 0.0, 0))
     assert isinstance(boxed, NothingLeft)
-    assert boxed.reason == "no view is left in the budget"
+    assert boxed.reason == Reason(ReasonCode.NO_VIEWS_LEFT)
     closed = np.zeros_like(known)
     closed[5, 5, 5] = FREE
     stuck = planner.plan(PlanRequest(voxel_map(closed, 1), None, np.array([0.45, 0.45, 0.45]), 0.0, 5))
     assert isinstance(stuck, NothingLeft)
-    assert "no known-free way" in stuck.reason
+    assert stuck.reason == Reason(ReasonCode.START_NOT_FREE)
 
 
 def test_a_frontier_behind_a_closed_door_is_not_reachable_and_not_near() -> None:
@@ -201,7 +203,7 @@ def test_a_frontier_behind_a_closed_door_is_not_reachable_and_not_near() -> None
     state[45:-1, 1:-1, 1:-1] = 0
     answer = planner_for(state).plan(PlanRequest(voxel_map(state), None, np.array([1.5, 2.0, 1.2]), 0.0, 10))
     assert isinstance(answer, NothingLeft)
-    assert "not reachable" in answer.reason
+    assert ReasonCode.FRONTIERS_NOT_REACHABLE in answer.reason.codes()
 
 
 def test_surface_tasks_look_at_uncertain_surface_that_is_in_sight() -> None:
@@ -260,7 +262,7 @@ def test_a_frontier_that_no_view_can_resolve_is_given_up_after_two_views() -> No
         views += len(answer.viewpoints)
         position, yaw = answer.viewpoints[-1].position_world, answer.viewpoints[-1].yaw_rad
     assert isinstance(answer, NothingLeft)
-    assert "looked at in vain" in answer.reason
+    assert ReasonCode.FRONTIERS_VIEWED_WITHOUT_RESULT in answer.reason.codes()
     assert 1 < views <= 12
 
 

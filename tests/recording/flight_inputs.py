@@ -11,6 +11,8 @@ from uav_recon.types.camera import Frame, Intrinsics, PosedFrame, body_from_came
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.maps import FREE, OCCUPIED, GridSpec, SurfaceElements, TriangleMesh, VoxelMap
 from uav_recon.types.pose import Pose, StampedPose
+from uav_recon.types.reason import Reason
+from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.tasks import PlanMode, ViewPath, Viewpoint
 from uav_recon.types.vehicle import FlightPhase, MissionProgress, VehicleState
 
@@ -60,6 +62,9 @@ def voxel_map() -> VoxelMap:
     return VoxelMap.whole(grid, state, np.full(grid.shape, 49, dtype=np.uint8), revision=3)
 
 
+TOO_FAST = Reason(ReasonCode.SPEED_LIMIT, (1.31,))
+
+
 def surface() -> SurfaceElements:
     rng = np.random.default_rng(0)
     points = rng.uniform([-1, -1, 0], [3, 2, 0], (200, 3))
@@ -72,7 +77,7 @@ def view_path() -> ViewPath:
     return ViewPath(views, ways, PlanMode.EXPLORE, 3, 0, (), 0.02, 0.05)
 
 
-def vehicle(t_s: float, note: str = "") -> VehicleState:
+def vehicle(t_s: float, note: Reason | None = None) -> VehicleState:
     return VehicleState(
         START_S + t_s, Pose.identity(), np.zeros(3), True, "OFFBOARD", FlightPhase.FLYING, np.nan, False, np.nan, 1, 0, note
     )
@@ -91,7 +96,7 @@ def progress(t_s: float, phase: str = "EXPLORE") -> MissionProgress:
         tasks=3,
         plans=int(t_s / 2),
         planning_s=0.05 * t_s,
-        note="",
+        note=None,
         finished=False,
         position_world=position(t_s),
     )
@@ -115,12 +120,12 @@ def mesh() -> TriangleMesh:
 def write_timeline(folder: Path, duration_s: float = 30.0) -> None:
     log = FlightLog(folder)
     for phase, t_s in (("take-off", 0.0), ("survey", 5.0), ("landing", 25.0)):
-        log.phase(START_S + t_s, phase, "")
+        log.phase(START_S + t_s, phase, None)
     for t_s in np.arange(0.0, duration_s, 0.5):
         log.progress(progress(float(t_s)))
     for k in range(10):
         log.view(START_S + 2 * k, k, frame(2.0 * k).world_from_depth)
         log.plan(START_S + 2 * k + 1, "explore" if k < 5 else "merged", 0.02, 0.05 + 0.01 * k, 5, 4, 3, 0.0)
     log.plan(START_S + 24, "", 0.01, 0.02, 0, 0, 0, 0.1)
-    log.refusal(START_S + 3, "too fast")
+    log.refusal(START_S + 3, TOO_FAST)
     log.close()

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from flight_inputs import START_S, frame, position, progress, write_timeline
+from flight_inputs import START_S, TOO_FAST, frame, position, progress, write_timeline
 
 from uav_recon.recording.flight_log import TIMELINE, FlightLog, read_timeline
 
@@ -20,7 +20,7 @@ def test_everything_written_is_read_back(tmp_path: Path) -> None:
     assert [plan.mode for plan in timeline.plans] == ["explore"] * 5 + ["merged"] * 5 + [""]
     assert timeline.plans[3].step_s == pytest.approx(0.08)
     assert [view.index for view in timeline.views] == list(range(10))
-    assert timeline.refusals[0].reason == "too fast"
+    assert (timeline.refusals[0].reason, timeline.refusals[0].codes) == (TOO_FAST.text(), TOO_FAST.codes())
     assert timeline.torn_lines == 0
     assert timeline.start_s() == START_S
     stamps, path = timeline.path_world()
@@ -30,8 +30,8 @@ def test_everything_written_is_read_back(tmp_path: Path) -> None:
 
 def test_each_line_is_on_disk_before_the_log_is_closed(tmp_path: Path) -> None:
     log = FlightLog(tmp_path)
-    log.refusal(1.0, "first")
-    assert read_timeline(tmp_path).refusals[0].reason == "first"
+    log.refusal(1.0, TOO_FAST)
+    assert read_timeline(tmp_path).refusals[0].reason == TOO_FAST.text()
     log.close()
 
 
@@ -47,10 +47,10 @@ def test_a_torn_last_line_loses_only_that_line(tmp_path: Path) -> None:
 def test_a_mission_restarted_after_a_crash_appends_after_the_torn_line(tmp_path: Path) -> None:
     (tmp_path / TIMELINE).write_text('{"event": "refusal", "stamp_s": 1.0, "rea')
     log = FlightLog(tmp_path)
-    log.refusal(2.0, "after")
+    log.refusal(2.0, TOO_FAST)
     log.close()
     timeline = read_timeline(tmp_path)
-    assert [record.reason for record in timeline.refusals] == ["after"]
+    assert [record.reason for record in timeline.refusals] == [TOO_FAST.text()]
     assert timeline.torn_lines == 1
 
 
@@ -82,7 +82,7 @@ def test_a_full_disk_never_stops_the_flight(tmp_path: Path, caplog: pytest.LogCa
     log.close()
     log._file = Full()  # type: ignore[assignment]
     log.progress(progress(1.0))
-    log.refusal(2.0, "lost")
+    log.refusal(2.0, TOO_FAST)
     assert log.lost_lines == 2
     assert [record.message for record in caplog.records] == [
         f"{tmp_path / TIMELINE}: No space left on device; events are being lost"

@@ -11,6 +11,8 @@ from uav_recon.recording.flight_log import FlightLog
 from uav_recon.recording.flight_report import FlightInfo, build_report, publish
 from uav_recon.recording.report import Report
 from uav_recon.types.pose import Pose
+from uav_recon.types.reason import Reason
+from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.vehicle import MissionProgress
 
 CARD = FlightInfo("kitchen", "adaptive", "px4", "fixed:15")
@@ -18,20 +20,20 @@ CARD = FlightInfo("kitchen", "adaptive", "px4", "fixed:15")
 
 def progress(stamp_s: float, phase: str, path_m: float) -> MissionProgress:
     return MissionProgress(
-        stamp_s, phase, "explore", 1, 60, 9.0, path_m, 2, 2, 1, 0.1, "", False, np.array([stamp_s, 0.0, 1.0])
+        stamp_s, phase, "explore", 1, 60, 9.0, path_m, 2, 2, 1, 0.1, None, False, np.array([stamp_s, 0.0, 1.0])
     )
 
 
 def flight(folder: Path) -> None:
     log = FlightLog(folder)
-    log.phase(9.0, "take-off", "")
+    log.phase(9.0, "take-off", None)
     for stamp_s, phase, path_m in ((1.0, "ready", 0.0), (10.0, "survey", 1.0), (30.0, "landing", 8.5), (40.0, "done", 8.5)):
         log.progress(progress(stamp_s, phase, path_m))
     log.plan(12.0, "explore", 0.02, 0.05, 3, 3, 3, 0.2)
     log.plan(20.0, "merged", 0.04, 0.07, 1, 5, 4, 0.3)
     log.view(13.0, 1, Pose.identity())
-    log.refusal(14.0, "the map shows an obstacle on the way")
-    log.outcome(40.0, "completed", "no frontiers left")
+    log.refusal(14.0, Reason(ReasonCode.MAP_BLOCKS_PATH))
+    log.outcome(40.0, None, Reason(ReasonCode.NO_FRONTIERS_LEFT))
     log.refused_views(41.0, {"no depth": 3, "memory is full": 1})
     log.close()
 
@@ -57,9 +59,9 @@ def test_a_real_flight_gets_a_report(tmp_path: Path) -> None:
 
 def test_waiting_counts_from_take_off_to_the_last_view(tmp_path: Path) -> None:
     log = FlightLog(tmp_path)
-    log.phase(10.0, "take-off", "")
-    for stamp_s, waited_s in ((10.5, 2.0), (20.0, 1.0), (30.4, 0.5), (40.0, 3.0)):  # 0.5 s of the first and 0.1 s of the
-        log.plan(stamp_s, "explore", 0.0, 0.0, 1, 1, 1, waited_s)  # third are within; nothing of the last is
+    log.phase(10.0, "take-off", None)
+    for stamp_s, waited_s in ((10.5, 2.0), (20.0, 1.0), (30.4, 0.5), (40.0, 3.0)):  # half a second of the first and 0.1 of the
+        log.plan(stamp_s, "explore", 0.0, 0.0, 1, 1, 1, waited_s)  # third lie within, nothing of the last
     log.view(30.0, 1, Pose.identity())
     log.close()
     report = build_report(tmp_path, CARD, 1.0)
@@ -69,7 +71,7 @@ def test_waiting_counts_from_take_off_to_the_last_view(tmp_path: Path) -> None:
 
 def test_without_a_view_there_is_no_waiting_share(tmp_path: Path) -> None:
     log = FlightLog(tmp_path)
-    log.phase(10.0, "take-off", "")
+    log.phase(10.0, "take-off", None)
     log.close()
     assert build_report(tmp_path, CARD, 1.0).waiting_share is None
 

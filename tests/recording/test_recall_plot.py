@@ -45,7 +45,7 @@ def test_recall_views_and_modes_are_drawn(tmp_path: Path) -> None:
 
 def test_a_flight_without_plans_or_views_also_has_a_plot(tmp_path: Path) -> None:
     log = FlightLog(tmp_path)
-    log.phase(START_S, "take-off", "")
+    log.phase(START_S, "take-off", None)
     log.close()
     recall_over_time(tmp_path / "recall.png", read_timeline(tmp_path), judged(tmp_path))
     bare = dataclasses.replace(judged(tmp_path), recall_over_time=((1.0, 0, 0.0),), time_to_recall_s={"0.90": None})

@@ -22,6 +22,8 @@ from uav_recon.recording.timelapse import load_states
 from uav_recon.types.camera import PosedFrame
 from uav_recon.types.maps import SurfaceElements, VoxelMap
 from uav_recon.types.pose import StampedPose
+from uav_recon.types.reason import Reason
+from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.tasks import ViewPath
 from uav_recon.types.trajectory import Goal, Intent, Setpoint, Trajectory
 from uav_recon.types.vehicle import MissionProgress, VehicleState
@@ -55,7 +57,7 @@ def fly(folder: Path, duration_s: float = 6.0, **options: Any) -> tuple[Recorder
         clock.advance_to(START_S + t_s)
         wires.odom.publish(odometry(t_s))
         wires.frames.publish(frame(t_s))
-        wires.vehicle.publish(vehicle(t_s, "arming refused: test" if k == 20 else ""))
+        wires.vehicle.publish(vehicle(t_s, Reason(ReasonCode.ARMING_WITHDRAWN) if k == 20 else None))
         wires.intent.publish(Intent(START_S + t_s, Goal.FLY, trajectory()))
         wires.progress.publish(progress(t_s))
         if k % 20 == 0:
@@ -140,7 +142,7 @@ def test_memory_does_not_grow_with_the_recording(tmp_path: Path) -> None:
         t_s = k / 2
         clock.advance_to(START_S + t_s)
         wires.odom.publish(odometry(0.0))
-        wires.vehicle.publish(vehicle(0.0, f"{k}"))
+        wires.vehicle.publish(vehicle(0.0, Reason(ReasonCode.VIEWS_SPENT, (k,))))
         wires.progress.publish(progress(0.0))
         recorder.step()
         memory_mb.append(

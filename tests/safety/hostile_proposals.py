@@ -162,7 +162,7 @@ def attack(count: int, seed: int) -> tuple[Counter[str], list[str]]:
             asked = None if silent else wanted
             cleared, refusal = guard.clear(asked, here)
             flown = cleared.setpoint
-            outcomes[_kind(refusal.reason) if refusal else "flown" if asked else "braked"] += 1
+            outcomes[refusal.reason.code.value if refusal else "flown" if asked else "braked"] += 1
             wrong = violation(flown, last, math.inf if jumped else max(dt_s, 0.0), blocked)
             lately.append((max(dt_s, 0.0), flown))
             wrong = wrong or adds_up(lately) or (undue(wanted, here, range_m) if flown is wanted.setpoint else "")
@@ -170,11 +170,6 @@ def attack(count: int, seed: int) -> tuple[Counter[str], list[str]]:
                 violations.append(wrong)
             last = flown
     return outcomes, violations
-
-
-def _kind(reason: str) -> str:
-    """A reason without its figures."""
-    return " ".join(word for word in reason.partition(" at ")[0].split() if not word.strip("-").replace(".", "").isdigit())
 
 
 if __name__ == "__main__":

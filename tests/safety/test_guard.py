@@ -29,6 +29,8 @@ from uav_recon.safety.obstacle_speed_limit import ForwardDepth
 from uav_recon.safety.recently_seen_space import RecentlySeenSpace
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.pose import Pose
+from uav_recon.types.reason import Reason
+from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.trajectory import Setpoint
 
 
@@ -88,27 +90,27 @@ def test_a_sound_proposal_passes_unchanged() -> None:
 @pytest.mark.parametrize(
     ("bad", "reason"),
     [
-        (proposal((math.nan, 0, 1)), "finite"),
-        (proposal(velocity=(0, math.inf, 0)), "finite"),
-        (proposal(acceleration=(0, 0, math.nan)), "finite"),
-        (proposal(yaw=math.nan), "finite"),
-        (proposal(yaw_rate=math.inf), "finite"),
-        (proposal((0, 1)), "finite"),
-        (proposal(velocity=(1.01, 0, 0)), "speed"),
-        (proposal(acceleration=(0, 2.01, 0)), "acceleration"),
-        (proposal(yaw_rate=-0.81), "yaw rate"),
-        (proposal((0, 0, 9.0)), "fence"),
-        (proposal((0.5, 0, 1.0)), "jump of 0.50 m"),
-        (proposal(velocity=(0, 0.4, 0)), "velocity jump"),
-        (proposal(yaw=1.0), "heading jump"),
-        (proposal(epoch=1), "epoch"),
+        (proposal((math.nan, 0, 1)), ReasonCode.SETPOINT_NOT_FINITE),
+        (proposal(velocity=(0, math.inf, 0)), ReasonCode.SETPOINT_NOT_FINITE),
+        (proposal(acceleration=(0, 0, math.nan)), ReasonCode.SETPOINT_NOT_FINITE),
+        (proposal(yaw=math.nan), ReasonCode.SETPOINT_NOT_FINITE),
+        (proposal(yaw_rate=math.inf), ReasonCode.SETPOINT_NOT_FINITE),
+        (proposal((0, 1)), ReasonCode.SETPOINT_NOT_FINITE),
+        (proposal(velocity=(1.01, 0, 0)), ReasonCode.SPEED_LIMIT),
+        (proposal(acceleration=(0, 2.01, 0)), ReasonCode.ACCELERATION_LIMIT),
+        (proposal(yaw_rate=-0.81), ReasonCode.YAW_RATE_LIMIT),
+        (proposal((0, 0, 9.0)), ReasonCode.OUTSIDE_FENCE),
+        (proposal((0.5, 0, 1.0)), ReasonCode.POSITION_STEP),
+        (proposal(velocity=(0, 0.4, 0)), ReasonCode.VELOCITY_STEP),
+        (proposal(yaw=1.0), ReasonCode.HEADING_STEP),
+        (proposal(epoch=1), ReasonCode.TRAJECTORY_MAP_EPOCH),
     ],
 )
-def test_each_fault_is_refused_by_name(bad: SetpointProposal, reason: str) -> None:
+def test_each_fault_is_refused_by_name(bad: SetpointProposal, reason: ReasonCode) -> None:
     guard = anchored()
     cleared, refusal = guard.clear(bad, situation(DT))
     assert refusal is not None
-    assert reason in refusal.reason
+    assert refusal.reason.code is reason
     assert refusal.instead is cleared.setpoint
     np.testing.assert_allclose(cleared.setpoint.position_m, [0.0, 0.0, 1.0])
 
@@ -167,7 +169,7 @@ def test_the_faster_the_sooner_silence_is_noticed() -> None:
     for age in (0.51, math.nan, -0.2):
         _, refusal = guard.clear(proposal(), situation(2 * DT, intent_age_s=age))
         assert refusal is not None
-        assert refusal.reason == "mission is silent"
+        assert refusal.reason.code is ReasonCode.MISSION_STALE
 
 
 def test_a_stale_pose_holds() -> None:
@@ -178,7 +180,7 @@ def test_a_stale_pose_holds() -> None:
         assert (refusal is not None) is held, age
         if held:
             assert refusal is not None
-            assert refusal.reason == "pose is stale"
+            assert refusal.reason.code is ReasonCode.POSE_STALE
             guard, now, place = moving(0.5)
 
 
@@ -250,24 +252,28 @@ def test_what_is_not_known_free_is_refused() -> None:
     free[30:] = False
     wall = known_free(free)
     guard, now, place = moving(0.5, start=(0.0, 0.0, 1.0))
-    reason = ""
+    reason = None
     for _ in range(90):
         now, place = now + DT, place + along(0.5 * DT)
         _, refusal = guard.clear(proposal(place, (0.5, 0, 0)), situation(now, free=wall))
         if refusal is not None:
-            reason = refusal.reason
+            reason = refusal.reason.code
             break
-    assert "not known free" in reason
+    assert reason is ReasonCode.NOT_KNOWN_FREE
     assert 1.05 - 0.2 - 0.0625 - 0.5 * DT <= place[0] <= 1.05 - 0.2 - 0.0625 + 0.5 * DT
 
 
+NO_SPACE = Reason(ReasonCode.NO_FREE_SPACE)
+
+
 @pytest.mark.parametrize(
-    ("free", "reason"), [(None, "no known-free space"), (known_free(everything(), epoch=2), "is of map epoch 2")]
+    ("free", "reason"),
+    [(None, NO_SPACE), (known_free(everything(), epoch=2), Reason(ReasonCode.FREE_SPACE_MAP_EPOCH, (2, 0)))],
 )
-def test_without_known_free_space_of_this_epoch_nothing_moves(free: Any, reason: str) -> None:
+def test_without_known_free_space_of_this_epoch_nothing_moves(free: Any, reason: Reason) -> None:
     _, refusal = anchored().clear(proposal((0.01, 0, 1.0)), situation(DT, free=free))
     assert refusal is not None
-    assert reason in refusal.reason
+    assert refusal.reason == reason
     assert anchored().clear(proposal(), situation(DT, free=free))[1] is None, "a hold goes nowhere"
 
 
@@ -278,7 +284,7 @@ def test_near_things_slow_and_stop() -> None:
         _, refusal = guard.clear(proposal(place + along(speed * DT), (speed, 0, 0)), situation(now + DT, ahead=near))
         assert (refusal is None) is passes, (wall_m, speed)
         if refusal is not None:
-            assert "from something" in refusal.reason
+            assert refusal.reason.code is ReasonCode.OBSTACLE_NEAR
 
 
 @pytest.mark.parametrize(("age_s", "passes"), [(0.0, True), (0.05, True), (0.25, False)])
@@ -295,7 +301,7 @@ def test_nothing_moves_without_fresh_depth_but_a_retreat(stamp_s: float | None) 
     creep: dict[str, Any] = {"position": (0.005, 0, 1.0), "velocity": (0.05, 0, 0)}
     _, refusal = anchored().clear(proposal(**creep), situation(DT, ahead=ahead))
     assert refusal is not None
-    assert refusal.reason == "depth is stale"
+    assert refusal.reason.code is ReasonCode.DEPTH_STALE
     assert anchored().clear(proposal(**creep, retreating=True), situation(DT, ahead=ahead, intent_age_s=9.0))[1] is None
     assert anchored().clear(proposal(), situation(DT, ahead=ahead))[1] is None
 
@@ -305,11 +311,11 @@ def test_a_retreat_is_slow_and_still_sees() -> None:
     fast = proposal((0.01, 0, 1.0), (0.31, 0, 0), retreating=True)
     _, refusal = guard.clear(fast, situation(0.2))
     assert refusal is not None
-    assert refusal.reason == "speed 0.31 m/s"
+    assert refusal.reason == Reason(ReasonCode.SPEED_LIMIT, (0.31,))
     near = ForwardDepth(frame(0.25), HULL_RADIUS_M)
     _, refusal = guard.clear(proposal((0.01, 0, 1.0), (0.2, 0, 0), retreating=True), situation(0.3, ahead=near))
     assert refusal is not None
-    assert "from something" in refusal.reason
+    assert refusal.reason.code is ReasonCode.OBSTACLE_NEAR
 
 
 def test_where_the_camera_does_not_look_only_what_was_seen_lately_is_entered_and_slowly() -> None:
@@ -320,7 +326,7 @@ def test_where_the_camera_does_not_look_only_what_was_seen_lately_is_entered_and
     back = proposal((0.99, 0, 1.0), (-0.1, 0, 0))
     _, refusal = guard.clear(back, situation(0.05))
     assert refusal is not None
-    assert "not seen lately at 0.74" in refusal.reason
+    assert refusal.reason == Reason(ReasonCode.NOT_SEEN_RECENTLY, (0.74, 0.0, 1.0))
     sight.add(frame(9.0, 0.1), Pose.from_yaw(math.pi, np.array(start)))
     assert guard.clear(back, situation(0.1))[1] is None
     _, refusal = guard.clear(proposal((0.98, 0, 1.0), (-0.1, 0, 0)), situation(10.2))
@@ -329,7 +335,7 @@ def test_where_the_camera_does_not_look_only_what_was_seen_lately_is_entered_and
     fast = proposal((0.98, 0, 1.0), (-0.31, 0, 0))
     _, refusal = guard.clear(fast, situation(10.6))
     assert refusal is not None
-    assert "where the camera does not look" in refusal.reason
+    assert refusal.reason.code is ReasonCode.SPEED_OUT_OF_VIEW
     assert guard.clear(proposal((1.08, 0.0, 1.0), (0.5, 0, 0)), situation(11.0))[1] is None, "ahead it may go"
     guard.rebase(situation(11.1), rest_s=0.0)
     guard.clear(None, situation(11.2, position_m=start))
@@ -350,19 +356,21 @@ def test_over_the_pad_the_declared_column_may_be_climbed_unseen() -> None:
     assert guard.clear(proposal((0, 0, 1.01), (0, 0, 0.4)), situation(0.2))[1] is None
 
 
+COLUMN = {"position_m": (0.0, 0.0, 0.0)}
+
+
 @pytest.mark.parametrize(
     ("changes", "height_m", "reason"),
     [
-        ({}, 1.1, ""),
-        ({"free": None}, 1.1, "no depth frame has confirmed"),
-        ({"ahead": None}, 1.1, "no depth frame has confirmed"),
-        ({}, 2.2, "does not lie inside"),
-        ({"position_m": (1.0, 0.0, 0.0)}, 1.1, "does not lie inside"),
-        ({"position_m": (0.0, 0.0, 0.0), "free": known_free(everything() & (np.arange(45) != 18))}, 1.1, "not known free"),
-        ({"position_m": (0.0, 0.0, 0.0), "free": known_free(everything() & (np.arange(45) != 24))}, 1.1, ""),
+        ({}, 1.1, None),
+        ({"free": None}, 1.1, ReasonCode.TAKEOFF_COLUMN_NOT_SEEN),
+        ({"ahead": None}, 1.1, ReasonCode.TAKEOFF_COLUMN_NOT_SEEN),
+        ({}, 2.2, ReasonCode.TAKEOFF_COLUMN_OUTSIDE_FENCE),
+        ({"position_m": (1.0, 0.0, 0.0)}, 1.1, ReasonCode.TAKEOFF_COLUMN_OUTSIDE_FENCE),
+        (COLUMN | {"free": known_free(everything() & (np.arange(45) != 18))}, 1.1, ReasonCode.TAKEOFF_COLUMN_NOT_FREE),
+        (COLUMN | {"free": known_free(everything() & (np.arange(45) != 24))}, 1.1, None),
     ],
 )
-def test_a_take_off_wants_its_column(changes: dict[str, Any], height_m: float, reason: str) -> None:
+def test_a_take_off_wants_its_column(changes: dict[str, Any], height_m: float, reason: ReasonCode | None) -> None:
     found = guard_of().fault_of_take_off(situation(0.0, **changes), height_m)
-    assert reason in found
-    assert bool(found) is bool(reason)
+    assert (found and found.code) is reason

@@ -108,7 +108,7 @@ def judged(
 ) -> str:
     """Assert what must hold of any answer; say which kind it is. A view has ``clearance_m`` even where its way keeps less."""
     if isinstance(answer, NothingLeft):
-        assert len(answer.reason) > 5
+        assert len(answer.reason.text()) > 5
         return "reason"
     assert 1 <= len(answer.viewpoints) == len(answer.waypoints_world) == len(answer.tasks)
     assert answer.map_revision == request.voxels.revision

@@ -149,7 +149,7 @@ class Vehicle:
         self._link.receive(now_s)
         self._link.poll(now_s)
         if self._link.telemetry.failure:
-            raise UserError(f"{self._options.link}: {self._link.telemetry.failure}", EXIT_SILENT)
+            raise UserError(f"{self._options.link}: {self._link.telemetry.failure.text()}", EXIT_SILENT)
         return now_s
 
 

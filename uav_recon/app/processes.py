@@ -25,6 +25,8 @@ from uav_recon.clock import MonotonicClock, RateKeeper, ThreadExecutor
 from uav_recon.config import Config
 from uav_recon.errors import EXIT_CONFIG, EXIT_SECOND_COPY, UserError
 from uav_recon.interfaces import Channel, Clock
+from uav_recon.types.reason import Reason
+from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.vehicle import FlightPhase, VehicleState
 
 PERCEPTION_RATE_HZ = 100.0
@@ -173,7 +175,7 @@ def mission(config_path: Path, flight: Path | None) -> int:
     from uav_recon.mapping.neural.keyframes.normal_prior import PriorError
     from uav_recon.mapping.neural.worker.mapper_client import ProcessMapper
     from uav_recon.mission.operator_commands import OperatorCommandReceiver
-    from uav_recon.recording.flight_log import FlightLog
+    from uav_recon.recording.flight_log import FlightLog, outcome_text
     from uav_recon.recording.flight_report import FlightInfo, build_report, publish
     from uav_recon.recording.map_file import save_map
 
@@ -199,13 +201,13 @@ def mission(config_path: Path, flight: Path | None) -> int:
         while not conductor.finished:
             waiting.update(clock.now_s(), missing_processes(wires, clock.now_s()))
             if stop.asked:
-                conductor.request_abort("the operator asked to land")
+                conductor.request_abort(Reason(ReasonCode.OPERATOR_LAND))
             orders.pass_on(conductor, mapper.ready(), config.mission.autostart)
             conductor.step()
             systemd_notify.watchdog()
             rate.due(clock.now_s())
             clock.sleep_until(rate.next_s())
-        outcome = conductor.close()
+        aborted = conductor.close()
         if conductor.map is not None:
             save_map(folder, conductor.map)
     finally:
@@ -218,7 +220,7 @@ def mission(config_path: Path, flight: Path | None) -> int:
     mount = "gimbal" if camera.mount == "gimbal" else f"fixed:{camera.pitch_down_deg:g}"
     card = FlightInfo(folder.name, config.planner.variant, config.link.autopilot, mount)
     publish(build_report(folder, card, clock.now_s() - begun_s), folder)
-    logging.getLogger(__name__).info("%s", outcome)
+    logging.getLogger(__name__).info("%s", outcome_text(aborted))
     return 0
 
 

@@ -23,6 +23,8 @@ from uav_recon.localization.past_view_comparison import (
 from uav_recon.types.camera import Frame, Intrinsics
 from uav_recon.types.frames import Float32Array
 from uav_recon.types.pose import Pose
+from uav_recon.types.reason import Reason
+from uav_recon.types.reason_code import ReasonCode
 
 _ALONE = 0.05  # of the pixels; honest pictures have 0.004
 _MISFIT, _SOME = 0.20, 0.05  # of the points of the picture before, and of those that are not there; honest: 0.07 and 0.03
@@ -63,7 +65,8 @@ class DepthConsistencyMonitor:
         )
         self._calm = self._running = 0
         self._creep = DriftRateEstimator()
-        self._drift, self._drift_s = "", -math.inf
+        self._drift: Reason | None = None
+        self._drift_s = -math.inf
         self._same: tuple[Float32Array, Pose] | None = None
 
     def believes(self, frame: Frame, odom_from_depth: Pose, reset_counter: int) -> bool:
@@ -100,9 +103,9 @@ class DepthConsistencyMonitor:
             self._witness.remember(*seen)
         return believed
 
-    def drift(self, now_s: float) -> str:
-        """What depth says against the pose, '' for nothing."""
-        return self._drift if now_s - self._drift_s <= _KEPT_S else ""
+    def drift(self, now_s: float) -> Reason | None:
+        """What depth says against the pose, None for nothing."""
+        return self._drift if now_s - self._drift_s <= _KEPT_S else None
 
     @staticmethod
     def warm_up() -> None:
@@ -121,16 +124,16 @@ class DepthConsistencyMonitor:
         self._calm = self._calm + 1 if fits and there else 0
         return self._calm >= _CALM
 
-    def _hear(self, stamp_s: float, said: str) -> None:
-        self._running = self._running + 1 if said else 0
+    def _hear(self, stamp_s: float, said: Reason | None) -> None:
+        self._running = self._running + 1 if said is not None else 0
         if self._running >= _RUNNING:
             self._drift, self._drift_s = said, stamp_s
 
-    def _crept(self) -> str:
-        """What many looks back say together of the pose, '' for nothing."""
+    def _crept(self) -> Reason | None:
+        """What many looks back say together of the pose, None for nothing."""
         if self._creep.excess <= 1.0:
-            return ""
-        return f"odom creeps by {np.linalg.norm(self._creep.velocity_mps):.3f} m/s against what is seen"
+            return None
+        return Reason(ReasonCode.ODOMETRY_DRIFT, (float(np.linalg.norm(self._creep.velocity_mps)),))
 
     def _frozen(self, depth_m: Float32Array, odom_from_depth: Pose) -> bool:
         """Whether the camera has moved since it first gave this very picture."""
@@ -154,9 +157,11 @@ def _fits(then: ViewComparison | None) -> TypeGuard[ViewComparison]:
     return then is not None and then.count >= _MANY and then.nearer + then.farther <= _REFIT
 
 
-def _moved(oldest: Iterator[ViewComparison], explained: float) -> str:
-    """What the surfaces of the two oldest views say of the pose, '' for nothing. One alone errs: where something stands before
-    a wall, as far from it as a drift would be, all that both pictures see may fit the shift.
+def _moved(oldest: Iterator[ViewComparison], explained: float) -> Reason | None:
+    """What the surfaces of the two oldest views say of the pose, None for nothing.
+
+    One alone errs: where something stands before a wall, as far from it as a drift would be, all that both pictures see may
+    fit the shift.
     """
 
     def says(then: ViewComparison) -> bool:
@@ -166,12 +171,12 @@ def _moved(oldest: Iterator[ViewComparison], explained: float) -> str:
 
     told = list(itertools.islice(itertools.takewhile(says, oldest), _TOLD))
     if len(told) < _TOLD:
-        return ""
-    return f"surfaces stand {np.linalg.norm(told[0].shift_m):.2f} m off where they stood {told[0].age_s:.0f} s ago"
+        return None
+    return Reason(ReasonCode.SURFACES_MOVED, (float(np.linalg.norm(told[0].shift_m)), told[0].age_s))
 
 
-def _seen_through(then: ViewComparison | None) -> str:
+def _seen_through(then: ViewComparison | None) -> Reason | None:
     """Whether the camera looks through what was seen."""
     if then is None or then.farther < _SEEN_THROUGH:
-        return ""
-    return f"{then.farther:.0%} of what was seen {then.age_s:.0f} s ago is not there"
+        return None
+    return Reason(ReasonCode.SURFACES_GONE, (then.farther, then.age_s))

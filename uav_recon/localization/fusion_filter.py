@@ -21,7 +21,7 @@ from uav_recon.localization.eskf import SEEN, WHITE_SHARE, Estimate, PoseNoise
 from uav_recon.localization.fusion_history import Arrival, FusedPose, FusionHistory, pose_innovation
 from uav_recon.localization.imu_integration import Quaternion, Vector, conjugate, multiply, normalised, rotate
 from uav_recon.localization.odometry_health import OdometryHealthMonitor
-from uav_recon.localization.pose_gates import CONTRADICTIONS, PoseGates, Sighting, pose_fault
+from uav_recon.localization.pose_gates import CONTRADICTIONS, PoseGates, PoseRejection, Sighting, pose_fault
 from uav_recon.localization.relocalization_check import RETURN, STEP, RelocalizationCheck
 from uav_recon.types.camera import ImuSample
 from uav_recon.types.frames import FloatArray
@@ -38,12 +38,11 @@ class FusionFilter:
     """Fuses; costs 0.02 ms an inertial sample, 0.3 ms a pose, 0.1 ms an answer on one core.
 
     pose_lost_s: an answer farther than this after the newest pose has quality 0. ``rejected`` counts what was turned down,
-    by reason: not finite, out of range, stamp, duplicate, quality, jump, turn, speed, reset, unproven (the first after a loss),
-    and "imu ..." for inertial samples.
+    poses and inertial samples, by what for.
     """
 
     def __init__(self, pose_lost_s: float = 0.5, gates: PoseGates | None = None) -> None:
-        self.rejected: Counter[str] = Counter()
+        self.rejected: Counter[PoseRejection] = Counter()
         self.correction = WorldFromOdom.start()
         self._lost_s, self._gates = pose_lost_s, gates or PoseGates()
         self._trial, self._watch = RelocalizationCheck(), OdometryHealthMonitor(pose_lost_s)
@@ -70,7 +69,7 @@ class FusionFilter:
     def add_pose(self, pose: StampedPose, now_s: float) -> bool:
         """Fuse a pose of the source at its own stamp; now_s bounds what stamps are believed. False if it was turned down."""
         reason = pose_fault(pose, now_s) or self._chain.untimely(pose.stamp_s)
-        if reason:
+        if reason is not None:
             self.rejected[reason] += 1
             return False
         said, noise = self._seen_in_odom(pose), PoseNoise.claimed(pose.covariance)
@@ -80,11 +79,11 @@ class FusionFilter:
         if met is None:
             return self._found_again(said, noise)
         reason = self._doubtful(met, self._chain.before(said.stamp_s))
-        if reason and not self._proven(met):
+        if reason is not None and not self._proven(met):
             self.rejected[reason] += 1
             self._disputed |= reason in CONTRADICTIONS
             return False
-        if not reason:
+        if reason is None:
             self._settle(met)
         return True
 
@@ -111,13 +110,13 @@ class FusionFilter:
             self.correction,
         )
 
-    def _doubtful(self, met: Arrival, before: FusedPose) -> str:
+    def _doubtful(self, met: Arrival, before: FusedPose) -> PoseRejection | None:
         """Why a pose does not simply go on from the one before it."""
         said = met.said
         if said.source.reset_counter != self._source_resets:
-            return "reset"
+            return PoseRejection.RESET
         if said.stamp_s - before.stamp_s > self._lost_s:
-            return "unproven"
+            return PoseRejection.UNPROVEN
         return self._gates.leap(met.residual, met.covariance) or self._gates.haste(before.sighting, said)
 
     def _proven(self, met: Arrival) -> bool:
@@ -155,7 +154,7 @@ class FusionFilter:
             self._trial.update(said, said, inertial=False)
             if self._trial.stands(RETURN):
                 return self._begin(said, noise, self._trial.velocity_mps())
-        self.rejected["unproven"] += 1
+        self.rejected[PoseRejection.UNPROVEN] += 1
         return False
 
     def _settle(self, met: Arrival) -> None:
@@ -167,7 +166,7 @@ class FusionFilter:
     def _begin(self, said: Sighting, noise: PoseNoise, velocity_mps: Vector = (0.0, 0.0, 0.0)) -> bool:
         """Forget the past and go on from this pose; after the first time odom jumps there."""
         if not self._chain.reaches(said.stamp_s):
-            self.rejected["stamp"] += 1
+            self.rejected[PoseRejection.STAMP] += 1
             return False
         if self._chain.newest is not None:
             self._reset_counter = (self._reset_counter + 1) % 256

@@ -20,6 +20,7 @@ from uav_recon.localization.imu_integration import (
     rotate,
 )
 from uav_recon.localization.pose_gates import (
+    PoseRejection,
     Sighting,
     max_step_noise_scale,
     normalized_innovation_squared,
@@ -67,7 +68,7 @@ class Arrival:
 class FusionHistory:
     """rejected counts inertial samples that were turned down; fused(stamp_s, nis) hears of each pose that enters."""
 
-    def __init__(self, rejected: Counter[str], fused: Callable[[float, float], None]) -> None:
+    def __init__(self, rejected: Counter[PoseRejection], fused: Callable[[float, float], None]) -> None:
         self._rejected, self._fused = rejected, fused
         self._track = InertialTrack()
         self._nodes: deque[FusedPose] = deque()
@@ -89,29 +90,29 @@ class FusionHistory:
             gx, gy, gz = sample.gyro_radps.tolist()
             fx, fy, fz = sample.specific_force_mps2.tolist()
             if not math.isfinite(stamp_s + gx + gy + gz + fx + fy + fz) or max(abs(gx), abs(gy), abs(gz)) > _FASTEST_RADPS:
-                self._rejected["imu not finite"] += 1
+                self._rejected[PoseRejection.IMU_NOT_FINITE] += 1
                 continue
             if max(abs(fx), abs(fy), abs(fz)) > _HARDEST_MPS2:
-                self._rejected["imu force"] += 1
+                self._rejected[PoseRejection.IMU_FORCE] += 1
                 continue
             if not self._track.newest_s < stamp_s <= now_s + _FUTURE_S:
-                self._rejected["imu stamp"] += 1
+                self._rejected[PoseRejection.IMU_STAMP] += 1
                 continue
             if stamp_s - self._imu_s > _IMU_GAP_S:
                 self._imu_since_s = stamp_s
             self._imu_s = stamp_s
             self._track.push(stamp_s, (gx, gy, gz), (fx, fy, fz), bias)
 
-    def untimely(self, stamp_s: float) -> str:
-        """Why a stamp has no place in what is kept, '' where it has one."""
+    def untimely(self, stamp_s: float) -> PoseRejection | None:
+        """Why a stamp has no place in what is kept, None where it has one."""
         if not self._nodes:
-            return "" if self.reaches(stamp_s) else "stamp"
+            return None if self.reaches(stamp_s) else PoseRejection.STAMP
         early = stamp_s < self._nodes[0].stamp_s
         k = 0 if early else self._before(stamp_s)
         beside = (self._nodes[n] for n in (k, k + 1) if n < len(self._nodes))
         if any(same_stamp(node.stamp_s, stamp_s) for node in beside):
-            return "duplicate"
-        return "stamp" if early else ""
+            return PoseRejection.DUPLICATE
+        return PoseRejection.STAMP if early else None
 
     def before(self, stamp_s: float) -> FusedPose:
         """The newest node that is not younger than a timely stamp."""

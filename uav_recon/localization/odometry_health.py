@@ -6,6 +6,8 @@ import math
 from collections import deque
 
 from uav_recon.types.pose import PoseHealth
+from uav_recon.types.reason import Reason
+from uav_recon.types.reason_code import ReasonCode
 
 _USUAL_S = 1.0 / 15.0  # between poses
 _SLOWER_S = 0.2  # so much longer a silence is borne where fewer poses come than usually
@@ -39,25 +41,25 @@ class OdometryHealthMonitor:
         while self._stamps_s[0] <= stamp_s - _WINDOW_S:
             self._stamps_s.popleft()
 
-    def health(self, age_s: float, inertial: bool, on_trial: bool) -> tuple[PoseHealth, str]:
+    def health(self, age_s: float, inertial: bool, on_trial: bool) -> tuple[PoseHealth, Reason | None]:
         """age_s: of the newest pose. inertial: an IMU carries the state. on_trial: poses come, and are not believed."""
         rate_hz = self._rate_hz()
         slower_s = min(max(1.0 / rate_hz - _USUAL_S, 0.0), _SLOWER_S)
-        whose = "poses disagree" if on_trial else "no pose"
+        whose = ReasonCode.POSES_DISAGREE if on_trial else ReasonCode.NO_POSE
         if age_s > min(_SILENT_S + slower_s, self._lost_s):
-            return PoseHealth.LOST, f"{whose} for {age_s:.1f} s"
+            return PoseHealth.LOST, Reason(whose, (age_s,))
         if rate_hz < _TOO_FEW_HZ:
-            return PoseHealth.LOST, f"{rate_hz:.0f} poses a second"
+            return PoseHealth.LOST, Reason(ReasonCode.FEW_POSES, (rate_hz,))
         if on_trial or age_s > _LATE_S + slower_s:
-            return PoseHealth.DEGRADED, f"{whose} for {age_s:.1f} s"
+            return PoseHealth.DEGRADED, Reason(whose, (age_s,))
         if rate_hz < _FEW_HZ:
-            return PoseHealth.DEGRADED, f"{rate_hz:.0f} poses a second"
+            return PoseHealth.DEGRADED, Reason(ReasonCode.FEW_POSES, (rate_hz,))
         if not inertial:
-            return PoseHealth.DEGRADED, "no inertial samples"
+            return PoseHealth.DEGRADED, Reason(ReasonCode.NO_IMU)
         mean = sum(self._surprises) / max(len(self._surprises), 1)
         if len(self._surprises) == _SURPRISES and mean > _SURPRISE:
-            return PoseHealth.DEGRADED, f"poses and IMU disagree ({mean:.0f} for 6)"
-        return PoseHealth.GOOD, ""
+            return PoseHealth.DEGRADED, Reason(ReasonCode.IMU_DISAGREES, (mean,))
+        return PoseHealth.GOOD, None
 
     def quality(self, health: PoseHealth, age_s: float, source: int) -> int:
         """0 to 100: the source's and the health's, falling to 0 between 40 % and all of the time to lost."""

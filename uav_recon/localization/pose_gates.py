@@ -1,9 +1,10 @@
-"""Which poses may enter the filter. Each answer is a word for the count of what was turned down, '' for a pose that may."""
+"""Which poses may enter the filter. Each answer is what a pose is rejected for, None for a pose that may."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from enum import Enum
 
 import numpy as np
 
@@ -15,8 +16,29 @@ _OLDEST_S, _FUTURE_S = 1.0, 0.01
 _SAME_STAMP_S = 1e-4
 _FARTHEST_M, _LARGEST_VARIANCE = 1e4, 1e4  # per number, m² or rad²: a source that says so much knows nothing
 _STEP_M = 0.03  # a vehicle follows a step of its odometry at once
-CONTRADICTIONS = ("jump", "turn", "speed")  # what a source says against the track, or against itself
 _PLAUSIBLE_NIS = 22.46  # 99.9 % of the innovations of six numbers (chi-square)
+
+
+class PoseRejection(str, Enum):
+    """What a pose or an inertial sample was rejected for; the filter counts by it."""
+
+    NOT_FINITE = "not finite"
+    OUT_OF_RANGE = "out of range"
+    QUALITY = "quality"
+    STAMP = "stamp"
+    DUPLICATE = "duplicate"
+    JUMP = "jump"
+    TURN = "turn"
+    SPEED = "speed"
+    RESET = "reset"
+    UNPROVEN = "unproven"  # the first after a loss
+    IMU_NOT_FINITE = "imu not finite"
+    IMU_FORCE = "imu force"
+    IMU_STAMP = "imu stamp"
+
+
+# What a source says against the track, or against itself.
+CONTRADICTIONS = (PoseRejection.JUMP, PoseRejection.TURN, PoseRejection.SPEED)
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,32 +68,34 @@ class PoseGates:
     sigmas: float = 3.0
     speed_mps: float = 2.0
 
-    def leap(self, residual: FloatArray, spread: FloatArray) -> str:
+    def leap(self, residual: FloatArray, spread: FloatArray) -> PoseRejection | None:
         """residual: (6,) position, rotation vector. spread: (6, 6), its covariance."""
         place_m, place_sigma = _length_and_sigma(residual[:3], spread[:3, :3])
         if not place_m <= min(max(self.jump_m, self.sigmas * place_sigma), self.farthest_m):
-            return "jump"
+            return PoseRejection.JUMP
         tilt_rad, tilt_sigma = _length_and_sigma(residual[3:5], spread[3:5, 3:5])
         if not tilt_rad <= max(self.tilt_rad, self.sigmas * tilt_sigma):
-            return "turn"
+            return PoseRejection.TURN
         turn_rad, turn_sigma = _length_and_sigma(residual[3:], spread[3:, 3:])
-        return "" if turn_rad <= min(max(self.turn_rad, self.sigmas * turn_sigma), self.farthest_rad) else "turn"
+        may = turn_rad <= min(max(self.turn_rad, self.sigmas * turn_sigma), self.farthest_rad)
+        return None if may else PoseRejection.TURN
 
-    def haste(self, before: Sighting, after: Sighting) -> str:
+    def haste(self, before: Sighting, after: Sighting) -> PoseRejection | None:
         """Between two poses of the source, in either order."""
         way_m = math.dist(before.position_m, after.position_m)
-        return "" if way_m <= self.jump_m + self.speed_mps * abs(after.stamp_s - before.stamp_s) else "speed"
+        slow = way_m <= self.jump_m + self.speed_mps * abs(after.stamp_s - before.stamp_s)
+        return None if slow else PoseRejection.SPEED
 
 
-def pose_fault(pose: StampedPose, now_s: float) -> str:
+def pose_fault(pose: StampedPose, now_s: float) -> PoseRejection | None:
     """What is wrong with a pose by itself."""
     if pose.covariance.shape != (6, 6) or not (math.isfinite(pose.stamp_s) and np.isfinite(pose.covariance).all()):
-        return "not finite"
+        return PoseRejection.NOT_FINITE
     if np.abs(pose.odom_from_body.translation_m).max() > _FARTHEST_M or np.abs(pose.covariance).max() > _LARGEST_VARIANCE:
-        return "out of range"
+        return PoseRejection.OUT_OF_RANGE
     if pose.quality <= 0:
-        return "quality"
-    return "" if now_s - _OLDEST_S <= pose.stamp_s <= now_s + _FUTURE_S else "stamp"
+        return PoseRejection.QUALITY
+    return None if now_s - _OLDEST_S <= pose.stamp_s <= now_s + _FUTURE_S else PoseRejection.STAMP
 
 
 def same_stamp(a_s: float, b_s: float) -> bool:

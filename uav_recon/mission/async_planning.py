@@ -12,16 +12,17 @@ from uav_recon.interfaces import Executor, MotionPlannerInterface, Pending, Plan
 from uav_recon.mission.flight_track import Departure
 from uav_recon.mission.path_heading import yaw_along_path
 from uav_recon.types.frames import FloatArray
+from uav_recon.types.reason import Reason
 from uav_recon.types.tasks import NothingLeft, PlanMode, PlanRequest, ViewPath, Viewpoint
 from uav_recon.types.trajectory import Setpoint, Trajectory
 
 
 @dataclass(frozen=True)
 class PlanResult:
-    """A plan and its motion; motion is the reason in words where there is none."""
+    """A plan and its motion; motion is the reason where there is none."""
 
     path: ViewPath | NothingLeft
-    motion: Trajectory | str
+    motion: Trajectory | Reason
 
 
 class AsyncPlanner:

@@ -12,6 +12,8 @@ from uav_recon.mission.flight_track import FlightTrack
 from uav_recon.mission.return_distance import return_distance_m
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.maps import VoxelMap
+from uav_recon.types.reason import Reason
+from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.vehicle import VehicleState
 
 _LOOK_S = 1.0  # the way home is measured so often
@@ -55,21 +57,17 @@ class BatteryPolicy:
         need = min_charge_for(flight_s(self._way_m, self._pace_mps), self._burn.per_s(self._now_s))
         return need if self._burn.reckoned(self._now_s) else max(need, LOW)
 
-    def ends(self, starting: bool, flying: bool) -> str:
-        """Why there is no flight, or none any more; '' where there is. Of a gauge that never spoke the autopilot is judge."""
+    def ends(self, starting: bool, flying: bool) -> Reason | None:
+        """Why there is no flight, or none any more; None where there is. Of a gauge that never spoke the autopilot is judge."""
         if starting and self.left < TAKE_OFF:
-            return f"battery at {_percent(self.left)}: a flight needs {_percent(TAKE_OFF)}"
-        return f"battery at {_percent(self.left)}: landing where it is" if flying and self.left <= LAND_AT else ""
+            return Reason(ReasonCode.BATTERY_TAKEOFF, (100.0 * self.left, 100.0 * TAKE_OFF))
+        return Reason(ReasonCode.BATTERY_LAND, (100.0 * self.left,)) if flying and self.left <= LAND_AT else None
 
-    def why(self) -> str:
-        """Why it returns, in words with figures."""
+    def why(self) -> Reason:
+        """Why it returns."""
         if self.lost:
-            return "battery unknown"
+            return Reason(ReasonCode.BATTERY_UNKNOWN)
         per_s, home_s = self._burn.per_s(self._now_s), flight_s(self._way_m, self._pace_mps)
         if self.left >= min_charge_for(home_s, per_s):
-            return f"battery at {_percent(self.left)}, and how fast it falls is not known yet"
-        return f"battery at {_percent(self.left)}: the way home of {self._way_m:.0f} m needs {_percent(home_s * per_s)}"
-
-
-def _percent(share: float) -> str:
-    return f"{100.0 * share:.0f} %"
+            return Reason(ReasonCode.BATTERY_RATE_UNKNOWN, (100.0 * self.left,))
+        return Reason(ReasonCode.BATTERY_RETURN, (100.0 * self.left, self._way_m, 100.0 * home_s * per_s))

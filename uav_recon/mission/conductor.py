@@ -22,6 +22,8 @@ from uav_recon.mission.trajectory_execution import TrajectoryExecutor
 from uav_recon.mission.view_schedule import ViewSchedule
 from uav_recon.types.camera import PosedFrame
 from uav_recon.types.maps import VoxelMap
+from uav_recon.types.reason import Reason
+from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.trajectory import Goal, Intent
 from uav_recon.types.vehicle import FlightPhase, VehicleState
 
@@ -29,6 +31,7 @@ FRAME_TIMEOUT_S = 1.0
 PLAN_LATE_S = 20.0  # a planner that has not answered for so long does not answer any more
 VIEW_LATE_S = 0.6  # a view that no frame met for so long is given up
 PROGRESS_PERIOD_S = 0.2
+_CALLED_HOME = Reason(ReasonCode.OPERATOR_RETURN)
 
 
 class Conductor:
@@ -62,10 +65,8 @@ class Conductor:
         self._map_epoch, self._correction_sequence = 0, wires.correction.sequence()  # what stands there is of another flight
         self._refusals = 0
         self._bulletin, self._reported_s = MapPublisher(wires), -np.inf
-        self._attendance, self._go_home = (
-            OperatorWatchdog(orders.operator_timeout_s),
-            "",
-        )  # why it goes home, whatever else there is
+        self._attendance = OperatorWatchdog(orders.operator_timeout_s)
+        self._go_home: Reason | None = None  # why it goes home, whatever else there is
         self._start = self._abort = self._hold = self._released = self._arrived = False
         half_m, top_m = orders.vehicle_height_m / 2, orders.takeoff_height_m + orders.clear_radius_m  # home is clear above too
         stages.voxels.declare_free(np.zeros(3), orders.takeoff_radius_m, -half_m, top_m)
@@ -83,7 +84,7 @@ class Conductor:
         """Stay here until resume() or request_return(); the mission's own wishes wait."""
         self._hold = True
 
-    def request_return(self, why: str = "the operator asked to return") -> None:
+    def request_return(self, why: Reason = _CALLED_HOME) -> None:
         """Fly home and land; never taken back."""
         self._go_home = self._go_home or why
         self.resume()
@@ -92,7 +93,7 @@ class Conductor:
         """Go on after a hold; without one nothing changes."""
         self._released, self._hold = self._released or self._hold, False
 
-    def request_abort(self, reason: str) -> None:
+    def request_abort(self, reason: Reason) -> None:
         """Land now; never taken back."""
         self._abort, self._account.aborted = True, self._account.aborted or reason
 
@@ -111,7 +112,7 @@ class Conductor:
             self._hear_release(now_s, vehicle)
             self._hear_no_planner(now_s)
             self._hear_battery(now_s, vehicle)
-            self._account.update(self.phase, vehicle, self._attendance.missing if self._start else "")
+            self._account.update(self.phase, vehicle, self._attendance.missing if self._start else None)
             self._change_phase(advance(self.phase, observe(self._facts(now_s, vehicle))), now_s)
             self._act(now_s, vehicle)
         elif self._abort:  # of no vehicle was ever heard, so there is none to land
@@ -134,7 +135,7 @@ class Conductor:
             z_m = float(crumb[2])
             self._stages.voxels.declare_free(crumb, self._orders.clear_radius_m, z_m - half_m, z_m + half_m)
         self._stages.mapper.repose(correction)
-        self._account.refusal(now_s, f"map epoch {correction.map_epoch}: everything is mapped anew")
+        self._account.refusal(now_s, Reason(ReasonCode.MAP_RESTARTED, (correction.map_epoch,)))
         self.map = self._stages.voxels.snapshot()
         self._survey.begin_again()
         self._homeward.begin_again()
@@ -164,7 +165,7 @@ class Conductor:
     def _hear_guard(self, now_s: float, vehicle: VehicleState) -> None:
         """A refused trajectory is not flown on: the vehicle hovers where the guard stopped it, and the plan is made anew."""
         if vehicle.refusals > self._refusals and self._course.trajectory is not None:
-            self._account.refusal(now_s, vehicle.note)
+            self._account.refusal(now_s, vehicle.note or Reason(ReasonCode.REFUSED))
             self._helm.hold(now_s, vehicle)
             self._survey.stopped(now_s)
             self._homeward.replan()
@@ -189,7 +190,7 @@ class Conductor:
     def _hear_no_planner(self, now_s: float) -> None:
         """Everything that is flown comes from it, the way home too."""
         if self._decider.waiting_s(now_s) > PLAN_LATE_S:
-            self.request_abort(f"the planner has not answered for {PLAN_LATE_S:.0f} s")
+            self.request_abort(Reason(ReasonCode.PLANNER_SILENT, (PLAN_LATE_S,)))
 
     def _hear_battery(self, now_s: float, vehicle: VehicleState) -> None:
         """Not to take off with it, or to land where it is; and where a held vehicle would turn back, its operator is told."""
@@ -237,14 +238,14 @@ class Conductor:
         self._survey.interrupt()
         self._homeward.interrupt()
 
-    def _why_return(self, now_s: float) -> str:
+    def _why_return(self, now_s: float) -> Reason:
         why = self._go_home or self._steward.why()
         if self._account.views_left <= 0:
-            why = f"view budget of {self._orders.views} spent"
+            why = Reason(ReasonCode.VIEWS_SPENT, (self._orders.views,))
         elif now_s - self._ascent.begun_s > self._orders.max_flight_s:
-            why = f"flight time of {self._orders.max_flight_s:.0f} s spent"
+            why = Reason(ReasonCode.TIME_SPENT, (self._orders.max_flight_s,))
         self._account.note = why
-        return f"{why}, {self._account.frontiers} frontiers left in the last plan"
+        return why.with_detail(Reason(ReasonCode.FRONTIERS_IN_LAST_PLAN, (self._account.frontiers,)))
 
     # -- act ----------------------------------------------------------------------------------------------------------
 
@@ -277,10 +278,10 @@ class Conductor:
             )
             self._wires.progress.publish(progress)
 
-    def close(self) -> str:
-        """Write the last line of the journal; returns the outcome."""
+    def close(self) -> Reason | None:
+        """Write the last line of the journal; returns why the flight was aborted, None for one that was completed."""
         home = self.phase is Phase.DONE and self._arrived and not self._account.aborted
-        why = self._account.aborted or self._account.note or self.phase.value
-        outcome = "completed" if home else f"aborted: {why}"
-        self._account.close(self._clock.now_s(), outcome)
-        return outcome
+        why = self._account.aborted or self._account.note or Reason(ReasonCode.ENDED_IN_PHASE, (self.phase.value,))
+        aborted = None if home else why
+        self._account.close(self._clock.now_s(), aborted)
+        return aborted

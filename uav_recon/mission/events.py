@@ -126,7 +126,7 @@ def observe(facts: Facts) -> frozenset[Event]:
         Event.CALLED_HOME: facts.go_home,
         Event.PILOT_LANDS: phase is FlightPhase.LANDING,
         Event.TOUCHED_DOWN: phase is FlightPhase.LANDED,
-        Event.REFUSED: phase is FlightPhase.READY and bool(vehicle.note),  # back on the ground with a reason
+        Event.REFUSED: phase is FlightPhase.READY and vehicle.note is not None,  # back on the ground with a reason
         Event.HUMAN: vehicle.human_in_control or phase is FlightPhase.YIELDED,
     }
     events = frozenset(event for event, holds in shown.items() if holds)

@@ -8,6 +8,7 @@ from uav_recon.interfaces import Journal
 from uav_recon.mission.state_machine import Phase
 from uav_recon.types.camera import PosedFrame
 from uav_recon.types.frames import FloatArray
+from uav_recon.types.reason import Reason
 from uav_recon.types.tasks import NothingLeft, TaskKind, ViewPath
 from uav_recon.types.vehicle import FlightPhase, MissionProgress, VehicleState
 
@@ -25,9 +26,9 @@ class MissionLog:
     tasks: int = 0
     failed_in_a_row: int = 0
     mode: str = ""
-    note: str = ""
-    stop_reason: str = ""
-    aborted: str = ""
+    note: Reason | None = None
+    stop_reason: Reason | None = None
+    aborted: Reason | None = None
 
     @property
     def views_left(self) -> int:
@@ -56,18 +57,18 @@ class MissionLog:
         views = len(path.viewpoints)
         self.journal.plan(stamp_s, self.mode, path.task_s, path.step_s, self.frontiers, self.tasks, views, waited_s)
 
-    def refusal(self, stamp_s: float, reason: str) -> None:
+    def refusal(self, stamp_s: float, reason: Reason) -> None:
         """Note a plan or a motion that is not flown."""
         self.note = reason
         self.journal.refusal(stamp_s, reason)
 
-    def update(self, phase: Phase, vehicle: VehicleState, waits: str = "") -> None:
+    def update(self, phase: Phase, vehicle: VehicleState, waits: Reason | None = None) -> None:
         """On the ground the pilot says why nothing happens or arming was given up, or else it is what a start waits for; of a
         landing of its own, why it lands.
         """
         grounded = phase in (Phase.IDLE, Phase.READY) or (phase is Phase.TAKEOFF and vehicle.phase is FlightPhase.READY)
         if grounded or (vehicle.phase is FlightPhase.LANDING and phase is not Phase.LANDING and vehicle.note):
-            self.note = vehicle.note or (waits if phase in (Phase.IDLE, Phase.READY) else "")
+            self.note = vehicle.note or (waits if phase in (Phase.IDLE, Phase.READY) else None)
 
     def progress(
         self, stamp_s: float, phase: Phase, explored_m3: float, path_length_m: float, position_world: FloatArray, finished: bool
@@ -80,6 +81,6 @@ class MissionLog:
         self.journal.progress(now)
         return now
 
-    def close(self, stamp_s: float, outcome: str) -> None:
-        """The last line: what came of it."""
-        self.journal.outcome(stamp_s, outcome, self.stop_reason)
+    def close(self, stamp_s: float, aborted: Reason | None) -> None:
+        """Write the last line: what came of it. aborted: None for a flight that was completed."""
+        self.journal.outcome(stamp_s, aborted, self.stop_reason)

@@ -6,6 +6,8 @@ from typing import Protocol
 
 from uav_recon.interfaces import Channel
 from uav_recon.types.operator_command import GivenCommand, OperatorCommand
+from uav_recon.types.reason import Reason
+from uav_recon.types.reason_code import ReasonCode
 
 
 class Obedient(Protocol):
@@ -23,7 +25,7 @@ class Obedient(Protocol):
         """Fly home and land."""
         ...
 
-    def request_abort(self, reason: str) -> None:
+    def request_abort(self, reason: Reason) -> None:
         """Land here."""
         ...
 
@@ -63,4 +65,4 @@ class OperatorCommandReceiver:
         elif order is OperatorCommand.RETURN:
             conductor.request_return()
         else:
-            conductor.request_abort("the operator asked to land")
+            conductor.request_abort(Reason(ReasonCode.OPERATOR_LAND))

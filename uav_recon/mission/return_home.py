@@ -14,6 +14,8 @@ from uav_recon.mission.mission_log import MissionLog
 from uav_recon.mission.trajectory_execution import TrajectoryExecutor
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.maps import VoxelMap
+from uav_recon.types.reason import Reason
+from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.tasks import PlanRequest, Viewpoint
 from uav_recon.types.trajectory import Setpoint, Trajectory
 from uav_recon.types.vehicle import VehicleState
@@ -37,7 +39,8 @@ class ReturnHome:
         self._refused, self._looks = 0, False
         self._planned_mps, self._slow_s = math.inf, -math.inf  # what was let pass then, and when no more was last
         self.en_route = self.no_path = False
-        self._aside = self.lost = ""
+        self._aside: Reason | None = None
+        self.lost: Reason | None = None
 
     def interrupt(self) -> None:
         """Forget what is being thought about: the phase has changed."""
@@ -68,7 +71,7 @@ class ReturnHome:
         if not course.at_rest(now_s):
             return
         if self._refused > _REFUSED:
-            self._give_up(f"stopped {self._refused} times on its way home")
+            self._give_up(Reason(ReasonCode.RETURN_STOPPED, (self._refused,)))
         if self._looks:
             self._looks = False
             self._helm.look_round(now_s, vehicle, views=0)
@@ -85,7 +88,7 @@ class ReturnHome:
             return
         self._account.refusal(now_s, decision.motion)
         if along_breadcrumbs or self._aside:
-            self._give_up(f"no way back: {decision.motion}")
+            self._give_up(Reason(ReasonCode.NO_WAY_BACK, details=(decision.motion,)))
         else:
             self.no_path = True
 
@@ -108,7 +111,7 @@ class ReturnHome:
         level = np.array([*place[:2], min(place[2], here_m[2])])  # whoever climbs goes where no camera looked lately
         return self._decider.way_home(request, rest, dataclasses.replace(goal, position_world=level), identifier)
 
-    def _give_up(self, why: str) -> None:
+    def _give_up(self, why: Reason) -> None:
         """Not home: aside, and from there nowhere else."""
         if self._aside:
             self.lost = self._aside
@@ -122,12 +125,13 @@ class ReturnHome:
         if not resting and self._helm.brake_if_blocked(now_s, voxels):
             self.replan()
         elif resting and not self.has_arrived(now_s):
-            self._account.refusal(now_s, "held on the way home")
+            self._account.refusal(now_s, Reason(ReasonCode.HELD_ON_WAY_HOME))
             self._helm.hold(now_s, vehicle)
             self.replan()
         elif len(self._bad) < _PLACES and self._is_near(self._place) and self._site.is_occupied(voxels, self._place):
             self._bad = (*self._bad, self._place)
-            self._account.refusal(now_s, f"something stands at the landing place {self._place[0]:.1f} {self._place[1]:.1f} m")
+            x, y, _ = self._place.tolist()
+            self._account.refusal(now_s, Reason(ReasonCode.LANDING_SITE_OCCUPIED, (x, y)))
             self.en_route = False
             self._helm.brake(now_s)
         elif self._goes_faster(now_s, vehicle):

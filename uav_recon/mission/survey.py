@@ -11,6 +11,8 @@ from uav_recon.mission.mission_log import MissionLog
 from uav_recon.mission.mission_setup import MissionChannels, MissionParameters, MissionStages
 from uav_recon.mission.trajectory_execution import TrajectoryExecutor
 from uav_recon.types.maps import VoxelMap
+from uav_recon.types.reason import Reason
+from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.tasks import NothingLeft, PlanRequest
 from uav_recon.types.trajectory import Setpoint, Trajectory
 from uav_recon.types.vehicle import VehicleState
@@ -114,7 +116,7 @@ class Survey:
         if flying is not None:
             if flying is not self._helm.course.trajectory or now_s > leave_s:
                 return  # braked meanwhile, or too late to leave there: think again
-            if isinstance(decision.motion, str) or self._ends_as_before(decision.motion, flying):
+            if isinstance(decision.motion, Reason) or self._ends_as_before(decision.motion, flying):
                 self._think_again_s = now_s + self._helm.course.remaining_s(now_s)  # asked again at rest
                 return
             self._think_again_s = now_s + RETHINK_S
@@ -123,7 +125,7 @@ class Survey:
             return
         self._wires.plan.publish(decision.path)
         self._stages.planner.accept(decision.path)
-        if isinstance(decision.motion, str):
+        if isinstance(decision.motion, Reason):
             self._give_up_plan(decision.motion, now_s)
             return
         self._account.failed_in_a_row, self._resting_since_s = 0, np.inf
@@ -138,9 +140,9 @@ class Survey:
             return False
         return float(np.linalg.norm(motion.position_m[-1] - flying.position_m[-1])) < SAME_PLACE_M
 
-    def _give_up_plan(self, reason: str, now_s: float) -> None:
+    def _give_up_plan(self, reason: Reason, now_s: float) -> None:
         self._account.failed_in_a_row += 1
-        self._account.refusal(now_s, f"plan not flyable: {reason}")
+        self._account.refusal(now_s, Reason(ReasonCode.PLAN_NOT_FLYABLE, details=(reason,)))
         self._think_again_s = now_s + RETHINK_S
         if self._account.failed_in_a_row >= MAX_FAILED_PLANS:
-            self._account.stop_reason = f"{MAX_FAILED_PLANS} plans in a row could not be flown: {reason}"
+            self._account.stop_reason = Reason(ReasonCode.PLANS_FAILED, (MAX_FAILED_PLANS,), (reason,))

@@ -10,6 +10,8 @@ from uav_recon.mission.flight_track import FlightTrack
 from uav_recon.mission.mission_log import MissionLog
 from uav_recon.mission.view_schedule import ViewSchedule
 from uav_recon.types.maps import VoxelMap
+from uav_recon.types.reason import Reason
+from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.trajectory import Trajectory
 from uav_recon.types.vehicle import VehicleState
 
@@ -68,6 +70,6 @@ class TrajectoryExecutor:
         self._checked_revision = voxels.revision
         if self._motion.still_clear(trajectory, now_s, voxels):
             return False
-        self._account.refusal(now_s, "the map shows an obstacle on the way")
+        self._account.refusal(now_s, Reason(ReasonCode.MAP_BLOCKS_PATH))
         self.brake(now_s)
         return True

@@ -21,6 +21,8 @@ from uav_recon.motion.trajectory_generation import Pacer, TrajectoryGenerator
 from uav_recon.motion.yaw_policy import AT_VIEWS, YawPolicy
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.maps import FREE, GridSpec, VoxelMap
+from uav_recon.types.reason import Reason
+from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.tasks import PlanMode, ViewPath, Viewpoint
 from uav_recon.types.trajectory import Setpoint, Trajectory
 
@@ -61,8 +63,8 @@ class MotionPlanner:
 
     def through(
         self, path: ViewPath, voxels: VoxelMap, start: Setpoint, start_s: float, views_at_spacing_m: float, identifier: int
-    ) -> Trajectory | str:
-        """From rest at ``start`` through every view of the path to rest at the last, or the reason why not, in words.
+    ) -> Trajectory | Reason:
+        """From rest at ``start`` through every view of the path to rest at the last, or the reason why not.
 
         Each view is captured where it is passed, within 0.15 m and 3 degrees and without blur, and one every
         ``views_at_spacing_m`` (may be infinite) on the way to it. What is flown is checked against the map.
@@ -74,11 +76,11 @@ class MotionPlanner:
         course = PathCourse.through(entry.place, path.waypoints_world, path.viewpoints, self._pacer.gaze)
         flight = self._clear(course, None, entry, self._space(voxels), views_at_spacing_m, path.clearance_m)
         kept_m = self._asked_m(path.clearance_m)
-        return flight if isinstance(flight, str) else flight.trajectory(start_s, path.map_epoch, identifier, kept_m)
+        return flight if isinstance(flight, Reason) else flight.trajectory(start_s, path.map_epoch, identifier, kept_m)
 
     def onward(
         self, path: ViewPath, voxels: VoxelMap, flying: Trajectory, leave_s: float, views_at_spacing_m: float, identifier: int
-    ) -> Trajectory | str:
+    ) -> Trajectory | Reason:
         """Out of a motion that is being flown, at ``leave_s``, through every view of the path, as ``through`` does.
 
         The path begins where ``flying`` is at ``leave_s``. The answer begins KEPT_S before with ``flying``'s own samples,
@@ -94,7 +96,7 @@ class MotionPlanner:
         if not entry.is_moving:
             course = PathCourse.through(entry.place, _ahead(path, entry, entry.place), path.viewpoints, self._pacer.gaze)
             still = self._clear(course, None, entry, space, views_at_spacing_m, path.clearance_m)
-            return still if isinstance(still, str) else still.trajectory(start_s, path.map_epoch, identifier, kept_m)
+            return still if isinstance(still, Reason) else still.trajectory(start_s, path.map_epoch, identifier, kept_m)
         for overrun in OVERRUNS if _leads_on(path, entry) else OVERRUNS[-1:]:
             rolled, begin = self._pacer.begun(entry, overrun)
             course = PathCourse.through(begin, _ahead(path, entry, begin), path.viewpoints, self._pacer.gaze)
@@ -171,7 +173,7 @@ class MotionPlanner:
         space: ClearanceMap,
         spacing_m: float,
         clearance_m: float | None,
-    ) -> TrajectoryGenerator | str:
+    ) -> TrajectoryGenerator | Reason:
         """A flight along the course that is clear by ``clearance_m``, or why there is none.
 
         Where the relaxed band comes too close to something, the nearest corner is made a stop; if that does not do, all are,
@@ -190,7 +192,7 @@ class MotionPlanner:
                 band = band.relaxed(strung, space, room_m, min_m, NEAR_VIEW)
             flight = pacer.flown(band, entry, space, spacing_m)
             if not flight.feasible:
-                return "the present motion is too fast for the way that was planned"
+                return Reason(ReasonCode.PATH_ENTRY_TOO_FAST)
             bad = blocked(space, flight.rows, entry.left, min_m)
             if not bad.any():
                 return flight
@@ -199,12 +201,11 @@ class MotionPlanner:
                 stop[np.argmin(np.linalg.norm(reach_m, axis=2), axis=0)] = True
             else:
                 stop[:] = True
-        where = ", ".join(f"{value:.2f}" for value in flight.rows[np.argmax(bad), :3])
-        return f"the way is not clear by {min_m:.2f} m at ({where})"
+        return Reason(ReasonCode.PATH_CLEARANCE, (min_m, *flight.rows[np.argmax(bad), :3].tolist()))
 
     def _after_braking(
         self, path: ViewPath, voxels: VoxelMap, flying: Trajectory, at: int, spacing_m: float, identifier: int
-    ) -> Trajectory | str:
+    ) -> Trajectory | Reason:
         """Brake along what is being flown, then from rest, straight to the path's own way or back to where it begins."""
         leave_s = flying.start_s + at * flying.step_s
         braked = self._braked(flying, leave_s, identifier, 1.0)
@@ -212,20 +213,23 @@ class MotionPlanner:
         here = Setpoint.hold(rest.position_m, rest.yaw_rad, rest.camera_pitch_down_rad)
         first, *others = path.waypoints_world
         back = braked.position_m[::-BACK_STEPS]
-        flown: Trajectory | str = ""
-        for leg in (first[1:], np.vstack([back, first])):
+        start_s = leave_s + braked.duration_s
+
+        def along(leg: FloatArray) -> Trajectory | Reason:
             way = dataclasses.replace(path, waypoints_world=(leg, *others))
-            flown = self.through(way, voxels, here, leave_s + braked.duration_s, spacing_m, identifier)
-            if isinstance(flown, Trajectory):
-                return joined(flying, at, braked, flown)
-        return flown
+            return self.through(way, voxels, here, start_s, spacing_m, identifier)
+
+        flown = along(first[1:])
+        if isinstance(flown, Reason):
+            flown = along(np.vstack([back, first]))
+        return flown if isinstance(flown, Reason) else joined(flying, at, braked, flown)
 
 
-def _fault(path: ViewPath, voxels: VoxelMap) -> str:
-    """Why a path cannot be flown whatever its shape, '' if it can."""
+def _fault(path: ViewPath, voxels: VoxelMap) -> Reason | None:
+    """Why a path cannot be flown whatever its shape, None if it can."""
     if path.map_epoch != voxels.map_epoch:
-        return f"the path is of map epoch {path.map_epoch}, the map of {voxels.map_epoch}"
-    return "" if path.viewpoints else "the path has no view"
+        return Reason(ReasonCode.PATH_MAP_EPOCH, (path.map_epoch, voxels.map_epoch))
+    return None if path.viewpoints else Reason(ReasonCode.PATH_WITHOUT_VIEW)
 
 
 def _leads_on(path: ViewPath, entry: InitialState) -> bool:

@@ -9,6 +9,7 @@ from uav_recon.motion.motion_planner import MotionPlanner
 from uav_recon.motion.yaw_policy import yaw_policy_of
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.maps import VoxelMap
+from uav_recon.types.reason import Reason
 from uav_recon.types.tasks import ViewPath
 from uav_recon.types.trajectory import Setpoint, Trajectory
 
@@ -42,13 +43,13 @@ class SpeedLimitedPlanner:
 
     def through(
         self, path: ViewPath, voxels: VoxelMap, start: Setpoint, start_s: float, views_at_spacing_m: float, identifier: int
-    ) -> Trajectory | str:
+    ) -> Trajectory | Reason:
         """From rest, as Motion says."""
         return self._motion.through(path, voxels, start, start_s, views_at_spacing_m, identifier)
 
     def onward(
         self, path: ViewPath, voxels: VoxelMap, flying: Trajectory, leave_s: float, views_at_spacing_m: float, identifier: int
-    ) -> Trajectory | str:
+    ) -> Trajectory | Reason:
         """Out of a motion, as Motion says."""
         return self._motion.onward(path, voxels, flying, leave_s, views_at_spacing_m, identifier)
 

@@ -10,6 +10,8 @@ from uav_recon.operator.command_socket import Answer
 from uav_recon.operator.status import Status
 from uav_recon.types.operator_command import GivenCommand, OperatorCommand
 from uav_recon.types.pose import StampedPose
+from uav_recon.types.reason import Reason, codes_of
+from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.trajectory import Intent
 from uav_recon.types.vehicle import FlightPhase, MissionProgress, VehicleState
 
@@ -27,7 +29,7 @@ class PilotControls(Protocol):
         """Where it stands."""
         ...
 
-    def request_land(self, why: str) -> None:
+    def request_land(self, why: Reason) -> None:
         """Land here and now, whatever the mission says."""
         ...
 
@@ -64,13 +66,15 @@ class CommandHandler:
         try:
             order = None if word == "status" else OperatorCommand(word)
         except ValueError:
-            words = ", ".join(order.value for order in OperatorCommand)
-            return {"ok": False, "said": f"{word[:20]!r}: want one of {words}, status"}
+            words = ", ".join((*(order.value for order in OperatorCommand), "status"))
+            unknown = Reason(ReasonCode.UNKNOWN_COMMAND, (repr(word[:20]), words))
+            return {"ok": False, "said": unknown.text(), "codes": list(unknown.codes())}
         self._pilot.hear_operator()
         if order is None:
             return {"ok": True, "said": "", "status": self.status().as_json()}
         refused = self._refusal(order)
-        return {"ok": not refused, "said": refused or self._carry_out(order)}
+        said = self._carry_out(order) if refused is None else refused.text()
+        return {"ok": refused is None, "said": said, "codes": list(codes_of(refused))}
 
     def status(self) -> Status:
         """What is known now."""
@@ -78,33 +82,32 @@ class CommandHandler:
             self._clock.now_s(), _newest(self._vehicle), _newest(self._odom), _newest(self._progress), self._mission_receives()
         )
 
-    def _refusal(self, order: OperatorCommand) -> str:
+    def _refusal(self, order: OperatorCommand) -> Reason | None:
         phase = self._pilot.phase
         if phase is FlightPhase.YIELDED:
-            note = self._note()
-            return f"not ours any more{note and f' ({note})'}: nothing is asked of it until the pilot is started anew"
+            return Reason(ReasonCode.CONTROL_HANDED_OVER, details=self._note())
         if order is OperatorCommand.START:
             return self._refusal_of_start(phase)
         if phase in _ON_THE_GROUND:
-            return f"it is on the ground ({phase.value}): nothing to {order.value}"
+            return Reason(ReasonCode.NOT_FLYING, (phase.value, order.value))
         if phase is FlightPhase.ARMING and order is not OperatorCommand.LAND:
-            return "it is about to take off: land, or ask again once it flies"
+            return Reason(ReasonCode.TAKING_OFF)
         if phase is FlightPhase.LANDING and order is not OperatorCommand.LAND:
-            return "it is landing: that is not taken back"
+            return Reason(ReasonCode.LANDING_IS_FINAL)
         if order is OperatorCommand.RETURN and not self._mission_receives():
-            return "the mission is silent, and only it knows the way home: hold or land"
-        return ""
+            return Reason(ReasonCode.MISSION_CANNOT_RETURN)
+        return None
 
-    def _refusal_of_start(self, phase: FlightPhase) -> str:
+    def _refusal_of_start(self, phase: FlightPhase) -> Reason | None:
         if phase in (FlightPhase.LANDING, FlightPhase.LANDED):
-            return "this flight is over: restart the services for another one"
+            return Reason(ReasonCode.FLIGHT_OVER)
         if phase is FlightPhase.CONNECTING:
-            return f"not ready: {self._note('starting')}"
-        return "" if self._mission_receives() else "the mission is silent: is uav-recon-mission running, and has it finished?"
+            return Reason(ReasonCode.NOT_READY, details=self._note(Reason(ReasonCode.STARTING)))
+        return None if self._mission_receives() else Reason(ReasonCode.MISSION_NOT_RUNNING)
 
     def _carry_out(self, order: OperatorCommand) -> str:
         if order is OperatorCommand.LAND:
-            self._pilot.request_land("the operator asked to land")
+            self._pilot.request_land(Reason(ReasonCode.OPERATOR_LAND))
         else:
             self._pilot.request_hold(order is OperatorCommand.HOLD)
         self._orders.publish(GivenCommand(self._clock.now_s(), order))
@@ -117,10 +120,12 @@ class CommandHandler:
             OperatorCommand.START: going,
         }[order]
 
-    def _note(self, untold: str = "") -> str:
-        """The pilot's newest reason in words. untold: what to say before there is any state of the vehicle."""
+    def _note(self, *untold: Reason) -> tuple[Reason, ...]:
+        """Return the pilot's newest reason as details. untold: what to say before there is any state of the vehicle."""
         vehicle = _newest(self._vehicle)
-        return untold if vehicle is None else vehicle.note
+        if vehicle is None:
+            return untold
+        return () if vehicle.note is None else (vehicle.note,)
 
     def _mission_receives(self) -> bool:
         intent = _newest(self._intent)

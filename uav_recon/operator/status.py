@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from uav_recon.types.pose import StampedPose
+from uav_recon.types.reason import codes_of, text_of
 from uav_recon.types.vehicle import FlightPhase, MissionProgress, VehicleState
 
 
@@ -15,7 +16,7 @@ class Status:
     """None: not known. Ages in seconds; position in the world frame, metres.
 
     pilot: its phase; mission: its phase, or "silent". note: the pilot's newest reason in words, or what the mission waits
-    for on the ground; refusals: what the guard turned down so far.
+    for on the ground, and note_codes its codes; refusals: what the guard turned down so far.
     """
 
     pilot: str
@@ -32,6 +33,7 @@ class Status:
     path_m: float | None = None
     refusals: int | None = None
     note: str = ""
+    note_codes: tuple[str, ...] = ()
 
     @staticmethod
     def of(
@@ -46,6 +48,7 @@ class Status:
             return Status("starting", "silent")
         x, y, z = (_finite(v, 2) for v in vehicle.world_from_body.translation_m.tolist())
         told, heard = progress if mission_receives else None, bool(vehicle.mode)
+        note = vehicle.note or (told.note if told is not None and vehicle.phase is FlightPhase.READY else None)
         return Status(
             pilot=vehicle.phase.value,
             mission=told.phase if told is not None else "starting" if mission_receives else "silent",
@@ -60,7 +63,8 @@ class Status:
             explored_m3=None if told is None else _finite(told.explored_m3, 1),
             path_m=None if told is None else _finite(told.path_length_m, 1),
             refusals=vehicle.refusals,
-            note=vehicle.note or (told.note if told is not None and vehicle.phase is FlightPhase.READY else ""),
+            note=text_of(note),
+            note_codes=codes_of(note),
         )
 
     @staticmethod

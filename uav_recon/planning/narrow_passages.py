@@ -19,9 +19,11 @@ from uav_recon.planning.task_generation import places_of
 from uav_recon.planning.view_planner import ViewPlanner
 from uav_recon.types.frames import ByteArray, FloatArray, IntArray
 from uav_recon.types.maps import VoxelMap
+from uav_recon.types.reason import Reason
+from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.tasks import NothingLeft, PlanMode, PlanRequest, ViewPath, Viewpoint
 
-ON_A_NARROW_WAY = "on a narrow way nothing else is begun"
+ON_A_NARROW_WAY = Reason(ReasonCode.IN_NARROW_PASSAGE)
 
 
 class NarrowPassagePlanner:

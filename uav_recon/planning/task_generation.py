@@ -19,6 +19,7 @@ from uav_recon.planning.reconstruction.surface_views import SurfaceViews
 from uav_recon.planning.variants import Variant
 from uav_recon.types.frames import Float32Array, FloatArray
 from uav_recon.types.maps import SurfaceElements
+from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.tasks import PlanMode, TaskKind
 
 MAX_FRONTIERS, MAX_TASKS = 24, 40  # the nearest ones: the horizon executes only the first few
@@ -56,7 +57,7 @@ class TaskSource(Protocol):
         """Return the tasks of one plan."""
         ...
 
-    def reasons(self, situation: PlanningContext, frontiers: Frontiers) -> Counter[str]:
+    def reasons(self, situation: PlanningContext, frontiers: Frontiers) -> Counter[ReasonCode]:
         """Count the frontiers without a view, by reason. Slow; meant for the end of a flight."""
         ...
 
@@ -87,7 +88,7 @@ class ClusterTasks:
         surface = self._surfaces.propose(situation, question.surface, question.looks, widening)
         return GeneratedTasks(mode, (explore + surface[:spare])[:MAX_TASKS], widening)
 
-    def reasons(self, situation: PlanningContext, frontiers: Frontiers) -> Counter[str]:
+    def reasons(self, situation: PlanningContext, frontiers: Frontiers) -> Counter[ReasonCode]:
         """See TaskSource."""
         if TaskKind.EXPLORE not in self._variant.kinds:
             return Counter()
@@ -124,6 +125,6 @@ class GainField:
             PlanMode.MERGED, self._views.propose(question.situation, frontiers, question.surface, question.looks)
         )
 
-    def reasons(self, situation: PlanningContext, frontiers: Frontiers) -> Counter[str]:
+    def reasons(self, situation: PlanningContext, frontiers: Frontiers) -> Counter[ReasonCode]:
         """See TaskSource."""
         return self._reasons.reasons(situation.voxels, situation.space, frontiers)

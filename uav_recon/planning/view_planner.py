@@ -35,7 +35,6 @@ from uav_recon.planning.reconstruction.surface_views import SurfaceViews
 from uav_recon.planning.route_planning import route_to
 from uav_recon.planning.task_generation import ClusterTasks, GainField, TaskQuery, TaskSource, places_of
 from uav_recon.planning.tour import atsp, travel_time
-from uav_recon.planning.tour.stopping_rule import NOT_WORTH
 from uav_recon.planning.tour.travel_time import TravelTimeModel, YawWhileFlying, time_costs
 from uav_recon.planning.variants import Variant, variant
 from uav_recon.planning.view_history import ViewHistory
@@ -43,6 +42,8 @@ from uav_recon.types.argument_checks import require_box, require_kind, require_n
 from uav_recon.types.frames import FloatArray, IntArray
 from uav_recon.types.maps import FREE, OCCUPIED, GridSpec, SurfaceElements, VoxelMap
 from uav_recon.types.pose import Pose
+from uav_recon.types.reason import Reason
+from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.rgbd_camera import Camera
 from uav_recon.types.tasks import NothingLeft, PlanMode, PlanRequest, TaskKind, ViewPath, Viewpoint
 
@@ -130,7 +131,7 @@ class ViewPlanner:
         """
         start_s = self._timer()
         situation = self._look(request)
-        if isinstance(situation, str):
+        if isinstance(situation, Reason):
             return self._nothing(situation, start_s, start_s)
         harvest = self._source.propose(
             TaskQuery(situation, self.frontiers, self._ways, request.surface, self.visited.surface_looks, request.views_left)
@@ -175,15 +176,15 @@ class ViewPlanner:
         """
         start_s = self._timer()
         situation = self._look(dataclasses.replace(request, views_left=1))
-        if isinstance(situation, str):
+        if isinstance(situation, Reason):
             return self._nothing(situation, start_s, start_s)
         proposal = route_to(situation, goal)
         if proposal is None:
-            return self._nothing("no known-free way leads there", start_s, start_s)
+            return self._nothing(Reason(ReasonCode.NO_KNOWN_PATH), start_s, start_s)
         self._ways.update(situation.exit_cells, request.position_world, places_of([proposal]))
         return self._path(request, PlanMode.EXPLORE, [proposal], [1], start_s, start_s)
 
-    def _look(self, request: PlanRequest) -> PlanningContext | str:
+    def _look(self, request: PlanRequest) -> PlanningContext | Reason:
         """Update all caches with the map.
 
         Return the context, or the reason why no plan can start here.
@@ -197,11 +198,11 @@ class ViewPlanner:
         self.frontiers.touch(self.visited.settle(request))
         self.frontiers.update(voxels, *self._box(voxels.grid, 0.0), self.visited.exhausted)
         if request.views_left <= 0:
-            return "no view is left in the budget"
+            return Reason(ReasonCode.NO_VIEWS_LEFT)
         self.space.update(voxels)
         exit_cells = self.space.stand(request.position_world)
         if exit_cells is None:
-            return "the vehicle stands in space that is not known free, with no known-free way to where it may fly"
+            return Reason(ReasonCode.START_NOT_FREE)
         return PlanningContext(voxels, self.space, exit_cells, request.position_world)
 
     def _committed(self, situation: PlanningContext, request: PlanRequest) -> list[CandidateView]:
@@ -260,7 +261,7 @@ class ViewPlanner:
             step_s=self._timer() - start_s,
         )
 
-    def _why(self, situation: PlanningContext, not_worth: int) -> str:
+    def _why(self, situation: PlanningContext, not_worth: int) -> Reason:
         """Return the reason for an empty plan.
 
         It counts the frontiers by reason, and the dropped surface tasks.
@@ -272,14 +273,16 @@ class ViewPlanner:
             **count_rejected_frontiers(situation.voxels.state, self.frontiers.faces, self.visited.exhausted),
         }
         total = sum(counts.values())
-        said = f"{total} frontier{'s' if total > 1 else ''} left: " if total else "no frontiers left"
-        said += ", ".join(f"{n} {why}" for why, n in counts.items() if n)
-        return said + (f"; {not_worth} surface task{'s' if not_worth > 1 else ''} {NOT_WORTH}" if not_worth else "")
+        details = [Reason(code, (n,)) for code, n in counts.items() if n]
+        details += [Reason(ReasonCode.SURFACE_NOT_WORTH, (not_worth,))] if not_worth else []
+        if not total:
+            return Reason(ReasonCode.NO_FRONTIERS_LEFT, details=tuple(details))
+        return Reason(ReasonCode.FRONTIERS_LEFT, (total,), tuple(details))
 
     def _box(self, grid: GridSpec, inset_m: float) -> tuple[IntArray, IntArray]:
         return fence_box(grid, self.fence_m[0] + inset_m, self.fence_m[1] - inset_m)
 
-    def _nothing(self, reason: str, start_s: float, tasks_made_s: float) -> NothingLeft:
+    def _nothing(self, reason: Reason, start_s: float, tasks_made_s: float) -> NothingLeft:
         return NothingLeft(reason, task_s=tasks_made_s - start_s, step_s=self._timer() - start_s)
 
 

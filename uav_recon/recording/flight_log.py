@@ -17,6 +17,7 @@ import numpy as np
 
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.pose import Pose
+from uav_recon.types.reason import Reason, codes_of, text_of
 from uav_recon.types.vehicle import MissionProgress
 
 TIMELINE = "timeline.jsonl"
@@ -72,19 +73,21 @@ class ViewRecord:
 
 @dataclass(frozen=True, slots=True)
 class PhaseRecord:
-    """A new phase of the mission, with its reason."""
+    """A new phase of the mission, with its reason as text and codes."""
 
     stamp_s: float
     phase: str
     note: str
+    codes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
 class RefusalRecord:
-    """A rejection by guard, autopilot or mapper, with its reason as text."""
+    """A rejection by guard, autopilot or mapper, with its reason as text and codes."""
 
     stamp_s: float
     reason: str
+    codes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,6 +108,8 @@ class OutcomeRecord:
     stamp_s: float
     outcome: str
     stop_reason: str
+    codes: tuple[str, ...] = ()
+    stop_codes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -208,21 +213,22 @@ class FlightLog:
         w, x, y, z = (float(v) for v in world_from_depth.quat_wxyz)
         self._write("view", ViewRecord(stamp_s, index, (w, x, y, z), _vec3(world_from_depth.translation_m)))
 
-    def phase(self, stamp_s: float, phase: str, note: str) -> None:
+    def phase(self, stamp_s: float, phase: str, note: Reason | None) -> None:
         """Add a change of phase."""
-        self._write("phase", PhaseRecord(stamp_s, phase, note))
+        self._write("phase", PhaseRecord(stamp_s, phase, text_of(note), codes_of(note)))
 
-    def refusal(self, stamp_s: float, reason: str) -> None:
+    def refusal(self, stamp_s: float, reason: Reason) -> None:
         """Add a refusal."""
-        self._write("refusal", RefusalRecord(stamp_s, reason))
+        self._write("refusal", RefusalRecord(stamp_s, reason.text(), reason.codes()))
 
     def refused_views(self, stamp_s: float, counts: Mapping[str, int]) -> None:
         """Add the number of keyframes that the mapper rejected, by reason."""
         self._write("refused views", RefusedViewsRecord(stamp_s, tuple(sorted(counts.items()))))
 
-    def outcome(self, stamp_s: float, outcome: str, stop_reason: str) -> None:
-        """Add the outcome, which is the last line."""
-        self._write("outcome", OutcomeRecord(stamp_s, outcome, stop_reason))
+    def outcome(self, stamp_s: float, aborted: Reason | None, stop_reason: Reason | None) -> None:
+        """Add the last line. aborted: None for a flight that was completed."""
+        codes, stop_codes = codes_of(aborted), codes_of(stop_reason)
+        self._write("outcome", OutcomeRecord(stamp_s, outcome_text(aborted), text_of(stop_reason), codes, stop_codes))
 
     def close(self) -> None:
         """Close the file."""
@@ -236,6 +242,11 @@ class FlightLog:
             if self.lost_lines == 0:
                 _LOG.warning("%s: %s; events are being lost", self.path, error.strerror)
             self.lost_lines += 1
+
+
+def outcome_text(aborted: Reason | None) -> str:
+    """Return how a flight ended, in words: "completed" or "aborted: reason"."""
+    return "completed" if aborted is None else f"aborted: {aborted.text()}"
 
 
 def read_timeline(folder: Path) -> Timeline:

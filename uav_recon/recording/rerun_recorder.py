@@ -27,6 +27,7 @@ from uav_recon.types.camera import PosedFrame
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.maps import SurfaceElements, TriangleMesh, VoxelMap
 from uav_recon.types.pose import StampedPose
+from uav_recon.types.reason import text_of
 from uav_recon.types.tasks import ViewPath
 from uav_recon.types.trajectory import Intent
 from uav_recon.types.vehicle import MissionProgress, VehicleState
@@ -190,7 +191,7 @@ class Recorder:
             return
         armed = "armed" if vehicle.armed else "disarmed"
         self._say("pilot", f"{vehicle.phase.value}, {vehicle.mode}, {armed}")
-        self._say("pilot note", vehicle.note)
+        self._say("pilot note", text_of(vehicle.note))
 
     def _log_mission(self) -> None:
         progress = self._progress.new()
@@ -199,7 +200,7 @@ class Recorder:
             self._plot(names.VIEWS, float(progress.views))
             self._plot(names.FRONTIERS, float(progress.frontiers))
             self._say("mission", f"{progress.phase} {progress.mode}".strip())
-            self._say("mission note", progress.note)
+            self._say("mission note", text_of(progress.note))
         plan = self._plan.new()
         if plan is not None:
             self._draw(rerun_archetypes.plan(plan))

@@ -6,6 +6,9 @@ import math
 from dataclasses import dataclass
 from enum import IntEnum
 
+from uav_recon.types.reason import Reason
+from uav_recon.types.reason_code import ReasonCode
+
 _HEALTH_S = 2.0
 _BARELY_S = 0.2  # a retreat so young has not left its place: a mission back after the five seconds it may take flies on
 _OUTSIDE_S = 3.0  # a push over the fence itself is brought back within this, or the flight ends
@@ -38,7 +41,7 @@ class FailsafeTimeouts:
 @dataclass(frozen=True, slots=True)
 class FailsafeInputs:
     """What the ladder judges by: ages (s; infinity for never), whether inside the fence itself, refusals so far.
-    pose_age_s: of the newest sound pose, or since any was fed if longer. lost, wrong: why, or ''. refused_s: without motion.
+    pose_age_s: of the newest sound pose, or since any was fed if longer. lost, wrong: why. refused_s: without motion.
     """
 
     now_s: float
@@ -47,8 +50,8 @@ class FailsafeInputs:
     depth_age_s: float
     inside: bool
     refusals: int
-    lost: str = ""
-    wrong: str = ""
+    lost: Reason | None = None
+    wrong: Reason | None = None
     refused_s: float = 0.0
 
 
@@ -57,20 +60,22 @@ class Failsafe:
 
     def __init__(self, patience: FailsafeTimeouts) -> None:
         self._patience = patience
-        self._rung, self._why = FailsafeAction.FLY, ""
+        self._rung = FailsafeAction.FLY
+        self._why: Reason | None = None
         self._healthy_since_s = self._kept_since_s = math.inf
         self._inside_s = self._retreat_s = math.inf
         self._refused: list[float] = []
         self._refusals: int | None = None
 
-    def step(self, health: FailsafeInputs) -> tuple[FailsafeAction, str]:
+    def step(self, health: FailsafeInputs) -> tuple[FailsafeAction, Reason | None]:
         """Down at once; up from holding at once, from retreating after _HEALTH_S (at once if barely begun), from landing never.
         Kept from flying for as long as a silent mission is borne, whatever keeps it: nobody comes, so it lands.
         """
         rung, why = self._wanted(health)
         self._kept_since_s = math.inf if rung is FailsafeAction.FLY else min(self._kept_since_s, health.now_s)
         if health.now_s - self._kept_since_s > self._patience.intent_land_s:
-            rung, why = FailsafeAction.LAND, f"{why}, holding for {self._patience.intent_land_s:.0f} s"
+            held = Reason(ReasonCode.HELD_TOO_LONG, (self._patience.intent_land_s,))
+            rung, why = FailsafeAction.LAND, held if why is None else why.with_detail(held)
         self._healthy_since_s = min(self._healthy_since_s, health.now_s) if rung is FailsafeAction.FLY else math.inf
         wait_s = _HEALTH_S if health.now_s - self._retreat_s > _BARELY_S else 0.0
         well = rung is FailsafeAction.FLY and health.now_s - self._healthy_since_s >= wait_s
@@ -79,26 +84,27 @@ class Failsafe:
             self._rung, self._why = rung, why
         return self._rung, self._why
 
-    def _wanted(self, health: FailsafeInputs) -> tuple[FailsafeAction, str]:
+    def _wanted(self, health: FailsafeInputs) -> tuple[FailsafeAction, Reason | None]:
         p, over, refused = self._patience, self._outside_too_long(health) or health.wrong, self._refused_too_often(health)
         silences = (
-            ("no pose", health.pose_age_s, (p.pose_hold_s, math.inf, p.pose_land_s)),
-            ("mission silent", health.intent_age_s, (p.intent_hold_s, p.intent_retreat_s, p.intent_land_s)),
-            ("no depth", health.depth_age_s, (p.depth_hold_s, p.depth_retreat_s, p.depth_land_s)),
-            ("refused", health.refused_s, (math.inf, math.inf, p.intent_land_s)),
+            (ReasonCode.NO_POSE, health.pose_age_s, (p.pose_hold_s, math.inf, p.pose_land_s)),
+            (ReasonCode.MISSION_SILENT, health.intent_age_s, (p.intent_hold_s, p.intent_retreat_s, p.intent_land_s)),
+            (ReasonCode.NO_DEPTH, health.depth_age_s, (p.depth_hold_s, p.depth_retreat_s, p.depth_land_s)),
+            (ReasonCode.REFUSED_TOO_LONG, health.refused_s, (math.inf, math.inf, p.intent_land_s)),
         )
         rungs = [_rung_of(age_s, limits_s) for _, age_s, limits_s in silences]
         if (rung := max(rungs)) < FailsafeAction.LAND and over:
             return FailsafeAction.LAND, over
         if rung > FailsafeAction.FLY:
-            name, age_s, _ = silences[rungs.index(rung)]
-            return rung, f"{name} for {age_s:.1f} s"
-        why = health.lost or (f"{_REFUSALS} refusals in a second" if refused else "")
+            code, age_s, _ = silences[rungs.index(rung)]
+            return rung, Reason(code, (age_s,))
+        why = health.lost or (Reason(ReasonCode.MANY_REFUSALS, (_REFUSALS,)) if refused else None)
         return FailsafeAction.HOLD if why else FailsafeAction.FLY, why
 
-    def _outside_too_long(self, health: FailsafeInputs) -> str:
+    def _outside_too_long(self, health: FailsafeInputs) -> Reason | None:
         self._inside_s = health.now_s if health.inside else min(self._inside_s, health.now_s)
-        return f"outside the fence for {_OUTSIDE_S:.0f} s" if health.now_s - self._inside_s > _OUTSIDE_S else ""
+        too_long = health.now_s - self._inside_s > _OUTSIDE_S
+        return Reason(ReasonCode.OUTSIDE_FENCE_TOO_LONG, (_OUTSIDE_S,)) if too_long else None
 
     def _refused_too_often(self, health: FailsafeInputs) -> bool:
         before, self._refusals = self._refusals, health.refusals

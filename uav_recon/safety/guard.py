@@ -16,6 +16,8 @@ from uav_recon.safety.obstacle_speed_limit import ForwardDepth, Margins, fastest
 from uav_recon.safety.recently_seen_space import RecentlySeenSpace
 from uav_recon.safety.setpoint_continuity import ClearedMotion, ContinuityCheck
 from uav_recon.types.frames import FloatArray
+from uav_recon.types.reason import Reason
+from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.trajectory import Refusal, Setpoint
 
 _MAKER = object()
@@ -102,7 +104,7 @@ class Guard:
         """Judge one sample. No proposal means brake and hold; a Refusal tells why a proposal was not flown. Never raises
         on numbers. The very first setpoint holds the present place (drawn inside the envelope).
         """
-        fault = "" if proposal is None else self._fault(proposal, situation)
+        fault = None if proposal is None else self._fault(proposal, situation)
         setpoint = self._brake(situation) if proposal is None or fault else proposal.setpoint
         refusal = self._count(proposal, fault, setpoint)
         before, self._last = self._last, _motion_of(setpoint, situation.now_s)
@@ -114,41 +116,41 @@ class Guard:
         self._last, self._rest_until_s = None, situation.now_s + rest_s
         self._sight.forget()
 
-    def fault_of_take_off(self, situation: GuardInputs, height_m: float) -> str:
-        """Why the vehicle may not climb from where it stands, '' if the declared column is confirmed free that high."""
+    def fault_of_take_off(self, situation: GuardInputs, height_m: float) -> Reason | None:
+        """Why the vehicle may not climb from where it stands, None if the declared column is confirmed free that high."""
         here, top = situation.position_m, (situation.position_m[0], situation.position_m[1], height_m)
         if situation.free is None or situation.ahead is None:
-            return "no depth frame has confirmed the take-off column"
+            return Reason(ReasonCode.TAKEOFF_COLUMN_NOT_SEEN)
         if not (self.envelope.in_column(here) and self.envelope.in_column(top)):
-            return "the take-off column does not lie inside the fence"
-        return "" if situation.free.admits(here, top) else "the take-off column is not known free"
+            return Reason(ReasonCode.TAKEOFF_COLUMN_OUTSIDE_FENCE)
+        return None if situation.free.admits(here, top) else Reason(ReasonCode.TAKEOFF_COLUMN_NOT_FREE)
 
-    def _fault(self, proposal: SetpointProposal, situation: GuardInputs) -> str:
+    def _fault(self, proposal: SetpointProposal, situation: GuardInputs) -> Reason | None:
         wanted, envelope, bounds = proposal.setpoint, self.envelope, self.bounds
         if not _is_finite(wanted):
-            return "setpoint is not finite"
+            return Reason(ReasonCode.SETPOINT_NOT_FINITE)
         if self._last is None:
-            return "nothing cleared yet"
+            return Reason(ReasonCode.NO_SETPOINT_YET)
         if situation.now_s < self._rest_until_s:
-            return "pose was reset"
+            return Reason(ReasonCode.POSE_RESET)
         if not -_FUTURE_S <= situation.pose_age_s <= bounds.pose_hold_s:
-            return "pose is stale"
+            return Reason(ReasonCode.POSE_STALE)
         if proposal.map_epoch != situation.map_epoch:
-            return f"trajectory is of map epoch {proposal.map_epoch}, pose of {situation.map_epoch}"
+            return Reason(ReasonCode.TRAJECTORY_MAP_EPOCH, (proposal.map_epoch, situation.map_epoch))
         motion = _motion_of(wanted, situation.now_s)
         speed_mps, push_mps2 = math.hypot(*motion.velocity_mps), math.hypot(*_floats(wanted.acceleration_mps2))
         max_speed_mps = bounds.retreat_mps if proposal.retreating or situation.slow else envelope.max_speed_mps
         if not speed_mps <= (bounds.margins.slow_mps if proposal.evading else max_speed_mps) + 1e-6:
-            return f"speed {speed_mps:.2f} m/s"
+            return Reason(ReasonCode.SPEED_LIMIT, (speed_mps,))
         if not proposal.retreating and self._silent(speed_mps, situation.intent_age_s):
-            return "mission is silent"
+            return Reason(ReasonCode.MISSION_STALE)
         if not push_mps2 <= envelope.max_acceleration_mps2 + 1e-6:
-            return f"acceleration {push_mps2:.2f} m/s²"
+            return Reason(ReasonCode.ACCELERATION_LIMIT, (push_mps2,))
         if not abs(wanted.yaw_rate_radps) <= envelope.max_yaw_rate_radps + 1e-6:
-            return f"yaw rate {wanted.yaw_rate_radps:.2f} rad/s"
+            return Reason(ReasonCode.YAW_RATE_LIMIT, (wanted.yaw_rate_radps,))
         stop_m = envelope.stopping_point(motion.position_m, motion.velocity_mps)
         if not envelope.admits(motion.position_m, stop_m):
-            return f"outside the fence at {_text(motion.position_m)} m"
+            return Reason(ReasonCode.OUTSIDE_FENCE, motion.position_m)
         return (
             self._steps.after(self._last, motion, envelope)[1]
             or self._space_fault(self._last, motion, stop_m, situation)
@@ -161,38 +163,39 @@ class Guard:
         heard = -_FUTURE_S <= intent_age_s <= self.bounds.intent_hold_s
         return not (heard and speed_mps * intent_age_s + braking_m <= max(self.bounds.silence_way_m, braking_m))
 
-    def _space_fault(self, last: ClearedMotion, motion: ClearedMotion, stop_m: Vec3, situation: GuardInputs) -> str:
+    def _space_fault(self, last: ClearedMotion, motion: ClearedMotion, stop_m: Vec3, situation: GuardInputs) -> Reason | None:
         """The way here and the way to rest, for the whole hull. What is not known free is refused."""
         if motion.position_m == last.position_m == stop_m:
-            return ""  # a hold: there is nothing to go through
+            return None  # a hold: there is nothing to go through
         if situation.free is None:
-            return "no known-free space was published"
+            return Reason(ReasonCode.NO_FREE_SPACE)
         if situation.free.map_epoch != situation.map_epoch:
-            return f"known-free space is of map epoch {situation.free.map_epoch}, pose of {situation.map_epoch}"
+            return Reason(ReasonCode.FREE_SPACE_MAP_EPOCH, (situation.free.map_epoch, situation.map_epoch))
         if not situation.free.admits(last.position_m, motion.position_m, stop_m):
-            return f"not known free at {_text(motion.position_m)} m"
-        return ""
+            return Reason(ReasonCode.NOT_KNOWN_FREE, motion.position_m)
+        return None
 
-    def _sight_fault(self, motion: ClearedMotion, speed_mps: float, retreating: bool, situation: GuardInputs) -> str:
+    def _sight_fault(self, motion: ClearedMotion, speed_mps: float, retreating: bool, situation: GuardInputs) -> Reason | None:
         """What raw depth says of the way: how fast it may be flown towards what is near, and where nobody looks."""
         ahead, bounds = situation.ahead, self.bounds
         if speed_mps <= _STILL_MPS or (retreating and ahead is None):
-            return ""
+            return None
         if ahead is None or not (retreating or -_FUTURE_S <= situation.now_s - ahead.stamp_s <= bounds.depth_hold_s):
-            return "depth is stale"
+            return Reason(ReasonCode.DEPTH_STALE)
         direction = np.array(motion.velocity_mps) / speed_mps
         direction_body = situation.body_from_odom @ direction
         since_s = min(max(0.0, situation.now_s - ahead.stamp_s), bounds.depth_hold_s)  # a retreat asks an older one too
         room_m = ahead.room_m(direction_body) - speed_mps * since_s
         if not speed_mps <= fastest_mps(room_m, self.envelope.max_acceleration_mps2, bounds.margins, speed_mps):
-            return f"{room_m:.2f} m from something at {speed_mps:.2f} m/s"
+            return Reason(ReasonCode.OBSTACLE_NEAR, (room_m, speed_mps))
         asked = not retreating and bounds.blind_mps < self.envelope.max_speed_mps
         if not asked or ahead.sees(direction_body) or self.envelope.in_column(motion.position_m):
-            return ""
+            return None
         if not speed_mps <= bounds.blind_mps + 1e-6:
-            return f"speed {speed_mps:.2f} m/s where the camera does not look"
+            return Reason(ReasonCode.SPEED_OUT_OF_VIEW, (speed_mps,))
         x, y, z = (np.array(motion.position_m) + direction * self._sight.reach_m).tolist()
-        return "" if self._sight.saw_free((x, y, z), situation.now_s) else f"not seen lately at {_text((x, y, z))} m"
+        seen = self._sight.saw_free((x, y, z), situation.now_s)
+        return None if seen else Reason(ReasonCode.NOT_SEEN_RECENTLY, (x, y, z))
 
     def _brake(self, situation: GuardInputs) -> Setpoint:
         """Slow down along the last cleared velocity within the acceleration limit, then stay."""
@@ -208,8 +211,8 @@ class Guard:
         push = along * -limit_mps2 if left_mps > 0.0 else np.zeros(3)
         return Setpoint(position, along * left_mps, push, last.yaw_rad, 0.0, last.pitch_down_rad)
 
-    def _count(self, proposal: SetpointProposal | None, fault: str, instead: Setpoint) -> Refusal | None:
-        if proposal is None or not fault:
+    def _count(self, proposal: SetpointProposal | None, fault: Reason | None, instead: Setpoint) -> Refusal | None:
+        if proposal is None or fault is None:
             self._refused = None
             return None
         self.refusals += self._refused != proposal.trajectory_id
@@ -231,7 +234,3 @@ def _motion_of(setpoint: Setpoint, now_s: float) -> ClearedMotion:
 def _floats(vector: FloatArray) -> Vec3:
     x, y, z = vector.tolist()
     return x, y, z
-
-
-def _text(place_m: Vec3) -> str:
-    return " ".join(f"{value:.2f}" for value in place_m)

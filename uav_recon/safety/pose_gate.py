@@ -8,6 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from uav_recon.types.pose import StampedPose
+from uav_recon.types.reason import Reason
+from uav_recon.types.reason_code import ReasonCode
 
 _MAX_AGE_S = 0.15  # older odometry is never fed: the estimator would drop it, or take it for new
 _FUTURE_S = 0.05
@@ -25,7 +27,7 @@ class PoseVerdict:
 
     good: bool
     again: bool = False
-    why: str = ""
+    why: Reason | None = None
 
 
 class PoseGate:
@@ -41,17 +43,17 @@ class PoseGate:
         """Believe, or say why not."""
         last = self._believed
         repeated = last is not None and pose.stamp_s <= last.stamp_s
-        if why := _unfit(pose, now_s) or ("repeated or older than the one before" if repeated else ""):
-            return self._refuse(why)
+        if fault := _unfit(pose, now_s) or (Reason(ReasonCode.POSE_REPEATED) if repeated else None):
+            return self._refuse(fault)
         if last is None or pose.reset_counter != last.reset_counter:
             return self._believe(pose, again=last is not None)
         why = self._leap(last, pose)
         lost = self._refused >= _PATIENCE
-        if not why and not lost:
+        if why is None and not lost:
             return self._believe(pose, again=False)
-        return self._prove(pose, why or "on trial after a loss")
+        return self._prove(pose, why or Reason(ReasonCode.POSE_ON_TRIAL))
 
-    def _prove(self, pose: StampedPose, why: str) -> PoseVerdict:
+    def _prove(self, pose: StampedPose, why: Reason) -> PoseVerdict:
         """A pose off the believed track begins or continues another one, which has to last."""
         track, self._track = self._track, pose
         if track is None or pose.stamp_s <= track.stamp_s or self._leap(track, pose):
@@ -65,12 +67,12 @@ class PoseGate:
         self._believed, self._track, self._refused = pose, None, 0
         return PoseVerdict(True, again)
 
-    def _refuse(self, why: str) -> PoseVerdict:
+    def _refuse(self, why: Reason) -> PoseVerdict:
         self._refused += 1
         return PoseVerdict(False, why=why)
 
-    def _leap(self, last: StampedPose, pose: StampedPose) -> str:
-        """What no flight explains between two poses, '' for nothing."""
+    def _leap(self, last: StampedPose, pose: StampedPose) -> Reason | None:
+        """What no flight explains between two poses."""
         dt_s = pose.stamp_s - last.stamp_s
         way = pose.odom_from_body.translation_m - last.odom_from_body.translation_m
         off_m = math.hypot(*(way - last.velocity_odom_mps * dt_s).tolist())
@@ -78,21 +80,21 @@ class PoseGate:
         sigma_m = math.sqrt(max((xx + yy + zz) / 3.0, 0.0))
         allowed_m = min(max(_JUMP_M, 3.0 * sigma_m), _WIDEST_M)
         if not off_m <= allowed_m + 0.5 * _PUSH_MPS2 * dt_s * dt_s:
-            return f"jump of {off_m:.2f} m"
+            return Reason(ReasonCode.POSE_JUMP, (off_m,))
         if not (way_m := math.hypot(*way.tolist())) <= _FASTEST_MPS * dt_s + allowed_m:
-            return f"a way of {way_m:.2f} m in {dt_s:.2f} s"
+            return Reason(ReasonCode.POSE_SPEED, (way_m, dt_s))
         turn_rad = abs(math.remainder(pose.odom_from_body.yaw_rad() - last.odom_from_body.yaw_rad(), math.tau))
         if not turn_rad <= _TURN_RAD + self._max_yaw_rate_radps * dt_s:
-            return f"turn of {math.degrees(turn_rad):.0f} degrees"
-        return ""
+            return Reason(ReasonCode.POSE_TURN, (math.degrees(turn_rad),))
+        return None
 
 
-def _unfit(pose: StampedPose, now_s: float) -> str:
-    """What is wrong with a pose by itself, '' for nothing."""
+def _unfit(pose: StampedPose, now_s: float) -> Reason | None:
+    """What is wrong with a pose by itself."""
     if not -_FUTURE_S <= now_s - pose.stamp_s <= _MAX_AGE_S:
-        return f"{now_s - pose.stamp_s:.2f} s old"
+        return Reason(ReasonCode.POSE_AGE, (now_s - pose.stamp_s,))
     if pose.velocity_odom_mps.shape != (3,) or pose.covariance.shape != (6, 6):
-        return "malformed"
+        return Reason(ReasonCode.POSE_MALFORMED)
     if not (np.abs(np.hstack((pose.odom_from_body.translation_m, pose.velocity_odom_mps, *pose.covariance))) <= _LARGEST).all():
-        return "out of range"
-    return "" if pose.quality > 0 else "of no quality"
+        return Reason(ReasonCode.POSE_OUT_OF_RANGE)
+    return None if pose.quality > 0 else Reason(ReasonCode.POSE_NO_QUALITY)

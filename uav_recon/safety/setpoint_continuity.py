@@ -6,10 +6,12 @@ import math
 from dataclasses import dataclass
 
 from uav_recon.safety.envelope import Envelope, Vec3
+from uav_recon.types.reason import Reason
+from uav_recon.types.reason_code import ReasonCode
 
 _LONGEST_S = 0.5  # the autopilot gives up on a stream that paused for longer
 _MAX = (0.02, 0.05, math.degrees(0.03), 0.02)
-_WORDS = ("jump of {:.2f} m", "velocity jump of {:.2f} m/s", "heading jump of {:.0f} degrees", "{:.2f} m off its velocity")
+_CODES = (ReasonCode.POSITION_STEP, ReasonCode.VELOCITY_STEP, ReasonCode.HEADING_STEP, ReasonCode.POSITION_OFF_VELOCITY)
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,8 +34,8 @@ class ContinuityCheck:
     beyond: Vec3 = (0.0, 0.0, 0.0)
     astray_m: Vec3 = (0.0, 0.0, 0.0)
 
-    def after(self, last: ClearedMotion, motion: ClearedMotion, envelope: Envelope) -> tuple[ContinuityCheck, str]:
-        """With one more, and why it is one too many, '' if it is not."""
+    def after(self, last: ClearedMotion, motion: ClearedMotion, envelope: Envelope) -> tuple[ContinuityCheck, Reason | None]:
+        """With one more, and why it is one too many, None if it is not."""
         dt_s, braking_mps2 = min(max(motion.at_s - last.at_s, 0.0), _LONGEST_S), envelope.max_acceleration_mps2
         turn_deg = math.degrees(abs(math.remainder(motion.yaw_rad - last.yaw_rad, math.tau)))
         steps = math.dist(motion.position_m, last.position_m), math.dist(motion.velocity_mps, last.velocity_mps), turn_deg
@@ -43,6 +45,6 @@ class ContinuityCheck:
         x, y, z = (old + q - p - (u + v) / 2.0 * dt_s for old, p, q, u, v in ways)
         off_m = math.hypot(x, y, z)
         left = max(1.0 - braking_mps2 * dt_s**2 / 4.0 / max(off_m, 1e-12), 0.0)  # what the limit allows between any two is none
-        taken = zip((a, b, c, off_m * left), (*steps, off_m), _MAX, _WORDS, strict=True)
-        faults = [words.format(step) for beyond, step, most, words in taken if not beyond <= most]
-        return ContinuityCheck((a, b, c), (x * left, y * left, z * left)), faults[0] if faults else ""
+        taken = zip((a, b, c, off_m * left), (*steps, off_m), _MAX, _CODES, strict=True)
+        faults = [Reason(code, (step,)) for beyond, step, most, code in taken if not beyond <= most]
+        return ContinuityCheck((a, b, c), (x * left, y * left, z * left)), faults[0] if faults else None

@@ -11,6 +11,7 @@ from enum import Enum
 import numpy as np
 
 from uav_recon.types.frames import FloatArray, frozen
+from uav_recon.types.reason import Reason
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -151,7 +152,7 @@ class StampedPose:
 
     velocity_odom_mps: (3,). covariance: (6, 6), position then rotation vector, m² and rad².
     quality: 0 (lost) to 100. reset_counter: +1 (mod 256) whenever odom itself jumps. map_epoch: of the maps that go with it.
-    health, and why it is no better ('' for GOOD). correction: odom's place in the world at this stamp.
+    health, and why it is no better (None for GOOD). correction: odom's place in the world at this stamp.
     """
 
     stamp_s: float
@@ -162,7 +163,7 @@ class StampedPose:
     reset_counter: int = 0
     map_epoch: int = 0
     health: PoseHealth = PoseHealth.GOOD
-    why: str = ""
+    why: Reason | None = None
     correction: WorldFromOdom = field(default_factory=WorldFromOdom.start)
 
     def __post_init__(self) -> None:

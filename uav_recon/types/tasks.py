@@ -9,6 +9,7 @@ import numpy as np
 
 from uav_recon.types.frames import FloatArray, frozen
 from uav_recon.types.maps import SurfaceElements, VoxelMap
+from uav_recon.types.reason import Reason
 
 
 class TaskKind(Enum):
@@ -68,9 +69,9 @@ class ViewPath:
 
 @dataclass(frozen=True, slots=True)
 class NothingLeft:
-    """No task is worth a flight. reason says why in words with counts: '14 frontiers left: 9 too narrow, ...'."""
+    """No task is worth a flight. reason says why, with counts of frontiers as its details."""
 
-    reason: str
+    reason: Reason
     task_s: float
     step_s: float
 

@@ -8,6 +8,7 @@ from enum import Enum
 import numpy as np
 
 from uav_recon.types.frames import FloatArray, frozen
+from uav_recon.types.reason import Reason
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,14 +94,14 @@ class Goal(Enum):
 class Intent:
     """The mission's proposal, renewed at every mission step: stamp_s is the mission's pulse.
 
-    note: what people are to be told of it in flight, '' for nothing. unattended: nobody attends any more, so that no hold of an
+    note: what people are to be told of it in flight. unattended: nobody attends any more, so that no hold of an
     operator stands.
     """
 
     stamp_s: float
     goal: Goal
     trajectory: Trajectory | None = None
-    note: str = ""
+    note: Reason | None = None
     operator_lost: bool = False
 
 
@@ -108,5 +109,5 @@ class Intent:
 class Refusal:
     """A proposal the guard did not let through, why, and what flies instead."""
 
-    reason: str
+    reason: Reason
     instead: Setpoint

@@ -10,6 +10,7 @@ import numpy as np
 
 from uav_recon.types.frames import FloatArray, frozen
 from uav_recon.types.pose import Pose
+from uav_recon.types.reason import Reason
 
 
 class FlightPhase(Enum):
@@ -31,7 +32,7 @@ class VehicleState:
     mode: '' until the autopilot has told it, and whether it is armed. battery_fraction: NaN if unknown.
     camera_pitch_down_rad: measured gimbal pitch, NaN on a fixed mount.
     trajectory_id: the trajectory being flown, -1 for none. refusals: proposals turned down by the guard so far.
-    note: the newest reason (refused arming, failsafe, refusal), '' for none. max_speed_mps: the guard's speed limit now.
+    note: the newest reason (refused arming, failsafe, refusal). max_speed_mps: the guard's speed limit now.
     operator_received_s: when the pilot last answered its operator, companion's clock; -inf: not since it started.
     world_from_rest: of its setpoints, where braking from the newest ends; None before the first.
     """
@@ -47,7 +48,7 @@ class VehicleState:
     camera_pitch_down_rad: float
     trajectory_id: int
     refusals: int
-    note: str
+    note: Reason | None
     max_speed_mps: float = math.inf
     operator_received_s: float = -math.inf
     world_from_rest: Pose | None = None
@@ -71,6 +72,6 @@ class MissionProgress:
     tasks: int
     plans: int
     planning_s: float
-    note: str
+    note: Reason | None
     finished: bool
     position_world: FloatArray = field(default_factory=lambda: np.zeros(3))

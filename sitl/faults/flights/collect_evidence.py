@@ -10,6 +10,7 @@ from sitl.faults.fault_director import FaultDirector
 from sitl.faults.flight_evidence import FlightEvidence, GuardLimits, gather
 from uav_recon.config import Config
 from uav_recon.recording.flight_log import read_timeline
+from uav_recon.types.reason import codes_in
 
 
 def evidence_of(meddler: FaultDirector, config: Config, truth: Path, radius_m: float) -> FlightEvidence:
@@ -23,4 +24,5 @@ def evidence_of(meddler: FaultDirector, config: Config, truth: Path, radius_m: f
         measured = np.isfinite(told["hull_m"])
         hull_s, hull_m = told["stamp_s"][measured], told["hull_m"][measured]
     outcomes = read_timeline(truth.parent).outcomes
-    return gather(meddler, limits, hull_s, hull_m, radius_m, outcomes[-1].stop_reason if outcomes else "")
+    stop_codes = outcomes[-1].stop_codes if outcomes else ()
+    return gather(meddler, limits, hull_s, hull_m, radius_m, stop_codes, codes_in)

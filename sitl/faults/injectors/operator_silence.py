@@ -11,9 +11,9 @@ from sitl.faults.flight_evidence import FlightEvidence
 from sitl.faults.injectors.base import ATTENDED, Capabilities, InjectionContext, Injector
 from sitl.faults.injectors.mavlink_link import proxy_of
 from sitl.faults.judges.reaction_metrics import Measure
+from sitl.faults.reason_codes import NO_OPERATOR, OPERATOR_LOST_RETURNING
 
 TIMEOUT_S = 30.0  # operator timeout of the campaign's flights, which all have an operator
-_MISSED, _RETURNING = "no operator", "returning"
 _TURNED_S = 1.0  # from the message to the flight home
 
 
@@ -60,19 +60,19 @@ class GroundStation(Injector):
 def acts_after(e: FlightEvidence) -> float:
     """Return the seconds from the operator's last query to the return message or to a landing."""
     last_s = e.notes.get(ATTENDED, math.inf)
-    said = [stamp_s for stamp_s, text in e.wire.texts if stamp_s >= last_s and _RETURNING in text]
+    said = [stamp_s for stamp_s in e.reported_s((OPERATOR_LOST_RETURNING,)) if stamp_s >= last_s]
     return min([stamp_s - last_s for stamp_s in said] + [e.since(e.landing & e.armed, last_s)])
 
 
 def warns_after(e: FlightEvidence) -> float:
     """Return the seconds from the operator's last query to the first warning; inf for none."""
     last_s = e.notes.get(ATTENDED, math.inf)
-    return min((stamp_s - last_s for stamp_s, text in e.wire.texts if stamp_s >= last_s and _MISSED in text), default=math.inf)
+    return min((stamp_s - last_s for stamp_s in e.reported_s(NO_OPERATOR) if stamp_s >= last_s), default=math.inf)
 
 
 def warnings(e: FlightEvidence) -> float:
     """Return the number of warnings that no operator is present."""
-    return float(sum(_MISSED in text for _, text in e.wire.texts))
+    return float(len(e.reported_s(NO_OPERATOR)))
 
 
 def astray(after_s: float) -> Measure:

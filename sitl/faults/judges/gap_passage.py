@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import math
-import re
 from dataclasses import dataclass
 
 import numpy as np
 
 from sitl.faults.flight_evidence import FlightEvidence
+from sitl.faults.reason_codes import FRONTIERS_NOT_REACHABLE, FRONTIERS_TOO_NARROW
 
 _THROUGH_M = 0.3  # before the gap or behind it: the hull is out of it
 _WENT_M = 0.3  # from the pad: who lands at once has looked at nothing
-_TOO_NARROW = re.compile(r"\b[1-9]\d* (too narrow|not reachable)\b")  # counts of the planner's account
+_REFUSALS = {FRONTIERS_TOO_NARROW, FRONTIERS_NOT_REACHABLE}  # of the planner, each with a count above zero
 
 
 @dataclass(frozen=True)
@@ -38,4 +38,4 @@ class Gap:
     def _refused(self, e: FlightEvidence) -> bool:
         x, y = e.position_m[e.armed, :2].T
         went = bool((np.hypot(x, y) >= _WENT_M).any())
-        return went and bool((x < self.begin_m).all()) and _TOO_NARROW.search(e.stop_reason) is not None
+        return went and bool((x < self.begin_m).all()) and not _REFUSALS.isdisjoint(e.stop_codes)

@@ -363,9 +363,9 @@ def unfinished(e: FlightEvidence) -> float:
     return float(bool(not_back(e)) or away_m < _FLOWN_M)
 
 
-def ended_for(word: str) -> Measure:
-    """1 where the product's own reason for the end of the flight says the word, or it gave none."""
-    return lambda e: float(word in e.stop_reason or not e.stop_reason)
+def ended_for(*codes: str) -> Measure:
+    """1 where the product's own reason for the end of the flight has one of these codes, or it gave none."""
+    return lambda e: float(not (e.stop_codes and set(codes).isdisjoint(e.stop_codes)))
 
 
 def not_back(e: FlightEvidence) -> float:

@@ -1,17 +1,18 @@
 """Whether people at a ground station were told of what the product did, and why: a STATUSTEXT within a second (HAZARDS, G7).
 
-words: a regular expression, for the fifty characters that a STATUSTEXT has; the product says no more than one at a time.
+A STATUSTEXT counts by the codes of its reason and of that reason's details.
 """
 
 from __future__ import annotations
 
 import math
-import re
+from collections.abc import Collection
 
 import numpy as np
 
 from sitl.faults.flight_evidence import FlightEvidence
 from sitl.faults.judges.reaction_metrics import Measure, tries_s
+from sitl.faults.reason_codes import CONTROL_LOST, LANDING
 
 _LAND = (176, 21)  # DO_SET_MODE and NAV_LAND; in the air the product asks for no other mode
 _TOLD_S = 1.0 + 0.05  # and a turn or two of the pilot's loop
@@ -19,53 +20,46 @@ _ALOFT_M = 0.3
 _BEFORE_S = 0.5  # it may say so first, and ask when it knows the mode of this instant
 _FLYING_S = 0.5  # who streamed so lately had the vehicle, and lives
 _OURS_S = 3.0  # a landing so soon after it was asked for is what was asked for
-_WHOSE = re.compile(r"^yielded|the autopilot lands")
-DRIFT = "odom creeps|surfaces stand|of what was seen"  # what depth may say against the pose
-# What a reason for a landing is: a refusal, a stranger or a slow link is none; whose the vehicle is by then is one too.
-_WHY_LAND = re.compile(
-    r"asked to |asks to |no pose|poses |mission silent|no depth|refused for|refusals in|odom |outside the fence"
-    r"|blocked|nowhere|two autopilots|take-off given up|arm(ed|ing) |LAND is asked for|in flight parameter"
-    rf"|{DRIFT}|{_WHOSE.pattern}"
-)
 _FLOOR_M = 0.05  # above where it comes to lie
 
 
-def statustext_delay(words: str) -> Measure:
-    """Seconds from the trouble to the product's first STATUSTEXT with these words."""
-    return lambda e: _since(e, words, e.onset_s)
+def statustext_delay(*codes: str) -> Measure:
+    """Seconds from the trouble to the product's first STATUSTEXT with one of these codes."""
+    return lambda e: _since(e, codes, e.onset_s)
 
 
-def statustext_on_floor(words: str) -> Measure:
+def statustext_on_floor(*codes: str) -> Measure:
     """The same from when the vehicle has come down, after the trouble."""
 
     def measure(e: FlightEvidence) -> float:
         height = e.position_m[:, 2]
         low = height <= height[e.stamp_s >= e.onset_s].min(initial=math.inf) + _FLOOR_M
-        return _since(e, words, e.onset_s + e.since(low, e.onset_s))
+        return _since(e, codes, e.onset_s + e.since(low, e.onset_s))
 
     return measure
 
 
-def statustext_after_arming(words: str) -> Measure:
+def statustext_after_arming(*codes: str) -> Measure:
     """The same from the first arm command."""
-    return lambda e: _since(e, words, tries_s(e)[0]) if tries_s(e) else math.inf
+    return lambda e: _since(e, codes, tries_s(e)[0]) if tries_s(e) else math.inf
 
 
-def _since(e: FlightEvidence, words: str, from_s: float) -> float:
-    said = [stamp_s for stamp_s, text in e.wire.texts if stamp_s >= from_s and re.search(words, text)]
-    return said[0] - from_s if said else math.inf
+def _since(e: FlightEvidence, codes: Collection[str], from_s: float) -> float:
+    reported = [stamp_s for stamp_s in e.reported_s(codes) if stamp_s >= from_s]
+    return reported[0] - from_s if reported else math.inf
 
 
 def statustext_missing(e: FlightEvidence) -> str:
     """The first reaction that nobody was told of in time, in words; '' for none."""
     asked = [o.stamp_s for o in e.wire.orders if o.command in _LAND and _airborne(e, o.stamp_s)]
-    due = [("landing asked for", _WHY_LAND, asked[0], asked[0])] if asked else []
+    due: list[tuple[str, Collection[str], float, float]] = []
+    due += [("landing asked for", LANDING, asked[0], asked[0])] if asked else []
     due += [
-        ("another's mode", _WHY_LAND if lands else _WHOSE, lost_s, received_s) for lost_s, received_s, lands in _lost(e, asked)
+        ("another's mode", LANDING if lands else CONTROL_LOST, lost_s, received_s)
+        for lost_s, received_s, lands in _lost(e, asked)
     ]
     for what, why, from_s, known_s in due:
-        said = [stamp_s for stamp_s, text in e.wire.texts if why.search(text)]
-        told = any(from_s - _BEFORE_S <= stamp_s <= known_s + _TOLD_S for stamp_s in said)
+        told = any(from_s - _BEFORE_S <= stamp_s <= known_s + _TOLD_S for stamp_s in e.reported_s(why))
         if not told and known_s + _TOLD_S < e.end_s:
             return f"{what} {known_s - e.onset_s:.1f} s after the trouble and not told within {_TOLD_S:.2f} s"
     return ""

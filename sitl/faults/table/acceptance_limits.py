@@ -48,9 +48,9 @@ def stops(within_m: float, late_s: float = 0.0) -> Limit:
     return Limit("stop distance", m.stopped_within(late_s), within_m, "m")
 
 
-def told(words: str, within_s: float, ardupilot: float | None = None) -> Limit:
-    """The first STATUSTEXT with these words; within a second of the reaction itself (G7)."""
-    return Limit("told", statustext_delay(words), within_s, "s", ardupilot=ardupilot)
+def told(*codes: str, within_s: float, ardupilot: float | None = None) -> Limit:
+    """The first STATUSTEXT with one of these codes; within a second of the reaction itself (G7)."""
+    return Limit("told", statustext_delay(*codes), within_s, "s", ardupilot=ardupilot)
 
 
 def clear(at_least_m: float) -> Limit:

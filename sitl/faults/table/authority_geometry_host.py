@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from signal import SIGSTOP
 
+from sitl.faults import reason_codes as codes
 from sitl.faults.fault import Onset
 from sitl.faults.injectors.companion import Abort, DiskFull, Madness
 from sitl.faults.injectors.cpu_and_disk_load import NoSpace
@@ -123,7 +124,7 @@ TABLE_E = (
         "forged commands",
         "another system, another component, MAVLink 1: modes, disarm, terminate, positions",
         lambda n: [Forger(*((42, 1), (1, 77), (245, 191), (1, 1))[n % 4], version_1=n % 4 == 3)],
-        (NO_FAILSAFE, COMPLETES, told("^intruder", 1.0)),
+        (NO_FAILSAFE, COMPLETES, told(*codes.INTRUDERS, within_s=1.0)),
         longest_s=180.0,
         views=SHORT_VIEWS,
     ),
@@ -132,7 +133,7 @@ TABLE_E = (
         "second autopilot",
         "another with the vehicle's own name speaks for 10 s: in our mode, with motors and without",
         lambda n: [SecondAutopilot(SecondAutopilot.OURS, armed=n % 2 == 0)],
-        (holds(1.0), told("two autopilots", 1.0), NO_FAILSAFE, COMPLETES),
+        (holds(1.0), told(codes.TWO_AUTOPILOTS, within_s=1.0), NO_FAILSAFE, COMPLETES),
         longest_s=180.0,
         views=SHORT_VIEWS,
     ),
@@ -141,7 +142,7 @@ TABLE_E = (
         "second autopilot's mode",
         "another with the vehicle's own name says for 10 s, and for 0.1 s, that a pilot flies it",
         lambda n: [SecondAutopilot(SecondAutopilot.PILOTS, briefly=n % 2 == 1)],
-        (told("two autopilots|mode changed", 1.0), lands(5.0), down(30.0)),
+        (told(codes.TWO_AUTOPILOTS, codes.MODE_CHANGED, within_s=1.0), lands(5.0), down(30.0)),
         longest_s=45.0,
     ),
     Scenario(
@@ -149,7 +150,7 @@ TABLE_E = (
         "second autopilot lands",
         "another with the vehicle's own name says for 10 s, and for 0.1 s, that it lands",
         lambda n: [SecondAutopilot(SecondAutopilot.LANDING, briefly=n % 2 == 1)],
-        (told("two autopilots|the autopilot lands", 1.0), holds(1.0), down(120.0)),
+        (told(codes.TWO_AUTOPILOTS, codes.AUTOPILOT_LANDS, within_s=1.0), holds(1.0), down(120.0)),
         longest_s=120.0,
         views=SHORT_VIEWS,
     ),
@@ -172,7 +173,7 @@ TABLE_E = (
         "battery's gauge slips",
         "six times for 2 s it says 20 % less, down to 20 %; nothing; 24 %",
         lambda n: [Gauge(*((5.0 * k, 5.0 * k + 2.0, (0.20, 0.0, 0.24)[n % 3]) for k in range(6)))],
-        (Limit("ended for the battery", m.ended_for("battery"), 0.0, ""), COMPLETES, NO_FAILSAFE),
+        (Limit("ended for the battery", m.ended_for(*codes.BATTERY), 0.0, ""), COMPLETES, NO_FAILSAFE),
         longest_s=180.0,
         views=SHORT_VIEWS,
     ),
@@ -215,7 +216,7 @@ TABLE_E = (
             NO_FORCE,
             Limit("arm commands", m.arm_tries, 3.0, ""),
             Limit("gives up", m.last_try_after, 20.0, "s"),
-            Limit("reason told", statustext_after_arming("arming given up: "), 20.0, "s"),
+            Limit("reason told", statustext_after_arming(codes.ARMING_GIVEN_UP), 20.0, "s"),
         ),
         onset=AT_BOOT,
         longest_s=60.0,
@@ -244,7 +245,7 @@ TABLE_E = (
         "landing never noticed",
         "motors do not stop on the floor",
         lambda n: [Unnoticed(), Abort()],
-        (Limit("alert", statustext_on_floor("landing does not end"), 15.0, "s"), NO_FORCE),
+        (Limit("alert", statustext_on_floor(codes.LANDING_NOT_ENDING), 15.0, "s"), NO_FORCE),
         longest_s=25.0,
     ),
     Scenario(
@@ -252,7 +253,12 @@ TABLE_E = (
         "operator's key",
         "pressed once",
         lambda n: [Abort()],
-        (Limit("command to land", m.asked_to_land, 0.15, "s"), lands(0.5), down(30.0), told("ask(s|ed) to land", 1.15)),
+        (
+            Limit("command to land", m.asked_to_land, 0.15, "s"),
+            lands(0.5),
+            down(30.0),
+            told(codes.OPERATOR_LAND, codes.MISSION_LAND, within_s=1.15),
+        ),
         onset=ANY,
     ),
 )
@@ -378,7 +384,7 @@ TABLE_G = (
         "parameter changed in flight",
         "as G5, written by a ground station at speed",
         lambda n: [Parameter(*PARAMETERS[n % 5])],  # those behind them would end its poses, or say what is done at a fence
-        (holds(1.0), told("^in flight parameter", 1.0), down(60.0), NO_FAILSAFE),
+        (holds(1.0), told(codes.PARAMETER_CHANGED, within_s=1.0), down(60.0), NO_FAILSAFE),
         onset=Onset(speed_mps=0.5),
     ),
     Scenario(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from sitl.faults import reason_codes as codes
 from sitl.faults.fault import Onset
 from sitl.faults.injectors import operator_silence
 from sitl.faults.injectors.base import Injector
@@ -64,7 +65,7 @@ TABLE_C = (
         "frames lost for 3 s",
         "no frame for 3 s at speed",
         lambda n: [Dark(3.0)],
-        (holds(0.4), STREAMS, COMPLETES, told("no depth|depth is stale", 1.4)),
+        (holds(0.4), STREAMS, COMPLETES, told(codes.NO_DEPTH, codes.DEPTH_STALE, within_s=1.4)),
         onset=Onset(speed_mps=0.5),
         longest_s=180.0,
         views=24,
@@ -195,7 +196,7 @@ TABLE_D = (
         "nothing said for 3 s",
         "product to autopilot lost for 3 s",
         lambda n: [PacketLoss("up", 3.0)],
-        (UNHEARD_LANDS, NO_ORDER, down(30.0), told("the autopilot lands", 2.3, ardupilot=3.5)),
+        (UNHEARD_LANDS, NO_ORDER, down(30.0), told(codes.AUTOPILOT_LANDS, within_s=2.3, ardupilot=3.5)),
         onset=FAST,
     ),
     Scenario(

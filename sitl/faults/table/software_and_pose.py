@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from signal import SIGKILL, SIGSTOP
 
+from sitl.faults import reason_codes as codes
 from sitl.faults.fault import Onset
 from sitl.faults.injectors.companion import Crash, Stall
 from sitl.faults.injectors.cpu_and_disk_load import BUSY, THRASHING, BusyProcesses, MemoryPressure
@@ -31,7 +32,7 @@ from sitl.faults.injectors.process_signals import (
 )
 from sitl.faults.judges import odometry_metrics
 from sitl.faults.judges import reaction_metrics as m
-from sitl.faults.judges.statustext_checks import DRIFT, statustext_delay
+from sitl.faults.judges.statustext_checks import statustext_delay
 from sitl.faults.table.acceptance_limits import (
     NO_FAILSAFE,
     NO_JUMP,
@@ -76,7 +77,7 @@ TABLE_A = (
             NO_FAILSAFE,
             NO_JUMP,
             flies_on(1.0, late_s=5.0),
-            told("mission (is )?silent", 1.6),
+            told(codes.MISSION_SILENT, codes.MISSION_STALE, within_s=1.6),
         ),
         onset=FAST,
         live=lambda n: [ProcessStopped("mission", 5.0)],
@@ -228,7 +229,7 @@ TABLE_B = (
             lands(1.2),
             Limit("drift", m.drift_landing, 0.8, "m"),
             down(30.0),
-            told("no pose|pose is stale", 1.3),
+            told(codes.NO_POSE, codes.POSE_STALE, within_s=1.3),
             *NEVER_REPEATS,
         ),
         onset=FAST,
@@ -284,7 +285,7 @@ TABLE_B = (
         "pose drifts",
         "0.05 m/s for a minute along either axis",
         lambda n: [AlteredPoses(drifting(*((0.05, 0.0), (0.0, 0.05), (-0.05, 0.0), (0.0, -0.05))[n % 4]))],
-        (clear(0.10), Limit("alarm", statustext_delay(DRIFT), 10.0, "s")),
+        (clear(0.10), Limit("alarm", statustext_delay(*codes.DRIFT), 10.0, "s")),
         longest_s=80.0,
         camera="small",
     ),

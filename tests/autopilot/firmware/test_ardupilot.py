@@ -13,6 +13,8 @@ from uav_recon.autopilot.firmware import ardupilot
 from uav_recon.autopilot.firmware.ardupilot import CLIMB_M, TAKE_OFF, ArduPilotArmingSequence
 from uav_recon.autopilot.firmware.profile import ARM_DISARM, DO_SET_MODE, Outcome
 from uav_recon.autopilot.mavlink.telemetry import Telemetry
+from uav_recon.types.reason import Reason, autopilot_text
+from uav_recon.types.reason_code import ReasonCode
 
 STABILIZE, GUIDED, LOITER, RTL, LAND, BRAKE = 0, 4, 5, 6, 9, 17
 
@@ -35,22 +37,22 @@ def test_modes() -> None:
 
 
 @pytest.mark.parametrize(
-    ("changes", "says"),
+    ("changes", "code"),
     [
-        ({}, ""),
-        ({"heartbeat_s": 6.9}, "no heartbeat"),
-        ({"firmware_family": 12}, "not ArduPilot"),
-        ({"version": (4, 5, 1)}, "4.5.1 is older than 4.5.2"),
-        ({"pose_fed_s": -math.inf}, "no pose"),
-        ({"estimator_good": False}, "estimator"),
-        ({"origin_known": False}, "no origin"),
-        ({"prearm_good": False, "warning": "PreArm: Fence requires position"}, "fail: PreArm: Fence requires position"),
+        ({}, None),
+        ({"heartbeat_s": 6.9}, ReasonCode.NO_HEARTBEAT),
+        ({"firmware_family": 12}, ReasonCode.WRONG_FIRMWARE),
+        ({"version": (4, 5, 1)}, ReasonCode.FIRMWARE_TOO_OLD),
+        ({"pose_fed_s": -math.inf}, ReasonCode.NO_POSE_FED),
+        ({"estimator_good": False}, ReasonCode.ESTIMATOR_NOT_FOLLOWING),
+        ({"origin_known": False}, ReasonCode.NO_ORIGIN),
+        ({"prearm_good": False, "warning": "PreArm: Fence requires position"}, ReasonCode.PREARM_FAILED),
     ],
 )
-def test_what_is_missing_is_named(changes: dict[str, Any], says: str) -> None:
+def test_what_is_missing_is_named(changes: dict[str, Any], code: ReasonCode | None) -> None:
     missing = ardupilot.missing_for_arming(ready(**changes), True, 10.0)
-    assert says in missing
-    assert bool(missing) is bool(says)
+    assert missing is None or missing.details == autopilot_text(changes.get("warning", ""))
+    assert (missing and missing.code) is code
 
 
 class Bench:
@@ -99,7 +101,8 @@ def test_a_climb_that_does_not_come_is_given_up_and_not_asked_for_again() -> Non
     b.run(20.0)
     assert [command for _, command in b.asked] == [DO_SET_MODE, TAKE_OFF]
     assert b.outcome is Outcome.GIVEN_UP
-    assert "it climbed 0.00 m in 5 s" in b.take_off.reason
+    slow = Reason(ReasonCode.CLIMB_TOO_SLOW, (0.0, 5.0))
+    assert b.take_off.reason == Reason(ReasonCode.TAKEOFF_GIVEN_UP, details=(slow,))
 
 
 def test_a_mode_changed_in_the_climb_gives_up() -> None:
@@ -108,7 +111,8 @@ def test_a_mode_changed_in_the_climb_gives_up() -> None:
     b.t.custom_mode = LOITER
     b.run(3.0)
     assert b.outcome is Outcome.GIVEN_UP
-    assert "LOITER" in b.take_off.reason
+    changed = Reason(ReasonCode.MODE_CHANGED, ("LOITER",))
+    assert b.take_off.reason == Reason(ReasonCode.TAKEOFF_GIVEN_UP, details=(changed,))
 
 
 def test_motors_that_stop_before_it_flew_give_up() -> None:
@@ -123,4 +127,5 @@ def test_motors_that_stay_off_are_asked_three_times() -> None:
     b = Bench(custom_mode=GUIDED, warning="Arm: RC not found")
     b.run(30.0)
     assert [command for _, command in b.asked] == [DO_SET_MODE] + [ARM_DISARM] * 3
-    assert b.take_off.reason == "arming given up: motors stay off: Arm: RC not found"
+    off = Reason(ReasonCode.MOTORS_STAY_OFF)
+    assert b.take_off.reason == Reason(ReasonCode.ARMING_GIVEN_UP, details=(off, *autopilot_text("Arm: RC not found")))

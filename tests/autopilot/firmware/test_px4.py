@@ -13,6 +13,8 @@ from uav_recon.autopilot.firmware import px4
 from uav_recon.autopilot.firmware.profile import ARM_DISARM, DO_SET_MODE, Outcome
 from uav_recon.autopilot.firmware.px4 import Px4ArmingSequence
 from uav_recon.autopilot.mavlink.telemetry import Telemetry
+from uav_recon.types.reason import Reason, autopilot_text
+from uav_recon.types.reason_code import ReasonCode
 
 OFFBOARD, LAND, LOITER, POSCTL, RTL = 393216, 100925440, 50593792, 196608, 84148224  # the first three as measured
 
@@ -33,6 +35,10 @@ def ready(**changes: Any) -> Telemetry:
     return dataclasses.replace(good, **changes)
 
 
+def given_up(*why: Reason) -> Reason:
+    return Reason(ReasonCode.ARMING_GIVEN_UP, details=why)
+
+
 def test_modes_as_measured() -> None:
     assert [px4.mode_name(m) for m in (OFFBOARD, LAND, LOITER, POSCTL, RTL)] == [
         "OFFBOARD", "AUTO.LAND", "AUTO.LOITER", "POSCTL", "AUTO.RTL",
@@ -43,31 +49,40 @@ def test_modes_as_measured() -> None:
 
 
 @pytest.mark.parametrize(
-    ("changes", "says"),
+    ("changes", "code"),
     [
-        ({}, ""),
-        ({"heartbeat_s": 6.9}, "no heartbeat"),
-        ({"firmware_family": 3}, "not PX4"),
-        ({"twin_heard": True}, "our id"),
-        ({"version": None}, "version unknown"),
-        ({"version": (1, 15, 3)}, "1.15.3 is older than 1.15.4"),
-        ({"version": (1, 18, 0)}, "1.18.0 is not known: wants one before 1.18.0"),
-        ({"version": (1, 15, 4)}, ""),
-        ({"pose_fed_s": 9.4}, "no pose"),
-        ({"pose_fed_s": -math.inf}, "no pose"),
-        ({"estimator_good": False}, "estimator"),
-        ({"origin_known": False}, "no origin"),
-        ({"stale_frames": 1, "clock_answers": 499}, "late or twice"),
-        ({"stale_frames": 1, "clock_answers": 500}, ""),
-        ({"stale_frames": 0, "clock_answers": 0}, ""),
-        ({"prearm_good": False, "warning": "Battery low"}, "pre-arm checks fail: Battery low"),
+        ({}, None),
+        ({"heartbeat_s": 6.9}, ReasonCode.NO_HEARTBEAT),
+        ({"firmware_family": 3}, ReasonCode.WRONG_FIRMWARE),
+        ({"twin_heard": True}, ReasonCode.OUR_ID_IN_USE),
+        ({"version": None}, ReasonCode.FIRMWARE_UNKNOWN),
+        ({"version": (1, 15, 3)}, ReasonCode.FIRMWARE_TOO_OLD),
+        ({"version": (1, 18, 0)}, ReasonCode.FIRMWARE_TOO_NEW),
+        ({"version": (1, 15, 4)}, None),
+        ({"pose_fed_s": 9.4}, ReasonCode.NO_POSE_FED),
+        ({"pose_fed_s": -math.inf}, ReasonCode.NO_POSE_FED),
+        ({"estimator_good": False}, ReasonCode.ESTIMATOR_NOT_FOLLOWING),
+        ({"origin_known": False}, ReasonCode.NO_ORIGIN),
+        ({"stale_frames": 1, "clock_answers": 499}, ReasonCode.WAITING_FOR_TIMESYNC),
+        ({"stale_frames": 1, "clock_answers": 500}, None),
+        ({"stale_frames": 0, "clock_answers": 0}, None),
+        ({"prearm_good": False, "warning": "Battery low"}, ReasonCode.PREARM_FAILED),
     ],
 )
-def test_what_is_missing_is_named(changes: dict[str, Any], says: str) -> None:
+def test_what_is_missing_is_named(changes: dict[str, Any], code: ReasonCode | None) -> None:
     missing = px4.missing_for_arming(ready(**changes), True, 10.0)
-    assert says in missing
-    assert bool(missing) is bool(says)
-    assert "clocks" in px4.missing_for_arming(ready(), False, 10.0)
+    assert (missing and missing.code) is code
+
+
+def test_what_is_missing_has_its_figures() -> None:
+    assert px4.missing_for_arming(ready(), False, 10.0) == Reason(ReasonCode.CLOCKS_NOT_SYNCHRONISED)
+    for changes, expected in (
+        ({"version": (1, 15, 3)}, Reason(ReasonCode.FIRMWARE_TOO_OLD, ("PX4", "1.15.3", "1.15.4"))),
+        ({"version": (1, 18, 0)}, Reason(ReasonCode.FIRMWARE_TOO_NEW, ("PX4", "1.18.0", "1.18.0"))),
+        ({"stale_frames": 1, "clock_answers": 499}, Reason(ReasonCode.WAITING_FOR_TIMESYNC, (499, 500))),
+        ({"prearm_good": False, "warning": "Battery low"}, Reason(ReasonCode.PREARM_FAILED, (), autopilot_text("Battery low"))),
+    ):
+        assert px4.missing_for_arming(ready(**changes), True, 10.0) == expected
 
 
 def drive(
@@ -92,7 +107,7 @@ def test_a_mode_that_never_shows_is_asked_for_three_times() -> None:
     assert [command for _, command in asked] == [DO_SET_MODE] * 3
     assert asked[0][0] >= 1.0
     assert outcome is Outcome.GIVEN_UP
-    assert arming.reason == "arming given up: mode stays AUTO.LOITER: no RC"
+    assert arming.reason == given_up(Reason(ReasonCode.MODE_UNCHANGED, ("AUTO.LOITER",)), *autopilot_text("no RC"))
 
 
 def test_motors_that_stay_off_are_asked_three_times_five_seconds_apart() -> None:
@@ -102,7 +117,7 @@ def test_motors_that_stay_off_are_asked_three_times_five_seconds_apart() -> None
     assert len(arms) == 3
     assert [b - a for a, b in itertools.pairwise(arms)] == pytest.approx([5.0, 5.0], abs=0.02)
     assert outcome is Outcome.GIVEN_UP
-    assert arming.reason == "arming given up: motors stay off: Arming denied: compass"
+    assert arming.reason == given_up(Reason(ReasonCode.MOTORS_STAY_OFF), *autopilot_text("Arming denied: compass"))
 
 
 def test_offboard_left_over_from_before_is_no_proof() -> None:
@@ -117,7 +132,7 @@ def test_a_mode_changed_before_arming_gives_up() -> None:
     telemetry.custom_mode = POSCTL
     asked, outcome = drive(arming, telemetry, 4.0, start_s=2.0)
     assert (asked, outcome) == ([], Outcome.GIVEN_UP)
-    assert "POSCTL" in arming.reason
+    assert arming.reason == given_up(Reason(ReasonCode.MODE_CHANGED, ("POSCTL",)))
 
 
 def test_armed_in_our_mode_is_the_end_of_it() -> None:

@@ -11,6 +11,8 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from uav_recon.autopilot.link.autopilot_identity import AutopilotIdentity
 from uav_recon.autopilot.mavlink.allow_list import AllowList, AllowListFilter
+from uav_recon.types.reason import Reason
+from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.trajectory import Goal
 from uav_recon.types.vehicle import FlightPhase
 
@@ -73,14 +75,15 @@ def test_another_vehicle_in_flight_is_commanded_nothing(hovering: Rig) -> None:
     silence(hovering, 1.0)
     hovering.run(0.1)
     assert hovering.pilot.phase is FlightPhase.YIELDED
-    assert "another autopilot: uid 000000001234abcd, before it was 5349544c" in hovering.state.note
+    changed = Reason(ReasonCode.AUTOPILOT_CHANGED, ("000000001234abcd", PX4_UID))
+    assert hovering.state.note == Reason(ReasonCode.CONTROL_RELEASED, details=(changed,))
     quiet_s = hovering.clock.now_s()
     hovering.fly((1.0, 0.0, 1.1), identifier=9)
     hovering.pilot.request_land()
     hovering.run(20.0)
     assert not any(hovering.tap.since(quiet_s)[order] for order in ORDERS)
     assert hovering.tap.since(quiet_s)["HEARTBEAT"] == 0, "the true one may hear us still, and is to land"
-    assert [m.text for _, m in hovering.tap.sent if m.get_type() == "STATUSTEXT"][-1].startswith("yielded: another autopilot")
+    assert hovering.reported()[-1][1] == (ReasonCode.CONTROL_RELEASED, ReasonCode.AUTOPILOT_CHANGED)
 
 
 def test_an_answer_that_is_lost_is_asked_for_again(hovering: Rig) -> None:
@@ -102,7 +105,7 @@ def test_another_vehicle_on_the_ground_is_not_flown_until_the_first_is_back() ->
     silence(rig, 1.0)
     rig.run(1.0)
     assert rig.pilot.phase is FlightPhase.CONNECTING
-    assert rig.state.note == f"another autopilot: uid 000000001234abcd, before it was {PX4_UID}"
+    assert rig.state.note == Reason(ReasonCode.AUTOPILOT_CHANGED, ("000000001234abcd", PX4_UID))
     quiet_s = rig.clock.now_s()
     rig.intent = (Goal.FLY, None)
     rig.run(5.0)
@@ -135,24 +138,24 @@ def test_another_than_the_configured_one_is_refused_and_both_are_named() -> None
     rig.intent = (Goal.FLY, None)
     rig.run(20.0)
     assert rig.pilot.phase is FlightPhase.CONNECTING
-    assert rig.state.note == f"another autopilot: uid {PX4_UID}, link.autopilot_uid says 1234abcd"
+    assert rig.state.note == Reason(ReasonCode.AUTOPILOT_NOT_CONFIGURED, (PX4_UID, "1234abcd"))
     assert not any(rig.tap.since(0.0)[order] for order in ORDERS[1:])
 
 
 @pytest.mark.parametrize(
     ("wanted", "told", "fault"),
     [
-        ("", ["aa", "aa"], ""),
-        ("", ["aa", "ab"], "another autopilot: uid ab, before it was aa"),
-        ("", ["aa", "ab", "aa"], ""),
-        ("", ["", ""], ""),
-        ("", ["", "aa"], ""),
-        ("", ["aa", ""], "another autopilot: uid none, before it was aa"),
-        ("aa", [""], "another autopilot: uid none, link.autopilot_uid says aa"),
-        ("00AA", ["aa"], ""),
+        ("", ["aa", "aa"], None),
+        ("", ["aa", "ab"], Reason(ReasonCode.AUTOPILOT_CHANGED, ("ab", "aa"))),
+        ("", ["aa", "ab", "aa"], None),
+        ("", ["", ""], None),
+        ("", ["", "aa"], None),
+        ("", ["aa", ""], Reason(ReasonCode.AUTOPILOT_CHANGED, ("none", "aa"))),
+        ("aa", [""], Reason(ReasonCode.AUTOPILOT_NOT_CONFIGURED, ("none", "aa"))),
+        ("00AA", ["aa"], None),
     ],
 )
-def test_who_it_is(wanted: str, told: list[str], fault: str) -> None:
+def test_who_it_is(wanted: str, told: list[str], fault: Reason | None) -> None:
     identity = AutopilotIdentity(wanted)
     for uid in told:
         identity.told(uid)

@@ -10,6 +10,8 @@ from flight_rig import ARM, MODE, Rig
 from pymavlink.dialects.v20 import common as mavlink
 from test_pilot_flight_ardupilot import CopterRig
 
+from uav_recon.types.reason import Reason
+from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.trajectory import Goal
 from uav_recon.types.vehicle import FlightPhase
 
@@ -66,15 +68,15 @@ def speak_twice(rig: Rig, crowd: Crowd, mode: str, seconds: float, armed: bool =
 @pytest.mark.parametrize(
     ("who", "message", "old", "says"),
     [
-        ((42, 1), ORDER, False, "intruder: system 42, component 1 commands us"),
-        ((1, 77), PLACE, False, "intruder: system 1, component 77 tells state"),
-        ((42, 1), mavlink.MAVLink_heartbeat_message(2, 12, 0, 3, 3, 3), False, "intruder: system 42, component 1 tells state"),
-        ((245, 191), mavlink.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3), False, "intruder: somebody speaks with our own id"),
-        ((1, 1), PLACE, True, "intruder: somebody speaks MAVLink 1"),
+        ((42, 1), ORDER, False, Reason(ReasonCode.INTRUDER_COMMANDS, (42, 1))),
+        ((1, 77), PLACE, False, Reason(ReasonCode.INTRUDER_STATE, (1, 77))),
+        ((42, 1), mavlink.MAVLink_heartbeat_message(2, 12, 0, 3, 3, 3), False, Reason(ReasonCode.INTRUDER_STATE, (42, 1))),
+        ((245, 191), mavlink.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3), False, Reason(ReasonCode.INTRUDER_OWN_ID)),
+        ((1, 1), PLACE, True, Reason(ReasonCode.INTRUDER_MAVLINK1)),
     ],
 )
 def test_people_are_told_once_of_who_may_not_speak(
-    flying: tuple[Rig, Crowd], who: tuple[int, int], message: Any, old: bool, says: str
+    flying: tuple[Rig, Crowd], who: tuple[int, int], message: Any, old: bool, says: Reason
 ) -> None:
     (rig, crowd), begin_s = flying, flying[0].clock.now_s()
     for _ in range(300):
@@ -82,7 +84,7 @@ def test_people_are_told_once_of_who_may_not_speak(
             crowd.say(message, *who, old=old)
         rig.step()
     told = [(at, m.text) for at, m in rig.tap.sent if m.get_type() == "STATUSTEXT" and at >= begin_s]
-    assert [text for _, text in told] == [says]
+    assert [text for _, text in told] == [says.short()]
     assert told[0][0] - begin_s <= 1.0
     assert rig.state.note == says
     assert rig.pilot.phase is FlightPhase.FLYING
@@ -127,7 +129,7 @@ def test_an_intruder_on_the_ground_is_told_of_when_the_flight_begins() -> None:
     rig.until(FlightPhase.ARMING, 1.0)
     crowd.say(ORDER, 42, 1)
     rig.run(0.5)
-    assert texts(rig, 0.0) == ["intruder: system 42, component 1 commands us"]
+    assert texts(rig, 0.0) == [Reason(ReasonCode.INTRUDER_COMMANDS, (42, 1)).short()]
 
 
 @pytest.mark.parametrize("armed", [True, False], ids=["armed", "disarmed"])
@@ -137,7 +139,7 @@ def test_a_second_autopilot_is_told_of_and_held_for_and_the_flight_goes_on(flyin
     rig.run(duration_s / 2)
     begin_s = rig.clock.now_s()
     speak_twice(rig, crowd, "ours", 4.0, armed)
-    assert texts(rig, begin_s) == ["two autopilots speak with one id"]
+    assert [codes for _, codes in rig.reported(begin_s)] == [(ReasonCode.TWO_AUTOPILOTS,)]
     assert rig.pilot.phase is FlightPhase.FLYING
     assert sum(x * x for x in rig.autopilot.truth().velocity) < 0.1**2
     rig.run(2.5)
@@ -175,8 +177,10 @@ def test_a_forged_pilots_mode_leaves_no_vehicle_unattended(flying: tuple[Rig, Cr
     rig.run(25.0)
     assert not rig.autopilot.truth().armed
     assert not any(rig.tap.since(quiet_s + 0.02)[f"COMMAND_LONG {order}"] for order in (MODE, ARM))
-    assert rig.state.note.endswith("its failsafe is to land")
-    assert rig.state.note[:50] in texts(rig, begin_s)
+    note = rig.state.note
+    assert note is not None
+    assert note.details[-1] == Reason(ReasonCode.FAILSAFE_LANDS)
+    assert note.short() in texts(rig, begin_s)
 
 
 @pytest.mark.parametrize("mode", ["landing", "ours", "pilot's"])
@@ -210,6 +214,6 @@ def test_nothing_is_armed_while_two_autopilots_speak() -> None:
     rig.intent = (Goal.FLY, None)
     rig.run(0.2)
     speak_twice(rig, crowd, "ours", 10.0, armed=False)
-    assert rig.state.note == "two autopilots speak with one id"
+    assert rig.state.note == Reason(ReasonCode.TWO_AUTOPILOTS)
     assert rig.pilot.phase is FlightPhase.CONNECTING
     assert not rig.autopilot.truth().armed

@@ -16,6 +16,8 @@ from uav_recon.autopilot.link.vehicle_link import VehicleLink
 from uav_recon.autopilot.mavlink.allow_list import AllowList, AllowListFilter
 from uav_recon.autopilot.mavlink.tlog import NoLog
 from uav_recon.types.pose import Pose, StampedPose
+from uav_recon.types.reason import Reason
+from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.trajectory import Setpoint
 
 
@@ -304,10 +306,10 @@ def test_a_link_that_breaks_is_a_reason_not_a_crash(pair: tuple[VehicleLink, Wir
     far.error = "Input/output error"
     link.receive(0.0)
     link.keep_alive(0.0)
-    assert link.telemetry.failure == "link: Input/output error"
+    assert link.telemetry.failure == Reason(ReasonCode.LINK_ERROR, ("Input/output error",))
     far.error = ""
     link.receive(0.1)
-    assert link.telemetry.failure == "", "it is back"
+    assert link.telemetry.failure is None, "it is back"
 
 
 def test_the_pilots_imports_stay_small() -> None:

@@ -14,6 +14,8 @@ from uav_recon.autopilot.firmware.ardupilot import ARDUPILOT
 from uav_recon.autopilot.parameters.parameter_file import PARAMETER_FILES, RequiredParameter, load
 from uav_recon.autopilot.parameters.preflight_check import ParameterCheck
 from uav_recon.autopilot.parameters.reader import BYTEWISE, NUMERIC
+from uav_recon.types.reason import Reason
+from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.trajectory import Goal
 from uav_recon.types.vehicle import FlightPhase
 
@@ -40,11 +42,11 @@ class CheckedArduRig(CheckedRig):
         return ArduCopter(self.vehicle, end, ArduPilotParameters.load(), seed)
 
 
-def until_noted(rig: Rig, seconds: float = 60.0) -> str:
-    """Until the pilot names a parameter; its words, a second later still the same."""
+def until_noted(rig: Rig, seconds: float = 60.0) -> Reason | None:
+    """Until the pilot names a parameter; its reason, a second later still the same."""
     for _ in range(round(seconds)):
         rig.run(1.0)
-        if rig.state.note.startswith("parameter "):
+        if {ReasonCode.PARAMETER_DIFFERS, ReasonCode.PARAMETER_NOT_REPORTED} & set(rig.note_codes):
             break
     note = rig.state.note
     rig.run(1.0)
@@ -67,19 +69,25 @@ def test_with_the_flown_parameters_it_is_ready_as_soon_as_without(kind: type[Che
 
 
 @pytest.mark.parametrize(
-    ("kind", "name", "value", "words"),
+    ("kind", "name", "value", "wanted"),
     [
-        (CheckedRig, "COM_OBL_RC_ACT", 0, "parameter COM_OBL_RC_ACT is 0, wanted 4"),
-        (CheckedRig, "COM_OF_LOSS_T", 5.0, "parameter COM_OF_LOSS_T is 5, wanted 0.5 s"),
-        (CheckedArduRig, "FS_GCS_ENABLE", 0, "parameter FS_GCS_ENABLE is 0, wanted 5"),
-        (CheckedArduRig, "VISO_POS_M_NSE", 0.2, "parameter VISO_POS_M_NSE is 0.2, wanted 0.1 m"),
+        (CheckedRig, "COM_OBL_RC_ACT", 0, "4"),
+        (CheckedRig, "COM_OF_LOSS_T", 5.0, "0.5 s"),
+        (CheckedArduRig, "FS_GCS_ENABLE", 0, "5"),
+        (CheckedArduRig, "VISO_POS_M_NSE", 0.2, "0.1 m"),
     ],
 )
-def test_another_value_keeps_it_on_the_ground_and_is_named(kind: type[CheckedRig], name: str, value: float, words: str) -> None:
+def test_another_value_keeps_it_on_the_ground_and_is_named(
+    kind: type[CheckedRig], name: str, value: float, wanted: str
+) -> None:
     rig = kind()
     rig.autopilot.parameters.set(name, value)
     rig.intent = (Goal.FLY, None)
-    assert until_noted(rig) == f"{words}: see uav-recon params diff"
+    note = until_noted(rig)
+    assert note is not None
+    _, told, *_ = note.values
+    assert note == Reason(ReasonCode.PARAMETER_DIFFERS, (name, told, wanted, 1))
+    assert told == pytest.approx(value, rel=1e-6)
     assert rig.pilot.phase is FlightPhase.CONNECTING
     assert rig.tap.since(0.0)[f"COMMAND_LONG {ARM}"] == 0
     rig.autopilot.parameters.set(name, {one.name: one.value for one in load(PARAMETER_FILES[rig.name])}[name])
@@ -90,7 +98,7 @@ def test_a_change_on_the_ground_is_seen_before_the_next_flight() -> None:
     rig = CheckedRig()
     rig.until(FlightPhase.READY, 20.0)
     rig.autopilot.parameters.set("NAV_RCL_ACT", 2)
-    assert "NAV_RCL_ACT is 2, wanted 3" in until_noted(rig, 31.0)
+    assert until_noted(rig, 31.0) == Reason(ReasonCode.PARAMETER_DIFFERS, ("NAV_RCL_ACT", 2.0, "3", 1))
     assert rig.pilot.phase is FlightPhase.CONNECTING
 
 
@@ -104,14 +112,14 @@ def test_a_parameter_that_the_firmware_does_not_know_is_named(tmp_path_factory: 
     path = tmp_path_factory.mktemp("p") / "mine.params"
     path.write_text(PARAMETER_FILES["px4"].read_text() + "1\t1\tNOT_OF_THIS_FW\t1\t6\n")
     rig = CheckedRig(load(path))
-    assert until_noted(rig) == "parameter NOT_OF_THIS_FW is not told by the autopilot, wanted 1: see uav-recon params diff"
+    assert until_noted(rig) == Reason(ReasonCode.PARAMETER_NOT_REPORTED, ("NOT_OF_THIS_FW", "1", 1))
 
 
 def test_several_faults_are_counted() -> None:
     rig = CheckedRig()
     for name, value in (("GF_ACTION", 2), ("NAV_RCL_ACT", 2), ("COM_OBL_RC_ACT", 0)):
         rig.autopilot.parameters.set(name, value)
-    assert until_noted(rig).startswith("parameter COM_OBL_RC_ACT is 0, wanted 4, and 2 more")
+    assert until_noted(rig) == Reason(ReasonCode.PARAMETER_DIFFERS, ("COM_OBL_RC_ACT", 0.0, "4", 3))
 
 
 def test_nothing_is_asked_for_in_flight() -> None:
@@ -144,7 +152,8 @@ def test_a_change_in_flight_is_held_for_and_told_until_it_is_taken_back(
     rig.run(1.5)
     rig.tap.forged, changed_s = told_of(rig, name, value), rig.clock.now_s()
     rig.run(0.1)
-    assert rig.state.note.startswith(f"in flight parameter {name} is {value}, wanted {right}")
+    changed = Reason(ReasonCode.PARAMETER_DIFFERS, (name, float(value), f"{right:g}", 1))
+    assert rig.state.note == Reason(ReasonCode.PARAMETER_CHANGED, details=(changed,))
     rig.run(2.0)
     assert rig.tap.since(changed_s)["STATUSTEXT"] > 0
     stood = rig.autopilot.truth().position[0]
@@ -162,4 +171,4 @@ def test_what_may_differ_may_be_changed_in_flight() -> None:
     rig.airborne()
     rig.tap.forged = told_of(rig, "COM_DL_LOSS_T", 5)
     rig.run(1.0)
-    assert rig.state.note == ""
+    assert rig.state.note is None

@@ -37,12 +37,15 @@ from uav_recon.types.maps import FreeSpace, GridSpec
 from uav_recon.types.min_range_grid import MinRangeGrid
 from uav_recon.types.polygon import Polygon
 from uav_recon.types.pose import Pose, PoseHealth, StampedPose
+from uav_recon.types.reason import Reason, codes_in, codes_of
+from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.trajectory import Goal, Intent, Trajectory
 from uav_recon.types.vehicle import FlightPhase, VehicleState
 
 copyreg.pickle(struct.Struct, lambda layout: (struct.Struct, (layout.format,)))  # lets a flight be copied in mid-air
 
 TICK_S = 0.01
+POSES_DISAGREE = Reason(ReasonCode.POSES_DISAGREE, (0.3,))
 TAKEOFF_LAG_S = 4.0  # PX4 spools up for 1 s and then ramps its take-off speed for 3 s: it arrives behind its setpoint
 ENVELOPE = Envelope(Fence(Polygon.box((-3.0, -3.0), (5.0, 3.0)), -0.2, 2.5, 0.3), 1.0, 2.0, 0.8)
 PATIENCE = FailsafeTimeouts(0.2, 1.0, 0.5, 5.0, 20.0, 0.3, 3.0, 10.0)
@@ -113,7 +116,8 @@ class Rig:
         self.wall_m = 9.0  # what the camera sees, in every cell
         self.pilot = self.new_pilot(log)
         self.intent: tuple[Goal, Trajectory | None] | None = (Goal.STANDBY, None)
-        self.said, self.operator_lost = "", False
+        self.said: Reason | None = None
+        self.operator_lost = False
         self.poses, self.health = True, PoseHealth.GOOD
         self.turn = 0
         self.track: list[tuple[float, FloatArray]] = []
@@ -163,7 +167,7 @@ class Rig:
         truth = self.autopilot.truth()
         if self.poses and self.turn % 3 == 0:
             pose = Pose(np.array(truth.quat_wxyz), np.array(truth.position))
-            why = "" if self.health is PoseHealth.GOOD else "poses disagree"
+            why = None if self.health is PoseHealth.GOOD else POSES_DISAGREE
             velocity = np.array(truth.velocity)
             self.channels.odom.publish(StampedPose(truth.stamp_s, pose, velocity, health=self.health, why=why))
         if self.depth and self.turn % 7 == 0:
@@ -180,6 +184,16 @@ class Rig:
         state = self.channels.vehicle.latest()
         assert state is not None
         return state
+
+    @property
+    def note_codes(self) -> tuple[str, ...]:
+        """Of the pilot's newest reason and its details."""
+        return codes_of(self.state.note)
+
+    def reported(self, since_s: float = 0.0) -> list[tuple[float, tuple[str, ...]]]:
+        """Instants and codes of the STATUSTEXTs on the wire."""
+        texts = [(at, str(m.text)) for at, m in self.tap.sent if at >= since_s and m.get_type() == "STATUSTEXT"]
+        return [(at, codes_in(text)) for at, text in texts]
 
     @property
     def height_m(self) -> float:

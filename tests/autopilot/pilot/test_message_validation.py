@@ -13,6 +13,8 @@ from uav_recon.autopilot.pilot.message_validation import is_valid_free_space, is
 from uav_recon.types.maps import FreeSpace, GridSpec
 from uav_recon.types.min_range_grid import MinRangeGrid
 from uav_recon.types.pose import Pose
+from uav_recon.types.reason import Reason
+from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.trajectory import Trajectory
 
 
@@ -29,40 +31,37 @@ ENDS[-1, 0] = 0.05
 @pytest.mark.parametrize(
     ("changes", "fault"),
     [
-        ({}, ""),
-        ({"velocity_mps": ENDS}, ""),
-        ({"position_m": np.zeros((4, 3))}, "malformed"),
-        ({"position_m": np.zeros((5, 2))}, "malformed"),
-        ({"acceleration_mps2": np.zeros((6, 3))}, "malformed"),
-        ({"yaw_rad": np.zeros((5, 1))}, "malformed"),
-        ({"yaw_rad": np.zeros(0)}, "malformed"),
-        ({"camera_pitch_down_rad": np.zeros(4)}, "malformed"),
-        ({"step_s": 0.0}, "time axis"),
-        ({"step_s": math.inf}, "time axis"),
-        ({"start_s": math.nan}, "time axis"),
-        ({"yaw_rate_radps": np.full(5, math.nan)}, "finite"),
-        ({"yaw_rate_radps": np.full(5, -1e6)}, ""),
-        ({"yaw_rad": np.full(5, -1.7e308)}, "beyond all reason"),
-        ({"yaw_rad": np.full(5, -1.1e6)}, "beyond all reason"),
-        ({"position_m": np.full((5, 3), 1.3e154)}, "beyond all reason"),
-        ({"velocity_mps": ENDS * 1.01}, "rest"),
-        ({"velocity_mps": np.full((5, 3), 0.2)}, "rest"),
+        ({}, None),
+        ({"velocity_mps": ENDS}, None),
+        ({"position_m": np.zeros((4, 3))}, ReasonCode.TRAJECTORY_MALFORMED),
+        ({"position_m": np.zeros((5, 2))}, ReasonCode.TRAJECTORY_MALFORMED),
+        ({"acceleration_mps2": np.zeros((6, 3))}, ReasonCode.TRAJECTORY_MALFORMED),
+        ({"yaw_rad": np.zeros((5, 1))}, ReasonCode.TRAJECTORY_MALFORMED),
+        ({"yaw_rad": np.zeros(0)}, ReasonCode.TRAJECTORY_MALFORMED),
+        ({"camera_pitch_down_rad": np.zeros(4)}, ReasonCode.TRAJECTORY_MALFORMED),
+        ({"step_s": 0.0}, ReasonCode.TRAJECTORY_NO_TIME_AXIS),
+        ({"step_s": math.inf}, ReasonCode.TRAJECTORY_NO_TIME_AXIS),
+        ({"start_s": math.nan}, ReasonCode.TRAJECTORY_NO_TIME_AXIS),
+        ({"yaw_rate_radps": np.full(5, math.nan)}, ReasonCode.TRAJECTORY_NOT_FINITE),
+        ({"yaw_rate_radps": np.full(5, -1e6)}, None),
+        ({"yaw_rad": np.full(5, -1.7e308)}, ReasonCode.TRAJECTORY_OUT_OF_RANGE),
+        ({"yaw_rad": np.full(5, -1.1e6)}, ReasonCode.TRAJECTORY_OUT_OF_RANGE),
+        ({"position_m": np.full((5, 3), 1.3e154)}, ReasonCode.TRAJECTORY_OUT_OF_RANGE),
+        ({"velocity_mps": ENDS * 1.01}, ReasonCode.TRAJECTORY_NOT_AT_REST),
+        ({"velocity_mps": np.full((5, 3), 0.2)}, ReasonCode.TRAJECTORY_NOT_AT_REST),
     ],
 )
-def test_trajectories_that_cannot_be_sampled_are_named(changes: dict[str, Any], fault: str) -> None:
+def test_trajectories_that_cannot_be_sampled_are_named(changes: dict[str, Any], fault: ReasonCode | None) -> None:
     found = trajectory_fault(line(**changes))
-    assert fault in found
-    assert bool(found) is bool(fault)
+    assert (found and found.code) is fault
 
 
 def test_a_trajectory_of_one_sample_is_a_place() -> None:
     one, place = np.zeros(1), np.zeros((1, 3))
-    assert trajectory_fault(Trajectory(0.0, 0.1, place, place, place, one, one, one, np.zeros(0), 0, 1)) == ""
+    assert trajectory_fault(Trajectory(0.0, 0.1, place, place, place, one, one, one, np.zeros(0), 0, 1)) is None
     none, nowhere = np.zeros(0), np.zeros((0, 3))
-    assert (
-        trajectory_fault(Trajectory(0.0, 0.1, nowhere, nowhere, nowhere, none, none, none, none, 0, 1))
-        == "trajectory is malformed"
-    )
+    empty = Trajectory(0.0, 0.1, nowhere, nowhere, nowhere, none, none, none, none, 0, 1)
+    assert trajectory_fault(empty) == Reason(ReasonCode.TRAJECTORY_MALFORMED)
 
 
 BITS = np.zeros(8, np.uint8)  # of 3 x 4 x 5 voxels

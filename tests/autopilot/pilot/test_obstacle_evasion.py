@@ -17,6 +17,8 @@ from uav_recon.safety.recently_seen_space import RecentlySeenSpace
 from uav_recon.types.frames import BoolArray
 from uav_recon.types.maps import FreeSpace, GridSpec
 from uav_recon.types.polygon import Polygon
+from uav_recon.types.reason import Reason
+from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.trajectory import Setpoint, Trajectory
 
 GRID = GridSpec(np.array([-4.0, -4.0, -1.0]), 0.1, (80, 80, 40))
@@ -49,7 +51,6 @@ def evasion() -> ObstacleEvasion:
 def test_nothing_stops_a_vehicle_before_which_nothing_came(evasion: ObstacleEvasion) -> None:
     evasion.update(None)
     assert not evasion.stops(1.0)
-    assert evasion.why() == ""
 
 
 def test_much_of_it_stops_at_once_and_little_of_it_at_its_second_sight(evasion: ObstacleEvasion) -> None:
@@ -57,7 +58,7 @@ def test_much_of_it_stops_at_once_and_little_of_it_at_its_second_sight(evasion: 
     assert not evasion.stops(1.1)
     evasion.update(_seen(1.17, 1.5, FEW))
     assert evasion.stops(1.2)
-    assert evasion.why() == "1.50 m from something that was not there"
+    assert evasion.why() == Reason(ReasonCode.NEW_OBSTACLE, (1.5,))
 
 
 def test_two_sights_far_apart_are_two_first_ones(evasion: ObstacleEvasion) -> None:
@@ -112,8 +113,8 @@ def test_a_step_aside_goes_where_it_is_known_free_and_inside_the_fence(evasion: 
     assert isinstance(way, Trajectory)
     assert way.position_m[-1][1] < -0.8
     nowhere = np.zeros(GRID.shape, np.bool_)
-    assert evasion.step_aside(REST, _situation(1.2, _free(nowhere))) == "nowhere to give way to"
-    assert evasion.step_aside(REST, dataclasses.replace(_situation(1.2), free=None)) == "nowhere to give way to"
+    assert evasion.step_aside(REST, _situation(1.2, _free(nowhere))) == Reason(ReasonCode.NO_ROOM_TO_EVADE)
+    assert evasion.step_aside(REST, dataclasses.replace(_situation(1.2), free=None)) == Reason(ReasonCode.NO_ROOM_TO_EVADE)
 
 
 def _cone(half_rad: float) -> BoolArray:
@@ -130,7 +131,7 @@ def test_a_step_aside_does_not_lead_into_what_comes_on(
     evasion.update(_seen(1.0, away_m + 0.16))
     evasion.update(_seen(1.2, away_m))
     way = evasion.step_aside(REST, _situation(1.2, _free(_cone(np.radians(half_deg)))))
-    assert isinstance(way, Trajectory) if leads else way == "nowhere to give way to"
+    assert isinstance(way, Trajectory) if leads else way == Reason(ReasonCode.NO_ROOM_TO_EVADE)
 
 
 @pytest.mark.parametrize("left", [1.0, -1.0])

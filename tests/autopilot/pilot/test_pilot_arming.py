@@ -8,6 +8,8 @@ from typing import Any
 import pytest
 from flight_rig import ARM, MODE, SETPOINT, TAKEOFF_LAG_S, TICK_S, Rig
 
+from uav_recon.types.reason import Reason
+from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.trajectory import Goal
 from uav_recon.types.vehicle import FlightPhase
 
@@ -51,7 +53,7 @@ def test_a_vehicle_that_a_human_armed_stays_his(arming: Rig, mode: str, after_s:
     yielded_s = arming.clock.now_s()
     arming.run(6.0)
     assert arming.px4.truth().mode in {mode, "LOITER"}, "where its own take-off ends"
-    assert arming.state.note == "yielded: armed by somebody else"
+    assert arming.note_codes == (ReasonCode.CONTROL_RELEASED, ReasonCode.ARMED_BY_OTHER)
     assert not any(arming.tap.since(yielded_s + TICK_S)[order] for order in ORDERS)
 
 
@@ -63,7 +65,7 @@ def test_a_mode_that_a_human_chooses_before_ours_shows_is_not_asked_away(arming:
     arming.until(FlightPhase.READY, 0.3)
     ready_s = arming.clock.now_s()
     arming.run(6.0)
-    assert "mode changed to POSCTL" in arming.state.note
+    assert Reason(ReasonCode.MODE_CHANGED, ("POSCTL",)) in (arming.state.note or Reason(ReasonCode.REFUSED)).details
     assert not any(arming.tap.since(ready_s + TICK_S)[order] for order in ORDERS)
 
 

@@ -12,6 +12,8 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from uav_recon.autopilot.mavlink.tlog import Tlog
 from uav_recon.types.pose import Pose, StampedPose
+from uav_recon.types.reason import Reason
+from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.trajectory import Goal
 from uav_recon.types.vehicle import FlightPhase
 
@@ -117,7 +119,7 @@ def test_a_failsafe_landing_of_the_autopilot_is_accepted(hovering: Rig) -> None:
     landing_s = hovering.clock.now_s()
     hovering.until(FlightPhase.LANDED, 15.0)
     assert hovering.tap.since(landing_s)[f"COMMAND_LONG {MODE}"] == 0
-    assert "lands" in hovering.state.note
+    assert ReasonCode.AUTOPILOT_LANDS in hovering.note_codes
 
 
 def test_a_take_off_wants_its_column_known_free() -> None:
@@ -128,7 +130,7 @@ def test_a_take_off_wants_its_column_known_free() -> None:
     rig.intent = (Goal.FLY, None)
     rig.run(3.0)
     assert rig.pilot.phase is FlightPhase.READY
-    assert "take-off column is not known free" in rig.state.note
+    assert rig.note_codes == (ReasonCode.TAKEOFF_REFUSED, ReasonCode.TAKEOFF_COLUMN_NOT_FREE)
     assert not any(rig.tap.since(0)[order] for order in ORDERS)
 
 
@@ -137,7 +139,7 @@ def test_a_mission_that_never_stops_proposing_nonsense_is_not_heard(hovering: Ri
     for identifier in range(2, 30):
         object.__setattr__(hovering.fly((2.0, 0.0, 1.1), identifier=identifier), "map_epoch", 7)
         hovering.run(0.1)
-    assert "refusals in a second" in hovering.state.note
+    assert ReasonCode.MANY_REFUSALS in hovering.note_codes
     assert np.linalg.norm(np.array(hovering.px4.truth().position) - place) < 0.3
 
 
@@ -151,7 +153,7 @@ def test_a_push_over_the_fence_that_lasts_lands(hovering: Rig) -> None:
             hovering.channels.odom.publish(StampedPose(truth.stamp_s, pose, velocity))
         hovering.step()
     assert hovering.pilot.phase is FlightPhase.LANDING
-    assert "outside the fence" in hovering.state.note
+    assert ReasonCode.OUTSIDE_FENCE_TOO_LONG in hovering.note_codes
 
 
 def test_a_landing_that_does_not_end_is_told_and_never_disarmed(hovering: Rig) -> None:
@@ -160,8 +162,8 @@ def test_a_landing_that_does_not_end_is_told_and_never_disarmed(hovering: Rig) -
     hovering.intent = (Goal.LAND, None)
     hovering.run(18.0)
     assert hovering.pilot.phase is FlightPhase.LANDING
-    texts = [(at - begin_s, m.text) for at, m in hovering.tap.sent if at >= begin_s and m.get_type() == "STATUSTEXT"]
-    assert [text for _, text in texts] == ["the mission asks to land", "landing does not end: switch the motors off"]
+    texts = [(at - begin_s, codes) for at, codes in hovering.reported(begin_s)]
+    assert [codes for _, codes in texts] == [(ReasonCode.MISSION_LAND,), (ReasonCode.LANDING_NOT_ENDING,)]
     assert texts[0][0] < 1.0
     assert 10.0 < texts[1][0] < 18.0
     assert hovering.tap.since(begin_s)[f"COMMAND_LONG {ARM}"] == 0
@@ -207,7 +209,8 @@ def test_a_vehicle_that_cannot_lift_itself_is_switched_off_where_it_stands() -> 
     rig.fly((0.0, 0.0, 1.1))
     rig.until(FlightPhase.LANDED, 8.0)
     assert rig.clock.now_s() - begin_s < 4.7
-    assert rig.state.note == "take-off given up: it climbed 0.00 m in 4 s"
+    slow = Reason(ReasonCode.CLIMB_TOO_SLOW, (0.0, 4.0))
+    assert rig.state.note == Reason(ReasonCode.TAKEOFF_GIVEN_UP, details=(slow,))
     assert not rig.px4.truth().armed
     disarms = [m for _, m in rig.tap.sent if Tap.name(m) == f"COMMAND_LONG {ARM}" and m.param1 == 0.0]
     assert [m.param2 for m in disarms] == [0.0], "asked once, and never forced"
@@ -228,7 +231,7 @@ def test_a_trajectory_through_the_fence_ends_in_a_hover_inside(hovering: Rig) ->
     _, places = setpoints(hovering)
     assert all(may_stand(ENVELOPE, (x, y, z)) for x, y, z in np.round(places, 5).tolist())
     assert hovering.state.refusals == 1
-    assert "fence" in hovering.state.note
+    assert ReasonCode.OUTSIDE_FENCE in hovering.note_codes
     assert hovering.pilot.phase is FlightPhase.FLYING
     assert hovering.px4.truth().position[0] < 4.7 + 0.05
 
@@ -252,7 +255,7 @@ def test_a_malformed_trajectory_holds_and_is_counted_once(hovering: Rig) -> None
     object.__setattr__(broken, "position_m", broken.position_m[:-1])
     hovering.run(3.0)
     assert hovering.state.refusals == 1
-    assert "malformed" in hovering.state.note
+    assert ReasonCode.TRAJECTORY_MALFORMED in hovering.note_codes
     assert np.linalg.norm(np.array(hovering.px4.truth().position) - place) < 0.15
 
 
@@ -260,7 +263,7 @@ def test_a_trajectory_of_another_epoch_is_not_flown(hovering: Rig) -> None:
     trajectory = hovering.fly((2.0, 0.0, 1.1), identifier=2)
     object.__setattr__(trajectory, "map_epoch", 3)
     hovering.run(3.0)
-    assert "epoch" in hovering.state.note
+    assert ReasonCode.TRAJECTORY_MAP_EPOCH in hovering.note_codes
     assert hovering.px4.truth().position[0] < 0.2
 
 
@@ -270,7 +273,7 @@ def test_a_pilot_started_in_the_air_only_watches(hovering: Rig) -> None:
     hovering.until(FlightPhase.YIELDED, 1.5)
     hovering.run(8.0)
     assert not any(hovering.tap.since(begin + TICK_S)[order] for order in ORDERS)
-    assert "somebody else" in hovering.state.note
+    assert ReasonCode.ARMED_BY_OTHER in hovering.note_codes
 
 
 def test_a_silent_autopilot_gets_no_stream(hovering: Rig) -> None:
@@ -312,8 +315,8 @@ def test_the_same_seed_sends_the_same_bytes_and_the_log_holds_them(tmp_path: Pat
 
 
 def test_why_the_mission_lands_is_told_at_once(hovering: Rig) -> None:
-    hovering.said, hovering.intent = "way home blocked", (Goal.LAND, None)
+    hovering.said, hovering.intent = Reason(ReasonCode.RETURN_STOPPED, (4,)), (Goal.LAND, None)
     landing_s = hovering.clock.now_s()
     hovering.run(0.2)
-    said = [m.text for at, m in hovering.tap.sent if Tap.name(m) == "STATUSTEXT" and at >= landing_s]
-    assert said == ["the mission asks to land", "way home blocked"]
+    said = [codes for _, codes in hovering.reported(landing_s)]
+    assert said == [(ReasonCode.MISSION_LAND,), (ReasonCode.RETURN_STOPPED,)]

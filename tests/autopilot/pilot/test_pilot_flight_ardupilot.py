@@ -12,6 +12,8 @@ from sitl.autopilots.ardupilot.autopilot import ArduCopter
 from sitl.autopilots.ardupilot.parameters import ArduPilotParameters
 from sitl.autopilots.byte_links import ByteEnd
 from uav_recon.autopilot.firmware.ardupilot import ARDUPILOT
+from uav_recon.types.reason import Reason
+from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.trajectory import Goal
 from uav_recon.types.vehicle import FlightPhase
 
@@ -84,7 +86,7 @@ def test_a_trajectory_is_followed_and_the_flight_ends_disarmed(hovering: CopterR
 def test_a_silent_mission_is_landed_for_since_the_firmware_would_hover_for_ever(hovering: CopterRig) -> None:
     hovering.intent = None
     hovering.until(FlightPhase.LANDED, 25.0)
-    assert "mission silent" in hovering.state.note
+    assert ReasonCode.MISSION_SILENT in hovering.note_codes
     assert hovering.autopilot.failsafes == []
 
 
@@ -127,8 +129,8 @@ def test_a_pilot_who_gives_it_back_is_told_that_it_is_not_taken_up(hovering: Cop
     hovering.run(4.0)
     assert hovering.pilot.phase is FlightPhase.YIELDED
     assert not any(hovering.tap.since(given_s)[order] for order in ORDERS)
-    said = [m.text for at, m in hovering.tap.sent if Tap.name(m) == "STATUSTEXT" and at >= given_s]
-    assert said == ["GUIDED: nobody flies, choose another mode"]
+    assert [codes for _, codes in hovering.reported(given_s)] == [(ReasonCode.CONTROL_RETURNED,)]
+    assert hovering.state.note == Reason(ReasonCode.CONTROL_RETURNED, ("GUIDED",))
     assert mode_of(hovering) == "GUIDED", "a human's own ground station may fly it"
 
 

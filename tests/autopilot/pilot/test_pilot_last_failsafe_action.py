@@ -8,6 +8,7 @@ import pytest
 from flight_rig import ARM, MODE, SETPOINT, TICK_S, Rig
 from test_pilot_flight_ardupilot import CopterRig
 
+from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.trajectory import Goal
 from uav_recon.types.vehicle import FlightPhase
 
@@ -29,7 +30,7 @@ def test_a_refused_landing_is_handed_to_px4(hovering: Rig) -> None:
     assert 7 <= hovering.tap.since(yielded_s - 5.2)[ASKED] <= 8
     hovering.run(1.5)
     assert hovering.px4.truth().mode == "LAND", "its answer to a stream that ends"
-    assert "LAND" in hovering.state.note
+    assert ReasonCode.LAND_NOT_ACCEPTED in hovering.note_codes
     hovering.run(12.0)
     assert not hovering.px4.truth().armed
     assert not any(hovering.tap.since(yielded_s + TICK_S)[order] for order in ORDERS)

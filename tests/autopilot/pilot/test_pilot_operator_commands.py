@@ -9,6 +9,8 @@ import pytest
 from flight_rig import ARM, MODE, Rig, Tap
 from pymavlink.dialects.v20 import common as mavlink
 
+from uav_recon.types.reason import Reason
+from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.vehicle import FlightPhase
 
 
@@ -51,11 +53,11 @@ def test_a_land_with_a_dead_mission_is_asked_for_at_once(hovering: Rig) -> None:
     hovering.intent = None
     hovering.run(1.0)
     begin_s = hovering.clock.now_s()
-    hovering.pilot.request_land("the operator asked to land")
+    hovering.pilot.request_land(Reason(ReasonCode.OPERATOR_LAND))
     hovering.until(FlightPhase.LANDED, 20.0)
     commands = [at for at, m in hovering.tap.sent if Tap.name(m) == f"COMMAND_LONG {MODE}" and at >= begin_s]
     assert commands[0] - begin_s <= 0.30  # it waits for a heartbeat, lest a human took over unseen
-    assert hovering.state.note == "the operator asked to land"
+    assert hovering.state.note == Reason(ReasonCode.OPERATOR_LAND)
 
 
 def test_a_human_wins_over_a_hold(hovering: Rig) -> None:
@@ -88,17 +90,17 @@ def test_forged_heartbeats_of_a_ground_station_are_no_operator(hovering: Rig) ->
 def test_what_the_mission_has_to_tell_is_told_once_and_its_operators_hold_ends_with_him(hovering: Rig) -> None:
     hovering.pilot.request_hold(True)
     way = hovering.fly((0.8, 0.0, 1.1))
-    hovering.said = "no operator for 5 s: returns after 30"
+    hovering.said = Reason(ReasonCode.OPERATOR_SILENT, (5.0, 30.0))
     hovering.run(3.0)
     assert hovering.track[-1][1][0] < 0.1, "a warning alone takes no hold away"
-    hovering.said, hovering.operator_lost = "no operator for 30 s: returning", True
+    hovering.said, hovering.operator_lost = Reason(ReasonCode.OPERATOR_LOST_RETURNING, (30.0,)), True
     hovering.run(way.duration_s + 2.0)
     way = hovering.fly((0.8, 0.0, 1.1), identifier=2)
     hovering.run(way.duration_s + 2.0)
     assert hovering.track[-1][1][0] > 0.5
-    texts = [str(m.text) for _, m in hovering.tap.sent if m.get_type() == "STATUSTEXT"]
-    assert [text for text in texts if "no operator" in text] == [
-        "no operator for 5 s: returns after 30", "no operator for 30 s: returning",
+    told = {(ReasonCode.OPERATOR_SILENT.value,), (ReasonCode.OPERATOR_LOST_RETURNING.value,)}
+    assert [codes for _, codes in hovering.reported() if codes in told] == [
+        (ReasonCode.OPERATOR_SILENT,), (ReasonCode.OPERATOR_LOST_RETURNING,),
     ]  # fmt: skip
     hovering.operator_lost = False
     hovering.pilot.request_hold(True)

@@ -7,9 +7,11 @@ from collections import deque
 
 import numpy as np
 import pytest
-from flight_rig import GRID, MODE, Rig, setpoints, smooth_way
+from flight_rig import GRID, MODE, POSES_DISAGREE, Rig, setpoints, smooth_way
 
 from uav_recon.types.pose import Pose, PoseHealth, StampedPose
+from uav_recon.types.reason import Reason
+from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.trajectory import Goal
 from uav_recon.types.vehicle import FlightPhase
 
@@ -43,7 +45,7 @@ def test_lost_poses_hold_then_land(hovering: Rig) -> None:
     assert np.ptp(places, axis=0).max() < 1e-6, "held"
     assert hovering.tap.since(lost_s + 0.05)["ODOMETRY"] == 0, "an old pose is never repeated"
     hovering.until(FlightPhase.LANDED, 25.0)
-    assert "no pose" in hovering.state.note
+    assert ReasonCode.NO_POSE in hovering.note_codes
 
 
 def test_a_pose_that_is_lost_but_told_holds_at_once_and_lands(hovering: Rig) -> None:
@@ -67,7 +69,7 @@ def test_a_pose_that_is_wrong_lands_once_it_rests(hovering: Rig) -> None:
     _, places = setpoints(hovering, hovering.clock.now_s() - 0.05)
     assert np.ptp(places[-2:], axis=0).max() < 0.005, "at rest"
     assert hovering.tap.since(wrong_s)[f"COMMAND_LONG {MODE}"] == 1
-    assert hovering.state.note == "poses disagree"
+    assert hovering.state.note == POSES_DISAGREE
     hovering.until(FlightPhase.LANDED, 15.0)
     assert hovering.tap.since(wrong_s + 1.0)["ODOMETRY"] > 10, "better than none to land by"
 
@@ -112,7 +114,7 @@ def test_a_reset_of_odom_holds_the_new_place(hovering: Rig) -> None:
     assert np.abs(places[:, 1] - 0.4).max() < 0.12
     assert rig.state.trajectory_id == -1, "what was planned in the old odom is not taken up again"
     assert np.linalg.norm((np.array(rig.px4.truth().position) - start)[:2]) < 0.45
-    assert "odom began anew" in rig.state.note
+    assert ReasonCode.ODOMETRY_RESTARTED in rig.note_codes
 
 
 class Late:
@@ -152,7 +154,7 @@ def test_poses_that_no_clock_lets_us_feed_hold_then_land(hovering: Rig) -> None:
     hovering.until(FlightPhase.LANDING, 0.3)
     hovering.until(FlightPhase.LANDED, 25.0)
     assert hovering.tap.since(doubt_s + 0.05)["ODOMETRY"] == 0
-    assert hovering.state.note == "no pose for 1.0 s: the autopilot's clock is in doubt"
+    assert hovering.state.note == Reason(ReasonCode.NO_POSE, (1.0,)).with_detail(Reason(ReasonCode.CLOCK_UNCERTAIN))
 
 
 def test_nothing_is_cleared_on_a_map_of_the_old_odom(hovering: Rig) -> None:

@@ -10,6 +10,7 @@ from flight_rig import ARM, BODY_FROM_DEPTH, MODE, SETPOINT, Rig, setpoints, smo
 
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.min_range_grid import MinRangeGrid
+from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.trajectory import Goal
 from uav_recon.types.vehicle import FlightPhase
 
@@ -72,7 +73,7 @@ def test_a_mission_started_anew_in_the_air_is_not_waited_for(hovering: Rig) -> N
     hovering.run(silent_s + 4.0 - hovering.clock.now_s())
     hovering.intent = (Goal.STANDBY, None)
     hovering.run(8.0)
-    assert hovering.state.note.startswith("mission silent")
+    assert hovering.note_codes[0] == ReasonCode.MISSION_SILENT
     hovering.until(FlightPhase.LANDING, 9.0)
     assert 19.0 <= hovering.clock.now_s() - silent_s <= 20.2
     hovering.until(FlightPhase.LANDED, 15.0)
@@ -85,7 +86,7 @@ def test_a_retreat_that_is_blocked_lands(hovering: Rig) -> None:
     hovering.until(FlightPhase.LANDING, 19.0)
     assert hovering.clock.now_s() - silent_s >= 5.0
     hovering.run(0.1)
-    assert "blocked" in hovering.state.note
+    assert ReasonCode.RETREAT_BLOCKED in hovering.note_codes
     assert hovering.px4.truth().position[0] > 0.5
 
 
@@ -101,7 +102,7 @@ def test_what_stands_in_the_way_back_is_not_felt_along(hovering: Rig) -> None:
         hovering.step()
     assert abs(hovering.px4.truth().velocity[0]) < 0.05, "at rest first"
     hovering.until(FlightPhase.LANDED, 15.0)
-    assert "retreat blocked" in hovering.state.note
+    assert ReasonCode.RETREAT_BLOCKED in hovering.note_codes
     assert min(place[0] for at_s, place in hovering.track if at_s >= silent_s) - wall_m >= 0.2 + 0.1
     assert hovering.state.refusals == before + 1
 
@@ -140,7 +141,7 @@ def test_something_that_appears_ahead_stops_the_vehicle(hovering: Rig) -> None:
         hovering.wall_m = max(obstacle_m - hovering.px4.truth().position[0] - 0.1, 0.3)
         hovering.step()
     assert hovering.state.refusals == 1
-    assert "from something that was not there" in hovering.state.note
+    assert ReasonCode.NEW_OBSTACLE in hovering.note_codes
     assert obstacle_m - hovering.px4.truth().position[0] - 0.2 >= 0.10
 
 
@@ -171,7 +172,9 @@ def test_a_person_a_metre_ahead_at_full_speed_is_braked_for_in_time(hovering: Ri
             ranges = np.full((12, 16), min(max(wall_m - truth.position[0] - 0.1, 0.3), 9.0), dtype=np.float32)
             hovering.channels.nearby.publish(MinRangeGrid(now_s, BODY_FROM_DEPTH, ranges, (0.95, 0.55), 0.9))
         hovering.step()
-        braked_s = min(braked_s, now_s if "from something" in hovering.state.note else math.inf)
+        braked_s = min(
+            braked_s, now_s if {ReasonCode.NEW_OBSTACLE, ReasonCode.OBSTACLE_NEAR} & set(hovering.note_codes) else math.inf
+        )
     assert braked_s - begin_s <= 0.25
     assert wall_m - 0.2 - max(place[0] for _, place in hovering.track) >= 0.40
 
@@ -181,7 +184,7 @@ def test_pushed_off_its_way_it_is_led_no_further_and_flies_on_when_the_push_is_o
     pushed_s = hovering.clock.now_s()
     hovering.vehicle.outside_mps2 = (2.5, 0.0, 0.0)
     hovering.run(1.5)
-    assert "off its way" in hovering.state.note
+    assert ReasonCode.OFF_PATH in hovering.note_codes
     times, places = setpoints(hovering, pushed_s)
     speed = np.linalg.norm(np.diff(places, axis=0), axis=1) / np.diff(times)
     assert speed[:3].max() > 0.6
@@ -203,7 +206,7 @@ def test_held_back_on_its_way_it_is_late_and_not_off_it(hovering: Rig) -> None:
     hovering.run(0.9)
     _, places = setpoints(hovering, hovering.clock.now_s() - 0.1)
     assert places[-1][0] - hovering.px4.truth().position[0] > 0.4
-    assert "off its way" not in hovering.state.note
+    assert ReasonCode.OFF_PATH not in hovering.note_codes
 
 
 def test_over_a_slow_link_it_is_flown_slowly(hovering: Rig) -> None:
@@ -220,11 +223,10 @@ def test_over_a_slow_link_it_is_flown_slowly(hovering: Rig) -> None:
     assert hovering.state.max_speed_mps == math.inf
     hovering.run(3.0)
     assert hovering.state.max_speed_mps == 0.3
-    assert any(
-        "the link is slow: there and back takes 0.3" in str(m.text)
-        for _, m in hovering.tap.sent
-        if m.get_type() == "STATUSTEXT"
-    )
+    assert (ReasonCode.LINK_SLOW,) in [codes for _, codes in hovering.reported()]
+    note = hovering.state.note
+    assert note is not None
+    assert (note.code, int(10.0 * float(note.values[0]))) == (ReasonCode.LINK_SLOW, 3)
     before = hovering.state.refusals
     hovering.fly((2.5, 0.0, 1.1), identifier=2)
     hovering.run(4.0)

@@ -7,6 +7,7 @@ import pytest
 from flight_rig import Rig
 
 from uav_recon.autopilot.pilot.refusal_timer import RefusalTimer
+from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.trajectory import Goal, Trajectory
 from uav_recon.types.vehicle import FlightPhase
 
@@ -78,7 +79,7 @@ def test_a_mission_that_wants_nothing_but_what_is_refused_is_landed(hovering: Ri
     assert hovering.pilot.phase is FlightPhase.LANDING
     assert 20.0 < hovering.clock.now_s() - begin_s <= 20.0 + 2.0 * period_s + 2.5
     hovering.run(0.1)
-    assert hovering.state.note.startswith("refused for 2")
+    assert ReasonCode.REFUSED_TOO_LONG in hovering.note_codes
     hovering.until(FlightPhase.LANDED, 15.0)
 
 

@@ -23,6 +23,7 @@ from uav_recon.planning.frontier.frontiers import Frontiers
 from uav_recon.planning.frontier.view_cache import ViewCache
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.maps import FREE, OCCUPIED, UNKNOWN, GridSpec, VoxelMap
+from uav_recon.types.reason_code import ReasonCode
 
 STREAM = Path(__file__).parents[4] / "shared" / "streams" / "two_room"
 START = np.array([1.0, 1.0, 1.1])
@@ -240,8 +241,8 @@ def test_every_frontier_without_a_view_has_a_reason() -> None:
     voxels = voxel_map(state)
     assert not follower.follow(voxels, START).proposals
     reasons = follower.views.reasons(voxels, follower.space, follower.frontiers)
-    assert reasons["not reachable"] >= 1
-    assert reasons["out of the camera's sight"] >= 1
+    assert reasons[ReasonCode.FRONTIERS_NOT_REACHABLE] >= 1
+    assert reasons[ReasonCode.FRONTIERS_OUT_OF_VIEW] >= 1
     assert reasons.total() == len(follower.frontiers)
     # no flyable space within the shell
     state = np.full(solid.shape, OCCUPIED, dtype=np.uint8)
@@ -251,7 +252,7 @@ def test_every_frontier_without_a_view_has_a_reason() -> None:
     follower = Follower(GrowingMap(solid).grid)
     voxels = voxel_map(state)
     assert not follower.follow(voxels, START).proposals
-    assert follower.views.reasons(voxels, follower.space, follower.frontiers).keys() == {"too narrow"}
+    assert follower.views.reasons(voxels, follower.space, follower.frontiers).keys() == {ReasonCode.FRONTIERS_TOO_NARROW}
 
 
 def test_clusters_far_from_reachable_space_are_not_searched(monkeypatch: pytest.MonkeyPatch) -> None:

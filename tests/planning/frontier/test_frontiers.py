@@ -7,6 +7,7 @@ from uav_recon.planning.frontier.frontiers import FACES, Frontiers, fence_box
 from uav_recon.planning.frontier.rejection_counts import count_rejected_frontiers
 from uav_recon.types.frames import ByteArray, IntArray
 from uav_recon.types.maps import FREE, OCCUPIED, UNKNOWN, GridSpec
+from uav_recon.types.reason_code import ReasonCode
 
 WHOLE = np.zeros(3, dtype=np.int64)
 
@@ -46,7 +47,11 @@ def test_rejected_frontiers_are_counted_by_reason() -> None:
     found = frontiers_of(state, WHOLE, np.array(state.shape), exhausted)
     assert len(found) == 1
     counts = count_rejected_frontiers(state, found.faces, exhausted)
-    assert counts == {"too small": 1, "looked at in vain": 1, "outside the fence": 0}
+    assert counts == {
+        ReasonCode.FRONTIERS_TOO_SMALL: 1,
+        ReasonCode.FRONTIERS_VIEWED_WITHOUT_RESULT: 1,
+        ReasonCode.FRONTIERS_OUTSIDE_FENCE: 0,
+    }
 
 
 def test_space_beyond_the_fence_is_counted_not_explored() -> None:
@@ -54,7 +59,7 @@ def test_space_beyond_the_fence_is_counted_not_explored() -> None:
     state[15:] = UNKNOWN
     found = frontiers_of(state, WHOLE, np.array([15, 20, 20]))
     assert not found.faces.any()
-    assert count_rejected_frontiers(state, found.faces, np.zeros_like(state))["outside the fence"] == 1
+    assert count_rejected_frontiers(state, found.faces, np.zeros_like(state))[ReasonCode.FRONTIERS_OUTSIDE_FENCE] == 1
 
 
 def test_the_fence_contains_the_voxels_whose_centres_it_contains() -> None:

@@ -139,7 +139,7 @@ def launch(tmp_path: Path) -> Iterator[Callable[[], Flight]]:
 
 def say(folder: Path, phase: FlightPhase) -> None:
     """Publish a vehicle state as the pilot does."""
-    state = VehicleState(1.0, Pose.identity(), np.zeros(3), True, "OFFBOARD", phase, 0.9, False, float("nan"), -1, 0, "")
+    state = VehicleState(1.0, Pose.identity(), np.zeros(3), True, "OFFBOARD", phase, 0.9, False, float("nan"), -1, 0, None)
     file_channels(folder).vehicle.publish(state)
 
 

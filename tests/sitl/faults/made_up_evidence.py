@@ -31,7 +31,7 @@ def evidence(**changes: Any) -> FlightEvidence:
         standing_m=np.zeros(len(t)), charge=np.full(len(t), 0.8), failsafes=(), texts=(),
         wire=wire(t[t < 15.0], place[t < 15.0], speed[t < 15.0]), arrived_s=t[t < 15.0],
         heard=tuple((s, 6 << 16, True) for s in t), limits=LIMITS,
-        boot_s=BOOT_S,
+        boot_s=BOOT_S, reported=((6.0, ("refused",)), (15.1, ())),
     )  # fmt: skip
     return dataclasses.replace(plain, **changes)
 

@@ -22,6 +22,8 @@ from uav_recon.autopilot.firmware.profile import (
 )
 from uav_recon.autopilot.mavlink.telemetry import Telemetry
 from uav_recon.autopilot.pilot.takeoff_monitor import TakeoffMonitor
+from uav_recon.types.reason import Reason, autopilot_text
+from uav_recon.types.reason_code import ReasonCode
 
 TAKE_OFF = 22
 CLIMB_M = 0.5  # by command; from there on setpoints are followed
@@ -72,13 +74,13 @@ def is_landing(custom_mode: int) -> bool:
     return custom_mode == _LAND
 
 
-def missing_for_origin(t: Telemetry, time_known: bool, now_s: float) -> str:
-    """What is missing before the origin may be sent, '' for nothing."""
+def missing_for_origin(t: Telemetry, time_known: bool, now_s: float) -> Reason | None:
+    """What is missing before the origin may be sent, None for nothing."""
     return missing_to_follow(t, time_known, now_s, "ArduPilot", _FAMILY, MIN_VERSION)
 
 
-def missing_for_arming(t: Telemetry, time_known: bool, now_s: float) -> str:
-    """What is missing before arming may be asked for, '' for nothing."""
+def missing_for_arming(t: Telemetry, time_known: bool, now_s: float) -> Reason | None:
+    """What is missing before arming may be asked for, None for nothing."""
     return missing_for_origin(t, time_known, now_s) or missing_to_arm(t)
 
 
@@ -91,7 +93,8 @@ class ArduPilotArmingSequence:
     ARRIVED_M, CLIMB_S = 0.10, 12.0
 
     def __init__(self, now_s: float) -> None:
-        self.streams, self.reason = False, ""
+        self.streams = False
+        self.reason: Reason | None = None
         self._start_s = now_s
         self._mode, self._arm = Request(FLY, 2.5), Request(ARM, 5.0)
         self._mode_before: int | None = None
@@ -102,15 +105,15 @@ class ArduPilotArmingSequence:
         """What has been reached, and the command to send now. No setpoint may be sent before it is ARMED."""
         self._mode_before = t.custom_mode if self._mode_before is None else self._mode_before
         if not is_ours(t.custom_mode) and (self._mode_seen or t.custom_mode != self._mode_before):
-            return self._give_up(f"mode changed to {mode_name(t.custom_mode)}")
+            return self._give_up(Reason(ReasonCode.MODE_CHANGED, (mode_name(t.custom_mode),)))
         if not self._mode_seen:
             if not (is_ours(t.custom_mode) and t.heartbeat_s > self._mode.asked_s > -math.inf):
-                return self._ask(self._mode, now_s, f"mode stays {mode_name(t.custom_mode)}", t)
+                return self._ask(self._mode, now_s, Reason(ReasonCode.MODE_UNCHANGED, (mode_name(t.custom_mode),)), t)
             self._mode_seen = True
         if not t.armed:
             if self._climb_s < math.inf:
-                return self._give_up(f"disarmed before it flew{': ' + t.warning if t.warning else ''}")
-            return self._ask(self._arm, now_s, "motors stay off", t)
+                return self._give_up(Reason(ReasonCode.DISARMED_BEFORE_TAKEOFF, details=autopilot_text(t.warning)))
+            return self._ask(self._arm, now_s, Reason(ReasonCode.MOTORS_STAY_OFF), t)
         return self._climb(now_s, t)
 
     def _climb(self, now_s: float, t: Telemetry) -> tuple[Outcome, Command | None]:
@@ -126,15 +129,15 @@ class ArduPilotArmingSequence:
         if climbed_m >= CLIMB_M - self.ARRIVED_M:
             return Outcome.ARMED, None
         if took_s > self.CLIMB_S:
-            return self._give_up(f"it climbed {climbed_m:.2f} m in {took_s:.0f} s")
+            return self._give_up(Reason(ReasonCode.CLIMB_TOO_SLOW, (climbed_m, took_s)))
         return Outcome.PENDING, None
 
-    def _ask(self, request: Request, now_s: float, why: str, t: Telemetry) -> tuple[Outcome, Command | None]:
+    def _ask(self, request: Request, now_s: float, why: Reason, t: Telemetry) -> tuple[Outcome, Command | None]:
         command, self.reason = request.step(now_s, why, t)
         return (Outcome.GIVEN_UP if self.reason else Outcome.PENDING), command
 
-    def _give_up(self, why: str) -> tuple[Outcome, Command | None]:
-        self.reason = f"take-off given up: {why}"
+    def _give_up(self, why: Reason) -> tuple[Outcome, Command | None]:
+        self.reason = Reason(ReasonCode.TAKEOFF_GIVEN_UP, details=(why,))
         return Outcome.GIVEN_UP, None
 
 

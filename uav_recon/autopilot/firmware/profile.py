@@ -13,6 +13,8 @@ from typing import Protocol
 
 from uav_recon.autopilot.link.link_alerts import TWO
 from uav_recon.autopilot.mavlink.telemetry import Telemetry
+from uav_recon.types.reason import Reason, autopilot_text
+from uav_recon.types.reason_code import ReasonCode
 
 DO_SET_MODE, ARM_DISARM = 176, 400
 _HEARTBEAT_S, _POSE_S = 3.0, 0.5
@@ -36,7 +38,7 @@ class ArmingSequence(Protocol):
     """From the ground to where setpoints are followed. streams: setpoints run all the while; else none may be sent."""
 
     streams: bool
-    reason: str
+    reason: Reason | None
 
     def step(self, now_s: float, t: Telemetry) -> tuple[Outcome, Command | None]:
         """What has been reached, and the command to send now. A reason is given with GIVEN_UP."""
@@ -47,16 +49,16 @@ class ArmingSequence(Protocol):
 class FirmwareProfile:
     """Its rules. Modes are HEARTBEAT's custom_mode.
 
-    missing_for_origin and missing_for_arming (telemetry, whether its clock is known, now) name what is missing, '' for
-    nothing. pose_frame: MAV_FRAME of our ODOMETRY. setpoint_mask: what of a setpoint it is to ignore. streams_hz: messages to
-    ask for; asked_once: once; polled_hz: one by one, so often, where a rate cannot be set.
+    missing_for_origin and missing_for_arming (telemetry, whether its clock is known, now) name what is missing, None
+    for nothing. pose_frame: MAV_FRAME of our ODOMETRY. setpoint_mask: what of a setpoint it is to ignore. streams_hz:
+    messages to ask for; asked_once: once; polled_hz: one by one, so often, where a rate cannot be set.
     """
 
     mode_name: Callable[[int], str]
     is_ours: Callable[[int], bool]
     is_landing: Callable[[int], bool]
-    missing_for_origin: Callable[[Telemetry, bool, float], str]
-    missing_for_arming: Callable[[Telemetry, bool, float], str]
+    missing_for_origin: Callable[[Telemetry, bool, float], Reason | None]
+    missing_for_arming: Callable[[Telemetry, bool, float], Reason | None]
     arming: Callable[[float], ArmingSequence]
     land: Command
     pose_frame: int
@@ -68,39 +70,43 @@ class FirmwareProfile:
 
 def missing_to_follow(
     t: Telemetry, time_known: bool, now_s: float, name: str, family: int, oldest: Version, unknown: Version | None = None
-) -> str:
-    """What is missing until an autopilot of this family (MAV_AUTOPILOT) follows our poses, '' for nothing.
+) -> Reason | None:
+    """What is missing until an autopilot of this family (MAV_AUTOPILOT) follows our poses, None for nothing.
 
     unknown: the first version that nobody has read the source of; None where any newer one will do.
     """
     if not now_s - t.heartbeat_s <= _HEARTBEAT_S:
-        return "no heartbeat from the autopilot"
+        return Reason(ReasonCode.NO_HEARTBEAT)
     if t.firmware_family != family:
-        return f"the autopilot is not {name} (MAV_AUTOPILOT {t.firmware_family})"
+        return Reason(ReasonCode.WRONG_FIRMWARE, (name, t.firmware_family))
     if t.twin_heard:
-        return "another companion speaks with our id"
+        return Reason(ReasonCode.OUR_ID_IN_USE)
     if t.doubled or t.stranger:
         return t.stranger or TWO
     if t.version is None:
-        return "firmware version unknown"
+        return Reason(ReasonCode.FIRMWARE_UNKNOWN)
     if t.version < oldest:
-        return f"{name} {'.'.join(map(str, t.version))} is older than {'.'.join(map(str, oldest))}"
+        return Reason(ReasonCode.FIRMWARE_TOO_OLD, (name, _dotted(t.version), _dotted(oldest)))
     if unknown is not None and t.version >= unknown:
-        return f"{name} {'.'.join(map(str, t.version))} is not known: wants one before {'.'.join(map(str, unknown))}"
+        return Reason(ReasonCode.FIRMWARE_TOO_NEW, (name, _dotted(t.version), _dotted(unknown)))
     if not time_known:
-        return "clocks not synchronised yet"
+        return Reason(ReasonCode.CLOCKS_NOT_SYNCHRONISED)
     if not now_s - t.pose_fed_s <= _POSE_S:
-        return "no pose to feed"
+        return Reason(ReasonCode.NO_POSE_FED)
     if not t.estimator_good:
-        return "the estimator does not follow the poses yet"
-    return ""
+        return Reason(ReasonCode.ESTIMATOR_NOT_FOLLOWING)
+    return None
 
 
-def missing_to_arm(t: Telemetry) -> str:
-    """What is missing once it follows our poses, '' for nothing."""
+def missing_to_arm(t: Telemetry) -> Reason | None:
+    """What is missing once it follows our poses, None for nothing."""
     if not t.origin_known:
-        return "no origin yet"
-    return "" if t.prearm_good else f"pre-arm checks fail{': ' + t.warning if t.warning else ''}"
+        return Reason(ReasonCode.NO_ORIGIN)
+    return None if t.prearm_good else Reason(ReasonCode.PREARM_FAILED, details=autopilot_text(t.warning))
+
+
+def _dotted(version: Version) -> str:
+    return ".".join(map(str, version))
 
 
 @dataclass(slots=True)
@@ -113,11 +119,11 @@ class Request:
     asked: int = 0
     asked_s: float = -math.inf
 
-    def step(self, now_s: float, why: str, t: Telemetry) -> tuple[Command | None, str]:
+    def step(self, now_s: float, why: Reason, t: Telemetry) -> tuple[Command | None, Reason | None]:
         """The command when it is due, and why it is given up when it was asked for in vain too often."""
         if now_s - self.asked_s < self.patience_s:
-            return None, ""
+            return None, None
         if self.asked >= self.tries:
-            return None, f"arming given up: {why}{': ' + t.warning if t.warning else ''}"
+            return None, Reason(ReasonCode.ARMING_GIVEN_UP, details=(why, *autopilot_text(t.warning)))
         self.asked, self.asked_s = self.asked + 1, now_s
-        return self.command, ""
+        return self.command, None

@@ -19,6 +19,8 @@ from uav_recon.autopilot.firmware.profile import (
     missing_to_follow,
 )
 from uav_recon.autopilot.mavlink.telemetry import Telemetry
+from uav_recon.types.reason import Reason
+from uav_recon.types.reason_code import ReasonCode
 
 _PX4_FAMILY = 12
 _CUSTOM_MODE_ENABLED = 1.0
@@ -64,20 +66,20 @@ def is_landing(custom_mode: int) -> bool:
     return custom_mode >> 16 & 0xFFFF == _AUTO_LAND << 8 | _AUTO
 
 
-def missing_for_origin(t: Telemetry, time_known: bool, now_s: float) -> str:
-    """What is missing before the origin may be sent, '' for nothing. Sent too early, PX4 puts local z at the altitude."""
+def missing_for_origin(t: Telemetry, time_known: bool, now_s: float) -> Reason | None:
+    """What is missing before the origin may be sent, None for nothing. Sent too early, PX4 puts local z at the altitude."""
     return missing_to_follow(t, time_known, now_s, "PX4", _PX4_FAMILY, MIN_VERSION, UNKNOWN_VERSION)
 
 
-def missing_for_arming(t: Telemetry, time_known: bool, now_s: float) -> str:
-    """What is missing before arming may be asked for, '' for nothing.
+def missing_for_arming(t: Telemetry, time_known: bool, now_s: float) -> Reason | None:
+    """What is missing before arming may be asked for, None for nothing.
 
     Until its TIMESYNC has converged PX4 takes a pose for as old as its arrival (HAZARDS 0.8): on a link that repeats frames or
     lets some come late, old poses would pass for new ones.
     """
     missing = missing_for_origin(t, time_known, now_s) or missing_to_arm(t)
     if not missing and t.stale_frames and t.clock_answers < CLOCK_ANSWERS:
-        return f"frames come late or twice: PX4 must know our clock first ({t.clock_answers} of {CLOCK_ANSWERS} answers)"
+        return Reason(ReasonCode.WAITING_FOR_TIMESYNC, (t.clock_answers, CLOCK_ANSWERS))
     return missing
 
 
@@ -89,7 +91,8 @@ class Px4ArmingSequence:
     STREAM_S = 1.0
 
     def __init__(self, now_s: float) -> None:
-        self.streams, self.reason = True, ""
+        self.streams = True
+        self.reason: Reason | None = None
         self._start_s = now_s
         self._mode, self._arm = Request(FLY, 2.5), Request(ARM, 5.0)
         self._mode_before: int | None = None
@@ -99,19 +102,20 @@ class Px4ArmingSequence:
         """What has been reached, and the command to send now. Setpoints must be streaming all the while."""
         self._mode_before = t.custom_mode if self._mode_before is None else self._mode_before
         if not is_ours(t.custom_mode) and (self._mode_seen or t.custom_mode != self._mode_before):
-            self.reason = f"arming given up: mode changed to {mode_name(t.custom_mode)}"
+            changed = Reason(ReasonCode.MODE_CHANGED, (mode_name(t.custom_mode),))
+            self.reason = Reason(ReasonCode.ARMING_GIVEN_UP, details=(changed,))
             return Outcome.GIVEN_UP, None
         if now_s - self._start_s < self.STREAM_S:
             return Outcome.PENDING, None
         if not self._mode_seen:
             if not (is_ours(t.custom_mode) and t.heartbeat_s > self._mode.asked_s > -math.inf):
-                return self._ask(self._mode, now_s, f"mode stays {mode_name(t.custom_mode)}", t)
+                return self._ask(self._mode, now_s, Reason(ReasonCode.MODE_UNCHANGED, (mode_name(t.custom_mode),)), t)
             self._mode_seen = True
         if t.armed:
             return Outcome.ARMED, None
-        return self._ask(self._arm, now_s, "motors stay off", t)
+        return self._ask(self._arm, now_s, Reason(ReasonCode.MOTORS_STAY_OFF), t)
 
-    def _ask(self, request: Request, now_s: float, why: str, t: Telemetry) -> tuple[Outcome, Command | None]:
+    def _ask(self, request: Request, now_s: float, why: Reason, t: Telemetry) -> tuple[Outcome, Command | None]:
         command, self.reason = request.step(now_s, why, t)
         return (Outcome.GIVEN_UP if self.reason else Outcome.PENDING), command
 

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import math
 
+from uav_recon.types.reason import Reason
+from uav_recon.types.reason_code import ReasonCode
+
 _SILENCE_S = 0.5  # a plug is not pulled and put into another vehicle in less
 _AGAIN_S = 0.5
 
@@ -15,7 +18,7 @@ class AutopilotIdentity:
         self._wanted, self._uid = wanted, ""
         self._received_s = self._asked_s = -math.inf
         self._asks = False
-        self.fault = ""  # why it is not the one that we fly
+        self.fault: Reason | None = None  # why it is not the one that we fly
 
     def update(self, now_s: float, doubtful: bool) -> None:
         """The autopilot speaks. doubtful: with another clock than before."""
@@ -26,9 +29,10 @@ class AutopilotIdentity:
         """What it answers, '' for nothing."""
         self._asks = False
         self._uid = self._uid or uid
-        wanted, said = (self._wanted, "link.autopilot_uid says") if self._wanted else (self._uid, "before it was")
+        code = ReasonCode.AUTOPILOT_NOT_CONFIGURED if self._wanted else ReasonCode.AUTOPILOT_CHANGED
+        wanted = self._wanted or self._uid
         same = int(uid or "0", 16) == int(wanted or "0", 16)
-        self.fault = "" if same else f"another autopilot: uid {uid or 'none'}, {said} {wanted}"
+        self.fault = None if same else Reason(code, (uid or "none", wanted))
 
     def asks(self, now_s: float) -> bool:
         """Whether to ask now."""

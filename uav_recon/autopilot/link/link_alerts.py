@@ -14,10 +14,10 @@ from uav_recon.autopilot.mavlink.messages import (
     Received,
     SystemStatus,
 )
+from uav_recon.types.reason import Reason
+from uav_recon.types.reason_code import ReasonCode
 
-OWN_NAME = "intruder: somebody speaks with our own id"
-OLD_FRAMES = "intruder: somebody speaks MAVLink 1"
-TWO = "two autopilots speak with one id"
+TWO = Reason(ReasonCode.TWO_AUTOPILOTS)
 
 _TELL_STATE = (EstimatorStatus, LandedState, SystemStatus, LocalPosition, Attitude, OriginSet)
 _COMMAND = {
@@ -36,31 +36,31 @@ class LinkAlerts:
 
     def __init__(self, own: tuple[int, int]) -> None:
         self._own = own
-        self._alarms: dict[str, str] = {}  # by kind: its first, until it is told
-        self._told: set[str] = set()
+        self._alarms: dict[ReasonCode, Reason] = {}  # the first of each code, until it is told
+        self._told: set[ReasonCode] = set()
 
     def update(self, received: Received) -> None:
         """A frame that was not let in."""
-        who = f"intruder: system {received.system}, component {received.component}"
-        if (received.system, received.component) == self._own:
-            self.note(OWN_NAME)
+        who = (received.system, received.component)
+        if who == self._own:
+            self.note(Reason(ReasonCode.INTRUDER_OWN_ID))
         elif kind_of(received.frame) in _COMMAND:
             if _COMMAND[kind_of(received.frame)].read(received.frame)[0] in (0, self._own[0]):
-                self.note("commands", f"{who} commands us")
+                self.note(Reason(ReasonCode.INTRUDER_COMMANDS, who))
         elif tells_state(received):
-            self.note("tells state", f"{who} tells state")
+            self.note(Reason(ReasonCode.INTRUDER_STATE, who))
 
-    def note(self, kind: str, alarm: str = "") -> None:
-        """An alarm, which counts if it is the first of its kind; it says what its kind says, if nothing else."""
-        if kind not in self._told:
-            self._alarms.setdefault(kind, alarm or kind)
+    def note(self, alarm: Reason) -> None:
+        """Note an alarm, which counts if it is the first of its code in this flight."""
+        if alarm.code not in self._told:
+            self._alarms.setdefault(alarm.code, alarm)
 
     def begin(self) -> None:
         """A flight begins: what goes on in it is told anew, what was before it is over."""
         self._alarms.clear()
         self._told.clear()
 
-    def news(self) -> list[str]:
+    def news(self) -> list[Reason]:
         """What is to be told now, and then not again in this flight."""
         news = list(self._alarms.values())
         self._told |= set(self._alarms)

@@ -7,7 +7,7 @@ import math
 from uav_recon.autopilot.firmware.profile import FirmwareProfile
 from uav_recon.autopilot.link.autopilot_identity import AutopilotIdentity
 from uav_recon.autopilot.link.duplicate_autopilot import DuplicateAutopilotDetector
-from uav_recon.autopilot.link.link_alerts import OLD_FRAMES, TWO, LinkAlerts
+from uav_recon.autopilot.link.link_alerts import TWO, LinkAlerts
 from uav_recon.autopilot.link.stale_frame_filter import StaleFrameFilter
 from uav_recon.autopilot.link.timesync import TimeSyncFilter
 from uav_recon.autopilot.mavlink.allow_list import NOT_AN_AUTOPILOT, AllowListFilter
@@ -35,6 +35,8 @@ from uav_recon.clock import RateKeeper
 from uav_recon.interfaces import ByteLink
 from uav_recon.safety.guard import ClearedSetpoint
 from uav_recon.types.pose import StampedPose
+from uav_recon.types.reason import Reason
+from uav_recon.types.reason_code import ReasonCode
 
 _WARNING = 4
 _DEAF_S = 1.7
@@ -87,9 +89,9 @@ class VehicleLink:
         try:
             data = self._bytes.read()
         except OSError as error:
-            self.telemetry.failure = f"link: {error.strerror or error}"
+            self.telemetry.failure = Reason(ReasonCode.LINK_ERROR, (error.strerror or str(error),))
             return
-        self.telemetry.failure = ""
+        self.telemetry.failure = None
         old_frames = self._decoder.mavlink1_frames
         for received in self._decoder.feed(data):
             self._log.record(now_s, received.frame)
@@ -99,7 +101,7 @@ class VehicleLink:
         if self.telemetry.doubled:
             self.intrusions.note(TWO)
         if self._decoder.mavlink1_frames > old_frames:
-            self.intrusions.note(OLD_FRAMES)
+            self.intrusions.note(Reason(ReasonCode.INTRUDER_MAVLINK1))
         self._gate.refuse("MAVLink 1", self._decoder.mavlink1_frames - old_frames)
 
     def _notice_slowness(self, now_s: float) -> None:
@@ -107,7 +109,7 @@ class VehicleLink:
         trip_s = self._timesync.usual_trip_s
         if trip_s > _SLOW_TRIP_S:
             self._slow_s = now_s
-            self.intrusions.note("slow link", f"the link is slow: there and back takes {trip_s:.2f} s")
+            self.intrusions.note(Reason(ReasonCode.LINK_SLOW, (trip_s,)))
         self.telemetry.slow = now_s - self._slow_s < _SLOW_FOR_S
 
     def keep_alive(self, now_s: float) -> None:
@@ -153,9 +155,9 @@ class VehicleLink:
         """COMMAND_LONG to the autopilot."""
         self._send(self._encoder.command(self.telemetry.system, command, *parameters), now_s)
 
-    def say(self, now_s: float, text: str) -> None:
-        """STATUSTEXT for the people at a ground station."""
-        self._send(self._encoder.text(text), now_s)
+    def say(self, now_s: float, reason: Reason) -> None:
+        """Send a reason as STATUSTEXT to the people at a ground station."""
+        self._send(self._encoder.text(reason.short()), now_s)
 
     def request_streams(self, now_s: float, rates_hz: tuple[tuple[int, float], ...], once: tuple[int, ...]) -> None:
         """Ask for messages (id, rate) to be sent steadily, and for others to be sent once."""
@@ -190,7 +192,7 @@ class VehicleLink:
         try:
             self._bytes.write(frame)
         except OSError as error:
-            self.telemetry.failure = f"link: {error.strerror or error}"
+            self.telemetry.failure = Reason(ReasonCode.LINK_ERROR, (error.strerror or str(error),))
             return
         self._log.record(now_s, frame)
 

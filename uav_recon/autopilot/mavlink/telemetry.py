@@ -9,6 +9,7 @@ import numpy as np
 
 from uav_recon.autopilot.mavlink.messages import ParameterValue
 from uav_recon.types.frames import FloatArray
+from uav_recon.types.reason import Reason
 
 _BATTERY_FRESH_S = 1.0  # it is told twice a second
 
@@ -38,14 +39,14 @@ class Telemetry:
     warning: str = ""  # newest text of severity warning or worse
     pose_fed_s: float = -math.inf
     twin_heard: bool = False  # somebody else speaks with our own id
-    stranger: str = ""  # why the autopilot that answers is not the one that we fly
+    stranger: Reason | None = None  # why the autopilot that answers is not the one that we fly
     doubled: bool = False  # two autopilots speak with its id: whose word is whose is not known
     slow: bool = False  # what we say takes so long that the vehicle lags by what planned ways keep from walls
     reboots: int = 0
     stale_frames: int = 0  # repeated, or overtaken by newer ones
     clock_answers: int = 0  # given to its questions for our clock, at once
     parameters: dict[str, ParameterValue] = field(default_factory=dict)  # those that were asked for, by name
-    failure: str = ""  # why the byte link failed last
+    failure: Reason | None = None  # why the byte link failed last
 
     def battery_at(self, now_s: float) -> float:
         """Share that is left, NaN where it is not told (any more)."""

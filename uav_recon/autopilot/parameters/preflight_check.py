@@ -8,6 +8,8 @@ from uav_recon.autopilot.link.vehicle_link import VehicleLink
 from uav_recon.autopilot.mavlink.messages import ParameterValue
 from uav_recon.autopilot.parameters.parameter_file import RequiredParameter
 from uav_recon.autopilot.parameters.reader import ParameterEncoding, ParameterReader, equal
+from uav_recon.types.reason import Reason
+from uav_recon.types.reason_code import ReasonCode
 
 _AGAIN_S, _FAULT_AGAIN_S = 30.0, 3.0  # a person at a ground station may change, or mend, any of them
 
@@ -20,32 +22,32 @@ class ParameterCheck:
         self._inquiry = self._everything()
         self._read_once, self._read_s, self._reboots = False, math.inf, 0
         self._heeded: dict[str, ParameterValue] = {}
-        self._changed = ""
+        self._changed: Reason | None = None
 
-    def missing(self, now_s: float, link: VehicleLink) -> str:
-        """What speaks against arming, '' for nothing. To be asked every turn on the ground; it never blocks."""
+    def missing(self, now_s: float, link: VehicleLink) -> Reason | None:
+        """What speaks against arming, None for nothing. To be asked every turn on the ground; it never blocks."""
         t = link.telemetry
         if t.system == 0:
-            return "no autopilot to read parameters from"
+            return Reason(ReasonCode.NO_AUTOPILOT_PARAMETERS)
         if t.reboots != self._reboots:
             self._inquiry, self._read_once, self._reboots = self._everything(), False, t.reboots
         self._inquiry.step(now_s, link)
         if not self._inquiry.done:
             self._read_s = now_s
             if not self._read_once:
-                return f"reading parameters back: {self._inquiry.progress}"
+                return Reason(ReasonCode.READING_PARAMETERS, self._inquiry.progress)
         self._read_once = True
         faulty = self._faulty(link)
         if self._inquiry.done and now_s - self._read_s >= (_FAULT_AGAIN_S if faulty else _AGAIN_S):
             self._inquiry = ParameterReader(one.name for one in faulty) if faulty else self._everything()
-        return self._words(faulty, link) if faulty else ""
+        return self._reason(faulty, link) if faulty else None
 
-    def changed(self, link: VehicleLink) -> str:
-        """What somebody has changed in flight, '' for nothing. Nothing is asked: a firmware tells everybody of a change."""
+    def changed(self, link: VehicleLink) -> Reason | None:
+        """What somebody has changed in flight, None for nothing. Nothing is asked: a firmware tells everybody of a change."""
         if (told := link.telemetry.parameters) != self._heeded:
             self._heeded = dict(told)
             faulty = [one for one in self._faulty(link) if one.name in told]
-            self._changed = f"in flight {self._words(faulty, link)}" if faulty else ""
+            self._changed = Reason(ReasonCode.PARAMETER_CHANGED, details=(self._reason(faulty, link),)) if faulty else None
         return self._changed
 
     def _everything(self) -> ParameterReader:
@@ -58,22 +60,22 @@ class ParameterCheck:
         told = link.telemetry.parameters.get(one.name)
         return told is not None and equal(self._form.value_of(told), one.value)
 
-    def _words(self, faulty: list[RequiredParameter], link: VehicleLink) -> str:
+    def _reason(self, faulty: list[RequiredParameter], link: VehicleLink) -> Reason:
         first = faulty[0]
         told = link.telemetry.parameters.get(first.name)
-        has = "is not told by the autopilot" if told is None else f"is {self._form.value_of(told):.7g}"
-        unit = f" {first.reason.unit}" if first.reason.unit else ""
-        more = f", and {len(faulty) - 1} more" if len(faulty) > 1 else ""
-        return f"parameter {first.name} {has}, wanted {first.value:.7g}{unit}{more}: see uav-recon params diff"
+        wanted = f"{first.value:.7g} {first.reason.unit}".rstrip()
+        if told is None:
+            return Reason(ReasonCode.PARAMETER_NOT_REPORTED, (first.name, wanted, len(faulty)))
+        return Reason(ReasonCode.PARAMETER_DIFFERS, (first.name, self._form.value_of(told), wanted, len(faulty)))
 
 
 class NoParameterCheck:
     """For whoever answers for the parameters himself."""
 
-    def missing(self, now_s: float, link: VehicleLink) -> str:
+    def missing(self, now_s: float, link: VehicleLink) -> Reason | None:
         """Nothing."""
-        return ""
+        return None
 
-    def changed(self, link: VehicleLink) -> str:
+    def changed(self, link: VehicleLink) -> Reason | None:
         """Nothing."""
-        return ""
+        return None

@@ -74,9 +74,9 @@ class ParameterReader:
         return not self._waiting and not self._asked
 
     @property
-    def progress(self) -> str:
-        """How far it is, in words."""
-        return f"{self._total - len(self._waiting) - len(self._asked)} of {self._total}"
+    def progress(self) -> tuple[int, int]:
+        """How many have been answered or given up, and how many there are."""
+        return self._total - len(self._waiting) - len(self._asked), self._total
 
     def step(self, now_s: float, link: VehicleLink) -> None:
         """Take what was answered, ask what is due. The answers stand in the link's telemetry."""

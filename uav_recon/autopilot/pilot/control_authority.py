@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from uav_recon.autopilot.firmware.profile import FirmwareProfile
 from uav_recon.autopilot.link.link_alerts import TWO
 from uav_recon.autopilot.mavlink.telemetry import Telemetry
+from uav_recon.types.reason import Reason, autopilot_text
+from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.vehicle import FlightPhase
 
 _IDLE = (FlightPhase.CONNECTING, FlightPhase.READY)
@@ -25,7 +27,7 @@ class ControlLoss:
     """
 
     phase: FlightPhase
-    why: str
+    why: Reason | None
     abandoned: bool = False
 
 
@@ -56,28 +58,28 @@ class ControlAuthority:
         if phase in (*_IDLE, FlightPhase.ARMING) and t.armed and self._arm_asked_s <= self._idle_s:
             ours = self._firmware.is_ours(t.custom_mode)
             if (ours or self._firmware.is_landing(t.custom_mode)) and self.motors_may_start(now_s):
-                return ControlLoss(FlightPhase.LANDING, "armed after the request was withdrawn")
-            return yielded("armed by somebody else", abandoned=ours)  # ours: by us, before a restart
+                return ControlLoss(FlightPhase.LANDING, Reason(ReasonCode.ARMED_LATE))
+            return yielded(Reason(ReasonCode.ARMED_BY_OTHER), abandoned=ours)  # ours: by us, before a restart
         if t.stranger and phase in (FlightPhase.ARMING, *IN_THE_AIR):
             return yielded(t.stranger, abandoned=True)
         if phase in IN_THE_AIR and rebooted:
-            return yielded("the autopilot restarted in flight")
+            return yielded(Reason(ReasonCode.AUTOPILOT_RESTARTED))
         if phase in IN_THE_AIR and now_s - t.received_s > _LINK_LOST_S:
-            return yielded("the autopilot is silent", abandoned=True)
+            return yielded(Reason(ReasonCode.AUTOPILOT_SILENT), abandoned=True)
         if phase is not FlightPhase.FLYING:
             return None
         if not t.armed:
-            return ControlLoss(FlightPhase.LANDED, "disarmed in flight")
+            return ControlLoss(FlightPhase.LANDED, Reason(ReasonCode.DISARMED_IN_FLIGHT))
         if self._firmware.is_landing(t.custom_mode):
-            return ControlLoss(FlightPhase.LANDING, f"the autopilot lands: {t.warning}")
+            return ControlLoss(FlightPhase.LANDING, Reason(ReasonCode.AUTOPILOT_LANDS, details=autopilot_text(t.warning)))
         if not self._firmware.is_ours(t.custom_mode):
-            return yielded(f"mode changed to {self._firmware.mode_name(t.custom_mode)}")
+            return yielded(Reason(ReasonCode.MODE_CHANGED, (self._firmware.mode_name(t.custom_mode),)))
         return None
 
-    def given_back(self, t: Telemetry, now_s: float) -> str:
-        """What a human has to know who chose our mode again, '' if none did: it is not taken up."""
+    def given_back(self, t: Telemetry, now_s: float) -> Reason | None:
+        """What a human has to know who chose our mode again, None if none did: it is not taken up."""
         ours = t.armed and self._firmware.is_ours(t.custom_mode) and now_s - self._yielded_s > _BACK_S
-        return f"{self._firmware.mode_name(t.custom_mode)}: nobody flies, choose another mode" if ours else ""
+        return Reason(ReasonCode.CONTROL_RETURNED, (self._firmware.mode_name(t.custom_mode),)) if ours else None
 
     def operator_lost(self, t: Telemetry, now_s: float) -> ControlLoss | None:
         """Of a vehicle that was yielded: where the mode that it was yielded to was forged, nobody flies it. A human's mode
@@ -85,11 +87,13 @@ class ControlAuthority:
         """
         self._yielded_s = min(self._yielded_s, now_s)
         if t.stranger or t.doubled:
-            return yielded(f"{t.stranger or TWO}: its failsafe is to land", abandoned=True)
+            return yielded(t.stranger or TWO, Reason(ReasonCode.FAILSAFE_LANDS), abandoned=True)
         back = t.armed and self._firmware.is_ours(t.custom_mode) and now_s - self._yielded_s <= _BACK_S
-        return yielded("our mode goes on: its failsafe is to land", abandoned=True) if back else None
+        if not back:
+            return None
+        return yielded(Reason(ReasonCode.MODE_STILL_OURS), Reason(ReasonCode.FAILSAFE_LANDS), abandoned=True)
 
 
-def yielded(why: str, abandoned: bool = False) -> ControlLoss:
+def yielded(*why: Reason, abandoned: bool = False) -> ControlLoss:
     """Never ours again."""
-    return ControlLoss(FlightPhase.YIELDED, f"yielded: {why}", abandoned)
+    return ControlLoss(FlightPhase.YIELDED, Reason(ReasonCode.CONTROL_RELEASED, details=why), abandoned)

@@ -10,6 +10,8 @@ from uav_recon.autopilot.firmware.profile import DISARM
 from uav_recon.autopilot.link.vehicle_link import VehicleLink
 from uav_recon.autopilot.mavlink.telemetry import Telemetry
 from uav_recon.autopilot.pilot.control_authority import ControlLoss, yielded
+from uav_recon.types.reason import Reason
+from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.vehicle import FlightPhase
 
 _AGAIN_S = 0.7  # a fifth of all frames may be lost, the answer late; a human's mode is seen before we ask again in any case
@@ -33,16 +35,16 @@ class Landing:
         self._asked_s = self._deaf_s = -math.inf
         self._wait_s = self._in_vain_s = math.inf
         self._height_m, self._still_s, self._watched_s = math.nan, math.inf, math.inf
-        self.alert = ""
+        self.alert: Reason | None = None
 
     def step(self, link: VehicleLink, now_s: float) -> ControlLoss | None:
         """None while it lasts; LANDED, or YIELDED when somebody chose another mode, or the autopilot does not heed us."""
         t, firmware = link.telemetry, link.firmware
         if not t.armed:
-            return ControlLoss(FlightPhase.LANDED, "")
+            return ControlLoss(FlightPhase.LANDED, None)
         lands = firmware.is_landing(t.custom_mode)
         if not (lands or firmware.is_ours(t.custom_mode)):
-            return yielded(f"mode changed to {firmware.mode_name(t.custom_mode)}")
+            return yielded(Reason(ReasonCode.MODE_CHANGED, (firmware.mode_name(t.custom_mode),)))
         current = self._mode_is_current(t, now_s)
         stands = not self._lifted and now_s - t.on_ground_s <= _GROUND_FRESH_S
         if stands and current and now_s - self._disarm_asked_s >= _AGAIN_S:
@@ -52,10 +54,11 @@ class Landing:
             self.seen, self._in_vain_s = True, math.inf
             self._watch_descent(float(t.position_m[2]), now_s)
             return None
-        self.alert = "our mode goes on: LAND is asked for" if self.seen else self.alert
+        self.alert = Reason(ReasonCode.LAND_REQUESTED) if self.seen else self.alert
         self._in_vain_s = min(self._in_vain_s, now_s + _IN_VAIN_S)
         if now_s > self._in_vain_s:
-            return yielded(f"LAND is not heeded in {_IN_VAIN_S:.0f} s: the autopilot's failsafe is to land", abandoned=True)
+            ignored = Reason(ReasonCode.LAND_NOT_ACCEPTED, (_IN_VAIN_S,))
+            return yielded(ignored, Reason(ReasonCode.FAILSAFE_LANDS), abandoned=True)
         if current and now_s - self._asked_s >= _AGAIN_S:
             self._asked_s = now_s
             link.command(now_s, firmware.land[0], *firmware.land[1])
@@ -73,7 +76,7 @@ class Landing:
         else:
             self._height_m, self._still_s = height_m, now_s
         if now_s - self._still_s >= _STUCK_S:
-            self.alert = "landing does not end: switch the motors off"
+            self.alert = Reason(ReasonCode.LANDING_NOT_ENDING)
 
     def _mode_is_current(self, t: Telemetry, now_s: float) -> bool:
         """Whether no human can have taken over unseen: the mode was told this instant, or is not told often; and since the last

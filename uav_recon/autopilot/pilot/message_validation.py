@@ -10,6 +10,8 @@ import numpy as np
 
 from uav_recon.types.maps import FreeSpace
 from uav_recon.types.min_range_grid import MinRangeGrid
+from uav_recon.types.reason import Reason
+from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.trajectory import Trajectory
 
 _REST_MPS = 0.05
@@ -17,22 +19,22 @@ _LARGEST = 1e6  # m, m/s, m/s², rad, rad/s: no flight needs more, and no arithm
 _FINEST_M, _COARSEST_M = 0.01, 2.0  # of known-free space
 
 
-def trajectory_fault(trajectory: Trajectory) -> str:
-    """What makes a trajectory unfit to be sampled, '' if it is sound."""
+def trajectory_fault(trajectory: Trajectory) -> Reason | None:
+    """What makes a trajectory unfit to be sampled, None if it is sound."""
     count = len(trajectory.yaw_rad) if trajectory.yaw_rad.ndim == 1 else 0
     vectors = (trajectory.position_m, trajectory.velocity_mps, trajectory.acceleration_mps2)
     scalars = (trajectory.yaw_rad, trajectory.yaw_rate_radps, trajectory.camera_pitch_down_rad)
     if count < 1 or any(v.shape != (count, 3) for v in vectors) or any(s.shape != (count,) for s in scalars):
-        return "trajectory is malformed"
+        return Reason(ReasonCode.TRAJECTORY_MALFORMED)
     if not (math.isfinite(trajectory.start_s) and math.isfinite(trajectory.step_s) and trajectory.step_s > 0.0):
-        return "trajectory has no time axis"
+        return Reason(ReasonCode.TRAJECTORY_NO_TIME_AXIS)
     if not all(bool(np.isfinite(array).all()) for array in vectors + scalars):
-        return "trajectory is not finite"
+        return Reason(ReasonCode.TRAJECTORY_NOT_FINITE)
     if any(bool((np.abs(array) > _LARGEST).any()) for array in vectors + scalars):
-        return "trajectory has numbers beyond all reason"
+        return Reason(ReasonCode.TRAJECTORY_OUT_OF_RANGE)
     if not float(np.linalg.norm(trajectory.velocity_mps[-1])) <= _REST_MPS:
-        return "trajectory does not end at rest"
-    return ""
+        return Reason(ReasonCode.TRAJECTORY_NOT_AT_REST)
+    return None
 
 
 def is_valid_free_space(space: FreeSpace) -> bool:

@@ -6,6 +6,7 @@ import math
 
 from uav_recon.autopilot.pilot.message_validation import trajectory_fault
 from uav_recon.interfaces import Channel
+from uav_recon.types.reason import Reason
 from uav_recon.types.trajectory import Goal, Intent, Trajectory
 
 _FUTURE_S = 0.1
@@ -22,27 +23,28 @@ class MissionInput:
         self._wanted_s = -math.inf  # stamp of its last wish
         self._rejected: Key | None = None  # malformed, turned down, or made in an odom that is no more
         self.trajectory: Trajectory | None = None
-        self.news = self._told = ""  # what it has to tell people, once: '' in every other turn
+        self.news: Reason | None = None  # what it has to tell people, once: None in every other turn
+        self._told: Reason | None = None
         self.malformed = 0
 
-    def update(self, now_s: float) -> str:
-        """Take over the newest intent; why its trajectory cannot be flown, once, '' if it can."""
-        self.news = ""
+    def update(self, now_s: float) -> Reason | None:
+        """Take over the newest intent; why its trajectory cannot be flown, once, None if it can."""
+        self.news = None
         try:
             intent = self._channel.latest()
         except ValueError:
             intent = None
         if intent is None or intent is self._intent or not -_FUTURE_S <= now_s - intent.stamp_s <= self._fresh_s:
-            return ""
+            return None
         self._intent = intent
-        self.news, self._told = "" if intent.note == self._told else intent.note, intent.note
+        self.news, self._told = None if intent.note == self._told else intent.note, intent.note
         self._wanted_s = self._wanted_s if intent.goal is Goal.STANDBY else intent.stamp_s
         trajectory = intent.trajectory if intent.goal is Goal.FLY else None
         if trajectory is None:
             self.trajectory = None
-            return ""
+            return None
         if _key(trajectory) in (_key(self.trajectory), self._rejected):
-            return ""
+            return None
         fault = trajectory_fault(trajectory)
         self.trajectory = trajectory
         if fault:

@@ -11,6 +11,8 @@ from uav_recon.autopilot.pilot.sudden_obstacle import SuddenObstacle
 from uav_recon.safety.envelope import Vec3
 from uav_recon.safety.guard import Guard, GuardInputs
 from uav_recon.types.frames import FloatArray
+from uav_recon.types.reason import Reason
+from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.trajectory import Setpoint, Trajectory
 
 IDENTIFIER = -3  # of the step aside
@@ -49,12 +51,12 @@ class ObstacleEvasion:
         away_m = [one.away_m for one in self._heard[-2:]]
         return away_m[-1] <= _STOP_M or (away_m[-1] <= _HEED_M and self._nearer_mps(away_m, now_s) >= _COMING_MPS)
 
-    def why(self) -> str:
-        """What stops it, in words."""
-        return f"{self._heard[-1].away_m:.2f} m from something that was not there" if self._heard else ""
+    def why(self) -> Reason:
+        """What stops it."""
+        return Reason(ReasonCode.NEW_OBSTACLE, (self._heard[-1].away_m if self._heard else math.nan,))
 
-    def step_aside(self, rest: Setpoint, situation: GuardInputs) -> Trajectory | str | None:
-        """From rest out of the way of what comes on; None if nothing does, a word if nowhere is known free.
+    def step_aside(self, rest: Setpoint, situation: GuardInputs) -> Trajectory | Reason | None:
+        """From rest out of the way of what comes on; None if nothing does, a reason if nowhere is known free.
 
         It comes on if its places come nearer to the rest: the vehicle itself still comes nearer while it stops. Where there is
         room it keeps that of planned ways; with none, a wall is better come near to than what comes on.
@@ -70,7 +72,7 @@ class ObstacleEvasion:
                 if self._may(here, end, room_m, inside_m, situation):
                     way = np.array([here, end])
                     return flown(way, rest, situation.now_s, _STEP_MPS, situation.map_epoch, False, IDENTIFIER)
-        return "nowhere to give way to"
+        return Reason(ReasonCode.NO_ROOM_TO_EVADE)
 
     def over(self, way: Trajectory, now_s: float) -> bool:
         """Whether a step aside is done."""

@@ -31,13 +31,16 @@ from uav_recon.safety.recently_seen_space import RecentlySeenSpace
 from uav_recon.types.maps import FreeSpace
 from uav_recon.types.min_range_grid import MinRangeGrid
 from uav_recon.types.pose import StampedPose
+from uav_recon.types.reason import Reason
+from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.trajectory import Goal, Intent
 from uav_recon.types.vehicle import FlightPhase, VehicleState
 
 _LINK_HOLD_S = 0.5
 _TICK_S = 0.01
+_ASKED = Reason(ReasonCode.STOP_REQUESTED)
 _RESET_REST_S = 1.0
-_ANEW = "odom began anew: the map does not fit it"  # nor can the mission tell what of it does
+_ANEW = Reason(ReasonCode.ODOMETRY_RESTARTED)  # nor can the mission tell what of it does
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,15 +100,18 @@ class Pilot:
         )
         self._aware = SituationBuilder(link, guard, self._poses, self._mandate, self._lookout, self._steering, parameters)
         self._in_vain = RefusalTimer(patience.intent_land_s)
-        self._ladder, self._rung, self._low = Failsafe(patience), FailsafeAction.FLY, ""  # where it stands, and why no higher
+        self._ladder, self._rung = Failsafe(patience), FailsafeAction.FLY
+        self._low: Reason | None = None  # why its action is not FLY
         self.phase = FlightPhase.CONNECTING
-        self._note, self._herald = "", StatusTextReporter(link)
+        self._note: Reason | None = None
+        self._herald = StatusTextReporter(link)
         self._arming: ArmingSequence | None = None
         self._landing: Landing | None = None
         self._lift_off: TakeoffMonitor | None = None
-        self._grounded = ""  # why the take-off is no good
+        self._grounded: Reason | None = None  # why the take-off is no good
         self._may_arm = True  # a refused arming is not tried again before the mission has withdrawn FLY
-        self._land_wanted, self._held, self._operator_s = "", False, -math.inf
+        self._land_wanted: Reason | None = None
+        self._held, self._operator_s = False, -math.inf
         self._again_s = math.inf  # since when the flight goes on in another odom than it began in
 
     def step(self) -> None:
@@ -126,7 +132,7 @@ class Pilot:
         now_s = self._clock.now_s()
         self._link.wait(min(self._tick.next_s() - now_s, _TICK_S))
 
-    def request_land(self, why: str = "asked to end") -> None:
+    def request_land(self, why: Reason = _ASKED) -> None:
         """End the flight here and now, whatever the mission says. On the ground: no flight is begun any more."""
         self._land_wanted = self._land_wanted or why
 
@@ -151,7 +157,7 @@ class Pilot:
 
     def _listen(self, now_s: float) -> None:
         if self._poses.step(now_s):
-            self._note = "pose source was reset: holding"
+            self._note = Reason(ReasonCode.POSE_SOURCE_RESET)
             self._steering.rebase(self._aware.situation(now_s), _RESET_REST_S)
             self._lookout.forget()
             self._again_s = min(self._again_s, now_s) if self.in_flight else math.inf
@@ -160,7 +166,7 @@ class Pilot:
             self._steering.evasion.update(self._lookout.intruder)
         fault = self._mandate.update(now_s)
         if fault:
-            self._note = f"refused: {fault}"
+            self._note = _refused(fault)
         self._held = self._held and not self._mandate.operator_lost(now_s)
         self._may_arm = self._may_arm or self._mandate.goal(now_s) is not Goal.FLY
 
@@ -175,17 +181,19 @@ class Pilot:
             self._grounded = self._lift_off.fault(now_s, self._link.telemetry)
         if self.phase is FlightPhase.FLYING:
             before, (self._rung, low) = self._rung, self._ladder.step(self._aware.health(now_s, self._in_vain.refused_s))
-            self._low = low if self._link.time_known or not low else f"{low}: the autopilot's clock is in doubt"
+            if low is not None and not self._link.time_known:
+                low = low.with_detail(Reason(ReasonCode.CLOCK_UNCERTAIN))
+            self._low = low
             self._note = self._low if self._rung > before else self._note
             if self._poses.pose is not None and self._rung < FailsafeAction.RETREAT:
                 self._steering.was_at(self._poses.pose.odom_from_body)
 
     # ---- act --------------------------------------------------------------------------------------------------
 
-    def _enter(self, phase: FlightPhase, why: str, landing_seen: bool = False) -> None:
+    def _enter(self, phase: FlightPhase, why: Reason | None, landing_seen: bool = False) -> None:
         """Every change of phase but those of an undisturbed flight. Its reason is told at once: a note is talked over."""
         self.phase, self._note, self._arming = phase, why or self._note, None
-        if why:
+        if why is not None:
             self._herald.say(why, self._clock.now_s())
         if phase is FlightPhase.LANDING:
             self._landing = Landing(landing_seen, lifted=self._lift_off is None or self._lift_off.lifted)
@@ -218,26 +226,26 @@ class Pilot:
             here = self._aware.situation(now_s)
             blocked = self._guard.fault_of_take_off(here, self._airframe.hover_height_m)
             if blocked:
-                self._abandon_arming(f"take-off refused: {blocked}")
+                self._abandon_arming(Reason(ReasonCode.TAKEOFF_REFUSED, details=(blocked,)))
                 return
             self._again_s = math.inf
             self._link.intrusions.begin()
-            self.phase, self._note, self._arming = FlightPhase.ARMING, "", self._firmware.arming(now_s)
+            self.phase, self._note, self._arming = FlightPhase.ARMING, None, self._firmware.arming(now_s)
             self._lift_off = TakeoffMonitor(float(self._link.telemetry.position_m[2]))
-            self._ladder, self._rung, self._low = Failsafe(self._patience), FailsafeAction.FLY, ""
+            self._ladder, self._rung, self._low = Failsafe(self._patience), FailsafeAction.FLY, None
             self._in_vain = RefusalTimer(self._patience.intent_land_s, self._aware.refusals)
             self._steering.rebase(here, rest_s=0.0)
 
     def _arm(self, now_s: float) -> None:
         arming, t = self._arming, self._link.telemetry
         unfit = self._ladder.step(self._aware.health(now_s, self._in_vain.refused_s))[0] is FailsafeAction.LAND
-        ended = self._land_wanted or (TWO if t.doubled else "")
+        ended = self._land_wanted or (TWO if t.doubled else None)
         if arming is None or ended or self._mandate.goal(now_s) is not Goal.FLY or unfit:
-            self._abandon_arming(ended or "arming withdrawn")
+            self._abandon_arming(ended or Reason(ReasonCode.ARMING_WITHDRAWN))
             return
         outcome, command = arming.step(now_s, t)
         if outcome is Outcome.ARMED:
-            self.phase, self._note = FlightPhase.FLYING, ""
+            self.phase, self._note = FlightPhase.FLYING, None
             if not arming.streams:
                 self._steering.rebase(self._aware.situation(now_s), rest_s=0.0)
         elif outcome is Outcome.GIVEN_UP:
@@ -247,17 +255,18 @@ class Pilot:
                 self._authority.asked_to_arm(now_s)
             self._link.command(now_s, command[0], *command[1])
 
-    def _abandon_arming(self, why: str) -> None:
+    def _abandon_arming(self, why: Reason | None) -> None:
         """Back on the ground, or into a landing if the motors may have started in between."""
         self._may_arm = False
         self._enter(FlightPhase.LANDING if self._link.telemetry.armed else FlightPhase.READY, why)
 
     def _fly(self, now_s: float) -> None:
-        wanted = "the mission asks to land" if self._mandate.goal(now_s) is Goal.LAND else ""
+        wanted = Reason(ReasonCode.MISSION_LAND) if self._mandate.goal(now_s) is Goal.LAND else None
         wanted = _ANEW if now_s - self._again_s >= _RESET_REST_S else wanted
-        wanted = f"take-off given up: {self._grounded}" if self._grounded else wanted
-        blocked = ": ".join(filter(None, (self._low, self._steering.blocked))) if self._steering.blocked else ""
-        why = self._land_wanted or (self._low if self._rung is FailsafeAction.LAND else "") or blocked or wanted
+        wanted = Reason(ReasonCode.TAKEOFF_GIVEN_UP, details=(self._grounded,)) if self._grounded else wanted
+        blocked = self._steering.blocked
+        blocked = self._low.with_detail(blocked) if self._low is not None and blocked is not None else blocked
+        why = self._land_wanted or (self._low if self._rung is FailsafeAction.LAND else None) or blocked or wanted
         brakes = self._rung is FailsafeAction.LAND and not self._land_wanted and not self._steering.at_rest
         if why and not brakes:  # a firmware told to land in motion looks for its own place to stop, farther on
             self._enter(FlightPhase.LANDING, why)
@@ -283,7 +292,7 @@ class Pilot:
         cleared, refusal = self._steering.steer(self._rung if steered else FailsafeAction.HOLD, self._aware.situation(now_s))
         self._in_vain.update(self._aware.refusals, self._steering.moves, now_s)
         if refusal is not None:
-            self._note = f"refused: {refusal.reason}"
+            self._note = _refused(refusal.reason)
         if self._lift_off is not None and self.phase is FlightPhase.FLYING and cleared.setpoint.velocity_mps[2] > 0.0:
             self._lift_off.begin(now_s)
         self._link.stream(cleared, now_s, self._airframe.gimbal)
@@ -293,8 +302,8 @@ class Pilot:
             return
         airborne = self.phase in IN_THE_AIR
         news = [*self._link.intrusions.news(), *([self._mandate.news] if airborne and self._mandate.news else [])]
-        for words in news:
-            self._herald.say(words, now_s)
+        for reason in news:
+            self._herald.say(reason, now_s)
         if airborne and news:
             self._note = news[-1]
         self._herald.step(self._note, now_s)
@@ -302,6 +311,10 @@ class Pilot:
     def _publish(self, now_s: float) -> None:
         gimbal = self._airframe.gimbal
         self._vehicle.publish(self._aware.state(now_s, self.phase, self._note, self._operator_s, gimbal))
+
+
+def _refused(why: Reason) -> Reason:
+    return Reason(ReasonCode.REFUSED, details=(why,))
 
 
 def make_pilot(

@@ -10,6 +10,7 @@ from uav_recon.autopilot.link.vehicle_link import VehicleLink
 from uav_recon.interfaces import Channel
 from uav_recon.safety.pose_gate import PoseGate
 from uav_recon.types.pose import PoseHealth, StampedPose
+from uav_recon.types.reason import Reason
 
 T = TypeVar("T")
 
@@ -31,13 +32,13 @@ class PoseFeed:
         self.refused, self.sound_s = 0, -math.inf
 
     @property
-    def lost(self) -> str:
-        """Why the newest pose is lost, '' if it is not."""
+    def lost(self) -> Reason | None:
+        """Why the newest pose is lost, None if it is not."""
         return self._why(PoseHealth.LOST)
 
     @property
-    def wrong(self) -> str:
-        """Why the newest pose is wrong, '' if it is not."""
+    def wrong(self) -> Reason | None:
+        """Why the newest pose is wrong, None if it is not."""
         return self._why(PoseHealth.WRONG)
 
     def step(self, now_s: float) -> bool:
@@ -57,8 +58,8 @@ class PoseFeed:
         self._link.feed_pose(replace(pose, reset_counter=(pose.reset_counter + self._uncounted) % 256), now_s)
         return verdict.again
 
-    def _why(self, health: PoseHealth) -> str:
-        return self.pose.why if self.pose is not None and self.pose.health is health else ""
+    def _why(self, health: PoseHealth) -> Reason | None:
+        return self.pose.why if self.pose is not None and self.pose.health is health else None
 
 
 def newest(channel: Channel[T], heard: T | None) -> T | None:

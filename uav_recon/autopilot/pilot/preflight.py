@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from uav_recon.autopilot.link.vehicle_link import VehicleLink
 from uav_recon.autopilot.parameters.preflight_check import NoParameterCheck, ParameterCheck
+from uav_recon.types.reason import Reason
 
 _AGAIN_S = 2.0
 
@@ -27,8 +28,8 @@ class PreflightSetup:
         self._link, self._origin, self._gimbal, self._parameters = link, origin, gimbal, parameters
         self._asked_s = -math.inf
 
-    def missing(self, now_s: float) -> str:
-        """What is still missing before arming, '' for nothing. Parameters are read back beside everything else."""
+    def missing(self, now_s: float) -> Reason | None:
+        """What is still missing before arming, None for nothing. Parameters are read back beside everything else."""
         t, parameters = self._link.telemetry, self._parameters.missing(now_s, self._link)
         missing = self._link.firmware.missing_for_arming(t, self._link.time_known, now_s)
         if missing and t.system != 0 and now_s - self._asked_s >= _AGAIN_S:

@@ -15,6 +15,8 @@ from uav_recon.autopilot.pilot.setpoint_blending import SetpointBlender
 from uav_recon.safety.failsafe import FailsafeAction
 from uav_recon.safety.guard import ClearedSetpoint, Guard, GuardInputs, SetpointProposal
 from uav_recon.types.pose import Pose
+from uav_recon.types.reason import Reason
+from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.trajectory import Refusal, Setpoint, Trajectory
 
 _WAYS = 3  # ways back that are tried, each from rest: what refused the last may have passed, a late pose or a late turn of ours
@@ -27,7 +29,7 @@ _HOVER_SHARE = 0.9  # of the hover's height: the first breadcrumb so high ends t
 
 
 class SetpointSelector:
-    """Keeps the breadcrumbs. ``blocked``: why there is no way back or aside any more, '' while there is one. ``evasions``
+    """Keeps the breadcrumbs. ``blocked``: why there is no way back or aside any more, None while there is one. ``evasions``
     counts what was not flown on because something stood there all of a sudden, and each step aside. ``moves``: the newest
     setpoint is of a motion, and not of a hold.
     """
@@ -40,13 +42,15 @@ class SetpointSelector:
         self._off: deque[tuple[float, float]] = deque()  # (instant, metres) off its way
         self._braking = False  # from a refusal to rest: nothing new is taken up on the way
         self._way_back: Trajectory | None = None
-        self._refused_ways, self._refused_for, self._refused_s = 0, "", -math.inf
+        self._refused_ways, self._refused_s = 0, -math.inf
+        self._refused_for: Reason | None = None
         self._handed: Trajectory | None = None  # the trajectory that the handover leads to
         self._handover: SetpointBlender | None = None
         self._aside: Trajectory | None = None
         self._giving = False  # something near decides what is flown
         self.evasion = ObstacleEvasion(guard)
-        self.blocked, self.evasions, self.moves = "", 0, False
+        self.blocked: Reason | None = None
+        self.evasions, self.moves = 0, False
 
     @property
     def at_rest(self) -> bool:
@@ -73,7 +77,7 @@ class SetpointSelector:
         self._flown = None
         self._crumbs.forget()
         self._mandate.reject_trajectory()
-        self._way_back, self._refused_ways, self._aside, self.blocked = None, 0, None, ""
+        self._way_back, self._refused_ways, self._aside, self.blocked = None, 0, None, None
 
     def steer(self, rung: FailsafeAction, situation: GuardInputs) -> tuple[ClearedSetpoint, Refusal | None]:
         """The guard's word for this instant. What it turned down is not proposed again."""
@@ -102,7 +106,7 @@ class SetpointSelector:
         astray = off_m > _ASTRAY_M
         cleared, refusal = self._guard.clear(None if astray else self._proposal(trajectory, situation.now_s, False), situation)
         if astray:  # pushed as well as led outwards it would be over the fence before it stops
-            refusal, self.evasions = Refusal(f"{off_m:.2f} m off its way", cleared.setpoint), self.evasions + 1
+            refusal, self.evasions = Refusal(Reason(ReasonCode.OFF_PATH, (off_m,)), cleared.setpoint), self.evasions + 1
         if refusal is not None:
             self._braking = True
             self._mandate.reject_trajectory()
@@ -145,13 +149,13 @@ class SetpointSelector:
             aside = dataclasses.replace(self._proposal(self._aside, situation.now_s, True), evading=True)
             cleared, refusal = self._guard.clear(aside, situation)
             if refusal is not None:
-                self.blocked = f"way aside blocked: {refusal.reason}"
+                self.blocked = Reason(ReasonCode.EVASION_BLOCKED, details=(refusal.reason,))
             return cleared, refusal
         cleared, _ = self._guard.clear(None, situation)
         if not np.any(cleared.setpoint.velocity_mps):
             way = self.evasion.step_aside(cleared.setpoint, situation)
             self._aside = way if isinstance(way, Trajectory) else None
-            self.blocked = way if isinstance(way, str) else self.blocked
+            self.blocked = way if isinstance(way, Reason) else self.blocked
         return cleared, None
 
     def _turn_down(self) -> None:
@@ -170,7 +174,7 @@ class SetpointSelector:
             if np.any(rest.velocity_mps) or now_s - self._refused_s < _SETTLES_S:
                 return cleared, None
             if self._refused_ways >= _WAYS:
-                self.blocked = f"retreat blocked: {self._refused_for}"
+                self.blocked = Reason(ReasonCode.RETREAT_BLOCKED, details=(self._refused_for,) if self._refused_for else ())
                 return cleared, None
             seeing = situation.ahead is not None and now_s - situation.ahead.stamp_s <= self._guard.bounds.depth_hold_s
             height_m, speed_mps = _HOVER_SHARE * self._hover_height_m, self._guard.bounds.retreat_mps

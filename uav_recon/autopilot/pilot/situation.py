@@ -17,6 +17,7 @@ from uav_recon.safety.envelope import Vec3
 from uav_recon.safety.failsafe import FailsafeInputs
 from uav_recon.safety.guard import Guard, GuardInputs
 from uav_recon.types.pose import Pose, PoseHealth
+from uav_recon.types.reason import Reason
 from uav_recon.types.vehicle import FlightPhase, VehicleState
 
 _LONGEST_NOTE = 200
@@ -60,11 +61,11 @@ class SituationBuilder:
         """For the ladder. refused_s: of refusals without a motion."""
         inside = self._guard.envelope.fence.holds(self._position_m)
         pose_s = min(self._poses.sound_s, self._link.telemetry.pose_fed_s)  # it flies by no others
-        lost = (TWO if self._link.telemetry.doubled else "") or self._parameters.changed(self._link) or self._poses.lost
+        lost = (TWO if self._link.telemetry.doubled else None) or self._parameters.changed(self._link) or self._poses.lost
         ages_s = (now_s - pose_s, self._mandate.age_s(now_s), self._lookout.depth_age_s(now_s))
         return FailsafeInputs(now_s, *ages_s, inside, self.refusals, lost, self._poses.wrong, refused_s)
 
-    def state(self, now_s: float, phase: FlightPhase, note: str, operator_s: float, gimbal: bool) -> VehicleState:
+    def state(self, now_s: float, phase: FlightPhase, note: Reason | None, operator_s: float, gimbal: bool) -> VehicleState:
         """For the mission: where odometry says that the vehicle is, or the autopilot before there is any.
 
         operator_s: when the operator was heard. gimbal: whether there is one whose pitch means something.
@@ -86,7 +87,7 @@ class SituationBuilder:
             camera_pitch_down_rad=t.camera_pitch_down_rad if gimbal else math.nan,
             trajectory_id=-1 if trajectory is None else trajectory.identifier,
             refusals=self.refusals,
-            note=note[:_LONGEST_NOTE],
+            note=_shortened(note),
             operator_received_s=operator_s,
             max_speed_mps=self._guard.bounds.retreat_mps
             if t.slow or (pose and pose.health is not PoseHealth.GOOD)
@@ -99,3 +100,8 @@ class SituationBuilder:
         """In odom; its origin before the first pose."""
         x, y, z = self._poses.pose.odom_from_body.translation_m.tolist() if self._poses.pose else (0.0, 0.0, 0.0)
         return x, y, z
+
+
+def _shortened(note: Reason | None) -> Reason | None:
+    """Return a reason as it is, or without its details where they say more than anybody reads."""
+    return note if note is None or len(note.text()) <= _LONGEST_NOTE else Reason(note.code, note.values)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 
 from uav_recon.autopilot.mavlink.telemetry import Telemetry
+from uav_recon.types.reason import Reason
+from uav_recon.types.reason_code import ReasonCode
 
 _TILT_RAD = math.radians(15.0)
 
@@ -25,16 +27,16 @@ class TakeoffMonitor:
         """It is told to climb now, if it was not before."""
         self._begun_s = min(self._begun_s, now_s)
 
-    def fault(self, now_s: float, t: Telemetry) -> str:
-        """Why it is not to go on, '' while it may; by the autopilot's own estimate."""
+    def fault(self, now_s: float, t: Telemetry) -> Reason | None:
+        """Why it is not to go on, None while it may; by the autopilot's own estimate."""
         climbed_m, took_s = float(t.position_m[2]) - self._ground_m, now_s - self._begun_s
         self.lifted = self.lifted or climbed_m >= self.LIFTED_M
         if self.lifted or took_s < 0.0:
-            return ""
+            return None
         tilt_rad = _tilt_rad(*t.quat_wxyz.tolist())
         if tilt_rad > _TILT_RAD:
-            return f"tilted by {math.degrees(tilt_rad):.0f} degrees on the ground"
-        return f"it climbed {max(climbed_m, 0.0):.2f} m in {took_s:.0f} s" if took_s > self._within_s else ""
+            return Reason(ReasonCode.TILTED, (math.degrees(tilt_rad),))
+        return Reason(ReasonCode.CLIMB_TOO_SLOW, (max(climbed_m, 0.0), took_s)) if took_s > self._within_s else None
 
 
 def _tilt_rad(w: float, x: float, y: float, z: float) -> float:

@@ -17,6 +17,7 @@ from uav_recon.planning.frontier.view_cache import ViewCache
 from uav_recon.planning.view_sampling import explore_shell
 from uav_recon.types.frames import ByteArray, FloatArray, IntArray
 from uav_recon.types.maps import FREE, UNKNOWN, GridSpec, VoxelMap
+from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.tasks import Task, TaskKind, Viewpoint
 
 COVERED_SHARE = 0.7  # a cluster is dropped if another view shows this share of what its own view shows
@@ -107,13 +108,13 @@ class FrontierViews:
                 wanted = min(2 * wanted, wanted + MAX_MORE, total)
         return FrontierProposals(self._proposals(voxels, space, found, lens), without, total - asked + later)
 
-    def reasons(self, voxels: VoxelMap, space: Flyable, frontiers: Frontiers) -> Counter[str]:
+    def reasons(self, voxels: VoxelMap, space: Flyable, frontiers: Frontiers) -> Counter[ReasonCode]:
         """Count the clusters without a view, by reason.
 
         Evaluates every cluster again; meant for the end of a flight.
         """
         self._keep_map(frontiers, voxels.grid.resolution_m)
-        counts: Counter[str] = Counter()
+        counts: Counter[ReasonCode] = Counter()
         lens = self._camera.lens(voxels.grid.resolution_m, self._camera.range_m)
         for cluster in frontiers.rows().tolist():
             reason = self._reason(voxels, space, frontiers, cluster, lens)
@@ -179,19 +180,21 @@ class FrontierViews:
         self._tasks[rows[0]] = (promised, proposal)
         return proposal
 
-    def _reason(self, voxels: VoxelMap, space: Flyable, frontiers: Frontiers, cluster: int, lens: FloatArray) -> str | None:
+    def _reason(
+        self, voxels: VoxelMap, space: Flyable, frontiers: Frontiers, cluster: int, lens: FloatArray
+    ) -> ReasonCode | None:
         row = self._search(voxels, space, space.reachable, frontiers, cluster, lens)
         if self._worth(row):
             return None
         asked = self.table.asked[row, : self.table.counts[row, 0]]
         if not space.mask.reshape(-1)[np.where(asked >= 0, asked, ~asked)].any():
-            return "too narrow"
+            return ReasonCode.FRONTIERS_TOO_NARROW
         if self.table.shown[row]:
-            return "too few cells in sight"
+            return ReasonCode.FRONTIERS_TOO_FEW_CELLS
         row = self._search(voxels, space, space.mask, frontiers, cluster, lens)
         beyond = self._worth(row)
         self.table.forget(row)
-        return "not reachable" if beyond else "out of the camera's sight"
+        return ReasonCode.FRONTIERS_NOT_REACHABLE if beyond else ReasonCode.FRONTIERS_OUT_OF_VIEW
 
     def _keep_map(self, frontiers: Frontiers, resolution_m: float) -> None:
         if frontiers.faces is not self._faces:
@@ -202,8 +205,7 @@ class FrontierViews:
         self._faces = faces
         self._revision = -BATCH  # the first plan may search a whole batch
         self.table = ViewCache(explore_shell(self._config, self._camera, resolution_m))
-        # max. distance of a view from its frontier along an axis
-        self._reach = float(np.abs(self.table.shell.offsets).max(initial=0.0))
+        self._reach = float(np.abs(self.table.shell.offsets).max(initial=0.0))  # of a place from its frontier, along an axis
         self._centre = np.zeros((len(self.table.shown), 3))  # cluster centres by row, voxels
         self._tasks = {}  # by row
 

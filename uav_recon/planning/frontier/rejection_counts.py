@@ -12,11 +12,12 @@ from uav_recon.geometry.jit import kernel
 from uav_recon.planning.frontier.clustering import MIN_CELLS
 from uav_recon.types.frames import BoolArray, ByteArray
 from uav_recon.types.maps import FREE, UNKNOWN
+from uav_recon.types.reason_code import ReasonCode
 
 _AROUND = np.ones((3, 3, 3), dtype=np.uint8)
 
 
-def count_rejected_frontiers(state: ByteArray, faces: ByteArray, exhausted: ByteArray) -> dict[str, int]:
+def count_rejected_frontiers(state: ByteArray, faces: ByteArray, exhausted: ByteArray) -> dict[ReasonCode, int]:
     """Count the rejected 26-connected frontiers by reason.
 
     Reasons: too small, exhausted, or outside the fence.
@@ -28,9 +29,9 @@ def count_rejected_frontiers(state: ByteArray, faces: ByteArray, exhausted: Byte
     inside, in_vain = faces > 0, exhausted > 0
     sizes = _sizes(inside & ~in_vain)
     return {
-        "too small": int(np.count_nonzero(sizes < MIN_CELLS)),
-        "looked at in vain": _worth_a_view(inside & in_vain),
-        "outside the fence": _worth_a_view(_beside_unknown(state) & ~inside),
+        ReasonCode.FRONTIERS_TOO_SMALL: int(np.count_nonzero(sizes < MIN_CELLS)),
+        ReasonCode.FRONTIERS_VIEWED_WITHOUT_RESULT: _worth_a_view(inside & in_vain),
+        ReasonCode.FRONTIERS_OUTSIDE_FENCE: _worth_a_view(_beside_unknown(state) & ~inside),
     }
 
 

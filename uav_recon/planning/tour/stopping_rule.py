@@ -16,7 +16,6 @@ import numpy as np
 from uav_recon.types.frames import BoolArray, FloatArray, IntArray
 from uav_recon.types.tasks import Task, TaskKind
 
-NOT_WORTH = "not worth their flight"  # the reason text after a count of surface tasks
 VIEW_S = 0.5  # time at a view: braking, image capture, acceleration
 SHORTEST_TOUR_S = 10.0  # min. duration of a tour in the rule: one good view next to the vehicle must not set the standard
 _NONE = (0, 0)

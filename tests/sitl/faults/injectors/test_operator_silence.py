@@ -9,9 +9,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from made_up_evidence import evidence, rewired
+from made_up_evidence import evidence
 from pymavlink.dialects.v20 import common as mavlink
 
+from sitl.faults import reason_codes as codes
 from sitl.faults.fault import Fault
 from sitl.faults.fault_director import FaultDirector
 from sitl.faults.flights.fault_flight import attended
@@ -28,7 +29,7 @@ from sitl.faults.injectors.operator_silence import (
 from sitl.faults.table.all_scenarios import ROWS
 from uav_recon import config as product_config
 
-WARNED, RETURNS = "no operator for 5 s: returns after 30", "no operator for 30 s: returning"
+WARNED, RETURNS = (codes.OPERATOR_SILENT,), (codes.OPERATOR_LOST_RETURNING,)
 
 
 class Line:
@@ -78,11 +79,11 @@ def test_a_forged_ground_station_is_heard_once_a_second_and_looks_like_one() -> 
 
 
 def test_the_answer_counts_from_the_last_sign_of_life() -> None:
-    e = rewired(evidence(notes={ATTENDED: 4.0}), texts=((3.0, RETURNS), (6.0, "holding"), (9.2, WARNED), (12.5, RETURNS)))
+    e = evidence(notes={ATTENDED: 4.0}, reported=((3.0, RETURNS), (6.0, ()), (9.2, WARNED), (12.5, RETURNS)))
     assert warns_after(e) == pytest.approx(5.2)
     assert acts_after(e) == pytest.approx(8.5)
     assert warnings(e) == 3.0
-    untold = rewired(evidence(notes={ATTENDED: 4.0}), texts=())
+    untold = evidence(notes={ATTENDED: 4.0}, reported=())
     assert acts_after(untold) == pytest.approx(11.0, abs=0.05), "a landing is an answer too"
     assert warns_after(untold) == acts_after(evidence(mode=("OFFBOARD",) * 600)) == math.inf
 

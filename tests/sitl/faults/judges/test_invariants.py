@@ -11,6 +11,7 @@ import pytest
 from made_up_evidence import DT_S, rewired, spoilt
 from made_up_evidence import evidence as flown
 
+from sitl.faults import reason_codes as codes
 from sitl.faults.flight_evidence import FlightEvidence
 from sitl.faults.injectors.base import TAKEN_OVER
 from sitl.faults.judges.invariants import Room, violations
@@ -19,13 +20,14 @@ from sitl.faults.wire_capture import CapturedCommand
 
 Spoil = Callable[[FlightEvidence], FlightEvidence]
 LIMIT_RADPS = 1.0  # of the flight's limits
+ASKED = (codes.MISSION_LAND,)
 
 
 def evidence(**changes: Any) -> FlightEvidence:
     """The flight that never was, which says why it lands and turns all the way, past the back."""
-    plain = flown(**changes)
+    plain = flown(**{"reported": ((6.0, ("refused",)), (15.1, ASKED)), **changes})
     turns = np.remainder(0.7 * plain.wire.setpoint_s, 2.0 * np.pi)
-    return rewired(plain, texts=((6.0, "holding"), (15.1, "the mission asks to land")), yaw_rad=turns)
+    return rewired(plain, yaw_rad=turns)
 
 
 def hovering(e: FlightEvidence, mode: str = "OFFBOARD", **changes: Any) -> FlightEvidence:
@@ -39,11 +41,12 @@ def hovering(e: FlightEvidence, mode: str = "OFFBOARD", **changes: Any) -> Fligh
     )  # fmt: skip
 
 
-def taken(e: FlightEvidence, mode: str = "POSCTL", **said: Any) -> FlightEvidence:
-    """Another's mode is set at 9.9 s, the product hears of it at 10 s and sends no setpoint any more."""
+def taken(e: FlightEvidence, said: tuple[float, str] | None, mode: str = "POSCTL") -> FlightEvidence:
+    """Another's mode is set at 9.9 s, the product hears of it at 10 s and sends no setpoint any more. said: its STATUSTEXT."""
     theirs = dataclasses.replace(
         e, mode=tuple(mode if t > 9.9 else "OFFBOARD" for t in e.stamp_s),
         heard=tuple((t, 3 << 16 if t >= 10.0 else 6 << 16, True) for t in range(20)),
+        reported=() if said is None else ((said[0], (said[1],)),),
     )  # fmt: skip
     sent = e.wire.setpoint_s < 10.0
     streams = {
@@ -52,7 +55,7 @@ def taken(e: FlightEvidence, mode: str = "POSCTL", **said: Any) -> FlightEvidenc
             "setpoint_s", "setpoint_stamp_ms", "position_m", "velocity_mps", "acceleration_mps2", "yaw_rate_radps", "yaw_rad",
         )
     }  # fmt: skip
-    return rewired(theirs, orders=e.wire.orders[:2], **streams, **said)
+    return rewired(theirs, orders=e.wire.orders[:2], **streams)
 
 
 SPOILS: dict[str, Spoil] = {
@@ -77,12 +80,14 @@ SPOILS: dict[str, Spoil] = {
     "disarmed in the air": lambda e: dataclasses.replace(e, armed=e.stamp_s < 9.0),
     "hovers": hovering,
     "hovers armed": lambda e: hovering(e, "LOITER"),
-    "landing asked for 10.0 s after the trouble and not told": lambda e: rewired(e, texts=e.wire.texts[:1]),
-    "landing asked for 10.0 s after": lambda e: rewired(e, texts=(*e.wire.texts[:1], (15.1, "refused: jump of 0.58 m"))),
-    "another's mode 5.0 s after the trouble and not told": lambda e: taken(e, texts=((12.0, "yielded"),)),
-    "another's mode 5.0 s after the trouble and not": lambda e: taken(e, "LAND", texts=((10.2, "refused: speed 0.81 m/s"),)),
-    "another's mode 5.0 s": lambda e: taken(e, texts=((9.9, "no pose for 0.7 s"),)),
-    "another's mode 5.0 s after": lambda e: taken(e, texts=((10.9, "no operator for 5 s: returns after 30"),)),
+    "landing asked for 10.0 s after the trouble and not told": lambda e: dataclasses.replace(e, reported=e.reported[:1]),
+    "landing asked for 10.0 s after": lambda e: dataclasses.replace(
+        e, reported=(*e.reported[:1], (15.1, ("refused", "position-step")))
+    ),
+    "another's mode 5.0 s after the trouble and not told": lambda e: taken(e, (12.0, codes.CONTROL_RELEASED)),
+    "another's mode 5.0 s after the trouble and not": lambda e: taken(e, (10.2, "speed-limit"), "LAND"),
+    "another's mode 5.0 s": lambda e: taken(e, (9.9, codes.NO_POSE)),
+    "another's mode 5.0 s after": lambda e: taken(e, (10.9, codes.OPERATOR_SILENT)),
 }
 
 
@@ -133,34 +138,21 @@ def test_a_pilot_who_took_the_vehicle_may_hover_with_it() -> None:
         assert violations(gone) == ["hovers armed and unattended"], "it is the pilot's no more"
 
 
-WHY = (
-    "the mission asks to land", "the operator asked to land", "asked to end", "no pose for 1.0 s", "mission silent for 20.0 s",
-    "no depth for 10.0 s", "poses disagree for 0.3 s, holding for 20 s", "3 poses a second, holding for 20 s",
-    "odom creeps by 0.025 m/s against what is seen", "surfaces stand 0.20 m off where they stood 28 s ago",
-    "57% of what was seen 2 s ago is not there",
-    "odom began anew: the map does not fit it", "outside the fence for 3 s", "refused for 20.0 s",
-    "3 refusals in a second, holding for 20 s", "two autopilots speak with one id, holding for 20 s",
-    "retreat blocked: 0.19 m from something at 0.27 m/s", "way aside blocked: not known free at 1.00 2.00 1.20 m",
-    "nowhere to give way to", "take-off given up: it climbed 0.10 m in 4 s", "armed after the request was withdrawn",
-    "yielded: mode changed to POSCTL", "the autopilot lands: Failsafe activated: battery",
-)  # fmt: skip
-
-
-@pytest.mark.parametrize("why", WHY)
-def test_each_reason_of_the_product_is_one_for_a_landing_in_the_characters_that_are_sent(why: str) -> None:
-    assert violations(rewired(evidence(), texts=((15.1, why[:50]),))) == []
+@pytest.mark.parametrize("code", codes.LANDING)
+def test_each_reason_for_a_landing_is_one_also_as_a_detail(code: str) -> None:
+    for reason in ((code,), ("few-words", code)):
+        assert violations(evidence(reported=((15.1, reason),))) == []
 
 
 OTHER = (
-    "refused: speed 0.65 m/s", "refused: trajectory is not finite", "pose source was reset: holding", "holding",
-    "intruder: somebody speaks MAVLink 1", "the link is slow: there and back takes 0.25 s", "the operator is back",
-    "no operator for 30 s: returning",
+    ("refused", "speed-limit"), ("refused", "trajectory-not-finite"), ("pose-source-reset",), (), ("intruder-mavlink1",),
+    ("link-slow",), ("operator-back",), ("operator-lost-returning",),
 )  # fmt: skip
 
 
 @pytest.mark.parametrize("other", OTHER)
-def test_what_is_said_of_another_thing_is_no_reason_for_a_landing(other: str) -> None:
-    assert violations(rewired(evidence(), texts=((15.1, other[:50]),))) != []
+def test_what_is_said_of_another_thing_is_no_reason_for_a_landing(other: tuple[str, ...]) -> None:
+    assert violations(evidence(reported=((15.1, other),))) != []
 
 
 def test_a_pilot_who_takes_the_vehicle_out_of_our_landing_keeps_it() -> None:
@@ -175,11 +167,9 @@ def test_a_pilot_who_takes_the_vehicle_out_of_our_landing_keeps_it() -> None:
 
 
 def test_what_was_told_in_time_or_could_not_be_known_is_no_violation() -> None:
-    assert violations(taken(evidence(), texts=((10.9, "yielded"),))) == []
-    assert violations(taken(evidence(), "LAND", texts=((9.9, "no pose for 0.7 s"),))) == [], (
-        "it was about to land, and said why"
-    )
-    deaf = taken(evidence(), texts=())
+    assert violations(taken(evidence(), (10.9, codes.CONTROL_RELEASED))) == []
+    assert violations(taken(evidence(), (9.9, codes.NO_POSE), "LAND")) == [], "it was about to land, and said why"
+    deaf = taken(evidence(), None)
     assert violations(dataclasses.replace(deaf, heard=deaf.heard[:10])) == [], "it never heard of it"
     dead = rewired(deaf, setpoint_s=deaf.wire.setpoint_s - 0.6)
     assert violations(dead) == [], "it had no part in it"

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from made_up_evidence import BOOT_S, DT_S, evidence, rewired, spoilt
 
+from sitl.faults import reason_codes as codes
 from sitl.faults.flight_evidence import FlightEvidence
 from sitl.faults.injectors.base import TAKEN_OVER
 from sitl.faults.judges import odometry_metrics
@@ -108,25 +109,21 @@ def test_orders_are_counted() -> None:
     assert m.asked_to_land(e) == pytest.approx(10.0)
 
 
-def test_only_the_words_that_are_asked_for_count_as_told() -> None:
-    said = (
-        (4.0, "no pose for 0.3 s"),
-        (5.3, "refused: speed 0.65 m/s"),
-        (6.0, "no pose for 0.7 s"),
-        (19.0, "no pose for 1.0 s"),
-    )
-    e = rewired(evidence(), texts=said)
-    assert statustext_delay("no pose|pose is stale")(e) == pytest.approx(1.0), (
+def test_only_the_codes_that_are_asked_for_count_as_told() -> None:
+    lost = (codes.NO_POSE,)
+    e = evidence(reported=((4.0, lost), (5.3, ("refused", "speed-limit")), (6.0, lost), (19.0, lost)))
+    assert statustext_delay(codes.NO_POSE, codes.POSE_STALE)(e) == pytest.approx(1.0), (
         "what was said before the trouble is not about it"
     )
-    assert statustext_delay("^pose")(e) == math.inf
-    assert statustext_delay("")(e) == pytest.approx(0.3)
+    assert statustext_delay(codes.POSE_STALE)(e) == math.inf
+    assert statustext_delay()(e) == math.inf
+    assert statustext_delay("speed-limit")(e) == pytest.approx(0.3), "a detail too"
     down_s = float(e.stamp_s[np.flatnonzero((e.stamp_s > 5.0) & (e.position_m[:, 2] <= e.position_m[-1, 2] + 0.05))[0]])
     assert down_s == pytest.approx(17.6, abs=0.1)
-    assert statustext_on_floor("no pose")(e) == pytest.approx(19.0 - down_s)
+    assert statustext_on_floor(codes.NO_POSE)(e) == pytest.approx(19.0 - down_s)
     assert statustext_on_floor("refused")(e) == math.inf, "in the air"
-    assert statustext_after_arming("no pose")(e) == pytest.approx(4.0 - 0.8)
-    assert statustext_after_arming("no pose")(rewired(e, orders=())) == math.inf
+    assert statustext_after_arming(codes.NO_POSE)(e) == pytest.approx(4.0 - 0.8)
+    assert statustext_after_arming(codes.NO_POSE)(rewired(e, orders=())) == math.inf
 
 
 def test_a_landing_is_measured_from_the_last_setpoint_that_leads_anywhere_or_turns() -> None:
@@ -246,9 +243,10 @@ def test_how_a_flight_ended() -> None:
     assert m.unfinished(dataclasses.replace(home, failsafes=("x",))) == 1
     hopped = np.where(home.position_m[:, :1] > 1.9, 0.0, home.position_m)
     assert m.unfinished(dataclasses.replace(home, position_m=hopped)) == 1, "up, and down again"
-    assert m.ended_for("battery")(e) == 1, "it gave no reason"
-    said = {why: dataclasses.replace(home, stop_reason=why) for why in ("battery at 20 %", "view budget of 22 spent")}
-    assert [m.ended_for("battery")(flight) for flight in said.values()] == [1, 0]
+    for_battery = m.ended_for(*codes.BATTERY)
+    assert for_battery(e) == 1, "it gave no reason"
+    said = [dataclasses.replace(home, stop_codes=(why, "frontiers-in-last-plan")) for why in (codes.BATTERY[-1], "views-spent")]
+    assert [for_battery(flight) for flight in said] == [1, 0]
     assert m.motors_ran(e) == pytest.approx(18.0, abs=0.1)
     assert m.armed_at_all(e) == 1
     kept = tuple("POSCTL" if t > 5.2 else mode for t, mode in zip(e.stamp_s, e.mode, strict=True))

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from made_up_evidence import BOOT_S, DT_S, evidence, rewired, spoilt, turning
 
+from sitl.faults import reason_codes as codes
 from sitl.faults.flight_evidence import FlightEvidence
 from sitl.faults.table.all_scenarios import ROWS
 
@@ -31,6 +32,9 @@ def late(e: FlightEvidence, by_s: float) -> FlightEvidence:
     return rewired(e, odometry_m=np.stack([np.interp(old_s, w.odometry_s, w.odometry_m[:, k]) for k in range(3)], axis=1))
 
 
+REPORTED = ((5.1, ("refused", "speed-limit")), (6.1, (codes.NO_POSE,)))
+
+
 def losing_the_pose(last_s: float = 5.4) -> FlightEvidence:
     """Brakes from 5.1 s on and lands at 6.1 s; no ODOMETRY after last_s."""
     e = evidence()
@@ -39,12 +43,12 @@ def losing_the_pose(last_s: float = 5.4) -> FlightEvidence:
     place = np.cumsum(speed, axis=0) * DT_S
     mode = tuple("OFFBOARD" if s < 6.1 else "LAND" for s in e.stamp_s)
     said, fed = e.stamp_s < 6.1, e.stamp_s <= last_s
-    flown = dataclasses.replace(e, velocity_mps=speed, position_m=place, mode=mode, armed=e.stamp_s < 12.0)
+    flown = dataclasses.replace(e, velocity_mps=speed, position_m=place, mode=mode, armed=e.stamp_s < 12.0, reported=REPORTED)
     return rewired(
         flown, setpoint_s=e.stamp_s[said], position_m=place[said], velocity_mps=speed[said],
         odometry_s=e.stamp_s[fed], odometry_m=place[fed] + 0.01,
         odometry_yaw_rad=turning(e.stamp_s[fed]), odometry_stamp_us=(e.stamp_s[fed] - BOOT_S) * 1e6,
-        reset_counter=np.zeros(np.count_nonzero(fed)), texts=((5.1, "refused: speed 0.65 m/s"), (6.1, "no pose for 0.7 s")),
+        reset_counter=np.zeros(np.count_nonzero(fed)),
     )  # fmt: skip
 
 
@@ -90,32 +94,32 @@ def test_setpoints_that_do_not_arrive_break_d3() -> None:
 
 
 TELLING = {
-    "A1": ("told", "mission silent for 0.5 s"),
-    "B1": ("told", "no pose for 0.7 s"),
-    "B5": ("alarm", "odom creeps by 0.021 m/s against what is seen"),
-    "C1b": ("told", "no depth for 0.3 s"),
-    "D2": ("told", "the autopilot lands: GCS Failsafe"),
-    "E4": ("told", "intruder: system 42, component 1 tells state"),
-    "E4b": ("told", "two autopilots speak with one id"),
-    "E4c": ("told", "yielded: mode changed to POSCTL"),
-    "E4d": ("told", "the autopilot lands: "),
-    "E6": ("reason told", "arming given up: motors stay off"),
-    "E10": ("told", "the mission asks to land"),
+    "A1": ("told", (codes.MISSION_SILENT,)),
+    "B1": ("told", (codes.NO_POSE,)),
+    "B5": ("alarm", (codes.ODOMETRY_DRIFT,)),
+    "C1b": ("told", (codes.NO_DEPTH,)),
+    "D2": ("told", (codes.AUTOPILOT_LANDS,)),
+    "E4": ("told", (codes.INTRUDER_STATE,)),
+    "E4b": ("told", (codes.TWO_AUTOPILOTS,)),
+    "E4c": ("told", (codes.CONTROL_RELEASED, codes.MODE_CHANGED)),
+    "E4d": ("told", (codes.AUTOPILOT_LANDS,)),
+    "E6": ("reason told", (codes.ARMING_GIVEN_UP, "motors-stay-off")),
+    "E10": ("told", (codes.MISSION_LAND,)),
 }
 
 
 @pytest.mark.parametrize("row", TELLING)
-def test_a_row_that_asks_for_words_takes_no_others(row: str) -> None:
-    bar, words = TELLING[row]
+def test_a_row_that_asks_for_a_reason_takes_no_other(row: str) -> None:
+    bar, reason = TELLING[row]
     at_s = 5.9
-    assert bar not in broken(row, rewired(evidence(), texts=((at_s, words),)))
-    assert bar in broken(row, rewired(evidence(), texts=((at_s, "refused: jump of 0.58 m"), (at_s, "the operator is back"))))
+    assert bar not in broken(row, evidence(reported=((at_s, reason),)))
+    assert bar in broken(row, evidence(reported=((at_s, ("refused", "position-step")), (at_s, ("operator-back",)))))
 
 
 def test_an_alert_before_the_floor_is_none_for_a_landing_that_does_not_end() -> None:
-    words = "landing does not end: switch the motors off"
-    assert broken("E9", rewired(evidence(), texts=((19.0, words),))) == set()
-    assert broken("E9", rewired(evidence(), texts=((16.0, words), (19.0, "the mission asks to land")))) == {"alert"}
+    alert = (codes.LANDING_NOT_ENDING,)
+    assert broken("E9", evidence(reported=((19.0, alert),))) == set()
+    assert broken("E9", evidence(reported=((16.0, alert), (19.0, (codes.MISSION_LAND,))))) == {"alert"}
 
 
 def retreating(from_s: float) -> FlightEvidence:
