@@ -15,7 +15,10 @@ BODY_FROM_OPTICAL = np.array([[0.0, 0.0, 1.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0,
 
 @dataclass(frozen=True, slots=True)
 class Intrinsics:
-    """Pinhole camera without distortion, pixels. Pixel (0, 0) is the CENTRE of the top-left pixel."""
+    """Pinhole camera without distortion, in pixels.
+
+    Pixel (0, 0) is the CENTRE of the top-left pixel.
+    """
 
     fx: float
     fy: float
@@ -80,7 +83,10 @@ class PosedFrame:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImuSample:
-    """One inertial sample in body FLU axes: angular rate (3,) rad/s and specific force (3,) m/s²."""
+    """One inertial sample in body FLU axes.
+
+    gyro_radps: angular rate (3,) rad/s. specific_force_mps2: specific force (3,) m/s².
+    """
 
     stamp_s: float
     gyro_radps: FloatArray

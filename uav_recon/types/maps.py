@@ -15,7 +15,10 @@ LARGEST_DISTANCE_VOXELS = 15  # its square fits a byte
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GridSpec:
-    """A voxel grid: voxel (i, j, k) spans origin + resolution * [(i,j,k), (i,j,k)+1]; C order (x, y, z)."""
+    """A voxel grid in C order (x, y, z).
+
+    Voxel (i, j, k) spans origin + resolution * [(i,j,k), (i,j,k)+1].
+    """
 
     origin_world_m: FloatArray
     resolution_m: float

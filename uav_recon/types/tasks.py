@@ -12,7 +12,7 @@ from uav_recon.types.maps import SurfaceElements, VoxelMap
 
 
 class TaskKind(Enum):
-    """Why a position is worth a view."""
+    """Kind of a task: the purpose of its view."""
 
     EXPLORE = "explore"
     RECONSTRUCT = "reconstruct"
@@ -79,7 +79,10 @@ class ViewPath:
 
 @dataclass(frozen=True, slots=True)
 class NothingLeft:
-    """No task is worth a flight. reason says why in words with counts: '14 frontiers left: 9 too narrow, ...'."""
+    """No task is worth a flight.
+
+    reason: in words with counts: '14 frontiers left: 9 too narrow, ...'.
+    """
 
     reason: str
     task_s: float

@@ -88,7 +88,7 @@ class Trajectory:
 
 
 class Goal(Enum):
-    """What the mission requests from the pilot."""
+    """The action that the mission requests from the pilot."""
 
     STANDBY = "standby"  # on the ground: be ready, do not arm
     FLY = "fly"  # arm if on the ground, then follow the trajectory
