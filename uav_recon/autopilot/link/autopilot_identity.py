@@ -1,29 +1,35 @@
-"""Which autopilot it is that answers: known by its uid, and asked for again whenever another may have taken its place."""
+"""Identity of the autopilot by its hardware uid.
+
+The uid is requested again whenever another autopilot may have replaced it.
+"""
 
 from __future__ import annotations
 
 import math
 
-_SILENCE_S = 0.5  # a plug is not pulled and put into another vehicle in less
+_SILENCE_S = 0.5  # a cable is not unplugged and plugged into another vehicle in less time
 _AGAIN_S = 0.5
 
 
 class AutopilotIdentity:
-    """wanted: uid in hex, '' for that of whoever answers first. Who tells none is known by nothing."""
+    """Checks the autopilot's uid.
+
+    wanted: uid in hex, '' for that of the first autopilot that answers. An autopilot without a uid cannot be identified.
+    """
 
     def __init__(self, wanted: str = "") -> None:
         self._wanted, self._uid = wanted, ""
         self._received_s = self._asked_s = -math.inf
         self._asks = False
-        self.fault = ""  # why it is not the one that we fly
+        self.fault = ""  # why it is not the one that is flown
 
     def update(self, now_s: float, doubtful: bool) -> None:
-        """The autopilot speaks. doubtful: with another clock than before."""
+        """Record that the autopilot sent a message. doubtful: its clock may differ from before."""
         self._asks = self._asks or doubtful or _SILENCE_S < now_s - self._received_s < math.inf
         self._received_s = now_s
 
     def told(self, uid: str) -> None:
-        """What it answers, '' for nothing."""
+        """Compare the uid that it answers, '' for nothing."""
         self._asks = False
         self._uid = self._uid or uid
         wanted, said = (self._wanted, "link.autopilot_uid says") if self._wanted else (self._uid, "before it was")
@@ -31,7 +37,7 @@ class AutopilotIdentity:
         self.fault = "" if same else f"another autopilot: uid {uid or 'none'}, {said} {wanted}"
 
     def asks(self, now_s: float) -> bool:
-        """Whether to ask now."""
+        """Return True if the uid should be requested now, and count it as requested."""
         if not self._asks or now_s - self._asked_s < _AGAIN_S:
             return False
         self._asked_s = now_s

@@ -31,8 +31,9 @@ class SigningTimestamps:
 
     Ours increase with the injected clock and never decrease: not over restarts, crashes, or a wall clock that was set.
 
-    The file is written with a stamp beyond those in use, at the start and then about every five seconds on the executor. A sender's newest
-    stamp is written with it: after a crash, its frames of the last seconds could be replayed; after close(), none.
+    The file is written with a stamp beyond those in use, at the start and then about every five seconds on the executor.
+    A sender's newest stamp is written with it: after a crash, its frames of the last seconds could be replayed;
+    after close(), none.
     """
 
     def __init__(self, path: Path, wall_s: float, now_s: float, executor: Executor) -> None:

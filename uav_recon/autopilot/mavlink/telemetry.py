@@ -40,7 +40,7 @@ class Telemetry:
     twin_heard: bool = False  # another sender uses our own id
     stranger: str = ""  # why the autopilot that answers is not the one that is flown
     doubled: bool = False  # two autopilots use its id: their messages cannot be distinguished
-    slow: bool = False  # our messages arrive so late that the lag uses up the clearance of planned paths
+    slow: bool = False  # our messages are too late: the lag uses up the clearance of planned paths
     reboots: int = 0
     stale_frames: int = 0  # repeated, or overtaken by newer ones
     clock_answers: int = 0  # prompt answers to its requests for our clock

@@ -1,4 +1,4 @@
-"""Whether the vehicle has the parameters that the flight relies on: read back before arming, again and again."""
+"""Check of the vehicle's parameters before arming, repeated periodically."""
 
 from __future__ import annotations
 
@@ -9,11 +9,14 @@ from uav_recon.autopilot.mavlink.messages import ParameterValue
 from uav_recon.autopilot.parameters.parameter_file import RequiredParameter
 from uav_recon.autopilot.parameters.reader import ParameterEncoding, ParameterReader, equal
 
-_AGAIN_S, _FAULT_AGAIN_S = 30.0, 3.0  # a person at a ground station may change, or mend, any of them
+_AGAIN_S, _FAULT_AGAIN_S = 30.0, 3.0  # a person at a ground station may change, or correct, any of them
 
 
 class ParameterCheck:
-    """Reads back what must be met before arming, and heeds what is told of it in flight; what may differ is not asked for."""
+    """Reads back the parameters that must be met before arming, and monitors changes in flight.
+
+    Parameters that may differ are not requested.
+    """
 
     def __init__(self, wanted: tuple[RequiredParameter, ...], form: ParameterEncoding) -> None:
         self._wanted, self._form = tuple(one for one in wanted if one.reason.refused), form
@@ -23,7 +26,10 @@ class ParameterCheck:
         self._changed = ""
 
     def missing(self, now_s: float, link: VehicleLink) -> str:
-        """What speaks against arming, '' for nothing. To be asked every turn on the ground; it never blocks."""
+        """Return what prevents arming, '' for nothing.
+
+        Call it every step on the ground; it never blocks.
+        """
         t = link.telemetry
         if t.system == 0:
             return "no autopilot to read parameters from"
@@ -41,7 +47,10 @@ class ParameterCheck:
         return self._words(faulty, link) if faulty else ""
 
     def changed(self, link: VehicleLink) -> str:
-        """What somebody has changed in flight, '' for nothing. Nothing is asked: a firmware tells everybody of a change."""
+        """Return what was changed in flight, '' for nothing.
+
+        Nothing is requested: a firmware reports a change to everybody.
+        """
         if (told := link.telemetry.parameters) != self._heeded:
             self._heeded = dict(told)
             faulty = [one for one in self._faulty(link) if one.name in told]
@@ -68,12 +77,12 @@ class ParameterCheck:
 
 
 class NoParameterCheck:
-    """For whoever answers for the parameters himself."""
+    """For a user who is responsible for the parameters himself."""
 
     def missing(self, now_s: float, link: VehicleLink) -> str:
-        """Nothing."""
+        """Return ''."""
         return ""
 
     def changed(self, link: VehicleLink) -> str:
-        """Nothing."""
+        """Return ''."""
         return ""
