@@ -1,4 +1,4 @@
-"""How the flight stands, again and again: on a terminal in one place, elsewhere a line each time."""
+"""Repeated status: updated in place on a terminal, one line per answer elsewhere."""
 
 from __future__ import annotations
 
@@ -10,38 +10,38 @@ from uav_recon.interfaces import Clock
 from uav_recon.operator.client import CallError
 from uav_recon.operator.status import Status
 
-PERIOD_S, MAX_LOST = 1.0, 3  # a pilot that is started again is back before three answers are lost
+PERIOD_S, MAX_LOST = 1.0, 3  # a restarted pilot is back before three answers are lost
 
 
 class Page(Protocol):
-    """Where it is shown. Both raise OSError where nobody reads any more."""
+    """Output of the status. Both methods raise OSError if the output is closed."""
 
     def show(self, status: Status) -> None:
-        """An answer."""
+        """Show an answer."""
         ...
 
     def lost(self, why: str) -> None:
-        """None came; it is asked again."""
+        """Show that no answer came; the pilot is asked again."""
         ...
 
 
 class Block:
-    """On a terminal: some lines, written over the ones before, none longer than the terminal is wide."""
+    """Output on a terminal: lines that overwrite the ones before, none wider than the terminal."""
 
     def __init__(self, out: TextIO) -> None:
         self._out, self._height, self._lines = out, 0, list[str]()
 
     def show(self, status: Status) -> None:
-        """In the place of what was shown before."""
+        """Show the status in place of the earlier one."""
         self._lines = status.lines()
         self._write(self._lines)
 
     def lost(self, why: str) -> None:
-        """Below the last answer."""
+        """Show the reason below the last answer."""
         self._write([*self._lines, f"no answer: {why}"])
 
     def _write(self, lines: list[str]) -> None:
-        """In one piece, so that it does not flicker."""
+        """Write all lines at once, so that the terminal does not flicker."""
         width = shutil.get_terminal_size().columns - 1
         back = f"\x1b[{self._height}F\x1b[J" if self._height else ""
         self._out.write(back + "".join(f"{line[:width]}\n" for line in lines))
@@ -50,28 +50,34 @@ class Block:
 
 
 class Lines:
-    """In a pipe or a file: a plain line for each answer; that none came is said beside it."""
+    """Output to a pipe or a file: one plain line per answer.
+
+    Missing answers are reported to ``beside``.
+    """
 
     def __init__(self, out: TextIO, beside: TextIO, text: Callable[[Status], str]) -> None:
         self._out, self._beside, self._text = out, beside, text
 
     def show(self, status: Status) -> None:
-        """At once, not when a buffer is full."""
+        """Write the line and flush it."""
         self._out.write(self._text(status) + "\n")
         self._out.flush()
 
     def lost(self, why: str) -> None:
-        """So that what reads the lines meets nothing else."""
+        """Write to the other stream, so that a reader of the lines gets nothing else."""
         self._beside.write(f"uav-recon: no answer: {why}\n")
 
 
 def in_a_line(status: Status) -> str:
-    """All of it."""
+    """Return the status in one line."""
     return "  ".join(" ".join(line.split()) for line in status.lines())
 
 
 def watch(ask: Callable[[], Status], page: Page, clock: Clock) -> None:
-    """Ask once a second for ever. Raises the last CallError if the very first answer, or MAX_LOST in a row, did not come."""
+    """Ask once a second for ever.
+
+    Raises the last CallError if the first answer, or MAX_LOST in a row, did not come.
+    """
     lost, max_lost = 0, 1
     while True:
         begun_s = clock.now_s()
