@@ -42,7 +42,7 @@ LAND: Command = (DO_SET_MODE, (_CUSTOM_MODE_ENABLED, _LAND))
 CLIMB: Command = (TAKE_OFF, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, CLIMB_M))
 
 # Position, velocity, acceleration and yaw (from its source). 2496, without acceleration, was measured: in simulation
-# # the path error is twice as large.
+# the path error is twice as large.
 ALL_BUT_YAW_RATE = 2048
 
 STREAMS_HZ = (
