@@ -1,4 +1,7 @@
-"""What a user asked for and cannot have, in one line and with exit code 2; files and folders are looked at before the work."""
+"""Validation of options: one line and exit code 2 for what cannot be done.
+
+Files and folders are checked before the work.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +21,7 @@ class UsageError(UserError):
 
 @contextmanager
 def readable(name: str, code: int = EXIT_USAGE) -> Iterator[None]:
-    """What the system refuses in here is told under this name. Raises Failure with this exit code."""
+    """Report an OSError in this block under a name. Raises UserError with this exit code."""
     try:
         yield
     except OSError as error:
@@ -26,7 +29,7 @@ def readable(name: str, code: int = EXIT_USAGE) -> Iterator[None]:
 
 
 def require_writable_file(option: str, path: Path | None) -> None:
-    """See that a file can be written there, and leave what is there as it is. Raises UsageError."""
+    """Check that a file can be written, and leave an existing one unchanged. Raises UsageError."""
     if path is None:
         return
     with readable(f"{option} {path}"):
@@ -42,7 +45,7 @@ def require_writable_file(option: str, path: Path | None) -> None:
 
 
 def require_writable_folder(option: str, path: Path | None) -> None:
-    """Make the folder if needed, and see that it can be written into. Raises UsageError."""
+    """Create the folder if needed, and check that it can be written into. Raises UsageError."""
     if path is None:
         return
     try:

@@ -1,4 +1,4 @@
-"""`uav-recon params`: the vehicle's parameters against a file, and the file's values written to the vehicle."""
+"""`uav-recon params`: compares the vehicle's parameters with a file, and writes them."""
 
 from __future__ import annotations
 
@@ -40,8 +40,9 @@ _FAMILY_OF = {"px4": 12, "ardupilot": 3}
 
 @dataclass(frozen=True)
 class ParamsOptions:
-    """What the command line says. file None: the one that comes with this package. says: the config's word on who is at the
-    other end.
+    """Options of the command line.
+
+    file None: the file of this package. says: the config's link section, which defines the other end.
     """
 
     autopilot: str
@@ -51,7 +52,10 @@ class ParamsOptions:
 
     @staticmethod
     def of(autopilot: str | None, link: str | None, file: Path | None, config: Path) -> ParamsOptions:
-        """What is not given is the config's, which is read only then. Raises Failure."""
+        """Return the options; missing ones are those of the config, which is read only then.
+
+        Raises UserError.
+        """
         if autopilot is not None and autopilot not in _FAMILY_OF:
             raise UserError(f"--autopilot {autopilot}: want one of {', '.join(_FAMILY_OF)}", EXIT_CONFIG)
         if autopilot is not None and link is not None:
@@ -66,7 +70,10 @@ class ParamsOptions:
 
 @dataclass(frozen=True)
 class Compared:
-    """A parameter as it is wanted and as it was told; told None: the firmware does not know it, or is silent."""
+    """A parameter with its required and its reported value.
+
+    told None: the firmware does not know it, or does not answer.
+    """
 
     wanted: RequiredParameter
     told: ParameterValue | None
@@ -74,12 +81,15 @@ class Compared:
 
     @property
     def same(self) -> bool:
-        """Whether the vehicle has what is wanted."""
+        """True if the vehicle has the required value."""
         return equal(self.value, self.wanted.value)
 
 
 class Vehicle:
-    """The vehicle on the other end, on the ground. Raises Failure where it does not answer or is another one."""
+    """The vehicle on the other end, on the ground.
+
+    Raises UserError if it does not answer or is another one.
+    """
 
     def __init__(self, bytes_link: ByteLink, options: ParamsOptions, clock: Clock, gate: AllowListFilter) -> None:
         self._clock, self._options = clock, options
@@ -88,7 +98,7 @@ class Vehicle:
         self._await_heartbeat()
 
     def compare(self, wanted: tuple[RequiredParameter, ...]) -> list[Compared]:
-        """Read all of them back, in their order."""
+        """Read all parameters back, in their order."""
         inquiry = ParameterReader(one.name for one in wanted)
         while not inquiry.done:
             inquiry.step(self._turn(), self._link)
@@ -97,7 +107,10 @@ class Vehicle:
         return [self._compared(one) for one in wanted]
 
     def write(self, one: Compared) -> bool:
-        """Set a parameter that was told before; whether it reads back. Raises Failure while the motors are armed."""
+        """Set a parameter that was reported before. Return True if it reads back.
+
+        Raises UserError while the motors are armed.
+        """
         if one.told is None:
             return False
         try:
@@ -115,7 +128,7 @@ class Vehicle:
         return False
 
     def need_disarmed(self) -> None:
-        """Wait for the next heartbeat. Raises Failure unless it comes and says disarmed."""
+        """Wait for the next heartbeat. Raises UserError unless it comes and reports disarmed."""
         t, asked_s = self._link.telemetry, self._clock.now_s()
         while t.heartbeat_s <= asked_s:
             if self._turn() - asked_s > FRESH_S:
@@ -145,7 +158,7 @@ class Vehicle:
         self._link.request_streams(self._clock.now_s(), ((_HEARTBEAT, 5.0),), ())  # each write waits for one
 
     def _turn(self) -> float:
-        """Wait a little, hear what came; the instant."""
+        """Wait briefly, process received messages, and return the instant."""
         self._link.wait(TURN_S)
         now_s = self._clock.now_s()
         self._link.receive(now_s)
@@ -156,20 +169,20 @@ class Vehicle:
 
 
 def check(options: ParamsOptions, every_row: bool) -> int:
-    """Print how the vehicle compares, every row or those that differ; the exit code."""
+    """Print the comparison, all parameters or those that differ; return the exit code."""
     wanted = _wanted(options)
     compared = _on_link(options, lambda vehicle: vehicle.compare(wanted))
     return show(compared, every_row, Console())
 
 
 def write(options: ParamsOptions, confirm: Callable[[str], bool]) -> int:
-    """Write what differs, after confirm() says yes to the question, and read it back; the exit code."""
+    """Write what differs, after confirm() agrees, and read it back; return the exit code."""
     wanted = _wanted(options)
     return _on_link(options, lambda vehicle: write_to(vehicle, wanted, confirm, Console()))
 
 
 def show(compared: list[Compared], every_row: bool, console: Console) -> int:
-    """The table, and a last line that sums it up; exit code 1 if anything differs."""
+    """Print the table and a summary line; return exit code 1 if anything differs."""
     different = [one for one in compared if not one.same]
     shown = compared if every_row else different
     if shown:
@@ -190,7 +203,7 @@ def show(compared: list[Compared], every_row: bool, console: Console) -> int:
 
 
 def write_to(vehicle: Vehicle, wanted: tuple[RequiredParameter, ...], confirm: Callable[[str], bool], console: Console) -> int:
-    """Read, ask, write, read back; exit code 1 if anything differs in the end."""
+    """Read, ask, write, read back; return exit code 1 if anything differs in the end."""
     compared = vehicle.compare(wanted)
     code = show(compared, False, console)
     if code == 0:

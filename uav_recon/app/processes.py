@@ -1,4 +1,4 @@
-"""The loops of the processes: build with run.py, step at a rate, end in order."""
+"""Loops of the processes: built by the factory, run at a rate, ended in order."""
 
 from __future__ import annotations
 
@@ -27,15 +27,15 @@ from uav_recon.interfaces import Channel, Clock
 from uav_recon.types.vehicle import FlightPhase, VehicleState
 
 PERCEPTION_RATE_HZ = 100.0
-PILOT_SILENT_S = 1.0  # longer than a lost turn: a pilot that tells nothing for so long flies nothing
-STOP_AGAIN_S = 3.0  # what perception is given at each turn while it may not end; as its WatchdogSec
+PILOT_SILENT_S = 1.0  # longer than a lost step: a pilot that publishes nothing for this long flies nothing
+STOP_AGAIN_S = 3.0  # extension that perception requests in each step while it may not end; equal to its WatchdogSec
 MISSION_RATE_HZ = 30.0
-PLANNER_PATIENCE_S = 2.0  # of a process that ends: a call that does not return is not waited for
+PLANNER_PATIENCE_S = 2.0  # of a process that ends: it does not wait for a call that does not return
 RECORDER_RATE_HZ = 10.0
 
 
 class Stop:
-    """SIGTERM and SIGINT, counted; the loop decides what they mean."""
+    """Records SIGTERM and SIGINT; the loop decides what they mean."""
 
     def __init__(self) -> None:
         self.asked = False
@@ -43,7 +43,7 @@ class Stop:
             signal.signal(number, self._ask)
 
     def heed_no_more(self) -> None:
-        """From now on both end the process."""
+        """Restore the default: from now on both end the process."""
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
         signal.signal(signal.SIGINT, signal.default_int_handler)
 
@@ -52,7 +52,10 @@ class Stop:
 
 
 def flight_folder(config: Config, flight: Path | None) -> Path:
-    """The folder of this flight, made if needed. Raises Failure if it cannot be."""
+    """Return the folder of this flight, created if needed.
+
+    Raises UserError if it cannot be created.
+    """
     folder = flight or config.recording.folder / time.strftime("%Y%m%d-%H%M%S")
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -62,13 +65,17 @@ def flight_folder(config: Config, flight: Path | None) -> Path:
 
 
 def claim(name: str, config: Config) -> None:
-    """Be the only process of this name on this machine, until it ends. Raises Failure with exit code 75 if it is not."""
+    """Become the only process of this name on this machine, until it ends.
+
+    Raises UserError with exit code 75 if there is another one.
+    """
     claim_file(config.runtime.folder / f"{name}.lock", f"a {name} runs already in {config.runtime.folder}")
 
 
 def claim_file(path: Path, otherwise: str) -> int:
-    """Hold a lock file until this process ends, or closes what comes back. Raises Failure with exit code 75 and these words
-    if another holds it, with 78 if it cannot be one.
+    """Hold a lock file until this process ends, or closes the returned descriptor.
+
+    Raises UserError with exit code 75 and the text ``otherwise`` if another process holds it, with 78 if it cannot be opened.
     """
     try:
         lock = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
@@ -83,7 +90,7 @@ def claim_file(path: Path, otherwise: str) -> int:
 
 
 def pilot(config_path: Path, flight: Path | None) -> int:
-    """Fly next to the autopilot until SIGTERM; in the air SIGTERM means: land, then end."""
+    """Fly next to the autopilot until SIGTERM; in flight SIGTERM means: land, then end."""
     from uav_recon.autopilot.mavlink.tlog import Tlog
     from uav_recon.autopilot.mavlink.transport import LinkError, open_link
 
@@ -117,13 +124,19 @@ def pilot(config_path: Path, flight: Path | None) -> int:
 
 
 def has_told(phase: FlightPhase, vehicle: Channel[VehicleState]) -> bool:
-    """Whether this is the last that the others heard: before it hears LANDED the mission writes no report."""
+    """Return True if this phase was published.
+
+    The mission writes no report before it receives LANDED.
+    """
     told = vehicle.latest()
     return told is not None and told.phase is phase
 
 
 def perception(config_path: Path) -> int:
-    """Turn camera and poses into odometry and posed frames until SIGTERM, or until the camera is gone, which is a Failure."""
+    """Turn camera and poses into odometry and posed frames until SIGTERM.
+
+    It also ends when the camera is gone, with a UserError.
+    """
     stop, clock, config = Stop(), MonotonicClock(), factory.load_config(config_path)
     wires = file_channels(config.runtime.folder)
     claim("perception", config)
@@ -136,9 +149,11 @@ def perception(config_path: Path) -> int:
 
 
 def perceive(step: Callable[[], None], vehicle: Channel[VehicleState], clock: Clock, asked: Callable[[], bool]) -> str:
-    """Step until asked to end or until the camera is gone; returns why it is, '' if it is not.
+    """Step until asked to end or until the camera is gone.
 
-    Neither ends it as long as a vehicle flies by its poses: one that has to land without them drifts.
+    Returns why the camera is gone, '' for nothing.
+
+    Neither ends it while a vehicle flies by its poses: one that has to land without them drifts.
     """
     from uav_recon.sensors.realsense import RealSenseError
 
@@ -161,13 +176,16 @@ def perceive(step: Callable[[], None], vehicle: Channel[VehicleState], clock: Cl
 
 
 def is_flown(vehicle: Channel[VehicleState], now_s: float) -> bool:
-    """Whether motors run, by our doing or a human's, as far as a pilot tells that still runs."""
+    """Return True if the motors run, by us or by a human, as reported by a running pilot."""
     told = vehicle.latest()
     return told is not None and told.armed and abs(now_s - told.stamp_s) <= PILOT_SILENT_S
 
 
 def mission(config_path: Path, flight: Path | None) -> int:
-    """Fly one mission and write its folder; SIGTERM lands. Exit code 0 however the flight ended."""
+    """Fly one mission and write its folder; SIGTERM lands.
+
+    Returns exit code 0 for any end of the flight.
+    """
     from uav_recon.mapping.neural.keyframes.normal_prior import PriorError
     from uav_recon.mapping.neural.worker.mapper_client import ProcessMapper
     from uav_recon.mission.operator_commands import OperatorCommandReceiver
@@ -220,7 +238,7 @@ def mission(config_path: Path, flight: Path | None) -> int:
 
 
 def record(config_path: Path, flight: Path | None) -> int:
-    """Subscribe to the channels and write down what they say until SIGTERM."""
+    """Subscribe to the channels and record them until SIGTERM."""
     stop, clock, config = Stop(), MonotonicClock(), factory.load_config(config_path)
     wires = file_channels(config.runtime.folder)
     recorder = factory.make_recorder(config, wires, flight_folder(config, flight), clock)
@@ -230,7 +248,10 @@ def record(config_path: Path, flight: Path | None) -> int:
 
 
 def review(flight: Path) -> int:
-    """Open a flight in the viewer. Raises Failure, with exit code 2 where there is none to be seen."""
+    """Open a flight in the viewer.
+
+    Raises UserError, with exit code 2 if there is nothing to show.
+    """
     from uav_recon.recording.review import ReviewError, recording_path
     from uav_recon.recording.review import review as open_review
 
@@ -261,9 +282,12 @@ def _start_recorder(config_path: Path, folder: Path) -> subprocess.Popen[bytes]:
 
 
 def _hung_up(pipe: int) -> bool:
-    """Whether nobody holds the other end any more: whoever started us is gone. Never of a terminal or /dev/null."""
+    """Return True if the other end of a pipe is closed: the process that started us is gone.
+
+    Always False for a terminal or /dev/null.
+    """
     poll = select.poll()
-    poll.register(pipe, 0)  # a hang-up is told in any case
+    poll.register(pipe, 0)  # a hang-up is reported in any case
     return bool(poll.poll(0))
 
 

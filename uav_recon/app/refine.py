@@ -1,6 +1,6 @@
-"""`uav-recon refine`: the views of a flight once more, for as long as it takes, on every GPU there is.
+"""`uav-recon refine`: trains on the views of a flight again, for longer and on every GPU.
 
-A composition root like run.py. With more than one GPU the command starts itself again under torchrun, one process for each.
+A composition root. With more than one GPU the command starts itself again under torchrun, one process for each.
 """
 
 from __future__ import annotations
@@ -37,16 +37,16 @@ if TYPE_CHECKING:
 REFINED, MESH_PLY, MESH_GLB = "refined", "mesh.ply", "mesh.glb"
 STOP_FILE, LOCK_FILE = ".stop", ".lock"
 STEPS, VOXEL_M, SAVE_EVERY_S, PROCESSES = (1, 1_000_000), (0.005, 0.05), (1.0, 3600.0), (1, 64)
-PROCESS_GB = 1.0  # of memory that one may take
-RAYS = {"cpu": 1024, "cuda": 4096}  # of a step and a process
-SLICE_STEPS = 20  # between two looks at the clock and at Ctrl-C
+PROCESS_GB = 1.0  # memory that one process may use
+RAYS = {"cpu": 1024, "cuda": 4096}  # rays per step and process
+SLICE_STEPS = 20  # steps between two checks of the clock and of Ctrl-C
 TEXEL_VOXELS = 0.5  # side of a texel
 WORKER = "UAV_RECON_REFINE_WORKER"  # set for the processes that torchrun starts
 
 
 @dataclass(frozen=True)
 class RefineOptions:
-    """The words of the command line."""
+    """Options of the command line."""
 
     flight: Path
     steps: int
@@ -56,7 +56,7 @@ class RefineOptions:
     save_every_s: float
 
     def checked(self) -> RefineOptions:
-        """Raises Failure in one line."""
+        """Return the options if they are valid. Raises UserError in one line."""
         _in_range("--steps", self.steps, STEPS)
         _in_range("--voxel", self.voxel_m, VOXEL_M)
         _in_range("--save-every", self.save_every_s, SAVE_EVERY_S)
@@ -75,7 +75,10 @@ class RefineOptions:
 
 
 def refine(wanted: RefineOptions) -> int:
-    """Learn, mesh, write FLIGHT/refined. Raises Failure in one line for bad input. 0 also after Ctrl-C, which saves."""
+    """Train, mesh, and write FLIGHT/refined. Returns 0 also after Ctrl-C, which saves the state.
+
+    Raises UserError in one line for bad input.
+    """
     from uav_recon.mapping.neural.sdf_torch import distributed as team
 
     wanted.checked()
@@ -87,13 +90,13 @@ def refine(wanted: RefineOptions) -> int:
     if kind == "cuda" and processes > team.gpus():
         raise UserError(f"--processes {processes}: torch sees {team.gpus()} GPUs", EXIT_USAGE)
     if processes > 1 and WORKER not in os.environ:
-        _state(_checkpoints(wanted, kind)[2])  # what is wrong is said here, once
+        _state(_checkpoints(wanted, kind)[2])  # errors are reported here, once
         return _under_torchrun(wanted, processes)
     return _Work(wanted, team.ProcessGroup(kind), kind).run()
 
 
 def memory_gb() -> float:
-    """Of this machine."""
+    """Return the memory of this machine in GB."""
     return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / 1e9
 
 
@@ -103,7 +106,10 @@ def _in_range(name: str, value: float, allowed: tuple[float, float]) -> None:
 
 
 def _under_torchrun(wanted: RefineOptions, processes: int) -> int:
-    """The same command, once for each GPU. Ctrl-C is for this process: it leaves word in a file, which the others heed."""
+    """Run the same command once for each GPU.
+
+    Ctrl-C is handled by this process: it creates a file, which the others check.
+    """
     stop_file = wanted.flight / REFINED / STOP_FILE
     stop_file.parent.mkdir(parents=True, exist_ok=True)
     stop_file.unlink(missing_ok=True)
@@ -133,7 +139,7 @@ class _Work:
         self._stop = Stop()
 
     def run(self) -> int:
-        """The whole of it; 0, or Failure."""
+        """Run all of it; return 0, or raise UserError."""
         from uav_recon.mapping.neural.sdf_torch.distributed import FullDeviceError
         from uav_recon.mapping.neural.sdf_torch.feature_grid import GridError
         from uav_recon.mapping.neural.watertight.watertight_mesh import MeshResolutionError
@@ -185,7 +191,7 @@ class _Work:
             self._say(line)
         with self._console.status("taking in the views ..."):
             gathered = _gathered(self._wanted.flight, config, self._say)
-            check_size(gathered, self._wanted.voxel_m)  # now, not when all is learned
+            check_size(gathered, self._wanted.voxel_m)  # now, not after the training
             refiner = Refiner(gathered, plan, self._team)
         if state is not None:
             refiner.restore(state)
@@ -195,7 +201,7 @@ class _Work:
         return gathered, refiner, checkpoints
 
     def _learn(self, refiner: Refiner, checkpoints: RefineCheckpoints) -> bool:
-        """Whether the plan was done; saved in any case."""
+        """Train and save. Return True if the plan is completed."""
         start, began_s = refiner.steps, time.monotonic()
         saved_s, saved_at = began_s, refiner.steps
         columns = (TextColumn("learning"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[told]}"))
@@ -232,7 +238,7 @@ class _Work:
 
 
 def _checkpoints(wanted: RefineOptions, kind: str) -> tuple[Config, RefinePlan, RefineCheckpoints]:
-    """The flight's config, what is to be done, and where it is kept."""
+    """Return the flight's config, the plan, and its checkpoints."""
     from uav_recon.mapping.neural.sdf_torch.checkpoint import RefineCheckpoints
     from uav_recon.mapping.neural.sdf_torch.refiner import RefinePlan
 
@@ -242,7 +248,7 @@ def _checkpoints(wanted: RefineOptions, kind: str) -> tuple[Config, RefinePlan, 
 
 
 def _state(checkpoints: RefineCheckpoints) -> tuple[State | None, list[str]]:
-    """The newest, and what is to be said of it. Raises Failure if it is of another run."""
+    """Return the newest state, and messages about it. Raises UserError if it is of another run."""
     from uav_recon.mapping.neural.sdf_torch.checkpoint import CheckpointMismatchError
 
     try:
@@ -252,7 +258,7 @@ def _state(checkpoints: RefineCheckpoints) -> tuple[State | None, list[str]]:
 
 
 def _gathered(flight: Path, config: Config, say: Callable[[str], None]) -> TrainingData:
-    """Take every readable view. Raises Failure if there is none."""
+    """Load every readable view. Raises UserError if there is none."""
     from uav_recon.mapping.keyframe_store import KeyframeError, KeyframeFolder
 
     trainer = factory.make_neural_mapper(config)
@@ -271,7 +277,7 @@ def _gathered(flight: Path, config: Config, say: Callable[[str], None]) -> Train
 
 
 def _digest(flight: Path, config: Config) -> str:
-    """Of what is learned from: views, box and camera."""
+    """Return a digest of the training data: views, box and camera."""
     parts = (config.safety.fence_min_m, config.safety.fence_max_m, config.camera.depth_noise_px, config.camera.baseline_m)
     data = (flight / "keyframes" / "poses.json").read_bytes() + repr(parts).encode()
     return hashlib.sha256(data).hexdigest()[:12]

@@ -18,7 +18,7 @@ _LONGEST_S = 60.0  # max. duration of a path: a retreat ends in a landing after 
 _STEP_S = 0.05
 _SMOOTH_S = 0.4  # width of each of two box averages: speed over width bounds the acceleration
 _SHARE = 0.9  # share of the allowed speed: sampling adds the rest
-_TURNING = 2  # factor by which it is slower until the nose points ahead: there it has just come from
+_TURNING = 2  # factor by which it is slower until the nose points ahead; until then it flies where it has just been
 _TURN_RADPS = 0.7
 
 
