@@ -40,7 +40,7 @@ if TYPE_CHECKING:  # each process imports only the stages that it runs
 CAMERA_WAIT_S = 240.0
 NARROW_M = 0.15  # clearance of the hull on paths to where planner.clearance_m leads no more
 INSIDE_M = 0.03  # a motion stays this much farther inside the fence than the guard requires
-RETREAT_M = 0.10  # clearance of the hull on the last possible paths home: the vehicle flew there, even if the map shows obstacles now
+RETREAT_M = 0.10  # clearance of the hull on the last possible paths home: the vehicle flew there, even if the map differs
 
 
 def load_config(path: Path) -> Config:

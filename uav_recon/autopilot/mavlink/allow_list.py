@@ -66,7 +66,7 @@ class AllowListFilter:
     def refuse(self, who: str, times: int = 1) -> None:
         """Count rejected input and log its sender.
 
-        Each sender is logged once, and no more than 32 of them: a forger can use any number of ids.
+        Each sender is logged once, and at most _MAX_NAMES of them: a forger can use any number of ids.
         """
         self.refused += times
         if times and who not in self._named and len(self._named) < _MAX_NAMES:

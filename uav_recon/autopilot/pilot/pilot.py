@@ -62,9 +62,10 @@ class HullGeometry:
 
 
 class Pilot:
-    """The owner calls step() about a hundred times a second, or whenever bytes arrive.
+    """The pilot's control loop. It never blocks.
 
-    It never blocks and never raises on data from the autopilot, perception or the mission.
+    Its owner calls step() about a hundred times a second, or whenever bytes arrive. It never raises on data from the
+    autopilot, perception or the mission.
 
     YIELDED means: no setpoint, mode or arm command any more, until the process is restarted. Poses, heartbeats and
     TIMESYNC continue, because a human who flies by position needs them.
