@@ -58,8 +58,7 @@ class ObstacleEvasion:
 
         None if nothing approaches, a word if no end is known free. It approaches if its positions come nearer to the rest
         position: the vehicle itself still comes nearer while it stops. Where possible the clearance is that of planned paths;
-        otherwise it is
-        smaller: coming near a wall is better than coming near the obstacle.
+        otherwise it is smaller: coming near a wall is better than coming near the obstacle.
         """
         here = rest.position_m
         away_m = [_level_m(one.places_m[0], here) for one in self._heard[-2:]]
