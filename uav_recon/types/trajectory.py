@@ -99,8 +99,8 @@ class Goal(Enum):
 class Intent:
     """The mission's proposal, renewed at every mission step: stamp_s is the mission's heartbeat.
 
-    note: message for people in flight, '' for nothing. operator_lost: no operator attends any more, so an operator's hold no longer
-    applies.
+    note: message for people in flight, '' for nothing. operator_lost: no operator attends any more, so an operator's hold no
+    longer applies.
     """
 
     stamp_s: float
