@@ -23,6 +23,8 @@ from uav_recon.planning.tour.travel_time import YawWhileFlying
 from uav_recon.types.camera import PosedFrame
 from uav_recon.types.frames import ByteArray, FloatArray
 from uav_recon.types.maps import FREE, OCCUPIED, UNKNOWN
+from uav_recon.types.reason import Reason
+from uav_recon.types.reason_code import ReasonCode
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -143,10 +145,10 @@ def test_the_planner_finds_views_until_the_room_is_known() -> None:
     assert isinstance(path, NothingLeft)
     assert planned > 3
     assert known_m3 > 0.9 * np.prod(HIGH_M)
-    assert "budget" in no_path(planner.plan_views(mapper.map, body, 0))
+    assert no_path(planner.plan_views(mapper.map, body, 0)).code is ReasonCode.NO_VIEWS_LEFT
 
 
-def no_path(answer: ViewPath | NothingLeft) -> str:
+def no_path(answer: ViewPath | NothingLeft) -> Reason:
     assert isinstance(answer, NothingLeft)
     return answer.reason
 

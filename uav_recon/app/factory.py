@@ -1,4 +1,4 @@
-"""The composition root: picks the implementations of the stages."""
+"""Factory of the stages: the composition root that selects their implementations."""
 
 from __future__ import annotations
 
@@ -38,13 +38,13 @@ if TYPE_CHECKING:  # each process imports only the stages that it runs
     from uav_recon.safety.envelope import Envelope
 
 CAMERA_WAIT_S = 240.0
-NARROW_M = 0.15  # from the hull, on ways to where planner.clearance_m leads no more
-INSIDE_M = 0.03  # a motion keeps so much farther inside the fence than the guard asks for
-RETREAT_M = 0.10  # from the hull, on ways home that no other leads: the vehicle came by there, whatever the map says now
+NARROW_M = 0.15  # clearance of the hull on paths to where planner.clearance_m leads no more
+INSIDE_M = 0.03  # a motion stays this much farther inside the fence than the guard requires
+RETREAT_M = 0.10  # clearance of the hull on the last possible paths home: the vehicle flew there, even if the map differs
 
 
 def load_config(path: Path) -> Config:
-    """Read a config. Raises Failure with exit code 78."""
+    """Read a config. Raises UserError with exit code 78."""
     try:
         return configuration.load(path)
     except configuration.ConfigError as error:
@@ -55,7 +55,10 @@ def load_config(path: Path) -> Config:
 
 
 def make_allow_list_filter(way: LinkConfig, clock: Clock) -> AllowListFilter:
-    """Who may speak on the link. Raises Failure with exit code 78 for a key or stamps that cannot be used."""
+    """Return the filter of senders on the link.
+
+    Raises UserError with exit code 78 for a key or stamps that cannot be used.
+    """
     from uav_recon.autopilot.mavlink.allow_list import AllowList, AllowListFilter
     from uav_recon.autopilot.mavlink.signing import KeyFileError, open_signature
     from uav_recon.autopilot.mavlink.signing_timestamps import SigningTimestampsError
@@ -70,7 +73,10 @@ def make_allow_list_filter(way: LinkConfig, clock: Clock) -> AllowListFilter:
 def make_pilot(
     config: Config, wires: FlightChannels, link: ByteLink, log: FrameLog, clock: Clock, gate: AllowListFilter | None = None
 ) -> Pilot:
-    """The loop next to the autopilot. gate: the one that its link knows already, where there is one."""
+    """Build the loop next to the autopilot.
+
+    gate: the one that its link already uses, if there is one.
+    """
     from uav_recon.autopilot.pilot.pilot import HullGeometry, PilotChannels
     from uav_recon.autopilot.pilot.pilot import make_pilot as wire_pilot
     from uav_recon.autopilot.pilot.preflight import Origin
@@ -104,7 +110,7 @@ def make_pilot(
 
 
 def firmware(name: str) -> tuple[FirmwareProfile, ParameterEncoding]:
-    """What px4 or ardupilot is: its rules, and how it tells its parameters."""
+    """Return the profile of px4 or ardupilot, and its encoding of parameters."""
     from uav_recon.autopilot.firmware.ardupilot import ARDUPILOT
     from uav_recon.autopilot.firmware.px4 import PX4
     from uav_recon.autopilot.parameters.reader import BYTEWISE, NUMERIC
@@ -113,7 +119,10 @@ def firmware(name: str) -> tuple[FirmwareProfile, ParameterEncoding]:
 
 
 def make_parameter_check(config: Config) -> ParameterCheck:
-    """What the vehicle must have before it is armed. Raises Failure with exit code 78 for a file that cannot be used."""
+    """Return the check of the vehicle's parameters before arming.
+
+    Raises UserError with exit code 78 for a file that cannot be used.
+    """
     from uav_recon.autopilot.parameters.parameter_file import PARAMETER_FILES, ParameterFileError, load
     from uav_recon.autopilot.parameters.preflight_check import ParameterCheck
 
@@ -125,7 +134,10 @@ def make_parameter_check(config: Config) -> ParameterCheck:
 
 
 def _envelope(config: Config) -> Envelope:
-    """The guard's fence and limits. Raises Failure if the fence does not hold the take-off column."""
+    """Return the guard's fence and limits.
+
+    Raises UserError if the fence does not contain the take-off column.
+    """
     from uav_recon.safety.envelope import Envelope, Fence
 
     safety = config.safety
@@ -142,7 +154,10 @@ def _envelope(config: Config) -> Envelope:
 def make_perception(
     config: Config, wires: FlightChannels, clock: Clock, stopped: Callable[[], bool] = lambda: False
 ) -> Perception:
-    """The loop next to the camera. Raises Failure if there is none; with exit code 0 once stopped() while it waits for one."""
+    """Build the loop next to the camera.
+
+    Raises UserError if there is no camera; with exit code 0 if stopped() becomes true while it waits for one.
+    """
     from uav_recon.localization.camera_mount import FixedMount, GimbalMount
     from uav_recon.localization.fusion_filter import FusionFilter
     from uav_recon.localization.perception import Perception
@@ -195,7 +210,7 @@ def _camera(config: Config, clock: Clock, stopped: Callable[[], bool]) -> tuple[
 
 
 def make_occupancy_map(config: Config) -> OccupancyMap:
-    """The occupancy map over the fence and a margin beyond it."""
+    """Return the occupancy map over the fence and a margin beyond it."""
     from uav_recon.mapping.occupancy.occupancy_map import DepthSensor, OccupancyMap
 
     safety, voxels, camera = config.safety, config.voxels, config.camera
@@ -206,7 +221,7 @@ def make_occupancy_map(config: Config) -> OccupancyMap:
 
 
 def make_planner(config: Config, timer: Callable[[], float]) -> NarrowPassagePlanner:
-    """The planner of the config's variant, and what it does not reach through narrow ways."""
+    """Return the config's planner, with narrow passages for what it does not reach."""
     from uav_recon.planning.narrow_passages import NarrowPassagePlanner
     from uav_recon.planning.view_planner import ViewPlanner
 
@@ -222,7 +237,7 @@ def make_planner(config: Config, timer: Callable[[], float]) -> NarrowPassagePla
 
 
 def travel_time_model(config: Config) -> TravelTimeModel:
-    """What a leg is reckoned to take: the planner's, for the gaze that motion has."""
+    """Return the planner's model of travel times, for the yaw policy of motion."""
     from uav_recon.motion.yaw_policy import YawAlongPath, yaw_policy_of
     from uav_recon.planning.tour.travel_time import YawThenFly, YawWhileFlying
 
@@ -233,7 +248,7 @@ def travel_time_model(config: Config) -> TravelTimeModel:
 
 
 def camera_geometry(config: Config) -> CameraGeometry:
-    """The depth camera of the config as the planner knows it."""
+    """Return the geometry of the config's depth camera for the planner."""
     from uav_recon.planning.camera_frustum import RANGE_SHARE, CameraGeometry
 
     camera = config.camera
@@ -250,7 +265,10 @@ def camera_geometry(config: Config) -> CameraGeometry:
 
 
 def make_motion(config: Config, clearance_m: float) -> SpeedLimitedPlanner:
-    """Trajectories inside the guard's fence, slow as long as the guard lets nothing pass that is faster than a retreat."""
+    """Return the motion planner inside the guard's fence.
+
+    It is slow while the guard's speed limit is that of a retreat.
+    """
     from uav_recon.motion.speed_limited_planner import SpeedLimitedPlanner
 
     safety, inset_m = config.safety, config.safety.fence_inset_m + INSIDE_M
@@ -260,7 +278,7 @@ def make_motion(config: Config, clearance_m: float) -> SpeedLimitedPlanner:
 
 
 def make_keyframe_selection(config: Config, voxels: OccupancyMap) -> KeyframeSelection:
-    """The spending of the view budget."""
+    """Return the selection of keyframes within the view budget."""
     from uav_recon.mapping.keyframe_selection import KeyframeSelection
 
     safety, camera = config.safety, config.camera
@@ -269,7 +287,7 @@ def make_keyframe_selection(config: Config, voxels: OccupancyMap) -> KeyframeSel
 
 
 def make_neural_mapper(config: Config) -> NeuralMapper:
-    """The neural field of the mapper. Raises Failure if its prior model cannot be used."""
+    """Return the neural field of the mapper. Raises UserError if its prior model cannot be used."""
     from uav_recon.mapping.neural.keyframes.normal_prior import PriorError
     from uav_recon.mapping.neural.neural_mapper import NeuralMapper
 
@@ -290,7 +308,7 @@ def make_conductor(
     clock: Clock,
     timer: Callable[[], float],
 ) -> Conductor:
-    """The mission with every stage warm."""
+    """Return the mission with every stage warm."""
     from uav_recon.mission.conductor import Conductor
     from uav_recon.mission.mission_setup import MissionChannels, MissionParameters, MissionStages
 
@@ -331,7 +349,10 @@ def warm_up(config: Config) -> None:
 
 
 def make_recorder(config: Config, wires: FlightChannels, flight: Path, clock: Clock) -> Recorder | Timelapse:
-    """The subscriber that writes flight.rrd and how the surface grew; the latter alone where recording.rerun is off."""
+    """Return the recorder that writes flight.rrd and the growth of the surface.
+
+    If recording.rerun is off, only the latter is written.
+    """
     from uav_recon.recording.timelapse import Timelapse
 
     if not config.recording.rerun:

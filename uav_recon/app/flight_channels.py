@@ -1,4 +1,4 @@
-"""What the stages of a flight tell each other: its channels, in one process or between several."""
+"""Channels between the stages of a flight, in one process or between several."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class FlightChannels:
 
 
 def memory_channels() -> FlightChannels:
-    """All in one process."""
+    """Return channels within one process."""
     return FlightChannels(
         MemoryChannel(StampedPose), MemoryChannel(PosedFrame), MemoryChannel(VehicleState), MemoryChannel(Intent),
         MemoryChannel(MissionProgress), MemoryChannel(VoxelMap), MemoryChannel(SurfaceElements), MemoryChannel(ViewPath),
@@ -44,7 +44,10 @@ def memory_channels() -> FlightChannels:
 
 
 def file_channels(folder: Path) -> FlightChannels:
-    """Between processes: memory-mapped files in the runtime folder. Raises Failure if it cannot be written."""
+    """Return channels between processes: memory-mapped files in the runtime folder.
+
+    Raises UserError if it cannot be written.
+    """
     megabyte = 1 << 20
     try:
         folder.mkdir(parents=True, exist_ok=True)

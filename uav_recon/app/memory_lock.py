@@ -1,4 +1,4 @@
-"""A loop that waits neither for a page from disk nor for the garbage collector to look through what start-up made."""
+"""Memory lock: a loop waits neither for disk pages nor for GC scans of start-up objects."""
 
 from __future__ import annotations
 
@@ -11,9 +11,11 @@ _CURRENT, _FUTURE, _ON_FAULT = 1, 2, 4  # MCL_* of linux/mman.h, on x86 and Arm
 
 
 def lock_memory_and_freeze_gc() -> bool:
-    """Call once everything is built: what is touched stays in memory from now on. True if the kernel agreed; never raises.
+    """Lock the process's memory. Call it once everything is built.
 
-    The collector goes on, over what comes from now on: memory stays flat over hours.
+    What is touched stays in memory from now on. Returns True if the kernel agreed; never raises.
+
+    The garbage collector continues for new objects: memory stays flat over hours.
     """
     gc.collect()
     gc.freeze()
@@ -24,14 +26,17 @@ def lock_memory_and_freeze_gc() -> bool:
 
 
 def _lock(libc: ctypes.CDLL) -> bool:
-    """Under a limit of locked memory (LimitMEMLOCK=) what goes beyond it would not be allocated at all: then it is let go."""
+    """Lock present and future pages.
+
+    Under a limit of locked memory (LimitMEMLOCK=), an allocation beyond it would fail, so the lock is released then.
+    """
     if libc.mlockall(_CURRENT | _FUTURE | _ON_FAULT) != 0:
         return False
     limit_bytes = resource.getrlimit(resource.RLIMIT_MEMLOCK)[0]
     if limit_bytes == resource.RLIM_INFINITY:
         return True
     try:
-        mmap.mmap(-1, limit_bytes + 1).close()  # root's goes beyond it
+        mmap.mmap(-1, limit_bytes + 1).close()  # root may exceed the limit
     except (OSError, OverflowError):
         libc.munlockall()
         return False

@@ -1,4 +1,4 @@
-"""Composition root of the operator's desk: where it stands, and what reaches the mission from it."""
+"""Composition root of the command socket: its path, and the channel to the mission."""
 
 from __future__ import annotations
 
@@ -23,7 +23,10 @@ if TYPE_CHECKING:  # the mission and the command line need no pilot
 
 
 def operator_command_receiver(folder: Path) -> Channel[GivenCommand]:
-    """From the pilot, which hears the operator, to the mission. Raises Failure as file_wires does."""
+    """Return the channel of commands from the pilot, which receives them, to the mission.
+
+    Raises UserError like file_channels.
+    """
     try:
         return FileChannel(folder / "operator.channel", GivenCommand)
     except OSError as error:
@@ -31,17 +34,17 @@ def operator_command_receiver(folder: Path) -> Channel[GivenCommand]:
 
 
 def operator_socket(config: Config) -> Path:
-    """Where the pilot hears the operator."""
+    """Return the path of the command socket at the pilot."""
     return config.runtime.folder / config.runtime.operator
 
 
 def make_command_handler(wires: FlightChannels, pilot: Pilot, orders: Channel[GivenCommand], clock: Clock) -> CommandHandler:
-    """Who answers the operator."""
+    """Return the handler of the operator's commands."""
     return CommandHandler(pilot, wires.vehicle, wires.intent, wires.progress, wires.odom, orders, clock)
 
 
 def make_command_socket(config: Config, wires: FlightChannels, pilot: Pilot, clock: Clock) -> CommandSocket:
-    """Where the pilot hears the operator. Raises Failure if the socket cannot be opened."""
+    """Open the command socket at the pilot. Raises UserError if it cannot be opened."""
     clerk = make_command_handler(wires, pilot, operator_command_receiver(config.runtime.folder), clock)
     try:
         return CommandSocket(operator_socket(config), clerk.serve, clock)
@@ -50,5 +53,8 @@ def make_command_socket(config: Config, wires: FlightChannels, pilot: Pilot, clo
 
 
 def watch_status(ask: Callable[[], Status], page: Page) -> None:
-    """Once a second by the clock of this machine. Raises CallError once nobody answers any more, whatever else ask raises."""
+    """Ask once a second by this machine's clock.
+
+    Raises CallError when answers no longer come, and any other exception of ask.
+    """
     watch(ask, page, MonotonicClock())

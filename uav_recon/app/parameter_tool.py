@@ -1,4 +1,4 @@
-"""`uav-recon params`: compare the vehicle's parameters with a file, and write the file's values to the vehicle."""
+"""`uav-recon params`: compares the vehicle's parameters with a file, and writes them."""
 
 from __future__ import annotations
 
@@ -40,7 +40,10 @@ _FAMILY_OF = {"px4": 12, "ardupilot": 3}
 
 @dataclass(frozen=True)
 class ParamsOptions:
-    """The options of the command line. file None: the file of this package. says: the link section of the config."""
+    """Options of the command line.
+
+    file None: the file of this package. says: the config's link section, which defines the other end.
+    """
 
     autopilot: str
     link: str
@@ -49,7 +52,10 @@ class ParamsOptions:
 
     @staticmethod
     def of(autopilot: str | None, link: str | None, file: Path | None, config: Path) -> ParamsOptions:
-        """Complete the options from the config, which is read only if one is missing. Raises UserError."""
+        """Return the options; missing ones are those of the config, which is read only then.
+
+        Raises UserError.
+        """
         if autopilot is not None and autopilot not in _FAMILY_OF:
             raise UserError(f"--autopilot {autopilot}: want one of {', '.join(_FAMILY_OF)}", EXIT_CONFIG)
         if autopilot is not None and link is not None:
@@ -64,7 +70,10 @@ class ParamsOptions:
 
 @dataclass(frozen=True)
 class Compared:
-    """A required parameter beside the reported one; told None: the firmware has none of that name, or did not answer."""
+    """A parameter with its required and its reported value.
+
+    told None: the firmware does not know it, or does not answer.
+    """
 
     wanted: RequiredParameter
     told: ParameterValue | None
@@ -77,7 +86,10 @@ class Compared:
 
 
 class Vehicle:
-    """The vehicle at the other end of the link. Raises UserError if it does not answer or runs another firmware."""
+    """The vehicle on the other end, on the ground.
+
+    Raises UserError if it does not answer or is another one.
+    """
 
     def __init__(self, bytes_link: ByteLink, options: ParamsOptions, clock: Clock, gate: AllowListFilter) -> None:
         self._clock, self._options = clock, options
@@ -86,7 +98,7 @@ class Vehicle:
         self._await_heartbeat()
 
     def compare(self, wanted: tuple[RequiredParameter, ...]) -> list[Compared]:
-        """Read the parameters from the vehicle and return them beside the required ones, in order."""
+        """Read all parameters back, in their order."""
         inquiry = ParameterReader(one.name for one in wanted)
         while not inquiry.done:
             inquiry.step(self._turn(), self._link)
@@ -95,7 +107,10 @@ class Vehicle:
         return [self._compared(one) for one in wanted]
 
     def write(self, one: Compared) -> bool:
-        """Set a parameter that was read before; return True if it reads back. Raises UserError while the motors are armed."""
+        """Set a parameter that was reported before. Return True if it reads back.
+
+        Raises UserError while the motors are armed.
+        """
         if one.told is None:
             return False
         try:
@@ -113,7 +128,7 @@ class Vehicle:
         return False
 
     def need_disarmed(self) -> None:
-        """Wait for the next heartbeat. Raises UserError if none comes or the motors are armed."""
+        """Wait for the next heartbeat. Raises UserError unless it comes and reports disarmed."""
         t, asked_s = self._link.telemetry, self._clock.now_s()
         while t.heartbeat_s <= asked_s:
             if self._turn() - asked_s > FRESH_S:
@@ -143,7 +158,7 @@ class Vehicle:
         self._link.request_streams(self._clock.now_s(), ((_HEARTBEAT, 5.0),), ())  # each write waits for one
 
     def _turn(self) -> float:
-        """Wait for a moment, take in what arrived; return the time."""
+        """Wait briefly, process received messages, and return the instant."""
         self._link.wait(TURN_S)
         now_s = self._clock.now_s()
         self._link.receive(now_s)
@@ -154,20 +169,20 @@ class Vehicle:
 
 
 def check(options: ParamsOptions, every_row: bool) -> int:
-    """Print the comparison, every row or the differing ones; returns the exit code."""
+    """Print the comparison, all parameters or those that differ; return the exit code."""
     wanted = _wanted(options)
     compared = _on_link(options, lambda vehicle: vehicle.compare(wanted))
     return show(compared, every_row, Console())
 
 
 def write(options: ParamsOptions, confirm: Callable[[str], bool]) -> int:
-    """Write the differing parameters after confirm() returns True, and read them back; returns the exit code."""
+    """Write what differs, after confirm() agrees, and read it back; return the exit code."""
     wanted = _wanted(options)
     return _on_link(options, lambda vehicle: write_to(vehicle, wanted, confirm, Console()))
 
 
 def show(compared: list[Compared], every_row: bool, console: Console) -> int:
-    """Print the table and a summary; returns exit code 1 if any parameter differs."""
+    """Print the table and a summary line; return exit code 1 if anything differs."""
     different = [one for one in compared if not one.same]
     shown = compared if every_row else different
     if shown:
@@ -188,7 +203,7 @@ def show(compared: list[Compared], every_row: bool, console: Console) -> int:
 
 
 def write_to(vehicle: Vehicle, wanted: tuple[RequiredParameter, ...], confirm: Callable[[str], bool], console: Console) -> int:
-    """Read, confirm, write, read back; returns exit code 1 if any parameter differs in the end."""
+    """Read, ask, write, read back; return exit code 1 if anything differs in the end."""
     compared = vehicle.compare(wanted)
     code = show(compared, False, console)
     if code == 0:

@@ -1,4 +1,4 @@
-"""Main loops of the processes: build the objects, step them at a rate, end in order."""
+"""Loops of the processes: built by the factory, run at a rate, ended in order."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ RECORDER_RATE_HZ = 10.0
 
 
 class Stop:
-    """SIGTERM or SIGINT was received; the loop decides what it means."""
+    """Records SIGTERM and SIGINT; the loop decides what they mean."""
 
     def __init__(self) -> None:
         self.asked = False
@@ -46,7 +46,7 @@ class Stop:
             signal.signal(number, self._ask)
 
     def heed_no_more(self) -> None:
-        """Restore the default handlers: both signals end the process."""
+        """Restore the default: from now on both end the process."""
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
         signal.signal(signal.SIGINT, signal.default_int_handler)
 
@@ -55,7 +55,10 @@ class Stop:
 
 
 def flight_folder(config: Config, flight: Path | None) -> Path:
-    """Return the folder of this flight; make it if needed. Raises UserError if it cannot be made."""
+    """Return the folder of this flight, created if needed.
+
+    Raises UserError if it cannot be created.
+    """
     folder = flight or config.recording.folder / time.strftime("%Y%m%d-%H%M%S")
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -65,14 +68,17 @@ def flight_folder(config: Config, flight: Path | None) -> Path:
 
 
 def claim(name: str, config: Config) -> None:
-    """Lock this process name until the process ends. Raises UserError with exit code 75 if another process holds it."""
+    """Become the only process of this name on this machine, until it ends.
+
+    Raises UserError with exit code 75 if there is another one.
+    """
     claim_file(config.runtime.folder / f"{name}.lock", f"another {name} process already runs in {config.runtime.folder}")
 
 
 def claim_file(path: Path, otherwise: str) -> int:
-    """Hold a lock file until this process ends or closes the returned descriptor.
+    """Hold a lock file until this process ends, or closes the returned descriptor.
 
-    Raises UserError with exit code 75 and this text if another process holds it, with 78 if the file cannot be opened.
+    Raises UserError with exit code 75 and the text ``otherwise`` if another process holds it, with 78 if it cannot be opened.
     """
     try:
         lock = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
@@ -87,7 +93,7 @@ def claim_file(path: Path, otherwise: str) -> int:
 
 
 def pilot(config_path: Path, flight: Path | None) -> int:
-    """Run the pilot until SIGTERM; in flight SIGTERM lands first. Returns the exit code."""
+    """Fly next to the autopilot until SIGTERM; in flight SIGTERM means: land, then end."""
     from uav_recon.autopilot.mavlink.tlog import Tlog
     from uav_recon.autopilot.mavlink.transport import LinkError, open_link
 
@@ -121,13 +127,19 @@ def pilot(config_path: Path, flight: Path | None) -> int:
 
 
 def has_told(phase: FlightPhase, vehicle: Channel[VehicleState]) -> bool:
-    """Return True once this phase is published: the mission writes its report only after it receives LANDED."""
+    """Return True if this phase was published.
+
+    The mission writes no report before it receives LANDED.
+    """
     told = vehicle.latest()
     return told is not None and told.phase is phase
 
 
 def perception(config_path: Path) -> int:
-    """Turn camera and poses into odometry and posed frames until SIGTERM. Raises UserError once the camera is gone."""
+    """Turn camera and poses into odometry and posed frames until SIGTERM.
+
+    It also ends when the camera is gone, with a UserError.
+    """
     stop, clock, config = Stop(), MonotonicClock(), factory.load_config(config_path)
     wires = file_channels(config.runtime.folder)
     claim("perception", config)
@@ -140,9 +152,11 @@ def perception(config_path: Path) -> int:
 
 
 def perceive(step: Callable[[], None], vehicle: Channel[VehicleState], clock: Clock, asked: Callable[[], bool]) -> str:
-    """Step until asked to end or until the camera is gone; return the reason why it is gone, '' if it is not.
+    """Step until asked to end or until the camera is gone.
 
-    Neither ends the loop while the motors run: without these poses a landing vehicle drifts.
+    Returns why the camera is gone, '' for nothing.
+
+    Neither ends it while a vehicle flies by its poses: one that has to land without them drifts.
     """
     from uav_recon.sensors.realsense import RealSenseError
 
@@ -165,13 +179,16 @@ def perceive(step: Callable[[], None], vehicle: Channel[VehicleState], clock: Cl
 
 
 def is_flown(vehicle: Channel[VehicleState], now_s: float) -> bool:
-    """Return True if a running pilot reports armed motors, whoever armed them."""
+    """Return True if the motors run, by us or by a human, as reported by a running pilot."""
     told = vehicle.latest()
     return told is not None and told.armed and abs(now_s - told.stamp_s) <= PILOT_SILENT_S
 
 
 def mission(config_path: Path, flight: Path | None) -> int:
-    """Fly one mission and write its folder; SIGTERM lands. Returns exit code 0, however the flight ended."""
+    """Fly one mission and write its folder; SIGTERM lands.
+
+    Returns exit code 0 for any end of the flight.
+    """
     from uav_recon.mapping.neural.keyframes.normal_prior import PriorError
     from uav_recon.mapping.neural.worker.mapper_client import ProcessMapper
     from uav_recon.mission.operator_commands import OperatorCommandReceiver
@@ -225,7 +242,7 @@ def mission(config_path: Path, flight: Path | None) -> int:
 
 
 def record(config_path: Path, flight: Path | None) -> int:
-    """Write the channels to the recording until SIGTERM."""
+    """Subscribe to the channels and record them until SIGTERM."""
     stop, clock, config = Stop(), MonotonicClock(), factory.load_config(config_path)
     wires = file_channels(config.runtime.folder)
     recorder = factory.make_recorder(config, wires, flight_folder(config, flight), clock)
@@ -241,7 +258,10 @@ def record(config_path: Path, flight: Path | None) -> int:
 
 
 def review(flight: Path) -> int:
-    """Open a flight in the viewer. Raises UserError, with exit code 2 where there is no recording."""
+    """Open a flight in the viewer.
+
+    Raises UserError, with exit code 2 if there is nothing to show.
+    """
     from uav_recon.recording.review import ReviewError, recording_path
     from uav_recon.recording.review import review as open_review
 
@@ -272,7 +292,10 @@ def _start_recorder(config_path: Path, folder: Path) -> subprocess.Popen[bytes]:
 
 
 def _hung_up(pipe: int) -> bool:
-    """Return True once the process at the other end of the pipe is gone. Always False for a terminal or /dev/null."""
+    """Return True if the other end of a pipe is closed: the process that started us is gone.
+
+    Always False for a terminal or /dev/null.
+    """
     poll = select.poll()
     poll.register(pipe, 0)  # a hang-up is reported in any case
     return bool(poll.poll(0))

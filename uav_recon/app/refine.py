@@ -1,6 +1,6 @@
-"""`uav-recon refine`: train the final model on the keyframes of a flight, on the CPU or on every GPU.
+"""`uav-recon refine`: trains on the views of a flight again, for longer and on every GPU.
 
-A composition root like factory.py. For more than one process the command restarts itself under torchrun.
+A composition root. With more than one GPU the command starts itself again under torchrun, one process for each.
 """
 
 from __future__ import annotations
@@ -39,16 +39,16 @@ if TYPE_CHECKING:
 REFINED, MESH_PLY, MESH_GLB = "refined", "mesh.ply", "mesh.glb"
 STOP_FILE, LOCK_FILE = ".stop", ".lock"
 STEPS, VOXEL_M, SAVE_EVERY_S, PROCESSES = (1, 1_000_000), (0.005, 0.05), (1.0, 3600.0), (1, 64)
-PROCESS_GB = 1.0  # of memory that one may take
-RAYS = {"cpu": 1024, "cuda": 4096}  # of a step and a process
-SLICE_STEPS = 20  # between two looks at the clock and at Ctrl-C
+PROCESS_GB = 1.0  # memory that one process may use
+RAYS = {"cpu": 1024, "cuda": 4096}  # rays per step and process
+SLICE_STEPS = 20  # steps between two checks of the clock and of Ctrl-C
 TEXEL_VOXELS = 0.5  # side of a texel
 WORKER = "UAV_RECON_REFINE_WORKER"  # set for the processes that torchrun starts
 
 
 @dataclass(frozen=True)
 class RefineOptions:
-    """The options of the command line."""
+    """Options of the command line."""
 
     flight: Path
     steps: int
@@ -58,7 +58,7 @@ class RefineOptions:
     save_every_s: float
 
     def checked(self) -> RefineOptions:
-        """Return the options. Raises UserError with one line for one that cannot be used."""
+        """Return the options if they are valid. Raises UserError in one line."""
         _in_range("--steps", self.steps, STEPS)
         _in_range("--voxel", self.voxel_m, VOXEL_M)
         _in_range("--save-every", self.save_every_s, SAVE_EVERY_S)
@@ -77,7 +77,10 @@ class RefineOptions:
 
 
 def refine(wanted: RefineOptions) -> int:
-    """Train, mesh and write FLIGHT/refined; returns the exit code, 0 also after Ctrl-C, which saves. Raises UserError."""
+    """Train, mesh, and write FLIGHT/refined. Returns 0 also after Ctrl-C, which saves the state.
+
+    Raises UserError in one line for bad input.
+    """
     from uav_recon.mapping.neural.sdf_torch import distributed as team
 
     wanted.checked()
@@ -95,7 +98,7 @@ def refine(wanted: RefineOptions) -> int:
 
 
 def memory_gb() -> float:
-    """Return the memory of this machine in gigabytes."""
+    """Return the memory of this machine in GB."""
     return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / 1e9
 
 
@@ -105,7 +108,10 @@ def _in_range(name: str, value: float, allowed: tuple[float, float]) -> None:
 
 
 def _under_torchrun(wanted: RefineOptions, processes: int) -> int:
-    """Run the same command in each process. Ctrl-C reaches this process only; it creates a file that stops the others."""
+    """Run the same command once for each GPU.
+
+    Ctrl-C is handled by this process: it creates a file, which the others check.
+    """
     stop_file = wanted.flight / REFINED / STOP_FILE
     stop_file.parent.mkdir(parents=True, exist_ok=True)
     stop_file.unlink(missing_ok=True)
@@ -136,7 +142,7 @@ class _Work:
         self._stop = Stop()
 
     def run(self) -> int:
-        """Run all steps; returns exit code 0. Raises UserError."""
+        """Run all of it; return 0, or raise UserError."""
         from uav_recon.mapping.neural.sdf_torch.distributed import FullDeviceError
         from uav_recon.mapping.neural.sdf_torch.feature_grid import GridError
         from uav_recon.mapping.neural.watertight.watertight_mesh import MeshResolutionError
@@ -188,7 +194,7 @@ class _Work:
             self._say(line)
         with self._display.step("loading the keyframes") as progress:
             gathered = _gathered(self._wanted.flight, config, self._say, progress)
-            check_size(gathered, self._wanted.voxel_m)  # now, not when all is learned
+            check_size(gathered, self._wanted.voxel_m)  # now, not after the training
             refiner = Refiner(gathered, plan, self._team)
         if state is not None:
             refiner.restore(state)
@@ -198,7 +204,7 @@ class _Work:
         return gathered, refiner, checkpoints
 
     def _learn(self, refiner: Refiner, checkpoints: RefineCheckpoints) -> bool:
-        """Train; return True if all steps are done. Saves a checkpoint in any case."""
+        """Train and save. Return True if the plan is completed."""
         start, began_s = refiner.steps, time.monotonic()
         saved_s, saved_at = began_s, refiner.steps
         columns = (TextColumn("training"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[told]}"))
@@ -250,7 +256,7 @@ def _checkpoints(wanted: RefineOptions, kind: str) -> tuple[Config, RefinePlan, 
 
 
 def _state(checkpoints: RefineCheckpoints) -> tuple[State | None, list[str]]:
-    """Return the newest checkpoint and messages about it. Raises UserError if it belongs to another run."""
+    """Return the newest state, and messages about it. Raises UserError if it is of another run."""
     from uav_recon.mapping.neural.sdf_torch.checkpoint import CheckpointMismatchError
 
     try:
@@ -260,7 +266,7 @@ def _state(checkpoints: RefineCheckpoints) -> tuple[State | None, list[str]]:
 
 
 def _gathered(flight: Path, config: Config, say: Callable[[str], None], progress: Report) -> TrainingData:
-    """Load every readable keyframe. Raises UserError if there is none."""
+    """Load every readable view. Raises UserError if there is none."""
     from uav_recon.mapping.keyframe_store import KeyframeError, KeyframeFolder
 
     trainer = factory.make_neural_mapper(config)
@@ -282,7 +288,7 @@ def _gathered(flight: Path, config: Config, say: Callable[[str], None], progress
 
 
 def _digest(flight: Path, config: Config) -> str:
-    """Return a digest of the training input: keyframes, fence box and camera."""
+    """Return a digest of the training data: views, box and camera."""
     parts = (config.safety.fence_min_m, config.safety.fence_max_m, config.camera.depth_noise_px, config.camera.baseline_m)
     data = (flight / "keyframes" / "poses.json").read_bytes() + repr(parts).encode()
     return hashlib.sha256(data).hexdigest()[:12]

@@ -1,6 +1,6 @@
-"""What a service tells systemd; without NOTIFY_SOCKET (a shell, a test) nothing is told. See sd_notify(3).
+"""Notifications to systemd, see sd_notify(3).
 
-Call watchdog() from a loop's progress, never from a timer thread.
+Without NOTIFY_SOCKET (a shell, a test) nothing is sent. Call watchdog() from a loop's progress, never from a timer thread.
 """
 
 from __future__ import annotations
@@ -10,22 +10,22 @@ import socket
 
 
 def ready() -> None:
-    """Start-up is over."""
+    """Report that start-up is complete."""
     _tell("READY=1")
 
 
 def watchdog() -> None:
-    """The loop went round."""
+    """Report that the loop has made a step."""
     _tell("WATCHDOG=1")
 
 
 def stopping() -> None:
-    """The end began."""
+    """Report that the process is ending."""
     _tell("STOPPING=1")
 
 
 def extend(seconds: float) -> None:
-    """The end takes longer than the unit allows, and is not given up before so many seconds from now."""
+    """Extend the unit's stop timeout to at least this many seconds from now."""
     _tell(f"EXTEND_TIMEOUT_USEC={seconds * 1e6:.0f}")
 
 
@@ -37,4 +37,4 @@ def _tell(message: str) -> None:
         try:
             pipe.sendto(message.encode(), "\0" + address[1:] if address.startswith("@") else address)
         except OSError:
-            return  # systemd restarts or its queue is full: the next turn of the loop tells again
+            return  # systemd restarts or its queue is full: the next step of the loop sends again

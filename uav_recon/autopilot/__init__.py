@@ -1,1 +1,1 @@
-"""The only code that speaks MAVLink: codec, firmware personalities, link and pilot."""
+"""Autopilot: the only code that speaks MAVLink, with firmware profiles, link and pilot."""

@@ -1,1 +1,1 @@
-"""Where the drone is: pose sources and the filter that carries them to a steady odometry."""
+"""Localization: pose sources, and the filter that fuses them into smooth odometry."""

@@ -1,4 +1,4 @@
-"""Where the depth imager sits on the body: bolted on, or on a gimbal that tilts it."""
+"""Pose of the depth imager on the body: on a fixed mount, or on a gimbal that tilts it."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from uav_recon.types.vehicle import VehicleState
 
 
 class Mount(Protocol):
-    """Says where the depth imager was. No call blocks."""
+    """Gives the pose of the depth imager on the body. No call blocks."""
 
     def observe(self) -> None:
-        """Take in what is new about the mount's angle; called every step."""
+        """Read new measurements of the mount's angle; called every step."""
         ...
 
     def body_from_depth(self, stamp_s: float) -> Pose | None:
-        """Pose of the depth imager on the body at an instant, None if it is not known."""
+        """Return the pose of the depth imager on the body at an instant, None if it is not known."""
         ...
 
 
@@ -32,15 +32,15 @@ class FixedMount:
         self._body_from_depth = body_from_depth
 
     def observe(self) -> None:
-        """Nothing changes."""
+        """Do nothing: the angle is constant."""
 
     def body_from_depth(self, stamp_s: float) -> Pose | None:
-        """The same at any instant."""
+        """Return the constant pose."""
         return self._body_from_depth
 
 
 class GimbalMount:
-    """A camera tilted about the body's y axis, by the angle the vehicle measures.
+    """A camera tilted about the body's y axis by the angle that the vehicle measures.
 
     position_body_m: (3,) of the depth imager, taken as the tilt axis. Between two measurements the angle is interpolated;
     farther than ``stale_s`` from any measurement it is unknown.
@@ -52,7 +52,7 @@ class GimbalMount:
         self._angles: deque[tuple[float, float]] = deque(maxlen=256)  # stamp, pitch down
 
     def observe(self) -> None:
-        """Keep the newest measured angle."""
+        """Store the newest measured angle."""
         sequence = self._vehicle.sequence()
         if sequence == self._sequence:
             return
@@ -64,7 +64,7 @@ class GimbalMount:
             self._angles.append((state.stamp_s, state.camera_pitch_down_rad))
 
     def body_from_depth(self, stamp_s: float) -> Pose | None:
-        """Pose at an instant from the angles around it."""
+        """Return the pose at an instant, from the measured angles around it."""
         before = next((pair for pair in reversed(self._angles) if pair[0] <= stamp_s), None)
         after = next((pair for pair in self._angles if pair[0] > stamp_s), None)
         near = [pair for pair in (before, after) if pair is not None and abs(pair[0] - stamp_s) <= self._stale_s]

@@ -1,4 +1,4 @@
-"""Whether a depth picture is to be believed, and whether depth says that the pose has drifted."""
+"""Depth consistency: validity of depth frames, and drift of the pose against depth."""
 
 from __future__ import annotations
 
@@ -26,35 +26,35 @@ from uav_recon.types.pose import Pose
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
 
-_ALONE = 0.05  # of the pixels; honest pictures have 0.004
-_MISFIT, _SOME = 0.20, 0.05  # of the points of the picture before, and of those that are not there; honest: 0.07 and 0.03
-_REFIT = 0.10  # of the points misfit after a picture that was not believed: what follows a wrong one may follow by chance
-_TELLING = 0.03  # of the points more would misfit aside; shifted pictures that fit: 0.000; honest: 0.18 in three of four
+_ALONE = 0.05  # max. share of isolated pixels; valid frames have 0.004
+_MISFIT, _SOME = 0.20, 0.05  # max. misfits to the previous frame, and those farther than expected, as shares; valid: 0.07, 0.03
+_REFIT = 0.10  # max. share of misfits after a rejected frame: a frame that follows a wrong one may fit by chance
+_TELLING = 0.03  # misfits added by a shift, as a share of the points; shifted frames that fit: 0.000; valid: 0.18 in 3 of 4
 _THERE = ViewSelection(
     0.10, math.cos(math.radians(3.0))
-)  # the camera stands as it did at the first doubt, and sees what made it
-_CALM = 3  # pictures in a row that fit there
-_HIDDEN = 0.5  # of the points have something before them: a person that comes near hides fewer
-_ASIDE, _MOMENT_S = 0.02, 0.6  # of the points, gained by reading them aside; honest, after so long a pause: 0.014
-_DRIFT_M = 0.15  # odom's shift against half a minute ago; honest: 0.09 m
-_MANY, _EXPLAINED = 100, 0.75  # points there are, and the share of them that it explains: a person explains fewer
-_MAX = 0.9  # the same where much may have come between
-_TOLD = 2  # views that say it
-_HIDING = 0.22  # of the points, all nearer, have something before them; more, or some that are farther, and odom has moved
+)  # the camera pose is that of the first rejected frame, so that its cause would be seen
+_CALM = 3  # frames in a row that fit from there
+_HIDDEN = 0.5  # max. share of points with something in front of them: a person that comes near hides fewer
+_ASIDE, _MOMENT_S = 0.02, 0.6  # max. share of points gained by a shift within this time; valid frames after such a pause: 0.014
+_DRIFT_M = 0.15  # min. shift of odom against half a minute ago that counts as drift; valid: 0.09 m
+_MANY, _EXPLAINED = 100, 0.75  # min. points, and min. share of them that a shift explains: a person explains fewer
+_MAX = 0.9  # the same share where much may have come between
+_TOLD = 2  # views that must report a shift
+_HIDING = 0.22  # max. nearer points that something in front explains, if at most _FARTHER are farther; else odom has moved
 _FARTHER = 0.02
-_SEEN_THROUGH = 0.4  # of the points of an older picture are not there: more than a person leaves behind; honest: 0.10
-_RUNNING = 3  # pictures in a row that say so
-_KEPT_S = 2.0  # what was said holds for so long
-_FROZEN_M, _FROZEN_COS = 0.04, math.cos(math.radians(1.0))  # the camera moved so, and its picture is the same to the bit
+_SEEN_THROUGH = 0.4  # share of an older view's points that are not there: more than a person leaves behind; valid: 0.10
+_RUNNING = 3  # frames in a row that must report drift
+_KEPT_S = 2.0  # a reported drift holds for this time
+_FROZEN_M, _FROZEN_COS = 0.04, math.cos(math.radians(1.0))  # camera motion between two frames that are bit-identical
 
 
 class DepthConsistencyMonitor:
-    """Hears every picture once, with the pose that goes with it: about 0.4 ms each, 1 ms in colour. warm_up() compiles
-    its kernels.
+    """Rejects depth frames that are inconsistent or contradict earlier ones, and reports drift.
 
-    A picture that fits neither itself nor what was seen before is not believed, and none after it is before one fits
-    a view that is remembered and that would tell of a shift, or some fit from where the first one did not: a wrong one would
-    go on to be told there.
+    Every frame is passed once with its pose: about 0.4 ms each, 1 ms with colour. warm_up() compiles the kernels.
+
+    After a rejection, frames are rejected until (a) one fits a stored view in which a shift would be visible, or (b) three in a
+    row fit from the pose of the first rejected one, where a wrong frame would be rejected again.
     """
 
     def __init__(self) -> None:
@@ -70,7 +70,7 @@ class DepthConsistencyMonitor:
         self._same: tuple[Float32Array, Pose] | None = None
 
     def believes(self, frame: Frame, odom_from_depth: Pose, reset_counter: int) -> bool:
-        """Whether the picture may be mapped and flown by."""
+        """Return True if the frame may be used for mapping and flight."""
         if reset_counter != self._reset_counter:
             self._reset_counter = reset_counter
             self._witness.forget()
@@ -83,7 +83,7 @@ class DepthConsistencyMonitor:
         asked = newest is not None and (newest.age_s <= _MOMENT_S or doubted)
         aside = asked and self._witness.gain_aside(*seen[1:]) > _ASIDE
         if not doubted:
-            fits = _follows(newest) or _follows(overlapping)  # what stood before it has gone
+            fits = _follows(newest) or _follows(overlapping)  # or something in front of it has left
         else:
             fits = any(_fits(then) and self._witness.loss_aside(then, *seen[1:]) >= _TELLING for then in (newest, overlapping))
             fits |= self._is_over(_fits(newest) and not (alone or frozen or aside), odom_from_depth)
@@ -104,7 +104,7 @@ class DepthConsistencyMonitor:
         return believed
 
     def drift(self, now_s: float) -> Reason | None:
-        """What depth says against the pose, None for nothing."""
+        """Return the drift of the pose that depth shows, None for nothing."""
         return self._drift if now_s - self._drift_s <= _KEPT_S else None
 
     @staticmethod
@@ -119,7 +119,7 @@ class DepthConsistencyMonitor:
             other.believes(Frame(0.1 * n, n, depth_m, lens, colour, lens, here), here, 0)
 
     def _is_over(self, fits: bool, odom_from_depth: Pose) -> bool:
-        """Whether what was doubted is seen no more from where it was."""
+        """Return True if the cause of the rejection is no longer seen from where it was."""
         there = self._doubted is not None and self._doubted.like(CameraPose.of(odom_from_depth), _THERE)
         self._calm = self._calm + 1 if fits and there else 0
         return self._calm >= _CALM
@@ -130,13 +130,13 @@ class DepthConsistencyMonitor:
             self._drift, self._drift_s = said, stamp_s
 
     def _crept(self) -> Reason | None:
-        """What many looks back say together of the pose, None for nothing."""
+        """Return the drift rate that many comparisons give together, None for nothing."""
         if self._creep.excess <= 1.0:
             return None
         return Reason(ReasonCode.ODOMETRY_DRIFT, (float(np.linalg.norm(self._creep.velocity_mps)),))
 
     def _frozen(self, depth_m: Float32Array, odom_from_depth: Pose) -> bool:
-        """Whether the camera has moved since it first gave this very picture."""
+        """Return True if the camera has moved since it first gave this very image."""
         if self._same is None or not np.array_equal(self._same[0], depth_m, equal_nan=True):
             self._same = depth_m, odom_from_depth
             return False
@@ -146,22 +146,25 @@ class DepthConsistencyMonitor:
 
 
 def _follows(then: ViewComparison | None) -> bool:
-    """What comes into view stands before something; a wrong picture also lacks what was there."""
+    """Return True if the frame is a plausible successor of the view.
+
+    Something that comes into view hides what is behind it; a wrong frame also lacks surfaces that were there.
+    """
     if then is None:
         return False
     return then.nearer <= _HIDDEN and (then.nearer + then.farther <= _MISFIT or then.farther <= _SOME)
 
 
 def _fits(then: ViewComparison | None) -> TypeGuard[ViewComparison]:
-    """Nearly all is where it was, of so much that a part would be missed."""
+    """Return True if nearly all points are unchanged, of enough points to notice missing ones."""
     return then is not None and then.count >= _MANY and then.nearer + then.farther <= _REFIT
 
 
 def _moved(oldest: Iterator[ViewComparison], explained: float) -> Reason | None:
-    """What the surfaces of the two oldest views say of the pose, None for nothing.
+    """Return the shift of odom that the two oldest views agree on, None for nothing.
 
-    One alone errs: where something stands before a wall, as far from it as a drift would be, all that both pictures see may
-    fit the shift.
+    One view alone can be wrong: where something stands in front of a wall at about the distance of a drift, all that both
+    frames see may fit the shift.
     """
 
     def says(then: ViewComparison) -> bool:
@@ -176,7 +179,7 @@ def _moved(oldest: Iterator[ViewComparison], explained: float) -> Reason | None:
 
 
 def _seen_through(then: ViewComparison | None) -> Reason | None:
-    """Whether the camera looks through what was seen."""
+    """Return a message if the camera looks through surfaces that were seen, None for nothing."""
     if then is None or then.farther < _SEEN_THROUGH:
         return None
     return Reason(ReasonCode.SURFACES_GONE, (then.farther, then.age_s))

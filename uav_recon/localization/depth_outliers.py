@@ -1,4 +1,4 @@
-"""What a depth picture says of itself, without a pose: pixels that stand alone."""
+"""Depth outliers: isolated pixels of one depth image, found without a pose."""
 
 from __future__ import annotations
 
@@ -7,17 +7,18 @@ import numpy as np
 from uav_recon.geometry.jit import kernel
 from uav_recon.types.frames import AnyArray
 
-_WIDEST_PX = 60  # across, of what is looked at
-_ALONE_M, _ALONE_SHARE = 0.06, 0.03  # off its neighbours by more than this and this share of the range: no surface does that
-_FEWEST = 60  # pixels that can be judged, for a verdict
+_WIDEST_PX = 60  # max. width of the sampled image
+_ALONE_M, _ALONE_SHARE = 0.06, 0.03  # min. difference of an isolated pixel, plus a share of the range: no surface has it
+_FEWEST = 60  # min. pixels that can be judged
 
 
 @kernel
 def isolated_pixel_fraction(depth_m: AnyArray) -> float:
-    """Share of the pixels that stand off what their four neighbours agree on, 0 where too few have neighbours. NaN = no return.
+    """Return the share of isolated pixels: those that differ from four neighbours that agree.
 
-    An edge has neighbours that do not agree, a hole has none: neither counts. A sensor's noise is smaller, and its errors
-    hang together; salt and flipped bits do neither.
+    It is 0 if too few pixels have such neighbours. NaN = no return. At an edge the neighbours do not agree, at a hole there are
+    none: neither counts. Sensor noise is smaller than the limit, and sensor errors are spatially correlated; salt noise and
+    flipped bits are neither.
     """
     height, width = depth_m.shape
     stride = max(width // _WIDEST_PX, 1)
@@ -28,7 +29,7 @@ def isolated_pixel_fraction(depth_m: AnyArray) -> float:
             above, below = depth_m[v - 1, u], depth_m[v + 1, u]
             if not np.isfinite(here + left + right + above + below):
                 continue
-            # the two in the middle of four, in either order
+            # the middle two of the four values, in either order
             one, other = max(min(left, right), min(above, below)), min(max(left, right), max(above, below))
             expected = 0.5 * (one + other)
             allowed = _ALONE_M + _ALONE_SHARE * expected

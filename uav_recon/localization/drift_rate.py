@@ -1,4 +1,7 @@
-"""How fast odom creeps away from what is seen, summed over seconds: one look back tells too little of a slow drift."""
+"""Drift rate of odom against the seen surfaces.
+
+It is summed over seconds, because one comparison shows too little of a slow drift.
+"""
 
 from __future__ import annotations
 
@@ -14,18 +17,18 @@ from uav_recon.types.camera import Frame
 from uav_recon.types.frames import AnyArray, FloatArray
 from uav_recon.types.pose import Pose
 
-_FADES_S = 2.5  # what was seen counts e times less after so long
-_PRIOR_S3 = 0.5  # for no creep at all: as much as half of near patches say in a second of a view that is a second old, ...
-_DOUBT_S3 = 1.5  # ... and before it is told of, three times that: what little tells of a direction says may be its noise
+_FADES_S = 2.5  # time constant: the weight of an observation falls by a factor e
+_PRIOR_S3 = 0.5  # weight of the prior, which is zero drift: that of half of near patches in 1 s of a view 1 s old, ...
+_DOUBT_S3 = 1.5  # ... and three times that before drift is reported: few observations of a direction may be noise
 _LONGEST_STEP_S = 0.5
-_SETTLES_S = 3.0  # odom of its own accord, once it begins: views of then are not kept
-_EVERY_S, _MEMORY_S = 1.0, 3.0  # of a camera that looks about, something is always left
-_FEWEST, _WITHIN = 40, 0.6  # patches that both see, and the share of them that lies within reach: beside a person, 0.7
-_PAINT = 2.0  # what paint says counts so much more than what patches do: there are both of its ways
-_HONEST_MPS = 0.012  # odom that is sound shows 0.010 at most, and ...
-_TILT_RAD = 0.020  # ... across its way as much as its speed makes of such a tilt, met with 0.011
-_YOUNGEST_S = 0.3  # points that are followed, for so long at least ...
-_FEWEST_POINTS, _POINTS_WITHIN = 10, 0.5  # ... so many, and as above
+_SETTLES_S = 3.0  # odom settles after it begins: views of that time are not stored
+_EVERY_S, _MEMORY_S = 1.0, 3.0  # interval and max. age of stored views: while the camera turns, some of them stays in view
+_FEWEST, _WITHIN = 40, 0.6  # min. patches that both see, and min. share of them within reach: beside a person it is 0.7
+_PAINT = 2.0  # weight of tracked points against patches: a point measures both image directions
+_HONEST_MPS = 0.012  # limit of the drift rate: valid odom shows 0.010 at most, and ...
+_TILT_RAD = 0.020  # ... across its path as much as its speed times such a tilt; measured: 0.011
+_YOUNGEST_S = 0.3  # min. age of tracked points ...
+_FEWEST_POINTS, _POINTS_WITHIN = 10, 0.5  # ... min. number of them, and min. share within reach
 
 
 class _View(NamedTuple):
@@ -35,11 +38,12 @@ class _View(NamedTuple):
 
 
 class DriftRateEstimator:
-    """Least squares for the velocity (3,) by which all patches of the past views, and all points that are followed through the
-    pictures, lie off by their age times it.
+    """Least squares for the velocity (3,) of odom against the seen surfaces.
 
-    The normal equations are summed, not solutions of single views: a direction in which few patches look is told of once
-    enough have, and until then by the prior. Not thread-safe.
+    All patches of stored views, and all points tracked through the images, are displaced by their age times this velocity.
+
+    The normal equations are summed, not the solutions of single views. A direction that few patches face is reported once
+    enough have been seen; until then the prior determines it. Not thread-safe.
     """
 
     def __init__(self) -> None:
@@ -49,7 +53,7 @@ class DriftRateEstimator:
         self.forget()
 
     def forget(self) -> None:
-        """Odom itself jumped: nothing was seen in the new one."""
+        """Forget all views after a jump of odom: none of them was seen in the new odom."""
         self._views.clear()
         self._flow.forget()
         self._held, self._moved = np.zeros((3, 3)), np.zeros(3)
@@ -57,7 +61,7 @@ class DriftRateEstimator:
         self._since_s = math.inf
 
     def update(self, frame: Frame, odom_from_depth: Pose) -> None:
-        """Look back from a picture that is believed. Once a picture, about 1 ms; it never blocks."""
+        """Compare an accepted frame with the stored views. Once per frame, about 1 ms; never blocks."""
         step_s = min(max(frame.stamp_s - self._stamp_s, 0.0), _LONGEST_STEP_S)
         fading = math.exp(-step_s / _FADES_S)
         self._stamp_s, self._held, self._moved = frame.stamp_s, fading * self._held, fading * self._moved
@@ -70,12 +74,15 @@ class DriftRateEstimator:
 
     @property
     def velocity_mps(self) -> FloatArray:
-        """Of odom against the surfaces, (3,)."""
+        """Velocity (3,) of odom against the surfaces."""
         return self._solved(_PRIOR_S3)
 
     @property
     def excess(self) -> float:
-        """The velocity, doubted, as a multiple of what odom that is sound may show: above 1 it creeps."""
+        """Drift rate, with the stronger prior, as a multiple of the limit for valid odom.
+
+        Above 1 odom drifts.
+        """
         creep_mps, flown_mps = self._solved(_DOUBT_S3), self._flown / max(self._flown_s2, 1e-9)
         way = flown_mps / max(float(np.linalg.norm(flown_mps)), 1e-9)
         along_mps = float(creep_mps @ way)

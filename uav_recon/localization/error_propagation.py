@@ -1,4 +1,4 @@
-"""How the error of the state grows between two poses: its transition and its process noise, as one kernel.
+"""Error propagation between two poses: transition and process noise, as one kernel.
 
 Over an interval dt with the rotated force integrals dv, dp (first order: Sola, Quaternion kinematics for the error-state
 Kalman filter, 2017, section 7, with the global angular error):
@@ -15,12 +15,12 @@ from uav_recon.geometry.jit import kernel
 from uav_recon.localization.imu_integration import Quaternion, Vector
 from uav_recon.types.frames import FloatArray
 
-_POSITION, _VELOCITY, _ATTITUDE, _BIAS, _OFFSET = 0, 3, 6, 9, 12  # where each begins in the error
+_POSITION, _VELOCITY, _ATTITUDE, _BIAS, _OFFSET = 0, 3, 6, 9, 12  # index of the first element of each in the error
 
 
 @kernel
 def _matrix(q: Quaternion) -> FloatArray:
-    """Rotation matrix (3, 3) of a unit quaternion."""
+    """Return the rotation matrix (3, 3) of a unit quaternion."""
     w, x, y, z = q
     return np.array(
         [
@@ -35,13 +35,14 @@ def _matrix(q: Quaternion) -> FloatArray:
 def dynamics(
     dt: float, inertial: bool, before: Quaternion, after: Quaternion, dp: Vector, dv: Vector, densities: tuple[float, ...]
 ) -> tuple[FloatArray, FloatArray]:
-    """Transition of the error (15, 15), and its process noise (15, 15): white acceleration and rate, random walks of offset,
-    bias and of the source's drift.
+    """Return the transition (15, 15) of the error and its process noise (15, 15).
 
-    before, after: odom_from_body at both ends. densities: variances of acceleration, offset, rate, bias, place, attitude.
+    The noise is white acceleration and rate, and random walks of offset, bias and the source's drift.
+
+    before, after: odom_from_body at both ends. densities: variances of acceleration, offset, rate, bias, position, attitude.
     """
     a, c, g, b, place, attitude = densities
-    turned = 0.5 * (_matrix(before) + _matrix(after))  # on the average
+    turned = 0.5 * (_matrix(before) + _matrix(after))  # mean over the interval
     transition, walk = np.eye(15), np.zeros((15, 15))
     way = np.array([[0.0, -dp[2], dp[1]], [dp[2], 0.0, -dp[0]], [-dp[1], dp[0], 0.0]])
     push = np.array([[0.0, -dv[2], dv[1]], [dv[2], 0.0, -dv[0]], [-dv[1], dv[0], 0.0]])
@@ -60,7 +61,7 @@ def dynamics(
         for j in range(3):
             transition[r, _BIAS + j] = -dt * turned[i, j]
             walk[r, _BIAS + j] = walk[_BIAS + j, r] = -b * dt**2 / 2 * turned[i, j]
-            if inertial:  # else the force of hovering is known in odom, whatever the attitude
+            if inertial:  # without an IMU the hover force is known in odom, for any attitude
                 transition[p, _ATTITUDE + j], transition[v, _ATTITUDE + j] = -way[i, j], -push[i, j]
                 for k in range(3):
                     transition[p, _BIAS + j] += dt / 3.0 * way[i, k] * turned[k, j]

@@ -1,18 +1,18 @@
-"""The state that is estimated, and the two steps of its error-state Kalman filter: carried by the track, corrected by a pose.
+"""Error-state Kalman filter: its state, propagation by the track, and correction by a pose.
 
     position, velocity              odom, m and m/s
     attitude                        odom_from_gyro, with the track's gyro_from_body
     gyro bias                       body, rad/s
     acceleration offset             odom, m/s²: tilt error and accelerometer bias together
 
-The error (15,) is position, velocity, a small rotation in odom axes (R_true = exp(error) R), gyro bias, offset; how it grows is
-in dynamics.
+The error (15,) is position, velocity, a small rotation in odom axes (R_true = exp(error) R), gyro bias, offset; its growth
+is in error_propagation.dynamics.
 
-Without inertial samples the same state is a constant-velocity model of its own: the gyro reads nothing and its "bias" is the
-turning of the body, the offset is its acceleration.
+Without inertial samples the same state is a constant-velocity model: the gyro measures zero and its "bias" is the turn rate
+of the body, the offset is its acceleration.
 
-A pose source errs in two ways: white noise, and a slow drift that nobody can know. The state follows the drift, as a random
-walk of position and attitude, so what is estimated is the body in the source's own frame.
+A pose source has two errors: white noise, and an unobservable slow drift. The state follows the drift, as a random walk of
+position and attitude, so the estimate is the body's pose in the source's own frame.
 """
 
 from __future__ import annotations
@@ -38,24 +38,27 @@ from uav_recon.localization.imu_integration import (
 )
 from uav_recon.types.frames import FloatArray
 
-WHITE_SHARE = 0.15  # of a claimed variance; the rest is drift
-DRIFT_TIME_S = 20.0  # in which a source's drift forgets itself
+WHITE_SHARE = 0.15  # share of white noise in a claimed variance; the rest is drift
+DRIFT_TIME_S = 20.0  # correlation time of a source's drift
 _SMALLEST_M2, _LARGEST_M2 = 0.002**2, 0.08**2
 _SMALLEST_RAD2, _LARGEST_RAD2 = 0.0005**2, 0.1**2
-_TOLD = [0, 1, 2, 6, 7, 8]  # what a pose tells of
-SEEN = np.ix_(_TOLD, _TOLD)  # of a covariance (15, 15), that of it
+_TOLD = [0, 1, 2, 6, 7, 8]  # elements of the error that a pose measures
+SEEN = np.ix_(_TOLD, _TOLD)  # their block of a covariance (15, 15)
 _NOTHING, _H = np.zeros(15), np.eye(15)[_TOLD]
 
 
 @dataclass(frozen=True, slots=True)
 class Carrier:
-    """How far to trust what carries the state between poses: densities of white noise, and of random walks (dynamics)."""
+    """Noise of the propagation between poses: densities of white noise and of random walks.
+
+    See error_propagation.dynamics.
+    """
 
     acceleration: float  # m/s² per root Hz
     offset_walk: float  # m/s² per root second
     rate: float  # rad/s per root Hz
     bias_walk: float  # rad/s per root second
-    bias_start: float  # rad/s, what is known of the bias at first
+    bias_start: float  # rad/s, initial standard deviation of the bias
     offset_start: float  # m/s²
 
 
@@ -65,7 +68,10 @@ WITHOUT_IMU = Carrier(0.1, 1.2, 0.02, 1.0, 1.0, 1.0)
 
 @dataclass(frozen=True, slots=True)
 class PoseNoise:
-    """Variances per axis of a source: white (m², rad²), and of its drift's random walk (m²/s, rad²/s)."""
+    """Variances per axis of a source.
+
+    White noise (m², rad²), and the random walk of its drift (m²/s, rad²/s).
+    """
 
     position_m2: float
     attitude_rad2: float
@@ -74,7 +80,7 @@ class PoseNoise:
 
     @staticmethod
     def claimed(covariance: FloatArray) -> PoseNoise:
-        """From what a source says (6, 6), within reason."""
+        """Return the noise for the covariance (6, 6) that a source claims, within plausible limits."""
         xx, yy, zz, aa, bb, cc = np.diagonal(covariance).tolist()
         place = min(max((xx + yy + zz) / 3.0, _SMALLEST_M2 / WHITE_SHARE), _LARGEST_M2)
         turn = min(max((aa + bb + cc) / 3.0, _SMALLEST_RAD2 / WHITE_SHARE), _LARGEST_RAD2)
@@ -83,7 +89,10 @@ class PoseNoise:
 
 
 class Estimate(NamedTuple):
-    """The state at a stamp. covariance: (15, 15) of the error. inertial: whether an IMU carries it."""
+    """The state at a stamp.
+
+    covariance: (15, 15) of the error. inertial: True if an IMU propagates the state.
+    """
 
     stamp_s: float
     position_m: Vector
@@ -98,7 +107,7 @@ class Estimate(NamedTuple):
     def at_rest(
         base: InertialState, position_m: Vector, odom_from_body: Quaternion, noise: PoseNoise, inertial: bool
     ) -> Estimate:
-        """Where a first pose puts the body; nothing is known of its motion."""
+        """Return the state for a first pose; its motion is unknown."""
         carrier = WITH_IMU if inertial else WITHOUT_IMU
         variances = (noise.position_m2, 1.0, noise.attitude_rad2, carrier.bias_start**2, carrier.offset_start**2)
         odom_from_gyro = multiply(odom_from_body, conjugate(base.gyro_from_body))
@@ -106,7 +115,10 @@ class Estimate(NamedTuple):
         return Estimate(base.stamp_s, position_m, zero, odom_from_gyro, zero, zero, np.diag(np.repeat(variances, 3)), inertial)
 
     def carried_on(self, inertial: bool) -> Estimate:
-        """The same, but from now on with or without an IMU: bias and offset mean something else then."""
+        """Return the state for propagation with or without an IMU.
+
+        Bias and offset have another meaning without an IMU, so a change resets them.
+        """
         if inertial is self.inertial:
             return self
         carrier, covariance = WITH_IMU if inertial else WITHOUT_IMU, self.covariance.copy()
@@ -116,18 +128,23 @@ class Estimate(NamedTuple):
         return self._replace(gyro_bias_radps=zero, offset_mps2=zero, covariance=covariance, inertial=inertial)
 
     def odom_from_body(self, here: InertialState) -> Quaternion:
-        """Attitude, by the track at this stamp."""
+        """Return the attitude, with the track at this stamp."""
         return multiply(self.odom_from_gyro, here.gyro_from_body)
 
 
 def propagate_mean(state: Estimate, base: InertialState, here: InertialState) -> Estimate:
-    """The state carried from ``base`` (the track at its stamp) to ``here``; the covariance stays behind. Microseconds."""
+    """Return the state propagated from ``base`` (the track at its stamp) to ``here``.
+
+    The covariance is not propagated. Takes microseconds.
+    """
     return _carry_mean(state, base, here)[0]
 
 
 def propagate(state: Estimate, base: InertialState, here: InertialState, noise: PoseNoise) -> Estimate:
-    """The state and its covariance carried from ``base`` to ``here``. A knock or a whirl between them counts, and so does that
-    it may be none: as much white acceleration, or rate, as makes its whole change of velocity, or turn, one standard deviation.
+    """Return the state and its covariance propagated from ``base`` to ``here``.
+
+    A knock or a whirl in between is integrated, but may be a sensor error: white acceleration, or rate, is added so that its
+    whole change of velocity, or its whole turn, is one standard deviation.
     """
     carried, dp, dv = _carry_mean(state, base, here)
     carrier = WITH_IMU if state.inertial else WITHOUT_IMU
@@ -143,20 +160,26 @@ def propagate(state: Estimate, base: InertialState, here: InertialState, noise: 
 
 
 def innovation(state: Estimate, here: InertialState, position_m: Vector, odom_from_body: Quaternion) -> FloatArray:
-    """What a pose says beyond the state at its stamp: (6,) position, then the rotation vector between the attitudes."""
+    """Return the difference (6,) between a pose and the state at its stamp.
+
+    Position, then the rotation vector between the attitudes.
+    """
     error = logarithm(multiply(odom_from_body, conjugate(state.odom_from_body(here))))
     px, py, pz = state.position_m
     return np.array([position_m[0] - px, position_m[1] - py, position_m[2] - pz, *error])
 
 
 def spread(state: Estimate, noise: PoseNoise) -> FloatArray:
-    """Covariance (6, 6) of the innovation."""
+    """Return the covariance (6, 6) of the innovation."""
     out: FloatArray = state.covariance[SEEN] + _measured(noise)
     return out
 
 
 def update_estimate(state: Estimate, residual: FloatArray, noise: PoseNoise, doubt: float = 1.0) -> Estimate:
-    """The state after a pose with this innovation (6,), whose white noise counts ``doubt`` times."""
+    """Return the state corrected by a pose with this innovation (6,).
+
+    doubt: factor on the pose's white noise.
+    """
     error, covariance = update(_NOTHING, state.covariance, residual, doubt * _measured(noise), _H)
     e = error.tolist()
     (px, py, pz), (vx, vy, vz) = state.position_m, state.velocity_mps
@@ -172,7 +195,7 @@ def update_estimate(state: Estimate, residual: FloatArray, noise: PoseNoise, dou
 
 
 def _doubt(change: float, dt: float) -> float:
-    """Density of the white noise that comes to a change within dt."""
+    """Return the density of the white noise that amounts to a change within dt."""
     return change**2 / dt if change > 0.0 else 0.0
 
 
@@ -181,7 +204,10 @@ def _measured(noise: PoseNoise) -> FloatArray:
 
 
 def _carry_mean(state: Estimate, base: InertialState, here: InertialState) -> tuple[Estimate, Vector, Vector]:
-    """The mean at ``here``, and the force integrals of position and velocity in odom (gravity not among them)."""
+    """Return the mean at ``here``, and the force integrals of position and velocity in odom.
+
+    Gravity is not part of the integrals.
+    """
     dt = here.stamp_s - base.stamp_s
     bias, taken0, taken1 = state.gyro_bias_radps, base.bias_integral, here.bias_integral
     untaken = (
@@ -190,7 +216,7 @@ def _carry_mean(state: Estimate, base: InertialState, here: InertialState) -> tu
         bias[2] * dt - (taken1[2] - taken0[2]),
     )
     (ax, ay, az), (bx, by, bz) = rotate(base.gyro_from_body, untaken), rotate(here.gyro_from_body, untaken)
-    turn = (-0.5 * (ax + bx), -0.5 * (ay + by), -0.5 * (az + bz))  # on the average, in the gyro frame
+    turn = (-0.5 * (ax + bx), -0.5 * (ay + by), -0.5 * (az + bz))  # mean over the interval, in the gyro frame
     odom_from_gyro = normalised(multiply(state.odom_from_gyro, _part(turn, 1.0)))
     while_faster, while_farther = (
         multiply(state.odom_from_gyro, _part(turn, 1 / 2)),

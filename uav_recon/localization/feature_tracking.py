@@ -1,7 +1,9 @@
-"""Points of surfaces followed from one colour picture to the next, and how far they lie off where the poses put them.
+"""Feature tracking: surface points in the colour images, and their displacement.
 
-Depth tells of a way along normals alone: along a bare wall, over a floor, paint tells. Followed as Lucas and Kanade do
-(OpenCV's pyramids), each point forth and back again.
+The displacement is that against the positions which the poses predict.
+
+Depth shows motion along surface normals only. Motion along a bare wall or over a floor shows in the texture. Points are
+tracked with the Lucas-Kanade method (OpenCV's pyramids), each forward and back again.
 """
 
 from __future__ import annotations
@@ -19,18 +21,19 @@ from uav_recon.types.camera import Frame
 from uav_recon.types.frames import AnyArray, BoolArray, ByteArray, FloatArray
 from uav_recon.types.pose import Pose
 
-_MAX, _APART_PX = 120, 5  # points
-_WIDEST_PX, _NARROWEST_PX = 320, 40  # of a picture: made smaller down to it; a smaller one is a stamp
+_MAX, _APART_PX = 120, 5  # max. number of points; a grid cell of this edge with a point gets no new one
+_WIDEST_PX, _NARROWEST_PX = 320, 40  # max. width of the reduced image; images with a side shorter than this are not used
 _WINDOW_PX, _LEVELS = 9, 2
-_PLAIN, _BLOCK_PX = 30e-6, 7  # least eigenvalue of the gradients (OpenCV's cornerMinEigenVal): paint that tells of both ways
-_RETURNS_PX = 0.5  # a point that is followed back comes so near to where it was
-_EVERY_S, _OLDEST_S, _PAUSE_S = 0.5, 2.0, 0.5  # points are looked for, given up; pictures farther apart are not compared
+_PLAIN, _BLOCK_PX = 30e-6, 7  # min. eigenvalue of the gradients (OpenCV's cornerMinEigenVal): texture in both directions
+_RETURNS_PX = 0.5  # max. distance between a point and its position after tracking forward and back
+_EVERY_S, _OLDEST_S, _PAUSE_S = 0.5, 2.0, 0.5  # search interval, max. age of a point, max. pause between images
 _NEAREST_M = 0.2
 
 
 class TrackedPoints(NamedTuple):
-    """Points and how far odom has moved against each since it was first seen: along (N, 2, 3), rows in odom of which a shift
-    (3,) times one is off_m (N, 2); range_m and age_s (N,).
+    """Tracked points, and the displacement of odom against each since it was first seen.
+
+    along: (N, 2, 3), rows in odom whose product with a shift (3,) of odom is off_m (N, 2). range_m and age_s: (N,).
     """
 
     along: FloatArray
@@ -40,7 +43,10 @@ class TrackedPoints(NamedTuple):
 
 
 class _Points(NamedTuple):
-    """place_m (N, 3) in odom, since_s (N,); at_px (N, 2) in the newest picture, and how far that is from where it belongs."""
+    """Points with place_m (N, 3) in odom and since_s (N,).
+
+    at_px: (N, 2) position in the newest image. aside_px: (N, 2) its difference from the position that the pose predicts.
+    """
 
     place_m: AnyArray
     since_s: AnyArray
@@ -59,7 +65,7 @@ _NONE = _Points(np.empty((0, 3)), np.empty(0), np.empty((0, 2), np.float32), np.
 
 @dataclass(frozen=True, slots=True)
 class _Eye:
-    """A pinhole (fx, fy), (cx, cy) at a place in odom; axes (3, 3) are its columns."""
+    """A pinhole camera (fx, fy), (cx, cy) at a position in odom; axes (3, 3) are its columns."""
 
     focal_px: FloatArray
     middle_px: FloatArray
@@ -73,33 +79,36 @@ class _Eye:
         return _Eye(np.array([lens.fx, lens.fy]) * smaller, middle_px, pose.rotation(), pose.translation_m)
 
     def ahead(self, place_m: AnyArray) -> AnyArray:
-        """Places (N, 3) in the eye's own axes; what is not before it lies as near as can be."""
+        """Return positions (N, 3) in the camera's own axes; those behind it get the least depth."""
         ahead_m = (place_m - self.place_m) @ self.axes
         ahead_m[:, 2] = np.maximum(ahead_m[:, 2], 1e-3)
         return ahead_m
 
     def pixels(self, ahead_m: AnyArray) -> AnyArray:
-        """Where the picture shows them, (N, 2) float32."""
+        """Return the positions in the image, (N, 2) float32."""
         return (ahead_m[:, :2] / ahead_m[:, 2:] * self.focal_px + self.middle_px).astype(np.float32)
 
 
 class FeatureTracker:
-    """Not thread-safe; about a millisecond a picture."""
+    """Tracks points from image to image. Not thread-safe; about 1 ms an image."""
 
     def __init__(self) -> None:
         self.forget()
 
     def forget(self) -> None:
-        """Odom itself jumped: nothing was seen in the new one."""
+        """Forget all points after a jump of odom: none of them was seen in the new odom."""
         self._grey: ByteArray | None = None
         self._points, self._stamp_s, self._sought_s = _NONE, -math.inf, -math.inf
 
     def update(self, frame: Frame, odom_from_depth: Pose) -> TrackedPoints | None:
-        """Follow the points into a picture, and look for new ones. None where there is none to follow, or no picture."""
+        """Track the points into an image and look for new ones.
+
+        None if there is no point to track, or no image.
+        """
         if min(frame.rgb.shape[:2]) < _NARROWEST_PX:
             return None
         grey, smaller = _grey(frame.rgb)
-        still = self._grey is not None and np.array_equal(grey, self._grey)  # the camera gave it once more
+        still = self._grey is not None and np.array_equal(grey, self._grey)  # the camera repeated the image
         if still or not frame.stamp_s - self._stamp_s <= _PAUSE_S:
             self.forget()
         eye = _Eye.of(frame, odom_from_depth, smaller)
@@ -111,7 +120,7 @@ class FeatureTracker:
         return seen
 
     def _follow(self, stamp_s: float, grey: ByteArray, eye: _Eye) -> TrackedPoints | None:
-        """Where the points are now, from where they belong and how far off they lay."""
+        """Track the points, starting from their predicted position plus their last displacement."""
         points = self._points.only(stamp_s - self._points.since_s <= _OLDEST_S)
         belongs_px = eye.pixels(ahead_m := eye.ahead(points.place_m))
         shown = _inside(belongs_px + points.aside_px, grey) & (ahead_m[:, 2] > _NEAREST_M)
@@ -127,7 +136,7 @@ class FeatureTracker:
         return TrackedPoints(along, points.aside_px * range_m[:, None] / eye.focal_px, range_m, stamp_s - points.since_s)
 
     def _new(self, frame: Frame, odom_from_depth: Pose, grey: ByteArray, eye: _Eye) -> _Points:
-        """Even patches of surface whose paint tells most, apart from the points that there are."""
+        """Return planar patches with the strongest texture, apart from the existing points."""
         camera, here = frame.depth_intrinsics.pinhole_px(), odom_from_depth
         place_m = patches(frame.depth_m, camera, here.rotation(), here.translation_m)[:, :3]
         at_px = eye.pixels(eye.ahead(place_m))
@@ -144,7 +153,7 @@ class FeatureTracker:
 
 
 def _grey(rgb: ByteArray) -> tuple[ByteArray, FloatArray]:
-    """Brightness (h, w) of a picture, and by how much its width and height were made smaller (2,)."""
+    """Return the brightness (h, w) of an image, and the scale of its width and height (2,)."""
     grey = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)
     stride = -(-grey.shape[1] // _WIDEST_PX)
     if stride > 1:
@@ -153,14 +162,17 @@ def _grey(rgb: ByteArray) -> tuple[ByteArray, FloatArray]:
 
 
 def _inside(at_px: AnyArray, grey: ByteArray) -> BoolArray:
-    """Which pixels (N, 2) have half a window around them."""
+    """Return a mask of the pixels (N, 2) with half a window around them."""
     room_px, (height, width) = _WINDOW_PX // 2, grey.shape
     inside = (at_px >= room_px).all(axis=1) & (at_px[:, 0] <= width - 1 - room_px) & (at_px[:, 1] <= height - 1 - room_px)
     return np.asarray(inside, dtype=np.bool_)
 
 
 def _followed(before: ByteArray, now: ByteArray, was_px: AnyArray, guess_px: AnyArray) -> tuple[AnyArray, BoolArray]:
-    """Where points (N, 2) are now, and which were found: followed back, they come to where they were."""
+    """Return the new positions of points (N, 2), and a mask of those found.
+
+    A point is found if tracking it back leads to where it was.
+    """
     follow = functools.partial(
         cv2.calcOpticalFlowPyrLK, winSize=(_WINDOW_PX, _WINDOW_PX), maxLevel=_LEVELS, flags=cv2.OPTFLOW_USE_INITIAL_FLOW
     )

@@ -1,12 +1,13 @@
-"""Late absolute poses and fast inertial samples into jump-free odometry at any recent instant, and odom's place in the world.
+"""Fusion of late absolute poses and fast inertial samples into jump-free odometry.
 
-The filter lives at the stamps of the poses, never at "now": each pose becomes a node at its own stamp, reached from the node
-before it by the inertial track, and the present is the newest node carried on by the samples since. A pose that comes out of
-order is put in its place and the nodes after it are computed again.
+It answers for any recent instant, and gives odom's pose in the world. The filter has its nodes at the stamps of the poses,
+never at "now": each pose becomes a node at its own stamp, reached from the node before it by the inertial track. The present
+is the newest node propagated by the samples since. A pose that arrives out of order is inserted by its stamp, and the nodes
+after it are computed again.
 
-A pose that does not go on from where the track leads is not believed. Where several go on together, the source has moved its
-map: odom stays where it is, world_from_odom takes up the step and its epoch counts (REP-105). Only where the track itself is
-lost does odom begin anew, and says so by its reset counter.
+A pose that does not continue the track is rejected. If several such poses agree, the source has moved its map: odom stays,
+world_from_odom takes the step and its epoch increases (REP-105). Only if the track itself is lost does odom restart, which
+its reset counter shows.
 """
 
 from __future__ import annotations
@@ -27,18 +28,21 @@ from uav_recon.types.camera import ImuSample
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.pose import Pose, StampedPose, WorldFromOdom
 
-_CREDIBLE_M = 0.1  # standard deviation of a track that may stand against a pose source
-_TURN_OF_MAP_RAD = math.radians(12.0)  # more is no correction of a map, but a tracker that has lost its heading
-_STEADY_RAD = math.radians(3.0)  # standard deviation of a heading that a gyro still knows, long after the place is lost
-_LARGEST_DRIFT = np.repeat((10.0**2, math.pi**2), 3)  # m², rad²: of what a source claims, no more is passed on
-_OVERTURNED_RAD = math.radians(30.0)  # no gyro loses so much
+_CREDIBLE_M = 0.1  # max. standard deviation of a track that may contradict a pose source
+_TURN_OF_MAP_RAD = math.radians(12.0)  # a larger turn is no correction of a map, but a tracker that has lost its heading
+_STEADY_RAD = math.radians(3.0)  # max. standard deviation of a heading that a gyro still knows, long after the position is lost
+_LARGEST_DRIFT = np.repeat((10.0**2, math.pi**2), 3)  # m², rad²: max. claimed variance of a source that is passed on
+_OVERTURNED_RAD = math.radians(30.0)  # no gyro loses this much
 
 
 class FusionFilter:
-    """Fuses; costs 0.02 ms an inertial sample, 0.3 ms a pose, 0.1 ms an answer on one core.
+    """Fuses poses and inertial samples.
 
-    pose_lost_s: an answer farther than this after the newest pose has quality 0. ``rejected`` counts what was turned down,
-    poses and inertial samples, by what for.
+    Costs 0.02 ms per inertial sample, 0.3 ms per pose and 0.1 ms per answer on one core.
+
+    pose_lost_s: an answer later than this after the newest pose has quality 0. ``rejected`` counts rejected poses by reason:
+    not finite, out of range, stamp, duplicate, quality, jump, turn, speed, reset, unproven (the first after a loss), and "imu
+    ..." for inertial samples.
     """
 
     def __init__(self, pose_lost_s: float = 0.5, gates: PoseGates | None = None) -> None:
@@ -48,7 +52,7 @@ class FusionFilter:
         self._trial, self._watch = RelocalizationCheck(), OdometryHealthMonitor(pose_lost_s)
         self._chain = FusionHistory(self.rejected, self._watch.fused)
         self._reset_counter, self._source_resets = 0, 0
-        self._disputed = False  # poses came since the newest that entered, and contradicted the track
+        self._disputed = False  # poses since the newest fused one contradicted the track
 
     @property
     def newest_pose_s(self) -> float:
@@ -57,17 +61,25 @@ class FusionFilter:
 
     @property
     def newest(self) -> tuple[Estimate, float] | None:
-        """The estimate after the newest fused pose and its normalised innovation squared; None before the first."""
+        """The estimate after the newest fused pose and its normalized innovation squared.
+
+        None before the first pose.
+        """
         return None if self._chain.newest is None else (self._chain.newest.estimate, self._chain.newest.nis)
 
     def add_imu(self, samples: list[ImuSample], now_s: float = math.inf) -> None:
-        """Take inertial samples, oldest first; what no sensor can say, and what is not newer than the one before or later than
-        now_s, is counted and left out.
+        """Add inertial samples, oldest first.
+
+        Samples that no sensor can measure, that are not newer than the one before, or that are later than now_s, are counted
+        and dropped.
         """
         self._chain.update(samples, now_s)
 
     def add_pose(self, pose: StampedPose, now_s: float) -> bool:
-        """Fuse a pose of the source at its own stamp; now_s bounds what stamps are believed. False if it was turned down."""
+        """Fuse a pose of the source at its own stamp. Return False if it was rejected.
+
+        now_s: present instant, which limits the accepted stamps.
+        """
         reason = pose_fault(pose, now_s) or self._chain.untimely(pose.stamp_s)
         if reason is not None:
             self.rejected[reason] += 1
@@ -88,8 +100,10 @@ class FusionFilter:
         return True
 
     def odom_at(self, stamp_s: float) -> StampedPose | None:
-        """Where the body was (or is) at an instant; smooth between poses. None before the first pose, too long ago, and where
-        the gyro says that it turned as no vehicle turns, until a pose has told: about a tenth of a second.
+        """Return the body's pose at an instant; smooth between poses.
+
+        None before the first pose, too long ago, and while the attitude is unknown: if the gyro measures a turn that no vehicle
+        can make, until the next pose, which takes about a tenth of a second.
         """
         newest, found = self._chain.newest, self._chain.at(stamp_s)
         if newest is None or found is None:
@@ -111,7 +125,7 @@ class FusionFilter:
         )
 
     def _doubtful(self, met: Arrival, before: FusedPose) -> PoseRejection | None:
-        """Why a pose does not simply go on from the one before it."""
+        """Return the reason why a pose does not simply continue the one before it, '' if it does."""
         said = met.said
         if said.source.reset_counter != self._source_resets:
             return PoseRejection.RESET
@@ -120,7 +134,10 @@ class FusionFilter:
         return self._gates.leap(met.residual, met.covariance) or self._gates.haste(before.sighting, said)
 
     def _proven(self, met: Arrival) -> bool:
-        """Whether a doubtful pose ends a run of them that is believed; then the filter has taken it in."""
+        """Return True if a doubtful pose completes an accepted run of such poses.
+
+        The filter has then fused it.
+        """
         said, carried, here, residual = met.said, met.carried, met.here, met.residual
         lost = said.stamp_s - self.newest_pose_s > self._lost_s
         if said.stamp_s < self.newest_pose_s:
@@ -128,8 +145,8 @@ class FusionFilter:
         track = Sighting(said.stamp_s, carried.position_m, carried.odom_from_body(here), said.source)
         credible = max(np.diagonal(carried.covariance)[:3]) <= _CREDIBLE_M**2
         tilt_rad = math.hypot(residual[3], residual[4])
-        tilted = self._gates.tilt_rad < tilt_rad < _OVERTURNED_RAD  # the track takes gravity for a push; no map corrects that
-        contradicted = lost and self._disputed  # not by a step: they never agreed on how the body moves
+        tilted = self._gates.tilt_rad < tilt_rad < _OVERTURNED_RAD  # gravity is taken for acceleration; no map corrects that
+        contradicted = lost and self._disputed  # not by a step of the map: source and track never agreed on the body's motion
         self._trial.update(said, track, carried.inertial and credible and not (tilted or contradicted))
         if not self._trial.stands(RETURN if lost else STEP):
             return False
@@ -149,7 +166,10 @@ class FusionFilter:
         return True
 
     def _found_again(self, said: Sighting, noise: PoseNoise) -> bool:
-        """After a silence longer than the track is kept: nothing stands against a source that agrees with itself."""
+        """Restart after a silence longer than the stored track, once the source agrees with itself.
+
+        Nothing can contradict the source then.
+        """
         if said.stamp_s >= self.newest_pose_s:
             self._trial.update(said, said, inertial=False)
             if self._trial.stands(RETURN):
@@ -158,13 +178,13 @@ class FusionFilter:
         return False
 
     def _settle(self, met: Arrival) -> None:
-        """It goes on from where the track leads."""
+        """Fuse a pose that continues the track."""
         self._trial.clear()
         self._disputed = False
         self._chain.enter(met)
 
     def _begin(self, said: Sighting, noise: PoseNoise, velocity_mps: Vector = (0.0, 0.0, 0.0)) -> bool:
-        """Forget the past and go on from this pose; after the first time odom jumps there."""
+        """Forget the past and restart from this pose. After the first time, odom jumps there."""
         if not self._chain.reaches(said.stamp_s):
             self.rejected[PoseRejection.STAMP] += 1
             return False
@@ -180,13 +200,16 @@ class FusionFilter:
         return True
 
     def _move_world(self, pose: StampedPose, track: Sighting) -> None:
-        """Odom stays, the world goes where the source now says that it is."""
+        """Keep odom and move the world to where the source now reports it."""
         odom_from_body = Pose(np.array(track.odom_from_body), np.array(track.position_m))
         self.correction = WorldFromOdom(pose.odom_from_body @ odom_from_body.inverse(), self.correction.epoch + 1)
         self._source_resets = pose.reset_counter
 
     def _seen_in_odom(self, pose: StampedPose) -> Sighting:
-        """The source's word carried from its world into odom. A quaternion and its negative are the same."""
+        """Return the source's pose transformed from its world into odom.
+
+        A quaternion and its negative are the same attitude.
+        """
         world = self.correction.world_from_odom
         odom_from_world = conjugate(_quaternion(world))
         (px, py, pz), (wx, wy, wz) = pose.odom_from_body.translation_m.tolist(), world.translation_m.tolist()
@@ -201,7 +224,10 @@ def _quaternion(pose: Pose) -> Quaternion:
 
 
 def _with_drift(covariance: FloatArray, claimed: FloatArray) -> FloatArray:
-    """Covariance (6, 6) of position and rotation vector: the filter's own, and what the source may well have drifted."""
+    """Return the covariance (6, 6) of position and rotation vector.
+
+    It is the filter's own plus the possible drift of the source.
+    """
     out: FloatArray = covariance[SEEN]
     out.flat[:: len(out) + 1] += (1.0 - WHITE_SHARE) * np.minimum(np.diagonal(claimed), _LARGEST_DRIFT)
     return out

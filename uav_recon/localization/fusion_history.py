@@ -1,4 +1,4 @@
-"""Poses that entered the filter, each with the estimate after it, and the inertial track that leads from one to the next."""
+"""Fused poses, each with the estimate after it, and the inertial track between them."""
 
 from __future__ import annotations
 
@@ -30,15 +30,15 @@ from uav_recon.localization.pose_gates import (
 from uav_recon.types.camera import ImuSample
 from uav_recon.types.frames import FloatArray
 
-_HISTORY_S = 2.0  # kept for late poses and frames
+_HISTORY_S = 2.0  # time for which late poses and frames are possible
 _IMU_GAP_S = 0.05
-_FASTEST_RADPS, _HARDEST_MPS2 = 35.0, 160.0  # any gyro (2000 degrees/s) and any accelerometer (16 g) is saturated there
+_FASTEST_RADPS, _HARDEST_MPS2 = 35.0, 160.0  # any gyro (2000 degrees/s) and any accelerometer (16 g) saturates there
 _FUTURE_S = 0.01
 
 
 @dataclass(frozen=True, slots=True)
 class FusedPose:
-    """A pose that entered, and the estimate after it. nis: of its innovation."""
+    """A fused pose, and the estimate after it. nis: normalized innovation squared of the pose."""
 
     sighting: Sighting
     noise: PoseNoise
@@ -47,14 +47,16 @@ class FusedPose:
 
     @property
     def stamp_s(self) -> float:
-        """Of the pose."""
+        """Stamp of the pose."""
         return self.sighting.stamp_s
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Arrival:
-    """A pose and what the chain says of its instant: the estimate carried there, the track there, what the pose says beyond
-    (6,), and the covariance of that (6, 6).
+    """A new pose and the filter's prediction for its instant.
+
+    carried: the estimate propagated there. here: the track there. residual: (6,) innovation. covariance: (6, 6) of the
+    innovation.
     """
 
     said: Sighting
@@ -66,22 +68,27 @@ class Arrival:
 
 
 class FusionHistory:
-    """rejected counts inertial samples that were turned down; fused(stamp_s, nis) hears of each pose that enters."""
+    """The nodes of the filter and the track.
+
+    rejected: counts rejected inertial samples. fused(stamp_s, nis): called for each fused pose.
+    """
 
     def __init__(self, rejected: Counter[PoseRejection], fused: Callable[[float, float], None]) -> None:
         self._rejected, self._fused = rejected, fused
         self._track = InertialTrack()
         self._nodes: deque[FusedPose] = deque()
-        self._imu_since_s, self._imu_s = math.inf, -math.inf  # the newest unbroken run of inertial samples
+        self._imu_since_s, self._imu_s = math.inf, -math.inf  # the newest run of inertial samples without a gap
 
     @property
     def newest(self) -> FusedPose | None:
-        """None before the first."""
+        """The newest node; None before the first."""
         return self._nodes[-1] if self._nodes else None
 
     def update(self, samples: list[ImuSample], now_s: float) -> None:
-        """Take inertial samples, oldest first; what no sensor can say, and what is not newer than the one before or of a time
-        to come, is counted and left out.
+        """Add inertial samples, oldest first.
+
+        Samples that no sensor can measure, that are not newer than the one before, or that lie in the future, are counted and
+        dropped.
         """
         estimate = self._nodes[-1].estimate if self._nodes else None
         bias = estimate.gyro_bias_radps if estimate is not None and estimate.inertial else (0.0, 0.0, 0.0)
@@ -104,7 +111,7 @@ class FusionHistory:
             self._track.push(stamp_s, (gx, gy, gz), (fx, fy, fz), bias)
 
     def untimely(self, stamp_s: float) -> PoseRejection | None:
-        """Why a stamp has no place in what is kept, None where it has one."""
+        """Return the reason why a stamp cannot be inserted, None if it can."""
         if not self._nodes:
             return None if self.reaches(stamp_s) else PoseRejection.STAMP
         early = stamp_s < self._nodes[0].stamp_s
@@ -115,19 +122,22 @@ class FusionHistory:
         return PoseRejection.STAMP if early else None
 
     def before(self, stamp_s: float) -> FusedPose:
-        """The newest node that is not younger than a timely stamp."""
+        """Return the newest node that is not younger than a timely stamp."""
         return self._nodes[self._before(stamp_s)]
 
     def meet(self, said: Sighting, noise: PoseNoise) -> Arrival | None:
-        """Carried from the node before a timely pose to the pose; None where the track no longer goes back to that node."""
+        """Propagate the node before a timely pose to the pose.
+
+        None if the track no longer reaches back to that node.
+        """
         return self._meet(self.before(said.stamp_s), said, noise)
 
     def reaches(self, stamp_s: float) -> bool:
-        """Whether the track goes back so far."""
+        """Return True if the track goes back to the stamp."""
         return not len(self._track) or stamp_s >= self._track.oldest_s
 
     def begin(self, said: Sighting, noise: PoseNoise, velocity_mps: Vector) -> None:
-        """Forget the nodes and go on from a pose that the track reaches."""
+        """Forget the nodes and restart from a pose within the track."""
         inertial = self._inertial(said.stamp_s, said.stamp_s)
         if not inertial:
             self._coast_to(said.stamp_s)
@@ -138,7 +148,7 @@ class FusionHistory:
         self._keep(FusedPose(said, noise, estimate._replace(velocity_mps=velocity_mps), 0.0))
 
     def enter(self, met: Arrival) -> None:
-        """Put a pose in its place by its stamp; the nodes after it are computed again."""
+        """Insert a pose by its stamp; the nodes after it are computed again."""
         k = self._before(met.said.stamp_s)
         later = [self._nodes.pop() for _ in range(len(self._nodes) - 1 - k)]
         self._append(met)
@@ -150,8 +160,10 @@ class FusionHistory:
             self._nodes.popleft()
 
     def at(self, stamp_s: float) -> tuple[FusedPose, Estimate, InertialState] | None:
-        """The node before an instant, and the estimate and the track there; None where too long ago, or where the attitude is a
-        guess: since a whirl until the next node, and before it too once that node is known, for the way is bent as a whole.
+        """Return the node before an instant, and the estimate and the track there.
+
+        None if too long ago, or if the attitude is a guess: after a whirl until the next node, and also before the whirl once
+        that node is known, because the whole path between two nodes is corrected.
         """
         if not self._nodes or stamp_s < self._nodes[0].stamp_s:
             return None
@@ -175,7 +187,7 @@ class FusionHistory:
         return pose_innovation(said, noise, propagate(node.estimate.carried_on(inertial), base, here, node.noise), here)
 
     def _append(self, met: Arrival) -> None:
-        """Correct what was carried to a pose by the pose."""
+        """Add a node: the propagated estimate corrected by the pose."""
         nis = normalized_innovation_squared(met.residual, met.covariance)
         variance_m2 = sum(met.carried.covariance.diagonal()[:3].tolist()) / 3.0
         doubts = max(outlier_noise_scale(nis), max_step_noise_scale(met.residual, variance_m2, met.noise.position_m2))
@@ -193,7 +205,7 @@ class FusionHistory:
         return k
 
     def _inertial(self, start_s: float, end_s: float) -> bool:
-        """Whether inertial samples cover the interval."""
+        """Return True if inertial samples cover the interval."""
         return self._imu_since_s <= start_s + _IMU_GAP_S and self._imu_s >= end_s - _IMU_GAP_S
 
     def _coast_to(self, stamp_s: float) -> None:
@@ -205,18 +217,21 @@ class FusionHistory:
 
 
 def pose_innovation(said: Sighting, noise: PoseNoise, carried: Estimate, here: InertialState) -> Arrival:
-    """A pose and an estimate carried to its instant."""
+    """Return the innovation of a pose against an estimate propagated to its instant."""
     residual = innovation(carried, here, said.position_m, said.odom_from_body)
     return Arrival(said, noise, carried, here, residual, spread(carried, noise))
 
 
 def _guessed(base: InertialState, here: InertialState, there: InertialState) -> bool:
-    """Whether nobody knows which way the body looks at ``here``, between a node and the next or the present."""
+    """Return True if the attitude at ``here`` is unknown.
+
+    ``here`` lies between a node, and the next node or the present.
+    """
     return here.stamp_s > base.stamp_s and there.whirls_rad > base.whirls_rad
 
 
 def _bent(node: FusedPose, after: FusedPose, base: InertialState, here: InertialState, there: InertialState) -> Estimate:
-    """The way from a node, bent so that it ends at the next."""
+    """Return the estimate between two nodes, corrected so that the path ends at the next one."""
     state = propagate_mean(node.estimate, base, here)
     share = (here.stamp_s - node.stamp_s) / (after.stamp_s - node.stamp_s)
     end, goal = propagate_mean(node.estimate, base, there), after.estimate

@@ -1,18 +1,18 @@
-"""Gyro and accelerometer integrated once, as they arrive, in a frame of their own.
+"""IMU integration: gyro and accelerometer, once per sample, in a separate frame.
 
 The GYRO frame is any inertial frame: it starts aligned with the first sample's body axes and drifts with the gyro. In it
 
     q(t): gyro_from_body,    V(t) = integral of R(q) f dt,    X(t) = integral of V dt        (f: specific force)
 
-so the motion between ANY two instants a < b follows from differences, whatever is learned later about where the gyro
-frame stands in odom (odom_from_gyro, R below) and about gravity g (strapdown mechanisation, e.g. Titterton and Weston,
+so the motion between ANY two instants a < b follows from differences, even if more is learned later about the pose of the gyro
+frame in odom (odom_from_gyro, R below) and about gravity g (strapdown mechanisation, e.g. Titterton and Weston,
 Strapdown Inertial Navigation Technology, ch. 3):
 
     v(b) = v(a) + R (V(b) - V(a)) + g (b - a)
     p(b) = p(a) + v(a) (b - a) + R (X(b) - X(a) - V(a) (b - a)) + g (b - a)^2 / 2
 
-A late pose therefore costs no second pass over the samples. The gyro's bias is taken off as it is known when a sample comes;
-B(t), the integral of what was taken off, lets whoever knows better afterwards put the difference right.
+A late pose therefore needs no second pass over the samples. The gyro's bias is subtracted as it is known when a sample
+arrives; B(t), the integral of the subtracted bias, allows a later correction of the difference.
 """
 
 from __future__ import annotations
@@ -30,14 +30,17 @@ Vector = tuple[float, float, float]
 IDENTITY: Quaternion = (1.0, 0.0, 0.0, 0.0)
 _ZERO: Vector = (0.0, 0.0, 0.0)
 GRAVITY_MPS2 = 9.80665
-_KNOCK_MPS2 = 30.0  # no propeller pushes harder: a blow, or a sensor that lies
-_WHIRL_RADPS = 10.0  # firmware turns at 4 at most; a sample of 5 ms that lies by less is within the gate of 3 degrees
-_RANGE_RADPS = 17.5  # 1000 degrees/s: what a D435i's gyro can say; one that says more counts as one that says so much
-_CAPACITY = 4096  # 20 s at 200 Hz, between two halvings
+_KNOCK_MPS2 = 30.0  # no propeller pushes harder: a blow, or a sensor error
+_WHIRL_RADPS = 10.0  # firmware turns at 4 at most; a sample of 5 ms with a smaller error is within the gate of 3 degrees
+_RANGE_RADPS = 17.5  # 1000 degrees/s: the range of a D435i's gyro; a larger value is limited to it
+_CAPACITY = 4096  # samples: 20 s at 200 Hz; a full buffer keeps its newer half
 
 
 def multiply(a: Quaternion, b: Quaternion) -> Quaternion:
-    """Hamilton product, wxyz. Plain floats: ten times faster than numpy for four numbers."""
+    """Return the Hamilton product, wxyz.
+
+    Plain floats are ten times faster than numpy for four numbers.
+    """
     aw, ax, ay, az = a
     bw, bx, by, bz = b
     return (
@@ -49,18 +52,18 @@ def multiply(a: Quaternion, b: Quaternion) -> Quaternion:
 
 
 def conjugate(q: Quaternion) -> Quaternion:
-    """Inverse of a unit quaternion."""
+    """Return the inverse of a unit quaternion."""
     return (q[0], -q[1], -q[2], -q[3])
 
 
 def normalised(q: Quaternion) -> Quaternion:
-    """The unit quaternion of the same direction."""
+    """Return the unit quaternion of the same direction."""
     n = math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
     return (q[0] / n, q[1] / n, q[2] / n, q[3] / n)
 
 
 def rotate(q: Quaternion, v: Vector) -> Vector:
-    """Carry a vector from the source frame of ``q`` into its target frame."""
+    """Transform a vector from the source frame of ``q`` into its target frame."""
     w, x, y, z = q
     tx, ty, tz = 2 * (y * v[2] - z * v[1]), 2 * (z * v[0] - x * v[2]), 2 * (x * v[1] - y * v[0])
     return (
@@ -71,7 +74,7 @@ def rotate(q: Quaternion, v: Vector) -> Vector:
 
 
 def exponential(rotation_rad: Vector) -> Quaternion:
-    """Unit quaternion of a rotation vector."""
+    """Return the unit quaternion of a rotation vector."""
     x, y, z = rotation_rad
     angle = math.sqrt(x * x + y * y + z * z)
     if angle < 1e-9:
@@ -81,7 +84,7 @@ def exponential(rotation_rad: Vector) -> Quaternion:
 
 
 def logarithm(q: Quaternion) -> Vector:
-    """Rotation vector of a unit quaternion, the shorter way round."""
+    """Return the rotation vector of a unit quaternion, for the smaller angle."""
     w, x, y, z = q if q[0] >= 0 else (-q[0], -q[1], -q[2], -q[3])
     s = math.sqrt(x * x + y * y + z * z)
     k = 2.0 if s < 1e-9 else 2.0 * math.atan2(s, w) / s
@@ -89,8 +92,10 @@ def logarithm(q: Quaternion) -> Vector:
 
 
 class InertialState(NamedTuple):
-    """The track at one instant: gyro_from_body, V (m/s) and X (m) in the gyro frame, B (rad, body axes); and what came of
-    forces harder than any propeller's and of turning faster than any vehicle's, summed up whatever its direction.
+    """The track at one instant.
+
+    gyro_from_body, V (m/s) and X (m) in the gyro frame, B (rad, body axes). knocks_mps and whirls_rad: integrals of the forces
+    harder than any propeller's and of the turn rates faster than any vehicle's, summed regardless of direction.
     """
 
     stamp_s: float
@@ -103,10 +108,12 @@ class InertialState(NamedTuple):
 
 
 class InertialTrack:
-    """The integrals at every sample of the last seconds; between samples rate and force are constant.
+    """The integrals at every sample of the last seconds.
 
-    ``hover_force_gyro`` (gyro frame, m/s²) is the specific force that cancels gravity: it is what a gap is filled with,
-    so a track without an accelerometer coasts at constant velocity.
+    Between samples rate and force are constant.
+
+    ``hover_force_gyro`` (gyro frame, m/s²) is the specific force that cancels gravity. It fills gaps, so a track without an
+    accelerometer moves on at constant velocity.
     """
 
     def __init__(self, gap_s: float = 0.05) -> None:
@@ -116,8 +123,8 @@ class InertialTrack:
         self._stamp = np.empty(_CAPACITY)
         self._state = np.empty((_CAPACITY, 15))  # q, V, X, B, knocks and whirls at the sample
         self._step = np.zeros((_CAPACITY, 11))  # rate (body), force (gyro frame), bias, knock and whirl to the next sample
-        self._last: tuple[Vector, Vector] = (_ZERO, _ZERO)  # newest rate without bias, and force
-        self._measured = False  # whether the newest sample came from an IMU
+        self._last: tuple[Vector, Vector] = (_ZERO, _ZERO)  # newest rate without bias, and newest force
+        self._measured = False  # True if the newest sample came from an IMU
 
     def __len__(self) -> int:
         return self._count
@@ -129,11 +136,14 @@ class InertialTrack:
 
     @property
     def oldest_s(self) -> float:
-        """Stamp of the oldest sample still kept; inf for an empty track."""
+        """Stamp of the oldest stored sample; inf for an empty track."""
         return float(self._stamp[0]) if self._count else math.inf
 
     def push(self, stamp_s: float, rate_radps: Vector, force_mps2: Vector, bias_radps: Vector = _ZERO) -> None:
-        """Append a sample: body rate, body specific force, and the gyro's bias as known now. Stamps must increase."""
+        """Append a sample: body rate, body specific force, and the gyro's bias as known now.
+
+        Stamps must increase.
+        """
         self._make_room()
         i = self._count - 1
         rx, ry, rz = (rate_radps[0] - bias_radps[0], rate_radps[1] - bias_radps[1], rate_radps[2] - bias_radps[2])
@@ -165,7 +175,7 @@ class InertialTrack:
     def coast(self, stamp_s: float, rate_radps: Vector) -> None:
         """Append a sample without an IMU: turning at ``rate_radps``, not accelerating.
 
-        It counts as a gyro that reads nothing and has the opposite bias.
+        It counts as a gyro that measures zero and has the opposite bias.
         """
         self._make_room()
         rx, ry, rz = rate_radps
@@ -181,7 +191,7 @@ class InertialTrack:
         self._measured = False
 
     def at(self, stamp_s: float) -> InertialState | None:
-        """The track at an instant, extrapolated after its end; None before its beginning."""
+        """Return the track at an instant, extrapolated after its end; None before its start."""
         if not self._count or stamp_s < self._stamp[0]:
             return None
         i = int(self._stamp[: self._count].searchsorted(stamp_s, side="right")) - 1
@@ -194,7 +204,7 @@ class InertialTrack:
         return (w, x, y, z)
 
     def _advance(self, i: int, stamp_s: float, step: tuple[float, ...] | None = None) -> InertialState:
-        """Sample i carried along its own step, or another one, to ``stamp_s``."""
+        """Return sample i propagated along its own step, or another one, to ``stamp_s``."""
         dt = stamp_s - float(self._stamp[i])
         w, x, y, z, vx, vy, vz, px, py, pz, bx, by, bz, knocks, whirls = self._state[i].tolist()
         rx, ry, rz, ax, ay, az, gx, gy, gz, knock, whirl = self._step[i].tolist() if step is None else step
@@ -218,7 +228,10 @@ class InertialTrack:
         self._count += 1
 
     def _make_room(self) -> None:
-        """Full: forget the older half and restart the integrals there, so that they stay within what a float resolves."""
+        """Drop the older half of a full buffer.
+
+        The integrals restart there, so that they stay within the resolution of a float.
+        """
         if self._count < _CAPACITY:
             return
         k = _CAPACITY // 2
@@ -234,7 +247,7 @@ class InertialTrack:
 
 
 def _knock_mps2(force_mps2: Vector) -> float:
-    """How hard a blow is, 0 for a force that a vehicle flies by."""
+    """Return the size of a force that no vehicle flies by, otherwise 0."""
     force = _length(force_mps2)
     return force if force > _KNOCK_MPS2 else 0.0
 

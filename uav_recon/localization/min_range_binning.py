@@ -1,4 +1,7 @@
-"""The depth image in cells, each with its nearest return: what the guard looks at when it trusts neither map nor pose."""
+"""Minimum-range binning: the depth image in cells, each with its nearest return.
+
+The guard uses it when neither map nor pose is valid.
+"""
 
 from __future__ import annotations
 
@@ -12,20 +15,20 @@ from uav_recon.types.pose import Pose
 
 _ROWS, _COLUMNS = 12, 16
 _SUPPORT = 4  # returns that a cell's distance needs, so that a single speckle does not count
-_FULL_SHARE = 0.5  # of a cell's pixels
-_WIDEST_PX = 320  # of the depth that is looked at; more pixels would only cost time
+_FULL_SHARE = 0.5  # min. share of a cell's pixels with a return for a full cell
+_WIDEST_PX = 320  # max. width of the used depth image; more pixels would only cost time
 
 
 def nearest_in_cells(frame: Frame, body_from_depth: Pose, believed: bool = True) -> MinRangeGrid:
-    """Cut a depth frame into cells and keep each one's nearest return (m, along the ray): about 0.1 ms.
+    """Divide a depth frame into cells and keep each one's nearest return (m, along the ray).
 
-    NaN, infinity and anything not positive are no return and say nothing: neither near nor free.
+    Takes about 0.1 ms. NaN, infinity and non-positive values are no return: such pixels are neither near nor free.
     """
     lens, stride = frame.depth_intrinsics, -(-frame.depth_intrinsics.width // _WIDEST_PX)
     depth_m = frame.depth_m[::stride, ::stride]
     rows, columns = min(_ROWS, depth_m.shape[0]), min(_COLUMNS, depth_m.shape[1])
     high, wide = depth_m.shape[0] // rows, depth_m.shape[1] // columns
-    top, left = (depth_m.shape[0] - rows * high) // 2, (depth_m.shape[1] - columns * wide) // 2  # what no cell takes
+    top, left = (depth_m.shape[0] - rows * high) // 2, (depth_m.shape[1] - columns * wide) // 2  # pixels outside all cells
     u = ((np.arange(columns * wide) + left) * stride - lens.cx) / lens.fx
     v = ((np.arange(rows * high) + top) * stride - lens.cy) / lens.fy
     seen = np.ascontiguousarray(depth_m[top : top + rows * high, left : left + columns * wide])
@@ -39,8 +42,9 @@ def nearest_in_cells(frame: Frame, body_from_depth: Pose, believed: bool = True)
 
 @kernel
 def _nearest(depth_m: Float32Array, u: FloatArray, v: FloatArray, high: int, wide: int) -> tuple[Float32Array, IntArray]:
-    """Of each cell of high by wide pixels the _SUPPORT-th nearest return along its ray (m), NaN where there are fewer; and how
-    many returns it has.
+    """Return the _SUPPORT-th nearest return of each cell (m, along the ray), and its count.
+
+    A cell has high by wide pixels. NaN where a cell has fewer returns.
 
     depth_m (H, W); u (W,), v (H,): tangents of the pixels' rays.
     """

@@ -1,4 +1,4 @@
-"""How far the odometry may be trusted: by the age of the newest pose, how many come, and whether the IMU bears them out."""
+"""Odometry health, from age and rate of the poses and their agreement with the IMU."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ from uav_recon.types.pose import PoseHealth
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
 
-_USUAL_S = 1.0 / 15.0  # between poses
-_SLOWER_S = 0.2  # so much longer a silence is borne where fewer poses come than usually
-_LATE_S, _SILENT_S = 0.20, 0.25  # age of the newest pose: fly slowly, stand still
+_USUAL_S = 1.0 / 15.0  # usual interval of poses
+_SLOWER_S = 0.2  # max. extension of the allowed silence where poses come less often than usual
+_LATE_S, _SILENT_S = 0.20, 0.25  # age of the newest pose at which to fly slowly, and to stop
 _WINDOW_S = 1.0
 _FEW_HZ, _TOO_FEW_HZ = 8.0, 4.0  # EKF2 diverges at 2 to 5 poses a second (HAZARDS, B10)
-_SURPRISE = 15.0  # mean over the newest poses of what should be six
+_SURPRISE = 15.0  # max. mean over the newest poses of the squared innovation, whose expected value is six
 _SURPRISES = 10
 _DEGRADED_QUALITY, _LOST_QUALITY = 60, 20  # the autopilot refuses below 20 (EKF2_EV_QMIN, VISO_QUAL_MIN)
 
 
 class OdometryHealthMonitor:
-    """One filter's. fused() for each pose that entered; health() and quality() at any instant."""
+    """Monitors one filter: fused() for each fused pose; health() and quality() at any instant."""
 
     def __init__(self, pose_lost_s: float) -> None:
         self._lost_s = pose_lost_s
@@ -29,20 +29,23 @@ class OdometryHealthMonitor:
         self._since_s = math.inf
 
     def begin(self, stamp_s: float) -> None:
-        """The filter stands anew."""
+        """Restart with the filter."""
         self._stamps_s.clear()
         self._surprises.clear()
         self._since_s = stamp_s
 
     def fused(self, stamp_s: float, nis: float) -> None:
-        """A pose entered, with its normalised innovation squared."""
+        """Record a fused pose with its normalized innovation squared."""
         self._stamps_s.append(stamp_s)
         self._surprises.append(min(nis, 10.0 * _SURPRISE))
         while self._stamps_s[0] <= stamp_s - _WINDOW_S:
             self._stamps_s.popleft()
 
     def health(self, age_s: float, inertial: bool, on_trial: bool) -> tuple[PoseHealth, Reason | None]:
-        """age_s: of the newest pose. inertial: an IMU carries the state. on_trial: poses come, and are not believed."""
+        """Return the health and the reason, None for nothing.
+
+        age_s: of the newest pose. inertial: an IMU propagates the state. on_trial: poses arrive, but are not accepted.
+        """
         rate_hz = self._rate_hz()
         slower_s = min(max(1.0 / rate_hz - _USUAL_S, 0.0), _SLOWER_S)
         whose = ReasonCode.POSES_DISAGREE if on_trial else ReasonCode.NO_POSE
@@ -62,13 +65,16 @@ class OdometryHealthMonitor:
         return PoseHealth.GOOD, None
 
     def quality(self, health: PoseHealth, age_s: float, source: int) -> int:
-        """0 to 100: the source's and the health's, falling to 0 between 40 % and all of the time to lost."""
+        """Return the quality from 0 to 100: the lower of the source's and the health's.
+
+        The source's falls to 0 between 40 % and 100 % of the time until the pose counts as lost.
+        """
         most = {PoseHealth.GOOD: 100, PoseHealth.DEGRADED: _DEGRADED_QUALITY, PoseHealth.LOST: _LOST_QUALITY}[health]
         share = min(1.0, max(0.0, (self._lost_s - age_s) / (0.6 * self._lost_s)))
         return min(most, math.ceil(source * share))
 
     def _rate_hz(self) -> float:
-        """Of the poses of the newest second; plenty before there was a second."""
+        """Return the rate of the poses of the newest second; the usual rate in the first second."""
         if not self._stamps_s or self._stamps_s[-1] - self._since_s < _WINDOW_S:
             return 1.0 / _USUAL_S
         intervals, span_s = len(self._stamps_s) - 1, self._stamps_s[-1] - self._stamps_s[0]

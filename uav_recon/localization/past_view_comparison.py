@@ -1,8 +1,8 @@
-"""Whether what is seen now fits what was seen before, if the poses are right: past views remembered as points on surfaces.
+"""Comparison of the present depth with past views, which are stored as points on surfaces.
 
-A remembered point is looked for in the picture of now, along its ray from where the pose says that the camera is. How far the
-surface found there lies off the remembered one, along its normal, is the residual: few that fit mean a picture that is
-wrong, many that fit only when all of the past is moved mean a pose that is.
+A stored point is projected into the present depth image with the present camera pose. The distance of the surface found
+there from the stored one, along its normal, is the residual. Few points that fit mean a wrong image. Many that fit only if
+the whole past is shifted mean a wrong pose.
 """
 
 from __future__ import annotations
@@ -25,23 +25,25 @@ _EVERY_S, _MEMORY_S = 0.5, 30.0
 
 @dataclass(frozen=True, slots=True)
 class ViewSelection:
-    """Which views are asked: taken no farther off (m), not turned away farther (cosine), and no older."""
+    """Limits for past views: distance (m), cosine between the optical axes, and age (s)."""
 
     near_m: float
     turned_cos: float
     within_s: float = _MEMORY_S
 
 
-OVERLAPPING = ViewSelection(3.0, 0.6)  # there is something that both see
-ALIKE = ViewSelection(1.5, 0.75)  # little has come between
-ALIKE_LATELY = ViewSelection(1.5, 0.75, within_s=8.0)  # a drift so young is still within a residual's reach
+OVERLAPPING = ViewSelection(3.0, 0.6)  # both see some of the same surface
+ALIKE = ViewSelection(1.5, 0.75)  # little can stand in between
+ALIKE_LATELY = ViewSelection(1.5, 0.75, within_s=8.0)  # a drift of this age is still within a residual's reach
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ViewComparison:
-    """count: points that could be compared. fitting, nearer, farther: shares of them; shift_m (3,): how far odom has moved
-    since, as far as surfaces tell; held (3, 3): how well they tell, by direction; explained: the share that fits with it.
-    age_s: of the view compared with; points (N, 6): its surface.
+    """Result of the comparison with one past view.
+
+    count: points that could be compared. fitting, nearer, farther: shares of them. shift_m (3,): motion of odom since, as far
+    as the surfaces show it. held (3, 3): how well they determine it, by direction. explained: share of the points that fit with
+    the shift. age_s: age of the past view. points (N, 6): its surface.
     """
 
     count: int
@@ -56,25 +58,28 @@ class ViewComparison:
 
 
 class CameraPose(NamedTuple):
-    """Where a camera was, and its axis; plain numbers, for sixty are asked at each picture."""
+    """Position and optical axis of a camera.
+
+    They are plain numbers, because about sixty are checked per image.
+    """
 
     place_m: list[float]
     axis: list[float]
 
     @staticmethod
     def of(odom_from_depth: Pose) -> CameraPose:
-        """Of a camera with this pose."""
+        """Return those of a camera with this pose."""
         return CameraPose(odom_from_depth.translation_m.tolist(), odom_from_depth.rotation()[:, 2].tolist())
 
     def like(self, other: CameraPose, likeness: ViewSelection) -> bool:
-        """Whether the other is no farther off and turned away."""
+        """Return True if the other pose meets the selection's distance and axis limits."""
         away_m = math.dist(self.place_m, other.place_m)
         return away_m <= likeness.near_m and _dot(self.axis, other.axis) >= likeness.turned_cos
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _View:
-    """points: (N, 6), places and normals in odom, of what was seen from there."""
+    """A past view. points: (N, 6) positions and normals in odom of the seen surface."""
 
     stamp_s: float
     stand: CameraPose
@@ -82,7 +87,7 @@ class _View:
 
 
 class PastViews:
-    """Remembers half a minute of views. Not thread-safe; about 0.1 ms a picture."""
+    """Stores half a minute of views. Not thread-safe; about 0.1 ms an image."""
 
     def __init__(self) -> None:
         self._views: deque[_View] = deque()
@@ -90,16 +95,16 @@ class PastViews:
 
     @property
     def remembers(self) -> bool:
-        """Whether there is a picture to compare with."""
+        """True if there is an image to compare with."""
         return self._newest is not None
 
     def forget(self) -> None:
-        """Odom itself jumped: nothing was seen in the new one."""
+        """Forget all views after a jump of odom: none of them was seen in the new odom."""
         self._views.clear()
         self._newest = None
 
     def remember(self, stamp_s: float, depth_m: Float32Array, lens: Intrinsics, odom_from_depth: Pose) -> None:
-        """Take a picture that is believed for the newest; one every half second is kept."""
+        """Store an accepted image as the newest; one every half second is kept."""
         points = surface(depth_m, lens.pinhole_px(), odom_from_depth.rotation(), odom_from_depth.translation_m)
         self._newest = _View(stamp_s, CameraPose.of(odom_from_depth), points)
         if not self._views or stamp_s - self._views[-1].stamp_s >= _EVERY_S:
@@ -110,22 +115,29 @@ class PastViews:
     def of_newest(
         self, stamp_s: float, depth_m: Float32Array, lens: Intrinsics, odom_from_depth: Pose
     ) -> ViewComparison | None:
-        """With the newest picture that was believed; None where too little of it is in view. Where it is and nothing comes back
-        from there, all of it is farther.
+        """Compare with the newest accepted image; None if too little of it is in view.
+
+        If it is in view and there are no returns from there, all of it counts as farther.
         """
         return None if self._newest is None else _compared(self._newest, stamp_s, depth_m, lens, odom_from_depth, FEWEST)
 
     def of_oldest(
         self, stamp_s: float, depth_m: Float32Array, lens: Intrinsics, odom_from_depth: Pose, likeness: ViewSelection
     ) -> Iterator[ViewComparison]:
-        """With those that look at the same, the oldest first; each is compared when it is asked for."""
+        """Yield comparisons with the views that meet the selection, oldest first.
+
+        Each is computed when it is requested.
+        """
         for view in self._alike(stamp_s, odom_from_depth, likeness):
             found = _compared(view, stamp_s, depth_m, lens, odom_from_depth)
             if found is not None:
                 yield found
 
     def gain_aside(self, depth_m: Float32Array, lens: Intrinsics, odom_from_depth: Pose) -> float:
-        """By what share more of the newest picture that was believed fits one that lies aside; of pictures a moment apart."""
+        """Return the share of the newest accepted image that only fits the present one shifted.
+
+        It is meant for images a moment apart.
+        """
         if self._newest is None:
             return 0.0
         rotation, place = odom_from_depth.rotation(), odom_from_depth.translation_m
@@ -133,12 +145,15 @@ class PastViews:
 
     @staticmethod
     def loss_aside(then: ViewComparison, depth_m: Float32Array, lens: Intrinsics, odom_from_depth: Pose) -> float:
-        """By what share less of that view would fit a picture that lies aside; little, and it tells nothing of this one."""
+        """Return the share of that view that would no longer fit a shifted image.
+
+        If it is small, the view cannot show whether this image is shifted.
+        """
         rotation, place = odom_from_depth.rotation(), odom_from_depth.translation_m
         return float(loss_aside(then.points, depth_m, lens.pinhole_px(), rotation, place))
 
     def _alike(self, stamp_s: float, odom_from_depth: Pose, likeness: ViewSelection) -> Iterator[_View]:
-        """Views to be asked, the oldest first."""
+        """Yield the views that meet the selection, oldest first."""
         here = CameraPose.of(odom_from_depth)
         for view in self._views:
             if stamp_s - view.stamp_s <= likeness.within_s and here.like(view.stand, likeness):
@@ -152,7 +167,10 @@ def _dot(a: list[float], b: list[float]) -> float:
 def _compared(
     view: _View, stamp_s: float, depth_m: Float32Array, lens: Intrinsics, odom_from_depth: Pose, max_missing: int = MOST
 ) -> ViewComparison | None:
-    """max_missing: points without a return where there are too few with one, for a verdict all the same."""
+    """Compare a view with the present depth image, or return None.
+
+    max_missing: with too few returns to compare, more missing returns than this still give a result.
+    """
     rotation, place = odom_from_depth.rotation(), odom_from_depth.translation_m
     found, gone = residuals(view.points, depth_m, lens.pinhole_px(), rotation, place)
     age_s = stamp_s - view.stamp_s

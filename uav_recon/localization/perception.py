@@ -1,4 +1,4 @@
-"""Perception's step: inertial samples and late poses in, steady odometry and posed frames out."""
+"""Perception step: inertial samples and late poses in, odometry and posed frames out."""
 
 from __future__ import annotations
 
@@ -17,18 +17,21 @@ from uav_recon.types.camera import Frame, PosedFrame
 from uav_recon.types.min_range_grid import MinRangeGrid
 from uav_recon.types.pose import Pose, PoseHealth, StampedPose
 
-_WAITING_FRAMES = 4  # at 15 Hz more than the longest wait
+_WAITING_FRAMES = 4  # at 15 Hz this is more than the longest wait
 
 
 class Perception:
-    """Holds the order of things; call step() at about 100 Hz. One step costs about 1 ms and never blocks.
+    """Runs the perception stages in order; call step() at about 100 Hz.
 
-    Odometry is published at rate_hz, stamped now, with its health and odom's place in the world. When no pose came for the
-    filter's pose_lost_s, a last one with quality 0 is published and then none, until poses come again. A frame waits until a
-    pose at or after its stamp was fused, or frame_wait_s; one whose own pose is not known is dropped, so is one that is not
-    believed, and one that is not newer than all before it: it was mapped, or its place is gone. What is near in a frame is
-    published at once, pose or no pose, believed or not. Odometry that depth contradicts is wrong: the quality stays, for it
-    is better than none to land by. ``published_odom``, ``published_frames`` and ``dropped_frames`` count.
+    One step costs about 1 ms and never blocks.
+
+    Odometry is published at rate_hz, stamped now, with its health and odom's pose in the world. After the filter's pose_lost_s
+    without a pose, a last one with quality 0 is published, and then none until poses arrive again. A frame waits until a pose
+    at or after its stamp was fused, or frame_wait_s. A frame is dropped if its own pose is not known, if it is rejected as
+    inconsistent, or if it is not newer than all before it: it was mapped already, or its turn has passed. The minimum range
+    grid of a frame is published at once, with or without a pose, valid or not. Odometry that depth contradicts has health
+    WRONG; its quality stays, because it is better than none for landing. ``published_odom``, ``published_frames`` and
+    ``dropped_frames`` are counters.
     """
 
     def __init__(
@@ -52,15 +55,15 @@ class Perception:
             part.warm_up()
         self._rate = RateKeeper(rate_hz, clock.now_s())
         self._waiting: deque[Frame] = deque()
-        self._newest_frame_s = -math.inf  # never later than now: no stamp of another clock can shut out those after it
+        self._newest_frame_s = -math.inf  # never later than now: no stamp of another clock can block the frames after it
         self._said_lost = True
         self.published_odom = self.published_frames = self.dropped_frames = 0
 
     def step(self) -> None:
-        """Read what came, publish what is due."""
+        """Read new inputs and publish what is due."""
         now_s = self._clock.now_s()
         self._mount.observe()
-        self._fusion.add_imu(self._camera.imu(), self._clock.now_s())  # read before the clock: none is of a time to come
+        self._fusion.add_imu(self._camera.imu(), self._clock.now_s())  # read before the clock: none lies in the future
         for pose in self._poses.poses():
             self._fusion.add_pose(pose, now_s)
         if self._rate.due(now_s):
@@ -101,14 +104,17 @@ class Perception:
         self._waiting.append(frame)
 
     def _believes(self, frame: Frame, body_from_depth: Pose) -> bool:
-        """As far as it can be told: with the pose carried on to the frame, for its own comes later."""
+        """Check the frame with the pose extrapolated to its stamp: its own pose arrives later."""
         estimate = self._fusion.odom_at(frame.stamp_s)
         if estimate is None or estimate.quality == 0:
             return True
         return self._credence.believes(frame, estimate.odom_from_body @ body_from_depth, estimate.reset_counter)
 
     def _publish_frame(self, now_s: float) -> None:
-        """At most one frame a step: a reader of a last-value channel would miss the first of two."""
+        """Publish at most one frame per step.
+
+        A reader of a last-value channel would miss the first of two.
+        """
         if not self._waiting:
             return
         frame = self._waiting[0]
@@ -120,7 +126,7 @@ class Perception:
         if estimate is None or estimate.quality == 0 or body_from_depth is None:
             self.dropped_frames += 1
             return
-        # maps live in odom, which never jumps: what is near fits what was mapped a moment ago, whatever the source corrects.
+        # Maps are in odom, which never jumps: near obstacles fit the recent map, even if the source corrects its map.
         # The mission would have to re-pose its keyframes by estimate.correction before it could map in the world.
         self._frames.publish(PosedFrame(frame, estimate.odom_from_body @ body_from_depth, estimate.map_epoch))
         self.published_frames += 1

@@ -1,7 +1,7 @@
-"""Even patches of surface in depth pictures, and how far those of one picture lie off those of another.
+"""Planar patches of surface in depth images, and their displacement between images.
 
-The plane of a patch is fitted to inverse depth, over a span that grows with the range: a normal taken from few pixels is noise
-at 5 m. What is not even, an edge or the rim of something, is no patch.
+The plane of a patch is fitted to inverse depth, over a span that grows with the range: a normal from few pixels is noise at
+5 m. What is not planar, such as an edge or a rim, is no patch.
 """
 
 from __future__ import annotations
@@ -15,20 +15,21 @@ from uav_recon.geometry.jit import kernel
 from uav_recon.localization.point_to_plane import seen_at
 from uav_recon.types.frames import AnyArray
 
-_ROWS, _COLUMNS = 18, 24  # patches of a picture
-_NARROWEST_PX = 2  # from the middle of a patch to its rim
-_SPAN_PER_M, _WIDEST = 0.007, 0.03  # the same, as shares of the picture's width: by the range, and at most
-_UNEVEN, _UNEVEN_SHARE = 0.012, 0.01  # 1/m, and share of the inverse depth: off the plane by more; noise has 0.004
-_FACING_COS = 0.15  # looked at from a flatter angle, or from behind, a patch is not compared
-_SAME_COS = 0.8  # between normals of what may be one surface
-_FAR_M = 3.0  # the noise of stereo depth grows with the square of the range: from there one counts half, from twice as far 1/17
-REACH_M, REACH_SHARE = 0.06, 0.03  # from where it is expected, and so much of the range: noise and pose together
+_ROWS, _COLUMNS = 18, 24  # patches of an image
+_NARROWEST_PX = 2  # min. distance from the middle of a patch to its rim
+_SPAN_PER_M, _WIDEST = 0.007, 0.03  # that distance as a share of the image width: per metre of range, and at most
+_UNEVEN, _UNEVEN_SHARE = 0.012, 0.01  # max. deviation from the plane: 1/m, plus a share of the inverse depth; noise has 0.004
+_FACING_COS = 0.15  # a patch seen at a flatter angle, or from behind, is not compared
+_SAME_COS = 0.8  # min. cosine between normals of the same surface
+_FAR_M = 3.0  # stereo noise grows with the square of the range: at this range the weight is 1/2, at twice as far 1/17
+REACH_M, REACH_SHARE = 0.06, 0.03  # max. distance from the expected surface, plus a share of the range: noise and pose
 
 
 @kernel
 def patches(depth_m: AnyArray, camera: AnyArray, rotation: AnyArray, place: AnyArray) -> AnyArray:
-    """Places of patches and their normals, which look away from the camera, (N, 6), in the frame in which the camera has this
-    rotation and place.
+    """Return the positions and normals of patches, (N, 6).
+
+    The normals point away from the camera. Both are in the frame in which the camera has this rotation and position.
 
     depth_m (H, W), NaN = no return; camera fx, fy, cx, cy.
     """
@@ -51,7 +52,7 @@ def patches(depth_m: AnyArray, camera: AnyArray, rotation: AnyArray, place: AnyA
 
 @kernel
 def weight_at(range_m: Any) -> Any:
-    """How much what lies so far off, one number or many, counts: by the variance of its depth."""
+    """Return the weight of points at a range (m), one or many, from the variance of its depth."""
     return 1.0 / (1.0 + (range_m / _FAR_M) ** 4)
 
 
@@ -59,9 +60,12 @@ def weight_at(range_m: Any) -> Any:
 def normal_equations(
     then: AnyArray, depth_m: AnyArray, camera: AnyArray, rotation: AnyArray, place: AnyArray, expected_m: AnyArray
 ) -> tuple[int, int, AnyArray, AnyArray]:
-    """Of the patches (N, 6) of another picture, how many this one sees too, how many of these lie within reach of where a shift
-    expected_m (3,) puts them, and the latter's normal equations for the shift: sums of normal times normal (3, 3), and of
-    normal times how far they lie off (3,).
+    """Return the normal equations for the shift between two images.
+
+    then: (N, 6), patches of the other image.
+
+    Result: the number of patches that this image sees too; the number of these within reach of where a shift expected_m (3,)
+    puts them; and for the latter the sums of normal times normal (3, 3) and of normal times displacement (3,).
     """
     seen, within, held, moved, room = 0, 0, np.zeros((3, 3)), np.zeros(3), np.empty(9)
     for n in range(then.shape[0]):
@@ -98,9 +102,10 @@ def normal_equations(
 
 @kernel
 def _patch(depth_m: AnyArray, camera: AnyArray, u: int, v: int, room: AnyArray) -> tuple[float, float, float, float]:
-    """Depth (m) at a pixel, 0.0 where there is no patch, and the normal in the camera's frame. room: (9,), for the kernel.
+    """Return the depth (m) of a patch, 0.0 if there is none, and its normal in the camera frame.
 
-    1 / z of a plane is linear in the pixels; near the picture's rim the patch lies aside.
+    room: (9,), working memory of the kernel. 1 / z of a plane is linear in the pixels; near the image's rim the patch is
+    shifted inwards.
     """
     height, width = depth_m.shape
     z = float(depth_m[v, u])
@@ -117,7 +122,7 @@ def _patch(depth_m: AnyArray, camera: AnyArray, u: int, v: int, room: AnyArray) 
     most = _UNEVEN + _UNEVEN_SHARE * middle
     for i in range(3):
         for k in range(3):
-            if not abs(room[3 * i + k] - middle - (k - 1) * across - (i - 1) * down) <= most:  # NaN is not either
+            if not abs(room[3 * i + k] - middle - (k - 1) * across - (i - 1) * down) <= most:  # also True for NaN
                 return 0.0, 0.0, 0.0, 0.0
     middle += ((u - at_u) * across + (v - at_v) * down) / span
     if middle <= 0.0:

@@ -1,4 +1,4 @@
-"""How far the surfaces of one depth picture lie off those of another: point to plane, along the rays of the second."""
+"""Point-to-plane distance between two depth images, along the rays of the second."""
 
 from __future__ import annotations
 
@@ -7,25 +7,27 @@ import numpy as np
 from uav_recon.geometry.jit import kernel
 from uav_recon.types.frames import AnyArray, FloatArray
 
-FEWEST = 60  # points that both see, for a verdict
-_ROWS, _COLUMNS = 18, 24  # points of a picture
-_NEAREST_M = 0.1  # a place so near, or behind, is in no picture
+FEWEST = 60  # min. points that both see
+_ROWS, _COLUMNS = 18, 24  # points of an image
+_NEAREST_M = 0.1  # a point nearer than this, or behind, is in no image
 MOST = _ROWS * _COLUMNS
-_SPAN_PX = 2  # from a point to those that its normal is taken from
-_FIT_M, _FIT_SHARE = 0.06, 0.03  # a residual of so much, and so much of the range, is none: noise and pose together
-_WITHIN = 0.8  # of the farthest point: beyond, one may leave the sensor's range
-_PRIOR = 0.03  # of the points: what a direction must have for its share of the shift to count
+_SPAN_PX = 2  # distance from a point to the pixels that give its normal
+_FIT_M, _FIT_SHARE = 0.06, 0.03  # limit of a zero residual, plus a share of the range: noise and pose error together
+_WITHIN = 0.8  # share of the farthest point's depth: beyond, a point may leave the sensor's range
+_PRIOR = 0.03  # share of the points: the weight of a prior for zero shift in each direction
 _ROUNDS = 4
-_SHARP_M, _SHARP_PER_M = 0.04, 0.010  # two pictures a moment apart agree to this, and this times the square of the range
-_SUSPICIOUS = 0.01  # of the points misfit; where fewer do, nobody asks whether they would fit elsewhere
-_STEP, _ACROSS, _DOWN, _FARTHEST = 0.04, 2, 3, 6  # aside, each way: of the width or height; nearer, a pose that drifts looks so
-_HALF = 9  # of the asides
-_SOME = 5  # points; fewer gained are noise: of 130, standing on a floor, up to 3 in honest pictures
+_SHARP_M, _SHARP_PER_M = 0.04, 0.010  # two images a moment apart agree to this, plus this times the square of the range
+_SUSPICIOUS = 0.01  # share of misfits below which no shift is searched for
+_STEP, _ACROSS, _DOWN, _FARTHEST = 0.04, 2, 3, 6  # shifts, as shares of width or height; smaller ones look like drift
+_HALF = 9  # min. number of shifts that can be evaluated
+_SOME = 5  # points; a smaller gain is noise: of 130 on a floor, up to 3 in valid images
 
 
 @kernel
 def surface(depth_m: AnyArray, camera: AnyArray, rotation: AnyArray, place: AnyArray) -> AnyArray:
-    """Points on surfaces and their normals, (N, 6), in the frame in which the camera has this rotation and place.
+    """Return points on surfaces and their normals, (N, 6).
+
+    They are in the frame in which the camera has this rotation and position.
 
     depth_m (H, W), NaN = no return; camera fx, fy, cx, cy.
     """
@@ -59,7 +61,7 @@ def surface(depth_m: AnyArray, camera: AnyArray, rotation: AnyArray, place: AnyA
 
 @kernel
 def seen_at(point: AnyArray, camera: AnyArray, rotation: AnyArray, place: AnyArray) -> tuple[int, int, float]:
-    """Column and row at which a place is seen, and its depth (m); -1, -1 for one that is in no picture."""
+    """Return column and row at which a point is seen, and its depth (m); -1, -1 if in no image."""
     dx, dy, dz = point[0] - place[0], point[1] - place[1], point[2] - place[2]
     deep = rotation[0, 2] * dx + rotation[1, 2] * dy + rotation[2, 2] * dz
     if deep < _NEAREST_M:
@@ -71,7 +73,10 @@ def seen_at(point: AnyArray, camera: AnyArray, rotation: AnyArray, place: AnyArr
 
 @kernel
 def _off_m(point: AnyArray, u: int, v: int, z: float, camera: AnyArray, rotation: AnyArray, place: AnyArray) -> float:
-    """How far a return of depth z (m) on the ray of a pixel lies before the surface through a point (6,), along its normal."""
+    """Return the distance of a return from the surface through a point (6,), along its normal.
+
+    z: depth (m) of the return on the ray of the pixel.
+    """
     x, y = (u - camera[2]) / camera[0] * z, (v - camera[3]) / camera[1] * z
     off_m = 0.0
     for i in range(3):
@@ -84,8 +89,10 @@ def _off_m(point: AnyArray, u: int, v: int, z: float, camera: AnyArray, rotation
 def residuals(
     points: AnyArray, depth_m: AnyArray, camera: AnyArray, rotation: AnyArray, place: AnyArray
 ) -> tuple[AnyArray, int]:
-    """Of the points (N, 6) of another picture that this one sees, (M, 6): residual (m), what of it is none (m), how much
-    farther than the point the return is (m), normal. And how many that lie well within reach it has no return of.
+    """Return the residuals (M, 6) of the points (N, 6) of another image that this one sees.
+
+    Columns: residual (m), limit up to which it counts as zero (m), how much farther than the point the return is (m), normal
+    (3). Also returns the number of points well within range for which this image has no return.
     """
     height, width = depth_m.shape
     out, number, gone, reach_m = np.empty((points.shape[0], 6)), 0, 0, 0.0
@@ -109,11 +116,14 @@ def residuals(
 
 @kernel
 def gain_aside(points: AnyArray, depth_m: AnyArray, camera: AnyArray, rotation: AnyArray, place: AnyArray) -> float:
-    """Share of the points (N, 6) of another picture from whose place this one has gone back, less the share that misfits it
-    read some columns or rows aside, for the best of these; zero for a picture that lies where it should.
+    """Return the gain of an image's best shift: missing points less misfits after it.
 
-    Only what is farther than it should be speaks for a shift: what comes into view stands before something.
-    A wall that is looked at squarely and the floor look the same aside: they speak neither for nor against it, but noise may.
+    Both are shares of the points (N, 6) of another image. A shift reads the image some columns or rows aside. The gain is zero
+    for an image that is not shifted.
+
+    Only returns farther than expected count as evidence of a shift: something that comes into view stands in front of
+    something. A wall seen squarely and the floor look the same when shifted: they are no evidence for or against, but noise may
+    be.
     """
     _, straight, _, _ = _misfit(points, depth_m, camera, rotation, place, 0, 0)
     return max(0.0, _asides(points, depth_m, camera, rotation, place)[:, 0].max()) if straight > _SUSPICIOUS else 0.0
@@ -121,8 +131,10 @@ def gain_aside(points: AnyArray, depth_m: AnyArray, camera: AnyArray, rotation: 
 
 @kernel
 def loss_aside(points: AnyArray, depth_m: AnyArray, camera: AnyArray, rotation: AnyArray, place: AnyArray) -> float:
-    """By what share fewer of the points (N, 6) of another picture fit this one read some columns or rows aside, for the best
-    of these; none where a shift would not be noticed, or few asides can be read, and less where one fits better.
+    """Return the least loss of a shift: the share of the points (N, 6) that fit less.
+
+    A shift reads the image some columns or rows aside. The loss is zero if few shifts can be evaluated or if a shift would not
+    be noticed, and negative if a shifted image fits better.
     """
     asides = _asides(points, depth_m, camera, rotation, place)
     return asides[:, 1].min() if len(asides) >= _HALF else 0.0
@@ -130,7 +142,10 @@ def loss_aside(points: AnyArray, depth_m: AnyArray, camera: AnyArray, rotation: 
 
 @kernel
 def _asides(points: AnyArray, depth_m: AnyArray, camera: AnyArray, rotation: AnyArray, place: AnyArray) -> AnyArray:
-    """gain_aside and loss_aside for each aside, (M, 2); zeros alone where too little is seen at both places."""
+    """Return gain_aside and loss_aside of each shift, (M, 2).
+
+    A single row of zeros if too little is seen at both positions.
+    """
     out, number = np.zeros((4 * _FARTHEST, 2)), 0
     for n in range(-_FARTHEST, _FARTHEST + 1):
         for k in range(2):
@@ -148,8 +163,10 @@ def _asides(points: AnyArray, depth_m: AnyArray, camera: AnyArray, rotation: Any
 def _misfit(
     points: AnyArray, depth_m: AnyArray, camera: AnyArray, rotation: AnyArray, place: AnyArray, across: int, down: int
 ) -> tuple[int, float, float, float]:
-    """The points that have a return at both places, and their shares off the surface that is seen: where they should be, and
-    what is seen there is farther; there, nearer or farther; and so many columns and rows beside. NaN where these are too few.
+    """Return the number of points with a return at both positions, and their shares of misfits.
+
+    The positions are the expected one, and one shifted by ``across`` columns and ``down`` rows. Shares: misfits at the expected
+    position with a farther return; all misfits there; all misfits at the shifted one. NaN if there are too few points.
     """
     height, width = depth_m.shape
     count, gone, off = 0, 0, np.zeros(2)
@@ -170,10 +187,12 @@ def _misfit(
 
 @kernel
 def shift_of(found: AnyArray) -> tuple[AnyArray, AnyArray]:
-    """The translation (3,) that explains most of the residuals (M, 6): least squares, each time without what lies farther off;
-    and how well each direction is held, (3, 3), as a share of the points.
+    """Return the translation (3,) that explains most of the residuals (M, 6).
 
-    A direction in which few surfaces look is held to none by a prior.
+    Least squares, repeated with a falling limit for outliers. Also returns how well each direction is determined, (3, 3), as a
+    share of the points.
+
+    A prior keeps the shift at zero in a direction that few surfaces face.
     """
     shift, held = np.zeros(3), np.zeros((3, 3))
     for n in range(_ROUNDS):
@@ -194,7 +213,7 @@ def shift_of(found: AnyArray) -> tuple[AnyArray, AnyArray]:
 
 @kernel
 def shares(found: AnyArray, shift: AnyArray) -> tuple[float, float, float]:
-    """Of the residuals (M, 6), the shares that are none, that stand nearer than they should, and that a shift (3,) explains."""
+    """Return the shares of residuals (M, 6) that are zero, nearer, and explained by a shift."""
     fitting, nearer, explained = 0, 0, 0
     for m in range(len(found)):
         left = found[m, 0] - (found[m, 3] * shift[0] + found[m, 4] * shift[1] + found[m, 5] * shift[2])
@@ -207,7 +226,7 @@ def shares(found: AnyArray, shift: AnyArray) -> tuple[float, float, float]:
 
 @kernel
 def _solved(m: FloatArray, b: FloatArray) -> FloatArray:
-    """Of a positive definite (3, 3) by its cofactors."""
+    """Solve a positive definite (3, 3) system by cofactors."""
     x = m[1, 1] * m[2, 2] - m[1, 2] * m[2, 1]
     y = m[1, 2] * m[2, 0] - m[1, 0] * m[2, 2]
     z = m[1, 0] * m[2, 1] - m[1, 1] * m[2, 0]

@@ -1,4 +1,7 @@
-"""Which poses may enter the filter. Each answer is what a pose is rejected for, None for a pose that may."""
+"""Gates for the poses that may enter the filter.
+
+Each gate returns the word under which a rejected pose is counted, None for an accepted one.
+"""
 
 from __future__ import annotations
 
@@ -14,9 +17,9 @@ from uav_recon.types.pose import StampedPose
 
 _OLDEST_S, _FUTURE_S = 1.0, 0.01
 _SAME_STAMP_S = 1e-4
-_FARTHEST_M, _LARGEST_VARIANCE = 1e4, 1e4  # per number, m² or rad²: a source that says so much knows nothing
+_FARTHEST_M, _LARGEST_VARIANCE = 1e4, 1e4  # per element, m² or rad²: a source that claims this knows nothing
 _STEP_M = 0.03  # a vehicle follows a step of its odometry at once
-_PLAUSIBLE_NIS = 22.46  # 99.9 % of the innovations of six numbers (chi-square)
+_PLAUSIBLE_NIS = 22.46  # 99.9 % of the innovations of six elements (chi-square)
 
 
 class PoseRejection(str, Enum):
@@ -43,7 +46,10 @@ CONTRADICTIONS = (PoseRejection.JUMP, PoseRejection.TURN, PoseRejection.SPEED)
 
 @dataclass(frozen=True, slots=True)
 class Sighting:
-    """A pose of the source as plain numbers: odom_from_body as the filter's odom goes, and the value that it came in."""
+    """A pose of the source as plain numbers.
+
+    odom_from_body: in the filter's odom. source: the pose as it was received.
+    """
 
     stamp_s: float
     position_m: Vector
@@ -53,11 +59,11 @@ class Sighting:
 
 @dataclass(frozen=True, slots=True)
 class PoseGates:
-    """How far a pose may lie from where the track leads (HAZARDS, J_pos and J_yaw).
+    """Limits for the difference between a pose and the track (HAZARDS, J_pos and J_yaw).
 
-    Beyond jump_m AND ``sigmas`` standard deviations of the innovation it is refused, beyond farthest_m whatever these say; the
-    same for the angle between the attitudes, and for its part that tilts the horizon, which both know. speed_mps: implied by
-    the way from the pose before.
+    A pose beyond jump_m AND ``sigmas`` standard deviations of the innovation is rejected; beyond farthest_m it is always
+    rejected. The same holds for the angle between the attitudes (turn_rad, farthest_rad), and for its part that tilts the
+    horizon (tilt_rad), which both source and track know. speed_mps: limit of the speed implied by the previous pose.
     """
 
     jump_m: float = 0.10
@@ -69,7 +75,10 @@ class PoseGates:
     speed_mps: float = 2.0
 
     def leap(self, residual: FloatArray, spread: FloatArray) -> PoseRejection | None:
-        """residual: (6,) position, rotation vector. spread: (6, 6), its covariance."""
+        """Return the reason why a pose does not fit the track, '' if it fits.
+
+        residual: (6,) position, rotation vector. spread: (6, 6), its covariance.
+        """
         place_m, place_sigma = _length_and_sigma(residual[:3], spread[:3, :3])
         if not place_m <= min(max(self.jump_m, self.sigmas * place_sigma), self.farthest_m):
             return PoseRejection.JUMP
@@ -81,14 +90,14 @@ class PoseGates:
         return None if may else PoseRejection.TURN
 
     def haste(self, before: Sighting, after: Sighting) -> PoseRejection | None:
-        """Between two poses of the source, in either order."""
+        """Return 'speed' if two poses of the source, in either order, are too far apart, '' if not."""
         way_m = math.dist(before.position_m, after.position_m)
         slow = way_m <= self.jump_m + self.speed_mps * abs(after.stamp_s - before.stamp_s)
         return None if slow else PoseRejection.SPEED
 
 
 def pose_fault(pose: StampedPose, now_s: float) -> PoseRejection | None:
-    """What is wrong with a pose by itself."""
+    """Return the fault of a pose by itself, None for nothing."""
     if pose.covariance.shape != (6, 6) or not (math.isfinite(pose.stamp_s) and np.isfinite(pose.covariance).all()):
         return PoseRejection.NOT_FINITE
     if np.abs(pose.odom_from_body.translation_m).max() > _FARTHEST_M or np.abs(pose.covariance).max() > _LARGEST_VARIANCE:
@@ -99,28 +108,37 @@ def pose_fault(pose: StampedPose, now_s: float) -> PoseRejection | None:
 
 
 def same_stamp(a_s: float, b_s: float) -> bool:
-    """Whether two stamps are one: the same pose again, or another one that claims its place."""
+    """Return True if two stamps are equal: the same pose again, or another one in its place."""
     return abs(a_s - b_s) < _SAME_STAMP_S
 
 
 def normalized_innovation_squared(residual: FloatArray, spread: FloatArray) -> float:
-    """Normalised innovation squared (NIS): chi-square of six where the filter knows how far to trust itself."""
+    """Return the normalized innovation squared (NIS).
+
+    It is chi-square distributed with six degrees of freedom if the filter's covariance is right.
+    """
     return float(residual @ np.linalg.solve(spread, residual))
 
 
 def outlier_noise_scale(nis: float) -> float:
-    """How many times the white noise of an implausible but possible pose counts: it pulls, it does not tear."""
+    """Return the factor on the white noise of an improbable but possible pose.
+
+    The pose then corrects the state only weakly.
+    """
     return max(1.0, nis / _PLAUSIBLE_NIS)
 
 
 def max_step_noise_scale(residual: FloatArray, track_m2: float, white_m2: float) -> float:
-    """How many times the white noise counts so that a pose moves odometry by at most _STEP_M; variances of track and pose."""
+    """Return the factor on the white noise with which a pose moves odometry by at most _STEP_M.
+
+    track_m2, white_m2: variances of track and pose.
+    """
     share = track_m2 / (track_m2 + white_m2)
     steps = math.dist(residual[:3], (0.0, 0.0, 0.0)) / _STEP_M
     return track_m2 * (steps - 1.0) / white_m2 if share * steps > 1.0 else 1.0
 
 
 def _length_and_sigma(vector: FloatArray, covariance: FloatArray) -> tuple[float, float]:
-    """Length of a vector, and the standard deviation along it."""
+    """Return the length of a vector, and the standard deviation along it."""
     length = math.sqrt(float(vector @ vector))
     return length, math.sqrt(max(float(vector @ covariance @ vector), 0.0)) / length if length > 0.0 else 0.0

@@ -1,4 +1,7 @@
-"""Poses that do not go on from where the track is: believed once they have agreed among themselves for long enough."""
+"""Relocalization check: poses that do not continue the track are accepted once they agree.
+
+They have to agree among themselves for long enough.
+"""
 
 from __future__ import annotations
 
@@ -8,38 +11,38 @@ from dataclasses import dataclass
 from uav_recon.localization.imu_integration import conjugate, logarithm, multiply, rotate
 from uav_recon.localization.pose_gates import Sighting
 
-_SLIP_M, _SLIP_RAD = 0.05, math.radians(3.0)  # between two poses, beyond what the track says of the way between them
-_WIDER_M, _WIDER_RAD = 0.10, math.radians(8.0)  # the same where no inertial samples tell the way
+_SLIP_M, _SLIP_RAD = 0.05, math.radians(3.0)  # between two poses, max. difference from the motion of the track
+_WIDER_M, _WIDER_RAD = 0.10, math.radians(8.0)  # the same where there are no inertial samples
 _SPEED_MPS, _TURN_RADPS = 2.0, math.radians(90.0)
 
 
 @dataclass(frozen=True, slots=True)
 class ConsistencyRequirement:
-    """So many poses over so long (s) that agree."""
+    """Number of poses that must agree, and the min. time (s) that they span."""
 
     poses: int
     over_s: float
 
 
 STEP = ConsistencyRequirement(4, 0.2)  # the track was never lost: a step of the source's map
-RETURN = ConsistencyRequirement(12, 1.0)  # it was lost: a fooled relocalisation is worse than none (HAZARDS, B2)
+RETURN = ConsistencyRequirement(12, 1.0)  # the track was lost: a wrong relocalization is worse than none (HAZARDS, B2)
 
 
 class RelocalizationCheck:
-    """One run of such poses; one that does not agree with the one before it begins a new run."""
+    """One run of such poses. A pose that does not agree with the one before it starts a new run."""
 
     def __init__(self) -> None:
-        self._run: list[tuple[Sighting, Sighting]] = []  # what the source said, and where the track was
+        self._run: list[tuple[Sighting, Sighting]] = []  # the source's pose, and that of the track
 
     def __len__(self) -> int:
         return len(self._run)
 
     def clear(self) -> None:
-        """Nothing is on trial."""
+        """End the run."""
         self._run.clear()
 
     def update(self, said: Sighting, track: Sighting, inertial: bool) -> None:
-        """Add a pose and the place where the track alone leads at its stamp."""
+        """Add a pose, and the pose that the track alone predicts for its stamp."""
         if self._run and said.stamp_s <= self._run[-1][0].stamp_s:
             return
         if self._run and not _agree(self._run[-1], (said, track), inertial):
@@ -47,11 +50,11 @@ class RelocalizationCheck:
         self._run.append((said, track))
 
     def stands(self, proof: ConsistencyRequirement) -> bool:
-        """Whether the run is proof enough."""
+        """Return True if the run meets the requirement."""
         return len(self._run) >= proof.poses and self._run[-1][0].stamp_s - self._run[0][0].stamp_s >= proof.over_s
 
     def velocity_mps(self) -> tuple[float, float, float]:
-        """Mean over the run, by the source; zero for less than two poses."""
+        """Return the mean velocity of the source over the run; zero for less than two poses."""
         if len(self._run) < 2:
             return (0.0, 0.0, 0.0)
         (first, _), (last, _) = self._run[0], self._run[-1]
@@ -61,7 +64,7 @@ class RelocalizationCheck:
 
 
 def _agree(before: tuple[Sighting, Sighting], after: tuple[Sighting, Sighting], inertial: bool) -> bool:
-    """Whether the source moved between two poses as the track did or, without an IMU, as a vehicle can."""
+    """Return True if the source moved as the track did or, without an IMU, as a vehicle can."""
     (said0, track0), (said1, track1) = before, after
     dt_s = said1.stamp_s - said0.stamp_s
     turn = multiply(conjugate(said0.odom_from_body), said1.odom_from_body)

@@ -1,1 +1,1 @@
-"""Events, a pure state machine, and the conductor that gives the stages their order."""
+"""Mission: events, a pure state machine, and the conductor that runs the stages in order."""

@@ -1,4 +1,4 @@
-"""Decisions beside the loop: a plan and the motion made of it, or the reason why there is none."""
+"""Planning beside the control loop: a plan and its trajectory, or the reason for none."""
 
 from __future__ import annotations
 
@@ -19,7 +19,10 @@ from uav_recon.types.trajectory import Setpoint, Trajectory
 
 @dataclass(frozen=True)
 class PlanResult:
-    """A plan and its motion; motion is the reason where there is none."""
+    """A plan and its trajectory.
+
+    motion: the reason if there is no trajectory.
+    """
 
     path: ViewPath | NothingLeft
     motion: Trajectory | Reason
@@ -39,28 +42,30 @@ class AsyncPlanner:
     ) -> None:
         self._planner, self._motion, self._retreat, self._executor = planner, motion, retreat, executor
         self._plan_cost_s, self._view_spacing_m = plan_cost_s, view_spacing_m
-        self._unanswered: list[tuple[float, Pending[PlanResult]]] = []  # since when, infinity until that is asked
+        self._unanswered: list[tuple[float, Pending[PlanResult]]] = []  # waiting since, infinity before the first check
 
     def waiting_s(self, now_s: float) -> float:
-        """For how long the oldest decision has not come, also one that nobody waits for any more: those after it wait for it.
-        To be asked in each step; 0 for none.
+        """Return for how long (s) the oldest request has been running; 0 if none is.
+
+        This includes a result that is no longer needed: later requests wait for it. Call it in each step.
         """
         self._unanswered = [(min(since_s, now_s), each) for since_s, each in self._unanswered if not each.done()]
         return max((now_s - since_s for since_s, _ in self._unanswered), default=0.0)
 
     def next_views(self, request: PlanRequest, departure: Departure, identifier: int) -> Pending[PlanResult]:
-        """Where to look next, from rest or out of the present motion."""
+        """Plan the next views, from rest or out of the present motion."""
         return self._submit(lambda: self._onward(self._planner.plan(request), request, departure, identifier))
 
     def way_home(self, request: PlanRequest, rest: Setpoint, home: Viewpoint, identifier: int) -> Pending[PlanResult]:
-        """The shortest clear way to the pad, nose ahead."""
+        """Plan the shortest clear path to the pad, nose first."""
         return self._submit(lambda: self._homed(self._planner.route(request, home), request, rest, self._motion, identifier))
 
     def way_back(
         self, request: PlanRequest, rest: Setpoint, crumbs: tuple[FloatArray, ...], home: Viewpoint, identifier: int
     ) -> Pending[PlanResult]:
-        """Back along the breadcrumbs, nose ahead. Where the vehicle has been is free, though a map with ghosts may want more
-        room there.
+        """Plan the path back along the breadcrumbs, nose first.
+
+        Positions where the vehicle has been are free, though a map with false obstacles may require more clearance there.
         """
         waypoints = np.array([rest.position_m, *crumbs, home.position_world])
         revision, epoch = request.voxels.revision, request.voxels.map_epoch

@@ -1,37 +1,40 @@
-"""How much of the battery is left, as far as its gauge can be believed (HAZARDS, E5)."""
+"""Filter of the battery gauge: the plausible remaining charge (HAZARDS, E5)."""
 
 from __future__ import annotations
 
 import math
 from collections import deque
 
-_LASTS_S = 3.0  # a fall that is true stays; a sag under load and a word that is wrong do not
-_RISE = 0.10  # nobody charges it in flight; a gauge that goes by the voltage takes back so much of a sag
+_LASTS_S = 3.0  # a real fall lasts longer than this; a sag under load and a wrong value do not
+_RISE = 0.10  # max. rise: the battery is not charged in flight, but a voltage gauge recovers this much of a sag
 _LOST_S = 5.0
 
 
 class BatteryGaugeFilter:
-    """One mission's. hear() whatever is said, step by step; ``left`` (share, 0 to 1; NaN before any was heard) is the most that
-    was said in the last seconds.
+    """The filter of one mission; call update() with every value, step by step.
 
-    So a fall counts once it has lasted, whatever its size, and what is too much to be true counts as nothing said.
+    ``left`` (share, 0 to 1; NaN before the first value) is the greatest value of the last seconds. So a fall counts once it has
+    lasted, whether small or large, and a value too high to be true is ignored.
     """
 
     def __init__(self) -> None:
-        self._heard: deque[tuple[float, float]] = deque()  # from when (s) which share was said; the first at the window's begin
+        self._heard: deque[tuple[float, float]] = deque()  # (start (s), share); the first is the value at the window's start
         self._received_s = -math.inf
         self.left = math.nan
 
     def lost(self, now_s: float) -> bool:
-        """Whether nothing credible came for too long. Of a battery that never said anything there is nothing to lose."""
+        """Return True if no plausible value came for too long.
+
+        False for a battery that never reported a value.
+        """
         return bool(self._heard) and now_s - self._received_s > _LOST_S
 
     def update(self, now_s: float, share: float, flying: bool) -> None:
-        """The gauge's word, NaN for none. On the ground it may be another battery."""
+        """Add the gauge's value, NaN for none. On the ground the battery may have been changed."""
         if not flying:
             self._heard.clear()
             self.left = math.nan
-        if not 0.0 <= share <= 1.0 or share > self.left + _RISE:  # NaN never is
+        if not 0.0 <= share <= 1.0 or share > self.left + _RISE:  # NaN is rejected
             return
         self._received_s = now_s
         if not self._heard or share != self._heard[-1][1]:

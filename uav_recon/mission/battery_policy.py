@@ -1,4 +1,4 @@
-"""Keeps account of the battery: what is left of it for sure, what the way home needs, and why it is the end of a flight."""
+"""Battery policy: certain charge, charge needed for the way home, and end of the flight."""
 
 from __future__ import annotations
 
@@ -16,22 +16,25 @@ from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.vehicle import VehicleState
 
-_LOOK_S = 1.0  # the way home is measured so often
-_SLOWER = 0.8  # of what the guard lets pass, that much is planned with
-_SLOW_S = 3.0  # nothing fast let pass for so long will stay so; for a moment it is each time that poses and IMU disagree
+_LOOK_S = 1.0  # interval at which the path home is measured
+_SLOWER = 0.8  # planned speed as a share of the guard's limit
+_SLOW_S = 3.0  # a lower limit for this long is expected to stay; brief ones occur when poses and IMU disagree
 
 
 class BatteryPolicy:
-    """One mission's. home_m: place (3,) over the pad; clearance_m: what planned ways keep of anything. hear() in each step."""
+    """The policy of one mission; call update() in each step.
+
+    home_m: position (3,) over the pad. clearance_m: clearance of planned paths.
+    """
 
     def __init__(self, course: FlightTrack, home_m: FloatArray, clearance_m: float) -> None:
         self._course, self._home_m, self._clearance_m = course, home_m, clearance_m
         self._charge, self._burn = BatteryGaugeFilter(), ConsumptionEstimator()
         self._looked_s, self._way_m, self._pace_mps, self._now_s = -math.inf, 0.0, math.inf, 0.0
-        self._quick_s = -math.inf  # when anything was let pass
+        self._quick_s = -math.inf  # when the guard last had no lower limit
 
     def update(self, now_s: float, vehicle: VehicleState, voxels: VoxelMap | None) -> None:
-        """The gauge's word, and where the vehicle is: to be called when the course has followed it."""
+        """Read the gauge and the vehicle's position. Call it after FlightTrack.follow."""
         self._now_s, self._quick_s = now_s, now_s if vehicle.max_speed_mps == math.inf else self._quick_s
         self._pace_mps = _SLOWER * vehicle.max_speed_mps if now_s - self._quick_s >= _SLOW_S else math.inf
         self._charge.update(now_s, vehicle.battery_fraction, flying=vehicle.armed)
@@ -43,28 +46,34 @@ class BatteryPolicy:
 
     @property
     def left(self) -> float:
-        """Share that is left for sure; NaN before any was heard."""
+        """Certain remaining share; NaN before the first value."""
         return self._charge.left
 
     @property
     def lost(self) -> bool:
-        """Whether nothing credible was heard for too long."""
+        """True if no plausible value was received for too long."""
         return self._charge.lost(self._now_s)
 
     @property
     def needed(self) -> float:
-        """Share at which it has to turn back: for the way home, and no less than LOW while nothing can be reckoned."""
+        """Share at which the vehicle has to turn back.
+
+        It covers the way home, and is at least LOW while consumption cannot be estimated.
+        """
         need = min_charge_for(flight_s(self._way_m, self._pace_mps), self._burn.per_s(self._now_s))
         return need if self._burn.reckoned(self._now_s) else max(need, LOW)
 
     def ends(self, starting: bool, flying: bool) -> Reason | None:
-        """Why there is no flight, or none any more; None where there is. Of a gauge that never spoke the autopilot is judge."""
+        """Return why there is no flight, or why it ends; None for nothing.
+
+        For a gauge that never reported a value the autopilot decides.
+        """
         if starting and self.left < TAKE_OFF:
             return Reason(ReasonCode.BATTERY_TAKEOFF, (100.0 * self.left, 100.0 * TAKE_OFF))
         return Reason(ReasonCode.BATTERY_LAND, (100.0 * self.left,)) if flying and self.left <= LAND_AT else None
 
     def why(self) -> Reason:
-        """Why it returns."""
+        """Return why the vehicle returns, as a reason with figures."""
         if self.lost:
             return Reason(ReasonCode.BATTERY_UNKNOWN)
         per_s, home_s = self._burn.per_s(self._now_s), flight_s(self._way_m, self._pace_mps)

@@ -1,4 +1,4 @@
-"""React: one step of the mission, top to bottom. The only place where the stages meet."""
+"""Conductor: one step of the mission, top to bottom. The only place where the stages meet."""
 
 from __future__ import annotations
 
@@ -28,14 +28,17 @@ from uav_recon.types.trajectory import Goal, Intent
 from uav_recon.types.vehicle import FlightPhase, VehicleState
 
 FRAME_TIMEOUT_S = 1.0
-PLAN_LATE_S = 20.0  # a planner that has not answered for so long does not answer any more
-VIEW_LATE_S = 0.6  # a view that no frame met for so long is given up
+PLAN_LATE_S = 20.0  # a planner that has not answered for this long is treated as dead
+VIEW_LATE_S = 0.6  # a view is given up if no frame came within this time
 PROGRESS_PERIOD_S = 0.2
 _CALLED_HOME = Reason(ReasonCode.OPERATOR_RETURN)
 
 
 class Conductor:
-    """Flies one mission. step() is called at 20 Hz or more and never waits for planning or mapping."""
+    """Flies one mission.
+
+    step() is called at 20 Hz or more and never waits for planning or mapping.
+    """
 
     def __init__(
         self,
@@ -62,26 +65,26 @@ class Conductor:
         self.phase = Phase.IDLE
         self.map: VoxelMap | None = None
         self._frame_sequence, self._frame_s = 0, -np.inf
-        self._map_epoch, self._correction_sequence = 0, wires.correction.sequence()  # what stands there is of another flight
+        self._map_epoch, self._correction_sequence = 0, wires.correction.sequence()  # the present value is of another flight
         self._refusals = 0
         self._bulletin, self._reported_s = MapPublisher(wires), -np.inf
         self._attendance = OperatorWatchdog(orders.operator_timeout_s)
-        self._go_home: Reason | None = None  # why it goes home, whatever else there is
+        self._go_home: Reason | None = None  # the reason to go home, whichever other reasons there are
         self._start = self._abort = self._hold = self._released = self._arrived = False
         half_m, top_m = orders.vehicle_height_m / 2, orders.takeoff_height_m + orders.clear_radius_m  # home is clear above too
         stages.voxels.declare_free(np.zeros(3), orders.takeoff_radius_m, -half_m, top_m)
 
     @property
     def finished(self) -> bool:
-        """Nothing more will be done."""
+        """True if nothing more will be done."""
         return self.phase in (Phase.DONE, Phase.YIELDED)
 
     def request_start(self) -> None:
-        """The operator's go, or autostart's."""
+        """Start the flight: by the operator's command or by autostart."""
         self._start = True
 
     def request_hold(self) -> None:
-        """Stay here until resume() or request_return(); the mission's own wishes wait."""
+        """Hold position until resume() or request_return(); the mission's own events wait."""
         self._hold = True
 
     def request_return(self, why: Reason = _CALLED_HOME) -> None:
@@ -90,7 +93,7 @@ class Conductor:
         self.resume()
 
     def resume(self) -> None:
-        """Go on after a hold; without one nothing changes."""
+        """Continue after a hold; without one nothing changes."""
         self._released, self._hold = self._released or self._hold, False
 
     def request_abort(self, reason: Reason) -> None:
@@ -98,7 +101,7 @@ class Conductor:
         self._abort, self._account.aborted = True, self._account.aborted or reason
 
     def step(self) -> None:
-        """Frame to map, map to events, events to phase, phase to motion, motion to the pilot."""
+        """Run one step: frame, map, events, phase, motion, and the message to the pilot."""
         now_s = self._clock.now_s()
         vehicle = self._wires.vehicle.latest()
         self._hear_of_a_new_map(now_s, vehicle)
@@ -115,14 +118,17 @@ class Conductor:
             self._account.update(self.phase, vehicle, self._attendance.missing if self._start else None)
             self._change_phase(advance(self.phase, observe(self._facts(now_s, vehicle))), now_s)
             self._act(now_s, vehicle)
-        elif self._abort:  # of no vehicle was ever heard, so there is none to land
+        elif self._abort:  # no vehicle was ever reported, so there is none to land
             self._change_phase(Phase.DONE, now_s)
         self._publish(now_s)
 
     # -- detect -------------------------------------------------------------------------------------------------------
 
     def _hear_of_a_new_map(self, now_s: float, vehicle: VehicleState | None) -> None:
-        """Where the past is held to have been elsewhere: hold, map anew, and look round. Where the vehicle flew is free."""
+        """Handle a map correction: hold, rebuild the map, and look round.
+
+        Positions where the vehicle flew are free.
+        """
         sequence = self._wires.correction.sequence()
         correction = self._wires.correction.latest() if sequence != self._correction_sequence else None
         self._correction_sequence = sequence
@@ -149,7 +155,7 @@ class Conductor:
             return
         self._frame_sequence = sequence
         if posed.map_epoch != self._map_epoch:
-            return  # its pose does not fit the map: as if it had not come
+            return  # its pose does not fit the map, so it is ignored
         self._frame_s = now_s
         self._stages.voxels.integrate(posed)
         self.map = self._stages.voxels.snapshot()
@@ -159,11 +165,14 @@ class Conductor:
             self._account.view(posed)
 
     def _worth_a_view(self, posed: PosedFrame) -> bool:
-        """Whether a frame on the way shows enough that is new; the look round and the tasks' views are promised anyway."""
+        """Return True if a frame shows enough that is new.
+
+        Views of the look round and of the tasks are taken in any case.
+        """
         return self.phase is Phase.SURVEY and self._stages.budget.worth(posed, self._account.views_left)
 
     def _hear_guard(self, now_s: float, vehicle: VehicleState) -> None:
-        """A refused trajectory is not flown on: the vehicle hovers where the guard stopped it, and the plan is made anew."""
+        """Handle a refused trajectory: hover where the guard stopped the vehicle, and plan again."""
         if vehicle.refusals > self._refusals and self._course.trajectory is not None:
             self._account.refusal(now_s, vehicle.note or Reason(ReasonCode.REFUSED))
             self._helm.hold(now_s, vehicle)
@@ -172,7 +181,7 @@ class Conductor:
         self._refusals = vehicle.refusals
 
     def _hear_operator(self, now_s: float, vehicle: VehicleState) -> None:
-        """Who attends no more holds nothing either."""
+        """Update the operator watchdog. An operator who is lost cannot hold the vehicle either."""
         news = self._attendance.update(now_s, vehicle.operator_received_s, flying=vehicle.armed)
         if news:
             self._account.refusal(now_s, news)
@@ -180,7 +189,7 @@ class Conductor:
             self.request_return(self._attendance.lost)
 
     def _hear_release(self, now_s: float, vehicle: VehicleState) -> None:
-        """The pilot held it where it was, which is not where the course led: go on, or up, from where it is."""
+        """Continue after a hold from where the pilot held the vehicle, which is not on the course."""
         if self._released and self.phase is Phase.HOLD:
             self._helm.hold(now_s, vehicle)
         elif self._released and self.phase is Phase.TAKEOFF:
@@ -188,12 +197,15 @@ class Conductor:
         self._released = False
 
     def _hear_no_planner(self, now_s: float) -> None:
-        """Everything that is flown comes from it, the way home too."""
+        """Abort if the planner is dead: every trajectory comes from it, the way home too."""
         if self._decider.waiting_s(now_s) > PLAN_LATE_S:
             self.request_abort(Reason(ReasonCode.PLANNER_SILENT, (PLAN_LATE_S,)))
 
     def _hear_battery(self, now_s: float, vehicle: VehicleState) -> None:
-        """Not to take off with it, or to land where it is; and where a held vehicle would turn back, its operator is told."""
+        """Abort a take-off or land in place if the battery requires it.
+
+        If a held vehicle would turn back, the operator is informed.
+        """
         steward = self._steward
         steward.update(now_s, vehicle, self.map)
         starting, flying = self._start and self.phase is Phase.READY, vehicle.phase is FlightPhase.FLYING
@@ -261,7 +273,7 @@ class Conductor:
             if self._homeward.lost:
                 self.request_abort(self._homeward.lost)
 
-    # -- tell ---------------------------------------------------------------------------------------------------------
+    # -- publish ------------------------------------------------------------------------------------------------------
 
     def _publish(self, now_s: float) -> None:
         grounded = self.phase in (Phase.IDLE, Phase.READY, Phase.DONE, Phase.YIELDED)

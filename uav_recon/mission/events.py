@@ -1,4 +1,7 @@
-"""Detect: observations become events, and a table gives each event its effect. No state, no clock, no I/O."""
+"""Event detection: observations become events, and a table gives each event its effect.
+
+No state, no clock, no I/O.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +12,7 @@ from uav_recon.types.vehicle import FlightPhase, VehicleState
 
 
 class Event(Enum):
-    """What was observed in this step."""
+    """Events of a step."""
 
     VEHICLE_READY = "the autopilot is ready to arm"
     START = "start was given"
@@ -33,7 +36,7 @@ class Event(Enum):
 
 
 class Effect(Enum):
-    """What an event asks of the machine, strongest first."""
+    """Effect of an event on the state machine, strongest first."""
 
     YIELD = "yield"
     FINISH = "finish"
@@ -70,29 +73,29 @@ EFFECTS: dict[Event, Effect] = {
 
 @dataclass(frozen=True, slots=True)
 class Facts:
-    """What one step of the conductor knows; observe() turns it into events."""
+    """Input of one step of the conductor; observe() turns it into events."""
 
     vehicle: VehicleState | None
     start: bool  # given by the operator or by autostart, with every stage warm
     abort: bool
     at_rest: bool  # the trajectory is flown and its views are taken
-    took_off: bool  # it is off the floor, and the climb was handed out
+    took_off: bool  # it is off the floor, and the climb was commanded
     frame_age_s: float
     frame_timeout_s: float
     nothing_left: bool
     views_left: int
     flight_s: float
     max_flight_s: float
-    arrived: bool  # at the end of a way home
+    arrived: bool  # at the end of a path home
     no_way_home: bool
-    charge: float  # share of the battery that is left for sure; NaN: it never said
+    charge: float  # certain remaining share of the battery; NaN: never reported
     charge_needed: float  # share at which it has to turn back
     charge_lost: bool
-    hold: bool = False  # the operator's word stands
+    hold: bool = False  # the operator's hold is active
     go_home: bool = False
 
 
-# What the mission would do by itself. It waits while the operator holds the vehicle; humans, landings and faults do not.
+# Events of the mission itself. They wait while the operator holds the vehicle; humans, landings and faults do not.
 OWN_WISHES = frozenset(
     {
         Event.AIRBORNE, Event.FRAMES_BACK, Event.NOTHING_LEFT, Event.VIEWS_SPENT, Event.TIME_SPENT, Event.BATTERY_LOW,
@@ -102,7 +105,7 @@ OWN_WISHES = frozenset(
 
 
 def observe(facts: Facts) -> frozenset[Event]:
-    """Every event that these facts show."""
+    """Return every event that these facts show."""
     vehicle = facts.vehicle
     if vehicle is None:
         return frozenset()
@@ -116,8 +119,7 @@ def observe(facts: Facts) -> frozenset[Event]:
         Event.NOTHING_LEFT: facts.nothing_left,
         Event.VIEWS_SPENT: facts.views_left <= 0 and facts.at_rest,
         Event.TIME_SPENT: facts.flight_s > facts.max_flight_s,
-        Event.BATTERY_LOW: facts.charge
-        < facts.charge_needed,  # NaN compares false: unknown from the first is the autopilot's to judge
+        Event.BATTERY_LOW: facts.charge < facts.charge_needed,  # NaN compares false: if never reported, the autopilot decides
         Event.BATTERY_LOST: facts.charge_lost,
         Event.AT_HOME: facts.arrived,
         Event.NO_WAY_HOME: facts.no_way_home,

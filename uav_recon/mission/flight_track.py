@@ -1,4 +1,4 @@
-"""Where the drone has been and what it is flying now."""
+"""Track of the flight: where the vehicle has been, and its present trajectory."""
 
 from __future__ import annotations
 
@@ -13,14 +13,17 @@ from uav_recon.types.vehicle import VehicleState
 
 BREADCRUMB_M = 0.2
 ARRIVED_M = 0.15
-ASTRAY_M, ASTRAY_RAD = 0.5, 0.6  # beyond what a vehicle lags behind its setpoints; one that its pilot holds is farther off
-LATE_S = 5.0  # an autopilot that is still away by then will not come nearer by waiting
-THERE_M = 0.3  # from a place, to land there
+ASTRAY_M, ASTRAY_RAD = 0.5, 0.6  # larger than the lag behind setpoints; a vehicle that its pilot holds is farther off
+LATE_S = 5.0  # an autopilot that is still away after this will not come nearer by waiting
+THERE_M = 0.3  # max. distance from a position to land there
 
 
 @dataclass(frozen=True, slots=True)
 class Departure:
-    """Where the next motion begins: at rest (flying is None), or on a trajectory that is left in motion at ``leave_s``."""
+    """Start of the next motion.
+
+    At rest (flying is None), or on a trajectory that is left in motion at ``leave_s``.
+    """
 
     setpoint: Setpoint
     flying: Trajectory | None = None
@@ -28,7 +31,7 @@ class Departure:
 
 
 class FlightTrack:
-    """The current trajectory, the way flown so far, and the breadcrumbs back to the pad."""
+    """The current trajectory, the path flown until now, and the breadcrumbs back to the pad."""
 
     def __init__(self, camera_pitch_down_rad: float) -> None:
         self.trajectory: Trajectory | None = None
@@ -41,32 +44,41 @@ class FlightTrack:
         self._identifier = 0
 
     def next_identifier(self) -> int:
-        """A fresh trajectory number."""
+        """Return a new trajectory number."""
         self._identifier += 1
         return self._identifier
 
     def follow(self, vehicle: VehicleState) -> None:
-        """Note where the vehicle is."""
+        """Record the vehicle's position."""
         position = vehicle.world_from_body.translation_m
         if self._placed and vehicle.armed:
             self.path_length_m += float(np.linalg.norm(position - self.position_world))
         self.position_world, self._yaw_rad, self._placed = position, vehicle.world_from_body.yaw_rad(), True
         if vehicle.armed and (not self.breadcrumbs or np.linalg.norm(position - self.breadcrumbs[-1]) > BREADCRUMB_M):
-            self.breadcrumbs.append(position.copy())  # the record that it came in need not live as long
+            self.breadcrumbs.append(position.copy())  # a copy, because the received record may not live as long
 
     def at_rest(self, now_s: float) -> bool:
-        """Whether the trajectory has been played to its end and the vehicle is there, or had LATE_S to get there."""
+        """Return True if the trajectory has ended and the vehicle is at its end.
+
+        Also True if the vehicle had LATE_S to get there.
+        """
         if self.trajectory is None:
             return False
         over_s = now_s - self.trajectory.start_s - self.trajectory.duration_s
         return over_s >= LATE_S or (over_s >= 0.0 and self._away_m(self.trajectory) <= ARRIVED_M)
 
     def has_arrived(self, now_s: float) -> bool:
-        """Whether it is at rest, and where the trajectory ends: one that its pilot holds on the way comes to rest elsewhere."""
+        """Return True if it is at rest at the trajectory's end.
+
+        A vehicle that its pilot holds on the way comes to rest elsewhere.
+        """
         return self.trajectory is not None and self.at_rest(now_s) and self._away_m(self.trajectory) <= THERE_M
 
     def is_on_track(self, now_s: float) -> bool:
-        """Whether the vehicle is where the trajectory has it by now, and looks there: what a view is to show is before it."""
+        """Return True if the vehicle's position and heading are those of the trajectory now.
+
+        Then what a view has to show is in front of it.
+        """
         if self.trajectory is None:
             return False
         there = self.trajectory.setpoint_at(now_s)
@@ -77,31 +89,40 @@ class FlightTrack:
         return float(np.linalg.norm(trajectory.position_m[-1] - self.position_world))
 
     def remaining_s(self, now_s: float) -> float:
-        """Seconds until the trajectory comes to rest; 0 without one."""
+        """Return the seconds until the trajectory comes to rest; 0 without one."""
         if self.trajectory is None:
             return 0.0
         return max(self.trajectory.start_s + self.trajectory.duration_s - now_s, 0.0)
 
     def departure(self, leave_s: float, vehicle: VehicleState) -> Departure:
-        """From the trajectory at that instant, or from rest if it will have ended by then."""
+        """Return the trajectory's state at that instant, or rest if it will have ended by then."""
         if self.trajectory is None or self.remaining_s(leave_s) <= 0.0:
             return Departure(self.rest(vehicle))
         return Departure(self.trajectory.setpoint_at(leave_s), self.trajectory, leave_s)
 
     def rest(self, vehicle: VehicleState) -> Setpoint:
-        """The setpoint held now: the end of the trajectory, or where the vehicle stands if there was none."""
+        """Return the setpoint held now: the end of the trajectory.
+
+        Without a trajectory it is the position where the vehicle comes to rest.
+        """
         if self.trajectory is None:
             return self.place(vehicle)
         end = self.trajectory.setpoint_at(self.trajectory.start_s + self.trajectory.duration_s)
         return Setpoint.hold(end.position_m, end.yaw_rad, end.camera_pitch_down_rad)
 
     def place(self, vehicle: VehicleState) -> Setpoint:
-        """A hold where its pilot brings the vehicle to rest: what begins there begins without a gap."""
+        """Return a hold where the pilot brings the vehicle to rest.
+
+        A motion that begins there begins without a gap.
+        """
         pose = vehicle.world_from_rest or vehicle.world_from_body
         return Setpoint.hold(pose.translation_m, pose.yaw_rad(), self._pitch_down_rad)
 
     def way_back(self, home_world: FloatArray) -> tuple[FloatArray, ...]:
-        """Breadcrumbs from here to a place (3,) over the pad, newest first, loops and the climb to that place cut out."""
+        """Return the breadcrumbs from here to a position (3,) over the pad, newest first.
+
+        Loops and the climb to that position are cut out.
+        """
         crumbs = np.array(self.breadcrumbs).reshape(-1, 3)
         there = _near(crumbs, home_world)
         left = crumbs[there[0] if len(there) else 0 :]
@@ -114,6 +135,6 @@ class FlightTrack:
 
 
 def _near(crumbs: FloatArray, place_m: FloatArray) -> IntArray:
-    """Which of the crumbs (N, 3) are as good as at a place (3,), oldest first."""
+    """Return the crumbs (N, 3) at about a position (3,), as indices, oldest first."""
     off_m = crumbs - place_m
     return np.flatnonzero(np.einsum("ij,ij->i", off_m, off_m) <= (1.5 * BREADCRUMB_M) ** 2)

@@ -1,7 +1,7 @@
-"""Where to land: at home, unless the map shows that something stands there; then the nearest place that is known to be good.
+"""Landing site: home, or the nearest good position if the map shows an obstacle at home.
 
-What a map of voxels can tell of a patch: that nothing stands on it, that what is over it is known free, and that its floor is
-no steeper and has no higher step than a voxel. Finer unevenness it cannot.
+What a voxel map can show of a patch: that nothing stands on it, that the space over it is known free, and that its floor is
+no steeper and has no higher step than a voxel. It cannot show finer unevenness.
 """
 
 from __future__ import annotations
@@ -11,27 +11,35 @@ import numpy as np
 from uav_recon.types.frames import BoolArray, FloatArray, IntArray
 from uav_recon.types.maps import FREE, OCCUPIED, VoxelMap
 
-PATCH_M, REACH_M, STEP_M = 1.2, 5.0, 0.2  # a metre, and what voxels and a landing stray
-_STANDS_M = 0.15  # over the floor; nearer to it, depth noise is floor
-_FEWEST = 2  # voxels that touch: alone, they are speckles
-_FLOOR_SHARE = 0.5  # of a patch that is not home: its floor was seen
+PATCH_M, REACH_M, STEP_M = 1.2, 5.0, 0.2  # one metre, plus the errors of voxels and of a landing
+_STANDS_M = 0.15  # height over the floor; below, depth noise is part of the floor
+_FEWEST = 2  # min. touching voxels: single ones are speckles
+_FLOOR_SHARE = 0.5  # min. share of a patch, other than home, whose floor was seen
 
 
 class LandingSite:
-    """height_m: of rest over the pad (odom's origin); ground_m: of its floor; room_m: what a flight keeps from anything."""
+    """Finds a landing site.
+
+    height_m: of rest over the pad (odom's origin). ground_m: of its floor. room_m: clearance of a flight.
+    """
 
     def __init__(self, height_m: float, ground_m: float, room_m: float) -> None:
         self.home = np.array([0.0, 0.0, height_m])
         self._ground_m, self._room_m = ground_m, room_m
 
     def is_occupied(self, voxels: VoxelMap, place: FloatArray) -> bool:
-        """Whether something stands where it would land from a place (3,). Beside it something may: the pad was chosen so."""
+        """Return True if something stands where the vehicle would land from a position (3,).
+
+        Obstacles beside it are allowed: the pad was chosen like that.
+        """
         return _stands(self._above(voxels, place, self._room_m))
 
     def choose(self, voxels: VoxelMap, unwanted: tuple[FloatArray, ...] = ()) -> FloatArray:
-        """Over which place (3,) to land: home if nothing stands there, else the nearest good one, else home as the least bad.
+        """Return the position (3,) over the landing site.
 
-        unwanted: places that turned out to be bad.
+        It is home if nothing stands there, else the nearest good position, else home as the least bad.
+
+        unwanted: positions that turned out to be bad.
         """
         if not self.is_occupied(voxels, self.home):
             return self.home
@@ -39,7 +47,7 @@ class LandingSite:
         return self.home if good is None else good
 
     def near(self, voxels: VoxelMap, here: FloatArray, unwanted: tuple[FloatArray, ...] = ()) -> FloatArray | None:
-        """The good place (3,) nearest to one, level; None if there is none within REACH_M."""
+        """Return the good position (3,) nearest to a position, level; None if none within REACH_M."""
         offsets = np.arange(-REACH_M, REACH_M + STEP_M / 2, STEP_M)
         across, along = np.meshgrid(offsets, offsets, indexing="ij")
         away = np.hypot(across, along).ravel()
@@ -51,7 +59,10 @@ class LandingSite:
         return None
 
     def is_below(self, voxels: VoxelMap, here: FloatArray) -> bool:
-        """Whether straight below a place (3,), however high, is a good one and nothing but known-free space in between."""
+        """Return True if a good site is straight below a position (3,) at any height.
+
+        The space in between must be known free.
+        """
         place = np.array([*here[:2], self.home[2]])
         return self._is_good(voxels, place) and bool((self._above(voxels, here, self._room_m) == FREE).all())
 
@@ -63,13 +74,16 @@ class LandingSite:
         return flyable and self._floor_share(voxels, place) >= _FLOOR_SHARE
 
     def _above(self, voxels: VoxelMap, place: FloatArray, half_m: float) -> IntArray:
-        """States (n, m, k) of what is over the floor of a square about a place, up to its height."""
+        """Return the states (n, m, k) of the voxels over the floor of a square about a position.
+
+        They reach up to the position's height.
+        """
         low = np.array([place[0] - half_m, place[1] - half_m, self._ground_m + _STANDS_M])
         high = np.array([place[0] + half_m, place[1] + half_m, place[2]])
         return _cut(voxels, low, high)
 
     def _floor_share(self, voxels: VoxelMap, place: FloatArray) -> float:
-        """Of a patch's columns, those in which a floor was seen where the pad's floor is."""
+        """Return the share of a patch's columns with a seen floor at the height of the pad's floor."""
         half_m = PATCH_M / 2
         low = np.array([place[0] - half_m, place[1] - half_m, self._ground_m - _STANDS_M])
         high = np.array([place[0] + half_m, place[1] + half_m, self._ground_m + _STANDS_M])
@@ -78,7 +92,10 @@ class LandingSite:
 
 
 def _stands(states: IntArray) -> bool:
-    """Whether something stands in a box of voxels (n, m, k): _FEWEST of them, with a corner in common at least."""
+    """Return True if a box of voxels (n, m, k) holds an obstacle.
+
+    That is _FEWEST occupied voxels that share at least a corner.
+    """
     occupied = states == OCCUPIED
     if int(occupied.sum()) < _FEWEST:
         return False
@@ -87,7 +104,7 @@ def _stands(states: IntArray) -> bool:
 
 
 def _cut(voxels: VoxelMap, low: FloatArray, high: FloatArray) -> IntArray:
-    """The voxels whose centres lie in a box, as far as the grid goes."""
+    """Return the voxels whose centres lie in a box, clipped to the grid."""
     shape = np.array(voxels.grid.shape)
     first, last = (
         np.clip(np.round((x - voxels.grid.origin_world_m) / voxels.grid.resolution_m), 0, shape) for x in (low, high)

@@ -1,4 +1,4 @@
-"""The maps that a mission shows: to the guard, and to whoever looks on."""
+"""Publication of the mission's maps: to the guard, and to viewers."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class MapPublisher:
         self._proposed: Trajectory | None = None
 
     def free(self, now_s: float, voxels: VoxelMap | None, trajectory: Trajectory | None) -> None:
-        """What the guard holds every motion against: never later than a motion that was made of it."""
+        """Publish the free space for the guard, never later than a motion that was planned in it."""
         due = now_s - self._free_s >= FREE_PERIOD_S or trajectory is not self._proposed
         self._proposed = trajectory
         if voxels is not None and due and voxels.revision != self._free_revision:
@@ -30,7 +30,7 @@ class MapPublisher:
             self._wires.free.publish(FreeSpace.of(voxels))
 
     def maps(self, now_s: float, voxels: VoxelMap | None, mapper: Mapper, last: bool) -> None:
-        """For screens and recorders. last: nothing comes after it."""
+        """Publish maps for screens and recorders. last: this is the final call."""
         surface = mapper.surface()
         if surface is not None and surface.revision != self._surface_revision:
             self._surface_revision = surface.revision

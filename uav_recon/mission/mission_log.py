@@ -1,4 +1,4 @@
-"""What the mission counts, writes down and tells the world."""
+"""Mission log: counts and notes of a flight, written to the journal and published."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from uav_recon.types.vehicle import FlightPhase, MissionProgress, VehicleState
 
 @dataclass
 class MissionLog:
-    """Counts of one flight; every note also goes into the journal."""
+    """Counts of one flight; every note is also written to the journal."""
 
     journal: Journal
     views_budget: int
@@ -32,20 +32,20 @@ class MissionLog:
 
     @property
     def views_left(self) -> int:
-        """How many keyframes the mapper may still get."""
+        """Number of keyframes that the mapper may still get."""
         return self.views_budget - self.views
 
     def phase(self, stamp_s: float, phase: Phase) -> None:
-        """Note a change of phase."""
+        """Log a change of phase."""
         self.journal.phase(stamp_s, phase.value, self.note)
 
     def view(self, posed: PosedFrame) -> None:
-        """Note a keyframe."""
+        """Log a keyframe."""
         self.views += 1
         self.journal.view(posed.frame.stamp_s, self.views, posed.world_from_depth)
 
     def plan(self, stamp_s: float, path: ViewPath | NothingLeft, waited_s: float) -> None:
-        """Note a plan, what it cost, and the seconds at rest before it."""
+        """Log a plan, its computation time, and the seconds at rest before it."""
         self.plans += 1
         self.planning_s += path.step_s
         if isinstance(path, NothingLeft):
@@ -58,13 +58,15 @@ class MissionLog:
         self.journal.plan(stamp_s, self.mode, path.task_s, path.step_s, self.frontiers, self.tasks, views, waited_s)
 
     def refusal(self, stamp_s: float, reason: Reason) -> None:
-        """Note a plan or a motion that is not flown."""
+        """Log a plan or a motion that is not flown."""
         self.note = reason
         self.journal.refusal(stamp_s, reason)
 
     def update(self, phase: Phase, vehicle: VehicleState, waits: Reason | None = None) -> None:
-        """On the ground the pilot says why nothing happens or arming was given up, or else it is what a start waits for; of a
-        landing of its own, why it lands.
+        """Update the note from the pilot's.
+
+        On the ground it is the reason why nothing happens or arming was given up, or else what a start waits for. If the pilot
+        lands by itself, it is the reason for that.
         """
         grounded = phase in (Phase.IDLE, Phase.READY) or (phase is Phase.TAKEOFF and vehicle.phase is FlightPhase.READY)
         if grounded or (vehicle.phase is FlightPhase.LANDING and phase is not Phase.LANDING and vehicle.note):
@@ -73,7 +75,7 @@ class MissionLog:
     def progress(
         self, stamp_s: float, phase: Phase, explored_m3: float, path_length_m: float, position_world: FloatArray, finished: bool
     ) -> MissionProgress:
-        """One line of the mission's life, also written down."""
+        """Log and return a sample of the mission's progress."""
         now = MissionProgress(
             stamp_s, phase.value, self.mode, self.views, self.views_budget, explored_m3, path_length_m, self.frontiers,
             self.tasks, self.plans, self.planning_s, self.note, finished, position_world,
@@ -82,5 +84,5 @@ class MissionLog:
         return now
 
     def close(self, stamp_s: float, aborted: Reason | None) -> None:
-        """Write the last line: what came of it. aborted: None for a flight that was completed."""
+        """Write the last line: the outcome. aborted: None for a completed flight."""
         self.journal.outcome(stamp_s, aborted, self.stop_reason)

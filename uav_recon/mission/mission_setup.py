@@ -1,4 +1,4 @@
-"""What a mission is made of: its stages, its channels, and what it is to do."""
+"""Parts of a mission: its stages, channels and parameters."""
 
 from __future__ import annotations
 
@@ -16,7 +16,10 @@ from uav_recon.types.vehicle import MissionProgress, VehicleState
 
 @dataclass(frozen=True)
 class MissionStages:
-    """The stages, through their protocols. retreat: motion along ways that were flown already, with less room around."""
+    """The stages, through their protocols.
+
+    retreat: motion along paths that were flown already, with less clearance.
+    """
 
     voxels: OccupancyMapInterface
     budget: ViewBudget
@@ -43,8 +46,10 @@ class MissionChannels:
 
 @dataclass(frozen=True)
 class MissionParameters:
-    """What this mission is to do, in SI units. clear_radius_m: about every place where the vehicle flew nothing is.
-    clearance_m: what planned ways keep from anything. operator_timeout_s: of Attendance.
+    """Parameters of this mission, in SI units.
+
+    clear_radius_m: every position where the vehicle flew is free within this radius. clearance_m: of planned paths.
+    operator_timeout_s: see OperatorWatchdog.
     """
 
     views: int

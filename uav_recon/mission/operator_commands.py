@@ -1,4 +1,4 @@
-"""The operator's orders on their way from the pilot's desk to the conductor."""
+"""Reception of the operator's commands, from the pilot to the conductor."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from uav_recon.types.reason_code import ReasonCode
 
 
 class Obedient(Protocol):
-    """The conductor, as far as orders reach it. Nothing blocks."""
+    """The conductor's interface for commands. Nothing blocks."""
 
     def request_start(self) -> None:
         """Take off and begin."""
         ...
 
     def request_hold(self) -> None:
-        """Stay here."""
+        """Hold position."""
         ...
 
     def request_return(self) -> None:
@@ -30,19 +30,22 @@ class Obedient(Protocol):
         ...
 
     def resume(self) -> None:
-        """Go on."""
+        """Continue after a hold."""
         ...
 
 
 class OperatorCommandReceiver:
-    """Passes each order on once. What was said before this mission began was not said to it."""
+    """Passes each command on once. Commands from before this mission began are ignored."""
 
     def __init__(self, channel: Channel[GivenCommand], begun_s: float) -> None:
         self._channel, self._received_s = channel, begun_s
         self._start = False
 
     def pass_on(self, conductor: Obedient, warm: bool, autostart: bool) -> None:
-        """Hear the newest order; a start waits until everything is warm, and is not needed where it starts by itself."""
+        """Process the newest command.
+
+        A start waits until every stage is warm. With autostart it needs no command.
+        """
         given = self._newest()
         if given is not None and given.stamp_s > self._received_s:
             self._received_s = given.stamp_s

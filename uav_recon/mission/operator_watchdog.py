@@ -1,4 +1,7 @@
-"""Whether an operator attends, by when the pilot last answered one (HAZARDS, D8). Who only sends HEARTBEAT is none (S7)."""
+"""Operator watchdog: detects a missing operator from the pilot's answers (HAZARDS, D8).
+
+A sender of HEARTBEAT does not count as an operator (S7).
+"""
 
 from __future__ import annotations
 
@@ -7,17 +10,17 @@ import math
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
 
-WARN_S = 5.0  # of silence
-BACK_S = 5.0  # of signs of life without such a silence between them: a single one ends no warning, so none comes twice
+WARN_S = 5.0  # silence until the warning
+BACK_S = 5.0  # operator heartbeats without such a gap that end a warning: a single one does not, so none comes twice
 _FUTURE_S = 0.1
 
 
 class OperatorWatchdog:
-    """One mission's. hear() what the pilot says, step by step.
+    """The watchdog of one mission; call update() in each step.
 
-    timeout_s: of silence in flight, until it goes home; inf: nobody need attend. One sign of life begins the count anew, but
-    who was missed is back only after BACK_S of them. note: what people are to be told in flight; lost: why it has to go home
-    now; None for nothing.
+    timeout_s: silence in flight until the vehicle goes home; inf: no operator is needed. One heartbeat restarts the count, but
+    a missing operator counts as back only after BACK_S of them. note: message for people in flight; lost: why the vehicle has
+    to go home now; None for nothing.
     """
 
     def __init__(self, timeout_s: float = math.inf) -> None:
@@ -25,23 +28,26 @@ class OperatorWatchdog:
         self._received_s, self._steady_s = (
             -math.inf,
             math.inf,
-        )  # the newest sign, and the first of those without a silence between
+        )  # the newest heartbeat, and the first of those without a gap
         self._silent_s, self._missed = math.inf, False
         self.note: Reason | None = None
         self.lost: Reason | None = None
 
     @property
     def missing(self) -> Reason | None:
-        """Why no flight begins now, None for nothing."""
+        """Reason why no flight begins now, None for nothing."""
         return Reason(ReasonCode.OPERATOR_MISSING) if self._silent_s > self._warn_s else None
 
     def update(self, now_s: float, received_s: float, flying: bool) -> Reason | None:
-        """received_s: when the pilot last heard the operator. Returns what is new in note, None for nothing."""
+        """Update the state, and return what is new in note, None for nothing.
+
+        received_s: when the pilot last received the operator's request.
+        """
         if self._received_s < received_s <= now_s + _FUTURE_S:
             broken = self._steady_s == math.inf or received_s - self._received_s > WARN_S
             self._steady_s, self._received_s = received_s if broken else self._steady_s, received_s
         elif flying and self._received_s == -math.inf:
-            self._received_s = now_s  # a pilot that has forgotten: nobody knows since when
+            self._received_s = now_s  # a restarted pilot: the last heartbeat is unknown
         self._silent_s, before = now_s - self._received_s, self.note
         self._judge(flying)
         return self.note if self.note != before else None

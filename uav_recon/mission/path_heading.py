@@ -1,4 +1,4 @@
-"""Where the nose points on a way that is not flown to look at anything: ahead, so that depth sees what has come into it."""
+"""Heading on a path without views: nose first, so that depth sees obstacles in the path."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ import numpy as np
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.tasks import ViewPath, Viewpoint
 
-AHEAD_M = 0.5  # so far ahead lies the place that the nose points at
-OFF_RAD = math.radians(25.0)  # that far off it may be: half of what the camera sees, less the hull's own width
+AHEAD_M = 0.5  # distance to the position ahead that the nose points at
+OFF_RAD = math.radians(25.0)  # max. deviation: half of the camera's view, less the hull's own width
 
 
 def yaw_along_path(path: ViewPath, yaw_rad: float) -> ViewPath:
-    """The same way of one leg, begun with a heading of yaw_rad: wherever that is too far off, the vehicle turns on the spot.
+    """Return the path of one leg with turns on the spot where the heading is too far off.
 
-    What is steeper than it is wide, and the last AHEAD_M, keep the heading that they are reached with. The views of the answer
-    are turns, to be passed and not to be captured.
+    yaw_rad: heading at its start. Parts that are steeper than wide, and the last AHEAD_M, keep the heading with which they are
+    reached. The views of the result are turns, which are passed and not captured.
     """
     (way,), (goal,) = path.waypoints_world, path.viewpoints
     legs, views, begin = list[FloatArray](), list[Viewpoint](), 0
@@ -37,7 +37,10 @@ def yaw_along_path(path: ViewPath, yaw_rad: float) -> ViewPath:
 
 
 def _bearing(way: FloatArray) -> float | None:
-    """Of the first place of a way (N, 3) that is AHEAD_M away; None for none, or for one that is rather above or below."""
+    """Return the bearing of the first position of a path (N, 3) that is AHEAD_M away.
+
+    None if there is none, or if it is rather above or below.
+    """
     ahead = way[1:] - way[0]
     far = np.flatnonzero(np.linalg.norm(ahead, axis=1) >= AHEAD_M)
     if not len(far):

@@ -1,4 +1,4 @@
-"""How long the way home is: back along the breadcrumbs, and straight wherever the map shows that nothing is in between."""
+"""Length of the way home: back along the breadcrumbs, and straight where the map is clear."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ import numpy as np
 from uav_recon.types.frames import BoolArray, FloatArray, IntArray
 from uav_recon.types.maps import VoxelMap
 
-_CORNERS = 64  # of a way, at most: a longer one is looked at with fewer places a metre
+_CORNERS = 64  # max. number of checked positions of a path: a longer path has fewer of them per metre
 
 
 def return_distance_m(way: FloatArray, voxels: VoxelMap | None, clearance_m: float) -> float:
-    """Of a way (N, 3) from here to home that was flown, cut short where it may be flown straight with that clearance.
+    """Return the length of a flown path (N, 3) home, cut short where a straight line is clear.
 
-    Never longer than the way itself, never shorter than the straight line. No map: the way itself.
+    It is never longer than the path itself, never shorter than the straight line. Without a map it is the path itself.
     """
     if len(way) < 2:
         return 0.0
@@ -34,7 +34,7 @@ def return_distance_m(way: FloatArray, voxels: VoxelMap | None, clearance_m: flo
 
 
 def _clear(here: FloatArray, there: FloatArray, voxels: VoxelMap, clearance_m: float) -> BoolArray:
-    """Which of the places (C, 3) may be flown to straight from here (3,): (C,)."""
+    """Return a mask (C,) of the positions (C, 3) on a clear straight line from here (3,)."""
     farthest_m = float(np.linalg.norm(there - here, axis=1).max())
     shares = np.linspace(0.0, 1.0, 2 + int(farthest_m / voxels.grid.resolution_m))
     points: FloatArray = here + shares[None, :, None] * (there - here)[:, None, :]

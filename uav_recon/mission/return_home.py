@@ -1,4 +1,7 @@
-"""The way home: the shortest known-free one, or back along the breadcrumbs; elsewhere if something stands on the pad."""
+"""Return home: the shortest known-free path, or back along the breadcrumbs.
+
+It lands elsewhere if something stands on the pad.
+"""
 
 from __future__ import annotations
 
@@ -20,16 +23,17 @@ from uav_recon.types.tasks import PlanRequest, Viewpoint
 from uav_recon.types.trajectory import Setpoint, Trajectory
 from uav_recon.types.vehicle import VehicleState
 
-_PLACES = 3  # tried, then home is the least bad
-_JUDGED_M = 2.0  # level: from farther off the noise of a floor that is looked along looks like something that stands there
-_REFUSED = 3  # ways that the guard or the map may stop
-_QUICK_S, _WORTH_S = 2.0, 8.0  # a slow way with so much left is flown anew once faster ones are let pass for a while
+_PLACES = 3  # landing positions that are tried, then home is the least bad
+_JUDGED_M = 2.0  # level distance: from farther away, the noise of a floor seen at a flat angle looks like an obstacle
+_REFUSED = 3  # number of paths that the guard or the map may stop
+_QUICK_S, _WORTH_S = 2.0, 8.0  # a path is planned again if a higher speed is allowed for the first and the second remains
 
 
 class ReturnHome:
-    """Brings the vehicle over the pad, or over another place where something stands on the pad, once. no_path: what is known
-    leads nowhere. Where the breadcrumbs do not either, or it was stopped too often, it goes to the nearest floor that is good
-    to land on; lost: it lands where it is, over such a floor or for want of one.
+    """Brings the vehicle once over the pad, or over another position if the pad is occupied.
+
+    no_path: no path home is known. If the breadcrumbs give none either, or the vehicle was stopped too often, it goes to the
+    nearest floor that is good to land on. lost: why it lands where it is, over such a floor or because there is none.
     """
 
     def __init__(self, helm: TrajectoryExecutor, decider: AsyncPlanner, account: MissionLog, site: LandingSite) -> None:
@@ -37,33 +41,34 @@ class ReturnHome:
         self._place, self._bad = site.home, tuple[FloatArray, ...]()
         self._decision: Pending[PlanResult] | None = None
         self._refused, self._looks = 0, False
-        self._planned_mps, self._slow_s = math.inf, -math.inf  # what was let pass then, and when no more was last
+        self._planned_mps, self._slow_s = math.inf, -math.inf  # speed limit when planned, and when no higher one was last set
         self.en_route = self.no_path = False
         self._aside: Reason | None = None
         self.lost: Reason | None = None
 
     def interrupt(self) -> None:
-        """Forget what is being thought about: the phase has changed."""
+        """Drop the pending request, because the phase has changed."""
         self._decision = None
 
     def begin_again(self) -> None:
-        """The map is a new one: the way home is looked for anew."""
+        """Plan the path home again, because the map is new."""
         self._decision, self.en_route, self.no_path = None, False, False
 
     def replan(self) -> None:
-        """The guard or the map stopped it on its way: from where it hovers then, a few times. But for the first it looks round
-        before that: nobody may have looked lately where it is to go.
+        """Plan again after the guard or the map stopped the vehicle, a few times.
+
+        Except after the first stop, it looks round before: the space ahead may not have been seen lately.
         """
         if self.en_route:
             self.en_route, self._refused = False, self._refused + 1
             self._looks = 1 < self._refused <= _REFUSED
 
     def has_arrived(self, now_s: float) -> bool:
-        """Whether it is over the place, to land there."""
+        """Return True if it is over the landing position."""
         return self.en_route and self._helm.course.has_arrived(now_s)
 
     def step(self, now_s: float, vehicle: VehicleState, voxels: VoxelMap, along_breadcrumbs: bool) -> None:
-        """From rest: think, then fly; and think again where something turns out to stand on the place."""
+        """Plan at rest, then fly; plan again if the landing position turns out to be occupied."""
         course = self._helm.course
         if self.en_route:
             self._watch(now_s, vehicle, voxels)
@@ -84,7 +89,7 @@ class ReturnHome:
         decision, self._decision = self._decision.result(), None
         if isinstance(decision.motion, Trajectory):
             self.en_route = True
-            self._helm.fly(dataclasses.replace(decision.motion, views_s=np.zeros(0)), now_s)  # home is no view
+            self._helm.fly(dataclasses.replace(decision.motion, views_s=np.zeros(0)), now_s)  # no view is taken at home
             return
         self._account.refusal(now_s, decision.motion)
         if along_breadcrumbs or self._aside:
@@ -93,7 +98,7 @@ class ReturnHome:
             self.no_path = True
 
     def _think(self, rest: Setpoint, voxels: VoxelMap, along_breadcrumbs: bool) -> Pending[PlanResult] | None:
-        """None where nothing is left to try."""
+        """Start planning; None if nothing is left to try."""
         course, here_m = self._helm.course, rest.position_m
         if self._aside:
             place = None if self._site.is_below(voxels, here_m) else self._site.near(voxels, here_m, self._bad)
@@ -108,11 +113,11 @@ class ReturnHome:
         request, identifier = PlanRequest(voxels, None, here_m, rest.yaw_rad, 0), course.next_identifier()
         if along_breadcrumbs and not self._aside:
             return self._decider.way_back(request, rest, course.way_back(goal.position_world), goal, identifier)
-        level = np.array([*place[:2], min(place[2], here_m[2])])  # whoever climbs goes where no camera looked lately
+        level = np.array([*place[:2], min(place[2], here_m[2])])  # a climb would lead to where the camera did not look lately
         return self._decider.way_home(request, rest, dataclasses.replace(goal, position_world=level), identifier)
 
     def _give_up(self, why: Reason) -> None:
-        """Not home: aside, and from there nowhere else."""
+        """Give up home: go to another landing site, and after that nowhere else."""
         if self._aside:
             self.lost = self._aside
         else:
@@ -120,7 +125,10 @@ class ReturnHome:
             self._account.aborted = self._account.aborted or why
 
     def _watch(self, now_s: float, vehicle: VehicleState, voxels: VoxelMap) -> None:
-        """Brake and think again where the way is blocked, or the place, as long as there are others to try."""
+        """Brake and plan again if the path is blocked, or the landing position is occupied.
+
+        The latter only while other positions are left to try.
+        """
         resting = self._helm.course.at_rest(now_s)
         if not resting and self._helm.brake_if_blocked(now_s, voxels):
             self.replan()
@@ -139,10 +147,10 @@ class ReturnHome:
             self._helm.brake(now_s)
 
     def _goes_faster(self, now_s: float, vehicle: VehicleState) -> bool:
-        """Whether more is let pass than when the way was planned, and much of it is left."""
+        """Return True if a higher speed is allowed than at planning time, and much time is left."""
         self._slow_s = now_s if vehicle.max_speed_mps <= self._planned_mps else self._slow_s
         return now_s - self._slow_s >= _QUICK_S and self._helm.course.remaining_s(now_s) >= _WORTH_S
 
     def _is_near(self, place: FloatArray) -> bool:
-        """Whether what stands there can be told from here."""
+        """Return True if obstacles at a position can be recognised from here."""
         return math.hypot(*(place - self._helm.course.position_world)[:2].tolist()) <= _JUDGED_M

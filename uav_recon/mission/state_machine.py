@@ -1,4 +1,4 @@
-"""Mean: a pure state machine from a phase and the events of a step to the next phase."""
+"""State machine of the mission: a pure function from phase and events to the next phase."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from uav_recon.mission.events import EFFECTS, Effect, Event
 
 
 class Phase(Enum):
-    """Where the mission stands. Explore-or-merge is the planner's mode, not a phase."""
+    """Phase of the mission. Explore-or-merge is the planner's mode, not a phase."""
 
     IDLE = "idle"
     READY = "ready"
@@ -23,7 +23,7 @@ class Phase(Enum):
     YIELDED = "yielded"
 
 
-# Events that count in a phase; all others are not of its business.
+# Events that count in a phase; all others are ignored.
 _HEARD: dict[Phase, frozenset[Event]] = {
     Phase.IDLE: frozenset({Event.VEHICLE_READY, Event.ABORTED}),
     Phase.READY: frozenset({Event.START, Event.ABORTED}),
@@ -66,9 +66,9 @@ _ON_THE_GROUND = frozenset({Phase.IDLE, Phase.READY})
 
 
 def advance(phase: Phase, events: Iterable[Event]) -> Phase:
-    """The phase after these events: the strongest effect among those that the phase hears wins.
+    """Return the phase after these events: the strongest effect that counts in the phase wins.
 
-    A human wins from every phase in which the vehicle may fly, and YIELDED is left by nothing.
+    A human wins from every phase in which the vehicle may fly, and nothing leaves YIELDED.
     """
     heard = _HEARD[phase]
     if phase not in (Phase.DONE, Phase.YIELDED):

@@ -1,4 +1,7 @@
-"""Choosing views while flying: a plan is ready before the one before it ends, so that the vehicle does not stop for it."""
+"""Survey: chooses views in flight.
+
+A plan is ready before the one before it ends, so that the vehicle does not stop for it.
+"""
 
 from __future__ import annotations
 
@@ -20,13 +23,13 @@ from uav_recon.types.vehicle import VehicleState
 RETHINK_S = 0.5  # pause after a plan that could not be flown, and at least between two in motion
 MAX_FAILED_PLANS = 5
 SAME_PLACE_M = 0.05
-AHEAD_S = 1.6  # a plan leaves its predecessor so long before that one's end: no braking in between
-STOPPED_AGAIN_S = 5.0  # twice within it: it is not to go where nobody looked lately, so it looks
-LEAD_S = 0.25  # from a plan's start to the instant at which it leaves the present motion, beside its declared cost
+AHEAD_S = 1.6  # a plan leaves its predecessor this long before that one's end: no braking in between
+STOPPED_AGAIN_S = 5.0  # two stops within this: the space ahead was not seen lately, so the vehicle looks round
+LEAD_S = 0.25  # from a plan's start to the instant at which it leaves the present motion, added to its declared cost
 
 
 class Survey:
-    """One look round, then views, as long as the planner knows any."""
+    """One look round, then views while the planner finds any."""
 
     def __init__(
         self,
@@ -48,22 +51,22 @@ class Survey:
         self.interrupt()
 
     def interrupt(self) -> None:
-        """Forget what is being thought about: the phase has changed."""
+        """Drop the pending request, because the phase has changed."""
         self._decision, self._resting_since_s, self._think_again_s = None, np.inf, -np.inf
 
     def begin_again(self) -> None:
-        """The map is a new one: look round again before choosing views."""
+        """Look round again before choosing views, because the map is new."""
         self.interrupt()
         self._looked_round, self._asked_revision = False, -1
 
     def stopped(self, now_s: float) -> None:
-        """The guard has stopped it."""
+        """Record that the guard has stopped the vehicle."""
         again = now_s - self._stopped_s < STOPPED_AGAIN_S
         self._stopped_s, self._looks_again = -np.inf if again else now_s, self._looks_again or again
         self._decision = None
 
     def step(self, now_s: float, vehicle: VehicleState, voxels: VoxelMap) -> None:
-        """Watch the way, think in time, fly what was decided."""
+        """Check the path, plan in time, and fly the result."""
         resting = self._helm.at_rest(now_s)
         if resting:
             self._resting_since_s = min(self._resting_since_s, now_s)
@@ -81,16 +84,16 @@ class Survey:
 
     def _look_round(self, now_s: float, vehicle: VehicleState, views: int) -> None:
         self._looked_round, self._looks_again = True, False
-        self._think_again_s = now_s + self._helm.look_round(now_s, vehicle, views)  # with all of it seen
+        self._think_again_s = now_s + self._helm.look_round(now_s, vehicle, views)  # when all of it is seen
         self._resting_since_s = np.inf
 
     def _should_turn_to_something_else(self, now_s: float, voxels: VoxelMap) -> bool:
-        """In motion: the way soon ends, or what its next view was to show has been seen in passing."""
+        """Return True if, in motion, the path ends soon or its next view was seen in passing."""
         course = self._helm.course
         if not self._looked_round or course.trajectory is None:
             return False
         if course.remaining_s(now_s) <= self._lead_s:
-            return False  # too late for that: it is asked at rest
+            return False  # too late for that: the plan is made at rest
         self._settled = False
         if course.remaining_s(now_s) <= AHEAD_S + self._lead_s:
             return True
@@ -115,9 +118,9 @@ class Survey:
         flying, leave_s = self._departure.flying, self._departure.leave_s
         if flying is not None:
             if flying is not self._helm.course.trajectory or now_s > leave_s:
-                return  # braked meanwhile, or too late to leave there: think again
+                return  # braked meanwhile, or too late to leave there: plan again
             if isinstance(decision.motion, Reason) or self._ends_as_before(decision.motion, flying):
-                self._think_again_s = now_s + self._helm.course.remaining_s(now_s)  # asked again at rest
+                self._think_again_s = now_s + self._helm.course.remaining_s(now_s)  # plan again at rest
                 return
             self._think_again_s = now_s + RETHINK_S
         self._account.plan(now_s, decision.path, 0.0 if flying is not None else now_s - self._resting_since_s)
@@ -135,7 +138,10 @@ class Survey:
             self._helm.follow(decision.motion, leave_s)
 
     def _ends_as_before(self, motion: Trajectory, flying: Trajectory) -> bool:
-        """Whether a motion leads only to where the present one leads: then there is no reason to leave that."""
+        """Return True if a motion leads only to where the present one leads.
+
+        Then there is no reason to leave the present one.
+        """
         if len(motion.views_s) > 1 or self._settled:
             return False
         return float(np.linalg.norm(motion.position_m[-1] - flying.position_m[-1])) < SAME_PLACE_M

@@ -1,4 +1,4 @@
-"""The take-off: off the floor first, then up to where it flies."""
+"""Take-off: first a small lift off the floor, then the climb to the flight height."""
 
 from __future__ import annotations
 
@@ -8,23 +8,28 @@ from uav_recon.interfaces import MotionPlannerInterface
 from uav_recon.mission.trajectory_execution import TrajectoryExecutor
 from uav_recon.types.vehicle import FlightPhase, VehicleState
 
-LIFT_M, LIFTED_M = 0.3, 0.2  # so high first, and what counts as off the floor
+LIFT_M, LIFTED_M = 0.3, 0.2  # height of the lift, and the height that counts as off the floor
 
 
 class Takeoff:
-    """The setpoint is not to climb away from an autopilot that still ramps its thrust up. height_m: over the pad's zero."""
+    """Climbs in two steps.
+
+    The setpoint must not climb away from an autopilot that still ramps up its thrust.
+
+    height_m: over the pad's zero.
+    """
 
     def __init__(self, helm: TrajectoryExecutor, motion: MotionPlannerInterface, height_m: float) -> None:
         self._helm, self._motion, self._height_m = helm, motion, height_m
         self.begun_s = np.inf
-        self.risen = False  # off the floor, and told to climb to where it flies
+        self.risen = False  # off the floor, and the climb to the flight height is commanded
 
     def begin_again(self) -> None:
-        """From wherever it is."""
+        """Restart from the present position."""
         self._helm.course.trajectory, self.risen = None, False
 
     def step(self, now_s: float, vehicle: VehicleState) -> None:
-        """From rest, once it flies."""
+        """Command the next part of the climb at rest, once the vehicle flies."""
         course = self._helm.course
         resting = course.trajectory is None or self._helm.at_rest(now_s)
         if not resting or self.risen or vehicle.phase is not FlightPhase.FLYING:

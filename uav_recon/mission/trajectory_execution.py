@@ -1,4 +1,4 @@
-"""What is flown: every change of trajectory goes through here."""
+"""Trajectory execution: every change of the flown trajectory goes through here."""
 
 from __future__ import annotations
 
@@ -17,44 +17,44 @@ from uav_recon.types.vehicle import VehicleState
 
 
 class TrajectoryExecutor:
-    """Changes the course and, with it, the views that are to be captured."""
+    """Changes the course and, with it, the views to capture."""
 
     def __init__(
         self, motion: MotionPlannerInterface, course: FlightTrack, captures: ViewSchedule, account: MissionLog
     ) -> None:
         self._motion, self._captures, self._account = motion, captures, account
         self.course = course
-        self.map_epoch = 0  # of what is flown from now on
+        self.map_epoch = 0  # map epoch of what is flown from now on
         self._braking: Trajectory | None = None
         self._checked_revision = -1
 
     def at_rest(self, now_s: float) -> bool:
-        """Whether the trajectory is flown and its views are taken."""
+        """Return True if the trajectory is flown and its views are taken."""
         return self.course.at_rest(now_s) and not self._captures.waiting(now_s)
 
     def fly(self, trajectory: Trajectory, now_s: float) -> None:
-        """From rest: made a moment ago, flown from now."""
+        """Fly a trajectory from rest, from now on."""
         self.follow(dataclasses.replace(trajectory, start_s=now_s, map_epoch=self.map_epoch), now_s)
 
     def follow(self, trajectory: Trajectory, leave_s: float) -> None:
-        """In motion: it goes the present way until ``leave_s``."""
+        """Fly a trajectory that follows the present motion until ``leave_s``."""
         self.course.trajectory, self._checked_revision = trajectory, -1
         self._captures.expect(trajectory, leave_s)
 
     def hold(self, now_s: float, vehicle: VehicleState) -> None:
-        """Stay where the vehicle comes to rest: its pilot has stopped it there."""
+        """Hold where the vehicle comes to rest: its pilot has stopped it there."""
         here, identifier = self.course.place(vehicle), self.course.next_identifier()
         self.fly(self._motion.line(here, here.position_m, here.yaw_rad, now_s, identifier), now_s)
 
     def look_round(self, now_s: float, vehicle: VehicleState, views: int) -> float:
-        """Turn once round on the spot, with so many views; how long (s) that takes."""
+        """Turn once on the spot with a number of views; return the duration (s)."""
         start, identifier = self.course.rest(vehicle), self.course.next_identifier()
         turn = self._motion.turn(start, now_s, math.tau, views, identifier)
         self.fly(turn, now_s)
         return turn.duration_s
 
     def brake(self, now_s: float) -> None:
-        """Come to rest along the present way; views beyond it are given up."""
+        """Come to rest along the present path; views beyond it are given up."""
         trajectory = self.course.trajectory
         if trajectory is None or self.course.at_rest(now_s):
             return
@@ -63,7 +63,10 @@ class TrajectoryExecutor:
         self._captures.cancel_after(now_s)
 
     def brake_if_blocked(self, now_s: float, voxels: VoxelMap) -> bool:
-        """Check what is left of the way against a newer map, once for each map; whether it brakes."""
+        """Check the rest of the path against a newer map, and brake if it is blocked.
+
+        It is checked once for each map. Return True if it brakes.
+        """
         trajectory = self.course.trajectory
         if trajectory is None or trajectory is self._braking or voxels.revision == self._checked_revision:
             return False

@@ -1,4 +1,4 @@
-"""Which frames become views: instants promised by a trajectory, each met by the first frame at or after it."""
+"""View schedule: capture instants, each met by the first frame at or after it."""
 
 from __future__ import annotations
 
@@ -13,21 +13,27 @@ class ViewSchedule:
         self._late_s = late_s
 
     def expect(self, trajectory: Trajectory, after_s: float) -> None:
-        """The views of a trajectory replace those that were to come after the instant at which it leaves the one before."""
+        """Replace the views after ``after_s`` by those of a trajectory.
+
+        after_s: instant at which it leaves the one before.
+        """
         self.cancel_after(after_s)
         self._instants_s += [trajectory.start_s + float(t) for t in trajectory.views_s]
 
     def cancel_after(self, instant_s: float) -> None:
-        """Forget the views that a stopped trajectory will not reach."""
+        """Drop the views that a stopped trajectory will not reach."""
         self._instants_s = [t for t in self._instants_s if t <= instant_s]
 
     def take(self, stamp_s: float) -> bool:
-        """Whether the frame captured at ``stamp_s`` is a view; one frame serves all instants up to its stamp."""
+        """Return True if the frame captured at ``stamp_s`` is a view.
+
+        One frame serves all instants up to its stamp.
+        """
         met = [t for t in self._instants_s if t <= stamp_s]
         self._instants_s = [t for t in self._instants_s if t > stamp_s]
         return bool(met)
 
     def waiting(self, now_s: float) -> bool:
-        """Whether a view is still to come; one that no frame met in time is given up."""
+        """Return True if a view is still pending; a view that no frame met in time is given up."""
         self._instants_s = [t for t in self._instants_s if now_s - t < self._late_s]
         return bool(self._instants_s)

@@ -1,4 +1,4 @@
-"""Paths to trajectories: smooth, under limits, from rest to rest in known-free space; braking; the check of what is left."""
+"""Motion planning: smooth trajectories within limits, braking, and clearance checks."""
 
 from uav_recon.motion.motion_planner import MotionPlanner
 

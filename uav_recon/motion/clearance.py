@@ -1,4 +1,4 @@
-"""How much room there is around a point of the map."""
+"""Clearance around points of the map, and the check of trajectories against it."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from uav_recon.types.maps import VoxelMap
 
 ROOT = np.sqrt(np.arange(256, dtype=np.float64))
 ROOT.setflags(write=False)
-LOOK_M = 0.02  # a sample is looked up when the body has moved so far since the last one that was
-LEAVING_M = 0.3  # so much of the way is hardly checked: the body must be able to leave a tight spot ...
-ESCAPE_M = 2.0  # ... and may fly so far through free space without the clearance, until it has it once ...
-LOSS_M = 0.03  # ... but never to less room than where it begins, by more than the map's noise: the next motion begins there
+LOOK_M = 0.02  # a sample is checked when the body has moved this far since the last checked one
+LEAVING_M = 0.3  # the first part of the path, checked for LOSS_M only: the body must be able to leave a tight spot ...
+ESCAPE_M = 2.0  # ... and may fly this far through free space below the clearance, until it first reaches it ...
+LOSS_M = 0.03  # ... but its clearance never falls below that at its start minus map noise: the next motion starts there
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ClearanceMap:
-    """What kernels need of a map: squared distances (nx, ny, nz) in voxels, and the frame.
+    """Map data for kernels: squared distances (nx, ny, nz) in voxels, and the frame.
 
-    frame: (10,) origin (3), lower (3) and upper corner (3) of the box that the body's centre stays in, and the room that
+    frame: (10,) origin (3), lower (3) and upper corner (3) of the box that the body's centre stays in, and the clearance that
     counts at the box's border; metres.
     """
 
@@ -33,18 +33,19 @@ class ClearanceMap:
 
     @staticmethod
     def of(voxels: VoxelMap, low_m: FloatArray, high_m: FloatArray, border_m: float) -> ClearanceMap:
-        """The space of a map inside a box (infinite corners: no box)."""
+        """Return the space of a map inside a box (infinite corners: no box)."""
         frame = np.array([*voxels.grid.origin_world_m, *low_m, *high_m, border_m], dtype=np.float64)
         return ClearanceMap(voxels.distance2, frame, float(voxels.grid.resolution_m))
 
 
 @kernel
 def room_at(distance2: AnyArray, frame: AnyArray, resolution_m: float, root: AnyArray, x: float, y: float, z: float) -> float:
-    """Metres from a point to the nearest centre of a voxel that is not known free; 0 in such a voxel and outside the grid.
+    """Return the clearance of a point: metres to the nearest centre of a voxel not known free.
 
-    Near a side of the box to stay in, what is left to it and the room at its border, if that is less.
-    The trilinear one between the eight centres around it; at least the point's own voxel's less half a voxel, so that every
-    way through cells that the planner calls flyable stays one.
+    It is 0 in such a voxel and outside the grid. Near a side of the box to stay in, it is at most the distance to that side
+    plus the clearance at the box's border.
+    The value is interpolated trilinearly between the eight voxel centres around the point. It is at least the value of the
+    point's own voxel less half a voxel, so that every path through cells that the planner calls flyable remains flyable.
     """
     nx, ny, nz = distance2.shape
     u, v, w = (x - frame[0]) / resolution_m, (y - frame[1]) / resolution_m, (z - frame[2]) / resolution_m
@@ -69,7 +70,7 @@ def room_at(distance2: AnyArray, frame: AnyArray, resolution_m: float, root: Any
 
 @kernel
 def rooms(distance2: AnyArray, frame: AnyArray, resolution_m: float, root: AnyArray, points: AnyArray, out: AnyArray) -> None:
-    """room_at for many points (N, 3 or more)."""
+    """Fill ``out`` (N,) with room_at of each of the points (N, 3 or more)."""
     for n in range(len(points)):
         out[n] = room_at(distance2, frame, resolution_m, root, points[n, 0], points[n, 1], points[n, 2])
 
@@ -79,8 +80,10 @@ def ways_ahead(
     distance2: AnyArray, frame: AnyArray, resolution_m: float, root: AnyArray, points: AnyArray, heading: AnyArray,
     min_m: float, way_m: AnyArray,
 ) -> None:  # fmt: skip
-    """Shorten way_m (N,), metres from each point (N, 3 or more) along its heading (N, 3), to where there is no more room than
-    ``min_m``. A heading of no length leads nowhere and is left.
+    """Shorten ``way_m`` to where the clearance along each heading is no longer above ``min_m``.
+
+    way_m: (N,) metres from each point (N, 3 or more) along its heading (N, 3). A heading of zero length leaves its entry
+    unchanged.
     """
     for n in range(len(points)):
         dx, dy, dz = heading[n, 0], heading[n, 1], heading[n, 2]
@@ -101,9 +104,9 @@ def _blocked(
 ) -> int:  # fmt: skip
     """Mark blocked samples in ``out`` (N,) and return the first one, or -1.
 
-    Which samples are looked up depends on the whole trajectory and not on ``first``: a motion that was clear as a whole is
-    clear from each of its samples on, as long as the map stays as it is; but for one out of a tight spot that loses room on its
-    way, which may brake there.
+    Which samples are checked depends on the whole trajectory and not on ``first``: a trajectory that was clear as a whole is
+    clear from each of its samples on, while the map does not change. The exception is a trajectory out of a tight spot that
+    loses clearance on its way; it may brake there.
     """
     reached, begun_m = False, np.inf
     travelled_m, since_m, found = 0.0, LOOK_M, -1
@@ -132,8 +135,10 @@ def _blocked(
 
 
 def blocked(space: ClearanceMap, points_m: FloatArray, first: int, min_m: float) -> BoolArray:
-    """Which samples (N,) from ``first`` on are not known free, or have less room than ``min_m`` after having had it, or than
-    where it begins.
+    """Return a mask (N,) of the blocked samples from ``first`` on.
+
+    A sample is blocked if it is not known free, or has less clearance than ``min_m`` after an earlier sample had it, or has
+    less clearance than sample ``first``. See LEAVING_M, ESCAPE_M and LOSS_M for what a trajectory out of a tight spot may do.
     """
     out = np.zeros(len(points_m), dtype=np.bool_)
     _blocked(space.distance2, space.frame, space.resolution_m, ROOT, points_m, first, min_m, out)
@@ -141,5 +146,5 @@ def blocked(space: ClearanceMap, points_m: FloatArray, first: int, min_m: float)
 
 
 def is_clear(space: ClearanceMap, points_m: FloatArray, first: int, min_m: float) -> bool:
-    """Whether no sample from ``first`` on is blocked."""
+    """Return True if no sample from ``first`` on is blocked."""
     return not blocked(space, points_m, first, min_m).any()

@@ -1,4 +1,4 @@
-"""To the middle of narrow places: a taut way keeps to one side of them, with no more room than was asked for."""
+"""Centring of a band in narrow passages, where a taut path keeps to one side."""
 
 from __future__ import annotations
 
@@ -10,14 +10,17 @@ from uav_recon.motion.elastic_band import ElasticBand, min_clearance, mirror
 from uav_recon.types.frames import AnyArray
 
 STEP_M = 0.02
-ROUNDS = 10  # two voxels at most
+ROUNDS = 10  # moves a point by at most two voxels
 
 
 def centred(band: ElasticBand, space: ClearanceMap, wanted_m: float) -> ElasticBand:
-    """The band, each free point of it moved to where there is more room as long as it has less than ``wanted_m``."""
+    """Return the band with its free control points moved towards more clearance.
+
+    A point moves while its clearance is less than ``wanted_m``.
+    """
     control, held = band.control.copy(), band.held.copy()
     for node in band.view_node:
-        held[node : node + 3] = True  # all that bear on where a view is passed
+        held[node : node + 3] = True  # all control points that determine where a view is passed
     _centre(control, held, space.distance2, space.frame, space.resolution_m, ROOT, wanted_m)
     return dataclasses.replace(band, control=control)
 

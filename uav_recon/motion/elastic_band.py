@@ -1,8 +1,9 @@
-"""The way as an elastic band: control points of a uniform cubic B-spline in (x, y, z, yaw, camera pitch).
+"""Elastic band: a path as a cubic B-spline in (x, y, z, yaw, camera pitch).
 
-One span of the spline stands for about SPAN_S of flight at full pace, whichever of the five coordinates needs it, so turning
-on the spot is a way like any other. The band starts as the polyline, which rounds each corner by some centimetres, and is
-then relaxed: it takes the shape of least bending that keeps the room it has and passes each view within tolerance.
+The B-spline is uniform. One span stands for about SPAN_S of flight at full speed, whichever of the five coordinates needs
+it, so a turn on the spot is a path like any other. The band starts as the polyline, which rounds each corner by some
+centimetres, and is then relaxed: it takes the shape of least bending that keeps its clearance and passes each view within
+the tolerance.
 Bending energy after Terzopoulos and others, "Elastically deformable models" (1987), and Quinlan and Khatib (1993).
 """
 
@@ -22,17 +23,20 @@ from uav_recon.types.tasks import Viewpoint
 
 SPAN_M = 0.15  # longest span of the spline in space ...
 SPAN_S = 0.15  # ... and in time, at full speed
-TENSION = 0.2  # of length against bending, per span
-CALM = 0.3  # of turning at a view against bending
+TENSION = 0.2  # weight of length against bending, per span
+CALM = 0.3  # weight of turning at a view against bending
 SWEEPS = 40
-AHEAD = 1.6  # of each step of the relaxation: it overshoots, and converges sooner (Young 1954)
-SETTLED = 5e-4  # metres and radians
+AHEAD = 1.6  # over-relaxation factor: overshooting steps converge sooner (Young 1954)
+SETTLED = 5e-4  # largest move of a converged band, metres and radians
 SAME_M = 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PathCourse:
-    """Vertices (V, 5) of the way from its start on; at which vertex each view (K,) stands; which of them are stops (V,)."""
+    """A path as vertices (V, 5) from its start, with its views and stops.
+
+    view_vertex: (K,) vertex of each view. stop: (V,) marks the vertices at which the vehicle stops.
+    """
 
     vertex: FloatArray
     view_vertex: IntArray
@@ -42,7 +46,10 @@ class PathCourse:
     def through(
         start: FloatArray, legs: Sequence[FloatArray], views: Sequence[Viewpoint], gaze: YawPolicy = AT_VIEWS
     ) -> PathCourse:
-        """Through the waypoints of each leg (Ni, 3) to its view; yaw goes as ``gaze`` has it, or else the short way round."""
+        """Return the course through the waypoints (Ni, 3) of each leg to its view.
+
+        Yaw changes along a leg as ``gaze`` defines, and on the spot by the smaller turn.
+        """
         vertices, reached = [start], []
         for leg, view in zip(legs, views, strict=True):
             begin = vertices[-1]
@@ -61,12 +68,18 @@ class PathCourse:
         return PathCourse(np.array(vertices), np.array(reached, dtype=np.int64), np.zeros(len(vertices), dtype=np.bool_))
 
     def after(self, begin: FloatArray, stops: bool) -> PathCourse:
-        """The same, reached from a place (5,) before it; ``stops``: to a stand where it began until now."""
+        """Return the course with a start (5,) added before it.
+
+        stops: True if the vehicle stops at the previous start.
+        """
         stop = np.concatenate(([False, stops], self.stop[1:]))
         return PathCourse(np.vstack([begin, self.vertex]), self.view_vertex + 1, stop)
 
     def with_stops(self, stop: BoolArray) -> PathCourse:
-        """The same, each marked inner vertex (V,) three times over: the band goes exactly through it and comes to a stand."""
+        """Return the course with each marked inner vertex (V,) repeated three times.
+
+        The band passes such a vertex exactly and stops there.
+        """
         stop = stop.copy()
         stop[[0, -1]] = False
         times = np.where(stop, 3, 1)
@@ -76,8 +89,11 @@ class PathCourse:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ElasticBand:
-    """control (n + 3, 5): a curve of n spans that begins at control[1] and ends at control[-2]; held (n + 3,): those that must
-    stay; view_node (K,): the span at whose start each view is passed (n for the end)."""
+    """A curve of n spans with control points (n + 3, 5), from control[1] to control[-2].
+
+    held: (n + 3,) marks control points that must not move. view_node: (K,) span at whose start each view is passed (n for the
+    end).
+    """
 
     control: FloatArray
     view_node: IntArray
@@ -85,7 +101,10 @@ class ElasticBand:
 
     @staticmethod
     def along(course: PathCourse, span_rad: float, before: FloatArray | None) -> ElasticBand:
-        """Even spans along each edge. before: place (5,) one span before the course, of a band that is entered in motion."""
+        """Return the band with even spans along each edge of the course.
+
+        span_rad: max. turn of one span. before: (5,) position one span before the course, for a band that is entered in motion.
+        """
         step = np.abs(np.diff(course.vertex, axis=0))
         length_m = np.sqrt(np.sum(step[:, :3] ** 2, axis=1))
         wanted = np.maximum(length_m / SPAN_M, np.max(step[:, 3:], axis=1) / span_rad)
@@ -106,8 +125,12 @@ class ElasticBand:
     def relaxed(
         self, course: PathCourse, space: ClearanceMap, wanted_m: float, min_m: float, tolerance: tuple[float, float]
     ) -> ElasticBand:
-        """The band pulled smooth. What has less than ``min_m`` of room does not move; nothing comes under ``wanted_m``, or
-        under what it has. tolerance: metres and radians off each view but the last, which is met exactly."""
+        """Return the band smoothed by relaxation.
+
+        A control point moves in space only if its clearance is then at least ``wanted_m``, or if its clearance was at least
+        ``min_m`` and does not decrease. tolerance: metres and radians by which the band may miss each view but the last, which
+        is met exactly.
+        """
         control = self.control.copy()
         view = np.full(len(control), -1, dtype=np.int64)
         view[self.view_node + 1] = course.view_vertex
@@ -120,7 +143,10 @@ class ElasticBand:
 
 @kernel
 def mirror(control: AnyArray) -> None:
-    """The outer control points, so that the curve ends at the second and the last but one, without bending there."""
+    """Set the outer control points so that the curve ends without bending.
+
+    It then begins at the second and ends at the last but one control point.
+    """
     last = len(control) - 2
     for d in range(5):
         control[0, d] = 2 * control[1, d] - control[2, d]
@@ -131,7 +157,10 @@ def mirror(control: AnyArray) -> None:
 def min_clearance(
     control: AnyArray, i: int, distance2: AnyArray, frame: AnyArray, resolution_m: float, root: AnyArray, enough_m: float
 ) -> float:
-    """Least room at the nodes and middles of spans that control point i bears on; stops at the first under ``enough_m``."""
+    """Return the least clearance at the nodes and span middles that depend on control point i.
+
+    Stops at the first value below ``enough_m`` and returns it.
+    """
     min_m = np.inf
     last = len(control) - 2
     for j in range(max(i - 1, 1), min(i + 1, last) + 1):
@@ -153,7 +182,7 @@ def min_clearance(
 
 @kernel
 def _off_view(control: AnyArray, j: int, target: AnyArray) -> float:
-    """Distance of node j from a view's place."""
+    """Return the distance of node j from a view's position."""
     x = (control[j - 1, 0] + 4 * control[j, 0] + control[j + 1, 0]) / 6 - target[0]
     y = (control[j - 1, 1] + 4 * control[j, 1] + control[j + 1, 1]) / 6 - target[1]
     z = (control[j - 1, 2] + 4 * control[j, 2] + control[j + 1, 2]) / 6 - target[2]
@@ -162,7 +191,7 @@ def _off_view(control: AnyArray, j: int, target: AnyArray) -> float:
 
 @kernel
 def _wanted_move(control: AnyArray, view: AnyArray, i: int, move: AnyArray) -> None:
-    """Where control point i would go for the least energy, given its neighbours, and a bit beyond."""
+    """Compute the move of control point i to the least energy given its neighbours, times AHEAD."""
     last = len(control) - 2
     before, after = 1.0 if i - 1 > 1 else 0.0, 1.0 if i + 1 < last else 0.0
     for d in range(5):
@@ -182,7 +211,10 @@ def _wanted_move(control: AnyArray, view: AnyArray, i: int, move: AnyArray) -> N
 
 @kernel
 def _turn_within(control: AnyArray, view: AnyArray, vertex: AnyArray, i: int, tolerance_rad: float, move: AnyArray) -> float:
-    """Move yaw and pitch of control point i as far as the views allow; returns by how much."""
+    """Turn control point i within the views' tolerance; return the largest change of an angle.
+
+    The angles are yaw and camera pitch.
+    """
     most = 0.0
     for d in range(3, 5):
         for j in (i - 1, i + 1, i):
@@ -203,9 +235,10 @@ def _relax(
     control: AnyArray, held: AnyArray, view: AnyArray, vertex: AnyArray, tolerance_m: float, tolerance_rad: float,
     distance2: AnyArray, frame: AnyArray, resolution_m: float, root: AnyArray, wanted_m: float, min_m: float,
 ) -> None:  # fmt: skip
-    """Gauss-Seidel on sum |c[j-1] - 2 c[j] + c[j+1]|² + TENSION sum |c[j+1] - c[j]|² + CALM sum of turning² at the views.
+    """Minimise the bending energy by Gauss-Seidel iteration.
 
-    A move that would cost room or leave a view is tried in part, then axis by axis (walls mostly lie along the axes).
+    Energy: sum |c[j-1] - 2 c[j] + c[j+1]|² + TENSION sum |c[j+1] - c[j]|² + CALM sum of turning² at the views.
+    A move that would lose clearance or leave a view is tried in part, then axis by axis (walls mostly lie along the axes).
     """
     last = len(control) - 2
     move, old = np.zeros(5), np.zeros(3)

@@ -1,4 +1,4 @@
-"""How a motion begins: at rest, or out of a motion that is being flown."""
+"""Initial state of a motion: at rest, or out of a motion that is being flown."""
 
 from __future__ import annotations
 
@@ -15,9 +15,12 @@ AT_REST = 1e-3  # m/s and rad/s
 
 @dataclass(frozen=True, slots=True, eq=False)
 class InitialState:
-    """What would be flown if nothing new came: rows (N, 5) of x, y, z, yaw, pitch each STEP_S, and from the last one on the
-    same step over and over. A new way takes over at the last row. Row 0 is one step before the start, for the differences;
-    the new motion has its way from row ``left`` on, and what is before is the old motion's own."""
+    """The motion that would be flown without a new path.
+
+    rows: (N, 5) x, y, z, yaw, pitch each STEP_S. After the last row, each step adds ``drift`` (5,). A new path takes over at
+    the last row. Row 0 is one step before the start, for the differences. The new motion has its path from row ``left`` on; the
+    rows before are those of the old motion.
+    """
 
     rows: FloatArray
     drift: FloatArray
@@ -25,13 +28,16 @@ class InitialState:
 
     @staticmethod
     def resting(start: Setpoint, lead: int) -> InitialState:
-        """Stand for ``lead`` steps: so far the smoothing of the new way reaches back."""
+        """Return a rest of ``lead`` steps, as far back as the smoothing of the new path reaches."""
         here = np.array([*start.position_m, start.yaw_rad, start.camera_pitch_down_rad])
         return InitialState(np.tile(here, (lead + 2, 1)), np.zeros(5), 1)
 
     @staticmethod
     def leaving(flying: Trajectory, at: int, lead: int, most: FloatArray) -> InitialState:
-        """Out of sample ``at`` of a trajectory; its acceleration there dies away, from ``most`` (5,) within the whole lead."""
+        """Return the state that leaves a trajectory at its sample ``at``.
+
+        The acceleration there decreases to zero: from ``most`` (5,) within the whole lead, from less sooner.
+        """
         first = max(at - round(KEPT_S / STEP_S), 0)
         past = columns(flying, first - 1, at + 1)
         around = columns(flying, at - 1, at + 2)
@@ -46,26 +52,29 @@ class InitialState:
 
     @property
     def place(self) -> FloatArray:
-        """Where the new way takes over (5,)."""
+        """Position (5,) where the new path takes over."""
         return np.asarray(self.rows[-1])
 
     @property
     def velocity(self) -> FloatArray:
-        """At what rate (5,) per second."""
+        """Rate (5,) per second at which the new path takes over."""
         return np.asarray(self.drift / STEP_S)
 
     @property
     def is_moving(self) -> bool:
-        """Whether there is any motion to leave."""
+        """True if there is a motion to leave."""
         return bool(np.abs(self.velocity).max() > AT_REST)
 
     def continued(self, count: int) -> FloatArray:
-        """The rows with ``count`` more of the same drift."""
+        """Return the rows followed by ``count`` more with the same drift."""
         return np.vstack([self.rows, self.rows[-1] + self.drift * np.arange(1, count + 1)[:, None]])
 
 
 def columns(trajectory: Trajectory, begin: int, end: int) -> FloatArray:
-    """Rows (N, 5) of samples begin..end; after the last one it rests, and the one before the first follows from its rates."""
+    """Return rows (N, 5) of the samples begin to end - 1 of a trajectory.
+
+    After its last sample it rests. The row before the first sample follows from the rates there.
+    """
     last = len(trajectory.yaw_rad) - 1
     index = np.clip(np.arange(begin, end), 0, last)
     angles = (trajectory.yaw_rad[index], trajectory.camera_pitch_down_rad[index])

@@ -1,8 +1,9 @@
-"""Paths to trajectories: smooth, under limits, from rest or out of another motion to rest in known-free space; braking.
+"""Motion planner: from paths to smooth trajectories within limits, and braking.
 
-The path becomes an elastic band in place, yaw and camera pitch (band), which is passed as fast as the limits allow (bounds,
-pace). The samples then pass two box filters: an average keeps every bound on speed, acceleration and turning, and bounds the
-jerk. What comes out is checked, sample by sample, against the map.
+A trajectory starts at rest or out of another motion and ends at rest in known-free space. The path becomes an elastic band
+in position, yaw and camera pitch (elastic_band), which is passed as fast as the limits allow (speed_limits,
+time_parameterization). The samples then pass two box filters: an average keeps every bound on speed, acceleration and
+turning, and bounds the jerk. The result is checked against the map, sample by sample.
 """
 
 from __future__ import annotations
@@ -26,31 +27,36 @@ from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.tasks import PlanMode, ViewPath, Viewpoint
 from uav_recon.types.trajectory import Setpoint, Trajectory
 
-TOLERANCE_M = 0.05  # half a voxel: a map that changes by so much does not stop a motion ...
-PLANNED_M = 0.01  # ... but none is planned nearer than the clearance by more than this
-NEAR_VIEW = (0.10, float(np.radians(2.0)))  # of the band off a view; smoothing and the frame's lateness add to it
-MIDDLE_M = 0.1  # more than usual it keeps on a narrow way where there is so much: what a vehicle strays there comes off it
-NARROW_MPS = 0.2  # on a narrow way, where there is no more room than usual: the faster, the later a vehicle follows its bends
-BRAKE_SHARE = 0.9  # of the limits: the rest covers the step of the integration
-OVERRUNS = (0.0, 0.4, 1.0)  # of the braking distance, straight on before a new way is taken up; the last ends in a stop
-BACK = -0.5  # cosine of present and new direction from which on only the stop is tried
+TOLERANCE_M = 0.05  # half a voxel: a map change of this size does not stop a motion ...
+PLANNED_M = 0.01  # ... but no motion is planned with less than the clearance minus this
+NEAR_VIEW = (0.10, float(np.radians(2.0)))  # tolerance of the band at a view, m and rad; smoothing and late frames add to it
+MIDDLE_M = 0.1  # kept on a narrow path beyond the usual clearance where there is room: the vehicle's path error reduces it
+NARROW_MPS = 0.2  # speed on a narrow path with only the usual clearance: the faster a vehicle is, the later it follows bends
+BRAKE_SHARE = 0.9  # share of the limits: the rest covers the step of the integration
+OVERRUNS = (0.0, 0.4, 1.0)  # shares of the braking distance flown straight on before the new path; the last ends in a stop
+BACK = -0.5  # cosine of the angle between present and new direction, below which only the stop is tried
 ON_THE_SPOT_M = 0.05
-BACK_STEPS = 5  # samples of a braked way from one waypoint back to the next
+BACK_STEPS = 5  # samples of a braked path between consecutive waypoints of the path back
 
 
 class MotionPlanner:
-    """Pure: no clock, no state. Trajectories are in odom; world is taken as odom, as it is within a map epoch."""
+    """Motion planner without clock or state.
+
+    Trajectories are in odom. The world frame is taken as odom, which holds within a map epoch.
+    """
 
     def __init__(
         self, config: MotionConfig, clearance_m: float, low_m: FloatArray | None = None, high_m: FloatArray | None = None,
         braking_mps2: float | None = None, hull_m: float = 0.0, gaze: YawPolicy = AT_VIEWS,
     ) -> None:  # fmt: skip
-        """clearance_m: from the body's centre to anything not known free, on a path that does not say what its way keeps;
-        tight_speed_mps is flown where there is no more, and NARROW_MPS on a path that says so.
+        """Set the limits.
 
-        low_m, high_m: (3,) corners of the box that the body's centre stays in; none = no box. braking_mps2: with which a way
-        that turns out to be blocked is left; none = what is planned with. hull_m: radius of the vehicle,
-        which touches nothing where its autopilot flies on by itself for config.run_on_s. gaze: where it looks on its way.
+        clearance_m: distance from the body's centre to anything not known free, on a path that does not state its own
+            clearance. tight_speed_mps is flown where there is no more, and NARROW_MPS on a path that states its clearance.
+        low_m, high_m: (3,) corners of the box that the body's centre stays in; None = no box.
+        braking_mps2: deceleration when a path turns out to be blocked; None = that of planned motion.
+        hull_m: radius of the vehicle, which touches nothing while its autopilot flies on without setpoints for config.run_on_s.
+        gaze: where the vehicle looks on its path.
         """
         self._low_m = np.full(3, -np.inf) if low_m is None else low_m
         self._high_m = np.full(3, np.inf) if high_m is None else high_m
@@ -64,10 +70,11 @@ class MotionPlanner:
     def through(
         self, path: ViewPath, voxels: VoxelMap, start: Setpoint, start_s: float, views_at_spacing_m: float, identifier: int
     ) -> Trajectory | Reason:
-        """From rest at ``start`` through every view of the path to rest at the last, or the reason why not.
+        """Plan from rest at ``start`` through every view of the path to rest at the last one.
 
-        Each view is captured where it is passed, within 0.15 m and 3 degrees and without blur, and one every
-        ``views_at_spacing_m`` (may be infinite) on the way to it. What is flown is checked against the map.
+        Each view is captured where it is passed, within 0.15 m and 3 degrees and without motion blur. Further captures follow
+        every ``views_at_spacing_m`` (may be infinite) along the path. The trajectory is checked against the map. If there is
+        none, the reason is returned.
         """
         fault = _fault(path, voxels)
         if fault:
@@ -81,11 +88,12 @@ class MotionPlanner:
     def onward(
         self, path: ViewPath, voxels: VoxelMap, flying: Trajectory, leave_s: float, views_at_spacing_m: float, identifier: int
     ) -> Trajectory | Reason:
-        """Out of a motion that is being flown, at ``leave_s``, through every view of the path, as ``through`` does.
+        """Plan out of a motion that is being flown, at ``leave_s``, through every view of the path.
 
-        The path begins where ``flying`` is at ``leave_s``. The answer begins KEPT_S before with ``flying``'s own samples,
-        leaves it without a jump in place, velocity, acceleration or heading, and may run on a little before it turns. Where
-        that is not clear it brakes along ``flying`` first. views_s are those of the path alone.
+        Limits and result are those of ``through``. The path begins where ``flying`` is at ``leave_s``. The trajectory begins
+        KEPT_S before that with ``flying``'s own samples. It leaves ``flying`` without a jump in position, velocity,
+        acceleration or heading, and may continue for a short distance before it turns. If that is not clear, it brakes along
+        ``flying`` first. views_s contains the views of the path only.
         """
         fault = _fault(path, voxels)
         if fault:
@@ -108,7 +116,10 @@ class MotionPlanner:
         return self._after_braking(path, voxels, flying, at, views_at_spacing_m, identifier)
 
     def turn(self, start: Setpoint, start_s: float, total_yaw_rad: float, views: int, identifier: int) -> Trajectory:
-        """Look round on the spot; ``views`` captures, equally spread over the angle, the last at its end."""
+        """Turn on the spot and capture ``views`` views.
+
+        They are equally spaced in angle; the last is at the end.
+        """
         entry = InitialState.resting(start, self._pacer.box)
         vertex = np.tile(entry.place, (max(views, 1) + 1, 1))
         vertex[:, 3] += np.linspace(0.0, total_yaw_rad, len(vertex))
@@ -117,7 +128,10 @@ class MotionPlanner:
         return self._pacer.flown(band, entry, None, np.inf).trajectory(start_s, 0, identifier)
 
     def line(self, start: Setpoint, goal_m: FloatArray, yaw_rad: float, start_s: float, identifier: int) -> Trajectory:
-        """Straight, rest to rest, at the tight speed and without a look at the map: take-off and descent."""
+        """Fly straight from rest to rest at the tight speed, for take-off and descent.
+
+        The map is not checked.
+        """
         entry = InitialState.resting(start, self._pacer.box)
         goal = np.asarray(goal_m, dtype=np.float64)
         course = PathCourse.through(entry.place, [goal[None]], [Viewpoint(goal, yaw_rad, start.camera_pitch_down_rad)])
@@ -126,18 +140,24 @@ class MotionPlanner:
         return dataclasses.replace(flown, views_s=np.zeros(0))
 
     def stop(self, trajectory: Trajectory, now_s: float, identifier: int) -> Trajectory:
-        """Brake along the same path, as hard as a blocked way asks for, to rest; captures nothing."""
+        """Brake to rest along the same path, with the deceleration for a blocked path; no captures."""
         return self._braked(trajectory, now_s, identifier, self._hardness)
 
     def still_clear(self, trajectory: Trajectory, now_s: float, voxels: VoxelMap) -> bool:
-        """Whether what is left of the trajectory is clear in a newer map; False for a map of another epoch."""
+        """Return True if the rest of the trajectory is clear in a newer map.
+
+        False for a map of another epoch.
+        """
         if trajectory.map_epoch != voxels.map_epoch:
             return False
         first = int(np.clip((now_s - trajectory.start_s) / trajectory.step_s, 0, len(trajectory.yaw_rad) - 1))
         return is_clear(self._space(voxels), trajectory.position_m, first, self._asked_m(trajectory.clearance_m) - TOLERANCE_M)
 
     def _braked(self, trajectory: Trajectory, now_s: float, identifier: int, hardness: float) -> Trajectory:
-        """hardness: 1 for the limits of planned motion."""
+        """Brake to rest along the same path.
+
+        hardness: deceleration; 1 = the limits of planned motion.
+        """
         into_s = now_s - trajectory.start_s
         if into_s <= 0.0 or into_s >= trajectory.duration_s:
             still = np.zeros(2)
@@ -174,10 +194,10 @@ class MotionPlanner:
         spacing_m: float,
         clearance_m: float | None,
     ) -> TrajectoryGenerator | Reason:
-        """A flight along the course that is clear by ``clearance_m``, or why there is none.
+        """Return a flight along the course with ``clearance_m``, or the reason for the failure.
 
-        Where the relaxed band comes too close to something, the nearest corner is made a stop; if that does not do, all are,
-        and the band is left as the polyline is.
+        If the relaxed band comes too close to something, the nearest corners become stops. If that is not enough, all corners
+        become stops and the band is not relaxed.
         """
         stop, min_m = course.stop.copy(), self._asked_m(clearance_m) - PLANNED_M
         pacer, room_m = self._pacer, self._clearance_m
@@ -206,7 +226,10 @@ class MotionPlanner:
     def _after_braking(
         self, path: ViewPath, voxels: VoxelMap, flying: Trajectory, at: int, spacing_m: float, identifier: int
     ) -> Trajectory | Reason:
-        """Brake along what is being flown, then from rest, straight to the path's own way or back to where it begins."""
+        """Brake along the present motion, then fly the path from rest.
+
+        It joins the path directly, or returns to where the path begins if that is not clear.
+        """
         leave_s = flying.start_s + at * flying.step_s
         braked = self._braked(flying, leave_s, identifier, 1.0)
         rest = braked.setpoint_at(leave_s + braked.duration_s)
@@ -226,14 +249,14 @@ class MotionPlanner:
 
 
 def _fault(path: ViewPath, voxels: VoxelMap) -> Reason | None:
-    """Why a path cannot be flown whatever its shape, None if it can."""
+    """Return the reason why a path of any shape cannot be flown, None if there is none."""
     if path.map_epoch != voxels.map_epoch:
         return Reason(ReasonCode.PATH_MAP_EPOCH, (path.map_epoch, voxels.map_epoch))
     return None if path.viewpoints else Reason(ReasonCode.PATH_WITHOUT_VIEW)
 
 
 def _leads_on(path: ViewPath, entry: InitialState) -> bool:
-    """Whether the path begins in about the direction of the present motion, or with a turn on the spot."""
+    """Return True if the path begins in about the direction of motion, or with a turn."""
     first = np.vstack([path.waypoints_world[0], path.viewpoints[0].position_world]) - entry.place[:3]
     away_m = np.linalg.norm(first, axis=1)
     if not (away_m > ON_THE_SPOT_M).any():
@@ -244,7 +267,7 @@ def _leads_on(path: ViewPath, entry: InitialState) -> bool:
 
 
 def _ahead(path: ViewPath, entry: InitialState, begin: FloatArray) -> list[FloatArray]:
-    """The legs without their beginning, and without waypoints that are passed while the old motion dies away."""
+    """Return the legs without the waypoints that are passed while the old motion ends."""
     left = entry.rows[entry.left, :3]
     first, *others = path.waypoints_world
     coast_m = float(np.linalg.norm(begin[:3] - left))

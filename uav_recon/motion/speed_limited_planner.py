@@ -1,4 +1,7 @@
-"""Motion at the pace that is allowed now: with a degraded pose the guard lets nothing fast pass, so nothing fast is planned."""
+"""Motion planner whose speed limit changes in flight.
+
+With a degraded pose the guard rejects fast setpoints, so trajectories are planned at a lower speed.
+"""
 
 from __future__ import annotations
 
@@ -13,12 +16,13 @@ from uav_recon.types.reason import Reason
 from uav_recon.types.tasks import ViewPath
 from uav_recon.types.trajectory import Setpoint, Trajectory
 
-SLOW_SHARE = 0.8  # of what is let pass with a degraded pose: what leads over from one motion to the next adds to it
+SLOW_SHARE = 0.8  # share of the guard's limit with a degraded pose: the transition between motions adds to the speed
 
 
 class SpeedLimitedPlanner:
-    """One of two planners, the usual or a slow one for when less than usual_mps is allowed. What is flown already is braked and
-    checked by the usual one, whose limits of acceleration hold for both.
+    """Two planners: the usual one, and a slow one while less than usual_mps is allowed.
+
+    A trajectory that is already flown is braked and checked by the usual planner, whose acceleration limits hold for both.
     """
 
     def __init__(self, usual: MotionPlanner, slow: MotionPlanner, usual_mps: float) -> None:
@@ -27,14 +31,17 @@ class SpeedLimitedPlanner:
 
     @staticmethod
     def of(config: Config, clearance_m: float, low_m: FloatArray, high_m: FloatArray) -> SpeedLimitedPlanner:
-        """Of a whole config, within the box (3,), (3,) that the body's centre stays in."""
+        """Return the planner of a config. low_m, high_m: (3,) box that the body's centre stays in."""
         safety, usual = config.safety, config.motion
         limits = (clearance_m, low_m, high_m, safety.max_acceleration_mps2, safety.vehicle_radius_m, yaw_policy_of(config))
         slow = usual.at_most(SLOW_SHARE * safety.retreat_speed_mps)
         return SpeedLimitedPlanner(MotionPlanner(usual, *limits), MotionPlanner(slow, *limits), usual.speed_mps)
 
     def allow(self, max_speed_mps: float) -> None:
-        """What is planned from now on stays below this speed, as far as the slow one does."""
+        """Set the speed limit from now on.
+
+        The speed never falls below that of the slow planner.
+        """
         self._max_speed_mps = max_speed_mps
 
     @property
@@ -44,31 +51,31 @@ class SpeedLimitedPlanner:
     def through(
         self, path: ViewPath, voxels: VoxelMap, start: Setpoint, start_s: float, views_at_spacing_m: float, identifier: int
     ) -> Trajectory | Reason:
-        """From rest, as Motion says."""
+        """Plan from rest through the views; see MotionPlannerInterface."""
         return self._motion.through(path, voxels, start, start_s, views_at_spacing_m, identifier)
 
     def onward(
         self, path: ViewPath, voxels: VoxelMap, flying: Trajectory, leave_s: float, views_at_spacing_m: float, identifier: int
     ) -> Trajectory | Reason:
-        """Out of a motion, as Motion says."""
+        """Plan out of a motion through the views; see MotionPlannerInterface."""
         return self._motion.onward(path, voxels, flying, leave_s, views_at_spacing_m, identifier)
 
     def turn(self, start: Setpoint, start_s: float, total_yaw_rad: float, views: int, identifier: int) -> Trajectory:
-        """On the spot: as fast as ever."""
+        """Turn on the spot, always with the usual limits."""
         return self._usual.turn(start, start_s, total_yaw_rad, views, identifier)
 
     def line(self, start: Setpoint, goal_m: FloatArray, yaw_rad: float, start_s: float, identifier: int) -> Trajectory:
-        """Straight, rest to rest."""
+        """Fly straight, from rest to rest."""
         return self._motion.line(start, goal_m, yaw_rad, start_s, identifier)
 
     def stop(self, trajectory: Trajectory, now_s: float, identifier: int) -> Trajectory:
-        """Brake along the same path."""
+        """Brake to rest along the same path."""
         return self._usual.stop(trajectory, now_s, identifier)
 
     def warm_up(self) -> None:
-        """Compile the kernels, which both use."""
+        """Compile the kernels, which both planners use."""
         self._usual.warm_up()
 
     def still_clear(self, trajectory: Trajectory, now_s: float, voxels: VoxelMap) -> bool:
-        """Whether what is left of it is clear in a newer map."""
+        """Return True if the rest of the trajectory is clear in a newer map."""
         return self._usual.still_clear(trajectory, now_s, voxels)

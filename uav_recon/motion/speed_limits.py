@@ -1,4 +1,7 @@
-"""How fast each node of a curve may be passed: the open, tight places, climbing, turning, and sharp images at the views."""
+"""Speed limit at each node of a curve.
+
+It depends on clearance, climb and turn rate, and motion blur at views.
+"""
 
 from __future__ import annotations
 
@@ -7,8 +10,8 @@ import math
 from uav_recon.geometry.jit import kernel
 from uav_recon.types.frames import AnyArray
 
-CALM_SPANS = 1  # on either side of a view: the frame comes a little late, and smoothing brings in what is around
-ENTRY_SPANS = 2  # in which a motion that is entered beyond a limit by what smoothing costs comes back to it
+CALM_SPANS = 1  # spans on either side of a view with the blur limit: the frame comes late, and smoothing mixes neighbours in
+ENTRY_SPANS = 2  # spans in which a motion entered above a limit, by the error of smoothing, returns to it
 
 
 @kernel
@@ -16,7 +19,11 @@ def _room_speeds(
     along_m: AnyArray, room_m: AnyArray, clearance_m: float, open_m: float, speed: float, tight_speed: float, spread_m: float,
     out: AnyArray,
 ) -> None:  # fmt: skip
-    """Speed at each node (M,): room beyond the clearance raises it from tight to full; the least within ``spread_m`` counts."""
+    """Fill ``out`` (M,) with the speed limit at each node from the clearance around it.
+
+    Clearance beyond ``clearance_m`` raises the limit from the tight to the full speed. The least clearance within ``spread_m``
+    along the path counts.
+    """
     first = 0
     for n in range(len(out)):
         while along_m[n] - along_m[first] > spread_m:
@@ -36,11 +43,11 @@ def node_speed_limits(
     clearance_m: float, open_m: float, speed: float, tight_speed: float, climb: float, descent: float, rate: float,
     blur_radps: float, blur_distance_m: float, spread_m: float, entry: AnyArray, braking: float, fastest: float, out: AnyArray,
 ) -> None:  # fmt: skip
-    """Fill out (M,): the greatest (spans per second)² at each node of a curve with derivatives slope (M, 5) by span.
+    """Fill out (M,): the greatest (spans per second)² at each node of a curve.
 
-    At the views the image may move by ``blur_radps`` (see MotionConfig): rate of turning plus speed over distance. A motion
-    entered at velocity ``entry`` (5,) that is faster than tight places or views ahead allow may brake down to that.
-    max_speed_mps (M,): another limit of the speed.
+    slope: (M, 5) derivatives of the curve by span. At the views the image may move by at most ``blur_radps`` (see
+    MotionConfig): turn rate plus speed over distance. A motion entered at velocity ``entry`` (5,), faster than tight places or
+    views after it allow, may brake down to those limits. max_speed_mps (M,): a further speed limit.
     """
     _room_speeds(along_m, room_m, clearance_m, open_m, speed, tight_speed, spread_m, out)
     for n in range(len(out)):

@@ -1,8 +1,9 @@
-"""The fastest pass along a spline under bounds on velocity and acceleration of each of its coordinates.
+"""Time-optimal parameterization of a spline within velocity and acceleration bounds.
 
-With s the curve's parameter and x = ds/dt squared, every bound is convex in (x, d²s/dt²), so one pass back over the nodes
-finds the largest x from which the rest can still be flown, and one pass forward takes as much as that allows: Pham and Pham,
-"A new approach to time-optimal path parameterization based on reachability analysis" (2018).
+The bounds hold for each coordinate. With s the curve's parameter and x = ds/dt squared, every bound is convex in
+(x, d²s/dt²), so one pass back over the nodes finds the largest x from which the rest can still be flown, and one pass
+forward takes the largest allowed value: Pham and Pham, "A new approach to time-optimal path parameterization based on
+reachability analysis" (2018).
 """
 
 from __future__ import annotations
@@ -15,16 +16,16 @@ import numpy as np
 from uav_recon.geometry.jit import kernel
 from uav_recon.types.frames import AnyArray, FloatArray
 
-PER_SPAN = 6  # nodes of the pass in each span
-FASTEST = 10.0  # spans a second: an end of time for a band that does not move
-PUSHED_ON_S = 0.46  # an autopilot makes so much more speed of an acceleration that it keeps: 1 / MPC_XY_VEL_P_ACC, less
+PER_SPAN = 6  # nodes in each span
+FASTEST = 10.0  # spans a second, max. pace: a band that does not move has a finite duration
+PUSHED_ON_S = 0.46  # s, speed that an autopilot gains per acceleration setpoint that it keeps: below 1 / MPC_XY_VEL_P_ACC
 HALVINGS = 16
 TINY = 1e-12
 
 
 @dataclass(frozen=True, slots=True)
 class PaceLimits:
-    """Speeds (m/s), acceleration (m/s²), turning (rad/s) and its change (rad/s²)."""
+    """Limits of speed (m/s), acceleration (m/s²), turn rate (rad/s) and its change (rad/s²)."""
 
     speed: float
     climb: float
@@ -36,7 +37,10 @@ class PaceLimits:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Curve:
-    """place, slope and bend (M, 5) of a spline at its nodes: value, first and second derivative by span; length (M,) in m."""
+    """A spline at its M nodes.
+
+    place, slope, bend: (M, 5) value, first and second derivative by span. along_m: (M,) length from the start in metres.
+    """
 
     place: FloatArray
     slope: FloatArray
@@ -45,7 +49,7 @@ class Curve:
 
     @staticmethod
     def of(control: FloatArray) -> Curve:
-        """The nodes of a spline with control points (n + 3, 5)."""
+        """Return the nodes of a spline with control points (n + 3, 5)."""
         count = (len(control) - 3) * PER_SPAN + 1
         place, slope, bend, along_m = (np.empty((count, 5)), np.empty((count, 5)), np.empty((count, 5)), np.empty(count))
         _evaluate(control, place, slope, bend, along_m)
@@ -73,7 +77,10 @@ def _evaluate(control: AnyArray, place: AnyArray, slope: AnyArray, bend: AnyArra
 
 @kernel
 def _within(slope: float, bend: float, bound: float, x: float, low: float, high: float) -> tuple[float, float]:
-    """The part of [low, high] where |bend x + slope u| <= bound; empty (low > high) if there is none."""
+    """Return the part of [low, high] where |bend x + slope u| <= bound.
+
+    The interval is empty (low > high) if there is none.
+    """
     if abs(slope) < 1e-9:
         return (low, high) if abs(bend) * x <= bound + 1e-9 else (1.0, -1.0)
     first, second = (-bound - bend * x) / slope, (bound - bend * x) / slope
@@ -82,7 +89,10 @@ def _within(slope: float, bend: float, bound: float, x: float, low: float, high:
 
 @kernel
 def _change(slope: AnyArray, bend: AnyArray, acceleration: float, spin: float, x: float) -> tuple[float, float]:
-    """Least and greatest d²s/dt² at a node with x = (ds/dt)²; empty (low > high) if x is too much."""
+    """Return the least and greatest d²s/dt² at a node with x = (ds/dt)².
+
+    The interval is empty (low > high) if x is too large.
+    """
     a = slope[0] ** 2 + slope[1] ** 2 + slope[2] ** 2
     b = slope[0] * bend[0] + slope[1] * bend[1] + slope[2] * bend[2]
     c = bend[0] ** 2 + bend[1] ** 2 + bend[2] ** 2
@@ -102,14 +112,17 @@ def _change(slope: AnyArray, bend: AnyArray, acceleration: float, spin: float, x
 
 @kernel
 def _reaches(slope: AnyArray, bend: AnyArray, acceleration: float, spin: float, x: float, width: float, max_x: float) -> bool:
-    """Whether some allowed change brings x into [0, max_x] at the next node. True for all x below one for which it is."""
+    """Return True if an allowed d²s/dt² brings x into [0, max_x] at the next node.
+
+    If it is true for one x, it is true for all smaller ones.
+    """
     least, most = _change(slope, bend, acceleration, spin, x)
     return least <= most and x + width * least <= max_x and x + width * most >= 0.0
 
 
 @kernel
 def _gain(slope: AnyArray, bend: AnyArray, max_speed_mps: float, x: float) -> float:
-    """Greatest d²s/dt² with which the speed and PUSHED_ON_S of its gain are at most so much."""
+    """Return the greatest d²s/dt² at which speed + PUSHED_ON_S * dv/dt <= max_speed_mps."""
     a = slope[0] ** 2 + slope[1] ** 2 + slope[2] ** 2
     if a < TINY or max_speed_mps == np.inf:
         return 1e9
@@ -124,10 +137,10 @@ def fastest(
     slope: AnyArray, bend: AnyArray, cap: AnyArray, max_speed_mps: AnyArray, max_acceleration_mps2: AnyArray, spin: float,
     first: float, x: AnyArray,
 ) -> bool:  # fmt: skip
-    """Fill x (M,), the squared pace at each node: ``first`` at the first, 0 at the last. False if ``first`` is too fast.
+    """Fill x (M,), the squared pace at each node: ``first`` at the first, 0 at the last.
 
-    max_speed_mps (M,): limit of the speed plus PUSHED_ON_S times the acceleration. max_acceleration_mps2 (M,): limit of the
-    acceleration.
+    Returns False if ``first`` is too fast. max_speed_mps (M,): limit of the speed plus PUSHED_ON_S times the acceleration.
+    max_acceleration_mps2 (M,): limit of the acceleration.
     """
     last = len(cap) - 1
     width = 2.0 / PER_SPAN
@@ -156,7 +169,7 @@ def fastest(
 
 @kernel
 def instants(x: AnyArray, times: AnyArray) -> None:
-    """Seconds (M,) at which each node is reached."""
+    """Fill ``times`` (M,) with the seconds at which each node is reached."""
     times[0] = 0.0
     for n in range(1, len(x)):
         times[n] = times[n - 1] + 2.0 / PER_SPAN / max(math.sqrt(x[n - 1]) + math.sqrt(x[n]), 1e-6)
@@ -164,7 +177,10 @@ def instants(x: AnyArray, times: AnyArray) -> None:
 
 @kernel
 def sampled(control: AnyArray, x: AnyArray, times: AnyArray, step_s: float, out: AnyArray) -> None:
-    """The curve's places (N, 5) at each step from its first instant on; after the last instant its end."""
+    """Fill ``out`` (N, 5) with the curve at each step from its first instant on.
+
+    After the last instant it stays at its end.
+    """
     spans = len(control) - 3
     node, last = 0, len(x) - 1
     for n in range(len(out)):
@@ -186,7 +202,10 @@ def sampled(control: AnyArray, x: AnyArray, times: AnyArray, step_s: float, out:
 
 @kernel
 def smoothed(samples: AnyArray, box: int, out: AnyArray) -> None:
-    """Two box averages of odd width over (N, D); out (N - 2 box + 2, D). An average keeps every bound on its samples."""
+    """Apply two box averages of odd width to samples (N, D); out: (N - 2 box + 2, D).
+
+    An average keeps every bound on its samples.
+    """
     middle = np.empty((len(samples) - box + 1, samples.shape[1]))
     for source, target in ((samples, middle), (middle, out)):
         for d in range(samples.shape[1]):

@@ -1,4 +1,7 @@
-"""The same motion at another pace: p(tau(t)) has velocity v tau' and acceleration a tau'^2 + v tau''."""
+"""Time scaling of a trajectory.
+
+p(tau(t)) has velocity v tau' and acceleration a tau'^2 + v tau''.
+"""
 
 from __future__ import annotations
 
@@ -11,20 +14,21 @@ from uav_recon.types.frames import AnyArray, FloatArray
 from uav_recon.types.trajectory import Trajectory
 
 STEP_S = 0.02
-KEPT_S = 0.5  # of a motion that is left, before the instant of leaving
-BRAKE_RISE_S = 0.2  # in which a brake comes on: the hardest has 9 m/s³, within what ArduCopter shapes (PSC_JERK_NE 10)
-HARDEST_SLEW = 50.0  # 1/s², of tau'': even a crawl takes some ten samples to stop
+KEPT_S = 0.5  # part of the old motion, before the instant at which it is left, that a new trajectory keeps
+BRAKE_RISE_S = 0.2  # rise time of braking: the hardest has 9 m/s³ of jerk, within what ArduCopter shapes (PSC_JERK_NE 10)
+HARDEST_SLEW = 50.0  # 1/s², slew limit of tau'': even a very slow motion takes some ten samples to stop
 
-Pace = tuple[FloatArray, FloatArray, FloatArray]  # (N,) each: old time played, its rate, and that one's rate
+Pace = tuple[FloatArray, FloatArray, FloatArray]  # (N,) each: time in the old trajectory, and its first and second derivative
 
 
 @kernel
 def _slow_down(old: AnyArray, first_s: float, acceleration: float, spin: float, played: AnyArray) -> int:
-    """Brake by playing old samples ever slower; returns how many rows of ``played`` (tau, tau', tau'') were filled.
+    """Brake by replaying the old samples at a falling rate; return the number of filled rows.
 
-    old: (N, 5) of speed, tangential and normal acceleration, yaw rate, and yaw acceleration in the sense of that rate.
-    tau'' is as low as the bounds on acceleration and spin allow at this very sample (tangential a tau'^2 + v tau''), but
-    comes on and, by the root law, goes off with bounded jerk. Ends at tau' = 0 or with the old samples.
+    played: rows (tau, tau', tau''). old: (N, 5) of speed, tangential and normal acceleration, absolute yaw rate, and yaw
+    acceleration in the direction of that rate. tau'' is as low as the bounds on acceleration and spin allow at this sample
+    (tangential a tau'^2 + v tau''), but rises and, by the square-root law, falls with bounded jerk. Ends at tau' = 0 or with
+    the old samples.
     """
     last_s = (len(old) - 1) * STEP_S
     tau, rate, change = first_s, 1.0, 0.0
@@ -32,7 +36,7 @@ def _slow_down(old: AnyArray, first_s: float, acceleration: float, spin: float, 
         played[n] = tau, rate, change
         if rate <= 0.0 or tau >= last_s:
             return n + 1
-        at = min(tau / STEP_S + rate, len(old) - 1.000001)  # where the change will have come to bear
+        at = min(tau / STEP_S + rate, len(old) - 1.000001)  # where the change takes effect
         low = int(at)
         speed, along, across, turning, spinning = old[low] + (at - low) * (old[low + 1] - old[low])
         speed, turning = max(speed, 0.01), max(turning, 0.01)
@@ -51,7 +55,10 @@ def _slow_down(old: AnyArray, first_s: float, acceleration: float, spin: float, 
 def braking(
     trajectory: Trajectory, first_s: float, acceleration: float, spin: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """The fastest stop from ``first_s`` into a trajectory; the rate falls from 1 to 0."""
+    """Return the fastest stop from ``first_s`` into a trajectory, as a Pace.
+
+    The rate falls from 1 to 0.
+    """
     velocity, turning = trajectory.velocity_mps, trajectory.yaw_rate_radps
     speed = np.linalg.norm(velocity, axis=1)
     total2 = np.sum(trajectory.acceleration_mps2**2, axis=1)
@@ -66,7 +73,10 @@ def braking(
 
 
 def replayed(trajectory: Trajectory, first_s: float, pace: Pace, start_s: float, identifier: int) -> Trajectory:
-    """A trajectory from ``first_s`` (seconds into it) on at another pace (old time, rate, rate's rate), without captures."""
+    """Return the trajectory from ``first_s`` on at another pace, without captures.
+
+    first_s: seconds into the trajectory.
+    """
     played_s, rate, change = pace
     grid = np.arange(len(trajectory.yaw_rad)) * trajectory.step_s
 
@@ -90,7 +100,10 @@ def replayed(trajectory: Trajectory, first_s: float, pace: Pace, start_s: float,
 
 
 def joined(flying: Trajectory, at: int, braked: Trajectory, flown: Trajectory) -> Trajectory:
-    """``flying`` until its sample ``at``, a stop made there, and a motion from that rest on; begins KEPT_S before ``at``."""
+    """Join ``flying`` until its sample ``at``, the stop ``braked`` and ``flown`` from rest.
+
+    It begins KEPT_S before ``at``.
+    """
     first = max(at - round(KEPT_S / STEP_S), 0)
 
     def rows(name: str) -> FloatArray:

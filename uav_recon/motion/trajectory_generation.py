@@ -1,4 +1,4 @@
-"""A band flown: its fastest pass under the limits, sampled, smoothed and joined to what was flown before."""
+"""Trajectory generation: the fastest pass along a band, sampled, smoothed and joined."""
 
 from __future__ import annotations
 
@@ -28,22 +28,22 @@ from uav_recon.motion.yaw_policy import AT_VIEWS, YawPolicy
 from uav_recon.types.frames import BoolArray, FloatArray
 from uav_recon.types.trajectory import Trajectory
 
-OPEN_M = 0.3  # full speed where there is so much room beyond the clearance
-SPREAD_M = 0.2  # a tight place is slow from so far before it to so far behind it: what smoothing mixes
-RUN_ON_MPS = 0.2  # never slower on account of what lies ahead: a vehicle has to get on
-SHARE = 0.97  # of the limits of acceleration: the rest covers the distance between nodes ...
-FULL = 0.995  # ... and of those of speed
-BRAKING = 0.7  # of acceleration: what a motion that is entered too fast brakes with
-MIN_MPS2 = 0.3  # a vehicle has to get on
+OPEN_M = 0.3  # full speed where the clearance exceeds the planning clearance by this
+SPREAD_M = 0.2  # the speed limit of a tight place applies this far before and behind it: smoothing mixes neighbours
+RUN_ON_MPS = 0.2  # the limit from obstacles ahead is never lower: a vehicle has to make progress
+SHARE = 0.97  # share of the acceleration limits: the rest covers the distance between nodes ...
+FULL = 0.995  # ... and share of the speed limits
+BRAKING = 0.7  # share of the acceleration with which a motion that is entered too fast brakes
+MIN_MPS2 = 0.3  # the limit from the view direction is never lower: a vehicle has to make progress
 TRIES = 4
-SLOWEST = 2.0  # spans a second: slower spans at the start of a moving band would be short ones
+SLOWEST = 2.0  # spans a second: a lower pace at the start of a moving band would make its spans short
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrajectoryGenerator:
-    """rows (N + 1, 5) of x, y, z, yaw, pitch each STEP_S, row 0 one step before the start; views_s from the start on.
+    """Rows (N + 1, 5) of x, y, z, yaw, pitch each STEP_S, and the instants of the views.
 
-    Infeasible: it is entered too fast for what follows.
+    Row 0 is one step before the start; views_s is relative to the start. Not feasible: the entry is too fast for what follows.
     """
 
     rows: FloatArray
@@ -51,14 +51,14 @@ class TrajectoryGenerator:
     feasible: bool = True
 
     def rates(self) -> tuple[FloatArray, FloatArray]:
-        """First and second derivatives (N, 5) from the start on; the last one rests."""
+        """Return the first and second derivatives (N, 5) from the start on; the last row is at rest."""
         rate, change = np.zeros_like(self.rows[1:]), np.zeros_like(self.rows[1:])
         rate[:-1] = (self.rows[2:] - self.rows[:-2]) / (2 * STEP_S)
         change[:-1] = (self.rows[2:] - 2 * self.rows[1:-1] + self.rows[:-2]) / STEP_S**2
         return rate, change
 
     def trajectory(self, start_s: float, map_epoch: int, identifier: int, clearance_m: float | None = None) -> Trajectory:
-        """As it is handed to the pilot."""
+        """Return the trajectory as it is sent to the pilot."""
         rate, change = self.rates()
         rows = self.rows[1:]
         return Trajectory(
@@ -69,7 +69,7 @@ class TrajectoryGenerator:
 
 @dataclass(frozen=True, slots=True)
 class Pacer:
-    """The limits (SI, radians), and the passing of bands under them."""
+    """The limits (SI, radians), and the generation of flights along bands within them."""
 
     speed: float
     tight_speed: float
@@ -88,7 +88,7 @@ class Pacer:
 
     @staticmethod
     def of(config: MotionConfig, clearance_m: float, hull_m: float, gaze: YawPolicy = AT_VIEWS) -> Pacer:
-        """The limits of a config."""
+        """Return the limits of a config."""
         return Pacer(
             speed=FULL * config.speed_mps,
             tight_speed=FULL * config.tight_speed_mps,
@@ -108,23 +108,27 @@ class Pacer:
 
     @property
     def span_rad(self) -> float:
-        """Most that one span of a band may turn."""
+        """Max. turn of one span of a band, in radians."""
         return self.rate * SPAN_S
 
     def most(self) -> FloatArray:
-        """Greatest acceleration of each coordinate (5,)."""
+        """Return the greatest acceleration of each coordinate (5,)."""
         return np.array([self.acceleration] * 3 + [self.spin] * 2)
 
     def entry_pace(self, entry: InitialState) -> float:
-        """Spans per second at the start of a band entered in motion: its first span is as long as others, or shorter."""
+        """Return the spans per second at the start of a band entered in motion.
+
+        The first span is as long as the others, or shorter.
+        """
         speed = float(np.linalg.norm(entry.velocity[:3]))
         turning = float(np.abs(entry.velocity[3:]).max())
         return max(speed / SPAN_M, turning / self.span_rad, SLOWEST)
 
     def begun(self, entry: InitialState, overrun: float) -> tuple[FloatArray, FloatArray]:
-        """Where a moving entry is (5,) one span on, and where a share of the way that braking takes would bring it from there.
+        """Return two positions (5,) on the continuation of a moving entry.
 
-        All five coordinates brake in the time that the slowest of them needs.
+        The first is one span on. The second is farther by the share ``overrun`` of the braking distance. All five coordinates
+        brake in the time that the slowest of them needs.
         """
         speed, turning = float(np.linalg.norm(entry.velocity[:3])), float(np.abs(entry.velocity[3:]).max())
         braking_s = max(speed / self.acceleration, turning / self.spin) * 1.1 / SHARE
@@ -134,8 +138,10 @@ class Pacer:
     def flown(
         self, band: ElasticBand, entry: InitialState, space: ClearanceMap | None, spacing_m: float
     ) -> TrajectoryGenerator:
-        """The fastest flight along a band; slower all over where smoothing and sampling left too much acceleration, and slow
-        where it turns out that the camera does not look: a body that gains speed leans.
+        """Return the fastest flight along a band.
+
+        If smoothing and sampling leave too much acceleration, the whole flight is made slower. Where the result shows that the
+        camera does not look in the direction of flight, the speed is limited: a body that accelerates leans.
         """
         curve = Curve.of(band.control)
         first = self.entry_pace(entry) ** 2 if entry.is_moving else 0.0
@@ -180,26 +186,33 @@ class Pacer:
         )  # fmt: skip
 
     def _leaning(self, curve: Curve, entry: InitialState) -> FloatArray:
-        """Accelerations (M,) with which the camera sees the way; as much as need be where what is entered has to brake."""
+        """Return acceleration limits (M,) up to which the camera sees the path.
+
+        There is no limit where the motion that is entered has to brake.
+        """
         max_acceleration_mps2 = np.maximum(self.gaze.max_acceleration_mps2(curve.slope, curve.place), MIN_MPS2)
         entry2 = float(np.sum(entry.velocity[:3] ** 2))
         return np.where(2.0 * BRAKING * self.acceleration * curve.along_m < entry2, np.inf, max_acceleration_mps2)
 
     def _hasty(self, flight: TrajectoryGenerator, entry: InitialState, times: FloatArray) -> BoolArray:
-        """The nodes (M,), reached at these times, whose samples are faster than what they see allows, or share in such."""
+        """Return a mask of the nodes (M,) that contribute to samples too fast for the camera.
+
+        times: (M,) instants at which the nodes are reached.
+        """
         hasty = np.zeros(len(flight.rows), dtype=np.bool_)
         hasty[entry.left + 1 : -1] = self.gaze.hasty(flight.rows[entry.left :])
         around = np.convolve(hasty, np.ones(2 * self.box + 1), "same") > 0.0
         return np.asarray(around[np.minimum(np.rint(times / STEP_S).astype(np.int64) + len(entry.rows) - 1, len(around) - 1)])
 
     def _heeding(self, curve: Curve, space: ClearanceMap) -> FloatArray:
-        """Speeds (M,) that where it looks and what lies ahead allow."""
+        """Return the speed limits (M,) from the view direction and from obstacles ahead."""
         return np.minimum(self.gaze.max_speed_mps(curve.slope, curve.place), self._heeding_silence(curve, space))
 
     def _heeding_silence(self, curve: Curve, space: ClearanceMap) -> FloatArray:
-        """Speeds (M,) from which an autopilot that hears nothing any more touches nothing before it is at rest.
+        """Return speeds (M,) at which an autopilot without setpoints stops before any contact.
 
-        It flies straight on, or where the bend at the greatest speed leads that it keeps, which makes it faster.
+        It flies straight on, or deflected by the lateral acceleration that it keeps, taken at the greatest speed. The
+        deflection also makes it faster.
         """
         if self.run_on_s == 0.0:
             return np.full(len(curve.along_m), np.inf)
@@ -210,7 +223,7 @@ class Pacer:
         fastest_x = np.minimum((self.speed / flat) ** 2, self.acceleration / most)
         bent = slope + PUSHED_ON_S * np.sqrt(fastest_x) * across
         far_m = (self.speed + PUSHED_ON_S * self.acceleration) * self.run_on_s
-        min_m = self.hull_m + 0.5 * space.resolution_m  # to a voxel's side
+        min_m = self.hull_m + 0.5 * space.resolution_m  # to the voxel's side
         max_speed_mps = np.full(len(slope), np.inf)
         for heading in (slope, bent):
             way_m = np.full(len(slope), far_m)
@@ -222,7 +235,7 @@ class Pacer:
     def _smoothed(
         self, band: ElasticBand, entry: InitialState, curve: Curve, x: FloatArray, times: FloatArray, spacing_m: float
     ) -> TrajectoryGenerator:
-        """What the way differs from the entry's own going on is smoothed and added to that."""
+        """Add to the entry's continuation the smoothed difference of the path from it."""
         count, begin, half = int(np.ceil(times[-1] / STEP_S)) + 1, len(entry.rows) - 1, self.box - 1
         raw = np.empty((count, 5))
         sampled(band.control, x, times, STEP_S, raw)

@@ -1,1 +1,1 @@
-"""The operator's word: a local socket at the pilot, and the command that speaks to it."""
+"""Operator interface: a local socket at the pilot, and its clients."""

@@ -1,4 +1,4 @@
-"""The other end of the desk: says one word, hears one answer."""
+"""Client of the command socket: sends one command and receives one answer."""
 
 from __future__ import annotations
 
@@ -14,11 +14,14 @@ _LONGEST_ANSWER = 1 << 16
 
 
 class CallError(Exception):
-    """Nobody can be asked; its text is one line that says why and what to do."""
+    """The pilot cannot be reached; the text is one line with the cause and the remedy."""
 
 
 def send_command(path: Path, word: str) -> dict[str, Any]:
-    """The pilot's answer: {"ok", "said"}, and "status" for status. Blocks up to a few seconds. Raises CallError."""
+    """Return the pilot's answer: {"ok", "said"}, and "status" for status.
+
+    Blocks up to a few seconds. Raises CallError.
+    """
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as pipe:
         pipe.settimeout(ANSWER_S)
         try:

@@ -1,4 +1,4 @@
-"""What becomes of an order: what the pilot does itself, what it hands to the mission, and what it refuses with a reason."""
+"""Command handler: carries out commands, passes them to the mission, or refuses them."""
 
 from __future__ import annotations
 
@@ -17,33 +17,36 @@ from uav_recon.types.vehicle import FlightPhase, MissionProgress, VehicleState
 
 T = TypeVar("T")
 
-SILENT_S = 2.0  # a mission whose newest intent is older does not hear orders
+SILENT_S = 2.0  # a mission whose newest intent is older receives no commands
 _ON_THE_GROUND = (FlightPhase.CONNECTING, FlightPhase.READY, FlightPhase.LANDED)
 
 
 class PilotControls(Protocol):
-    """The pilot, as far as an operator reaches it. Nothing blocks."""
+    """The pilot's interface for an operator. Nothing blocks."""
 
     @property
     def phase(self) -> FlightPhase:
-        """Where it stands."""
+        """State of the pilot."""
         ...
 
     def request_land(self, why: Reason) -> None:
-        """Land here and now, whatever the mission says."""
+        """Land here and now, regardless of the mission."""
         ...
 
     def request_hold(self, hold: bool) -> None:
-        """Stay here, whatever the mission says; or follow it again."""
+        """Hold position regardless of the mission, or follow the mission again."""
         ...
 
     def hear_operator(self) -> None:
-        """The operator is there now."""
+        """Record that the operator is present now."""
         ...
 
 
 class CommandHandler:
-    """Serves the desk. orders: where the mission hears; the other channels are only read."""
+    """Serves the command socket.
+
+    orders: channel to the mission; the other channels are only read.
+    """
 
     def __init__(
         self,
@@ -59,9 +62,9 @@ class CommandHandler:
         self._vehicle, self._intent, self._progress, self._odom = vehicle, intent, progress, odom
 
     def serve(self, word: str) -> Answer:
-        """The answer to a word: status, or an order. An order is carried out before it is answered.
+        """Return the answer to a word, which is status or a command.
 
-        Whoever asks for something that there is has been heard, also where it is refused.
+        A command is carried out before it is answered. Every known word counts as an operator heartbeat, also if it is refused.
         """
         try:
             order = None if word == "status" else OperatorCommand(word)
@@ -77,7 +80,7 @@ class CommandHandler:
         return {"ok": refused is None, "said": said, "codes": list(codes_of(refused))}
 
     def status(self) -> Status:
-        """What is known now."""
+        """Return the present status."""
         return Status.of(
             self._clock.now_s(), _newest(self._vehicle), _newest(self._odom), _newest(self._progress), self._mission_receives()
         )
@@ -121,7 +124,10 @@ class CommandHandler:
         }[order]
 
     def _note(self, *untold: Reason) -> tuple[Reason, ...]:
-        """Return the pilot's newest reason as details. untold: what to say before there is any state of the vehicle."""
+        """Return the pilot's newest reason as details.
+
+        untold: the answer before there is any state of the vehicle.
+        """
         vehicle = _newest(self._vehicle)
         if vehicle is None:
             return untold

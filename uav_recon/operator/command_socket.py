@@ -1,7 +1,7 @@
-"""The operator's socket at the pilot: a line of JSON each way, from whoever the kernel says may.
+"""Command socket at the pilot: one line of JSON each way, with access checked by the kernel.
 
 It belongs to the pilot, because hold and land must work while the mission is dead. Nothing here blocks or raises on what a
-client does: clients are few, slow ones are dropped, long or malformed lines are answered once and dropped.
+client does: few clients are accepted, slow ones are dropped, long or malformed lines are answered once and dropped.
 """
 
 from __future__ import annotations
@@ -38,10 +38,10 @@ class _Client:
 
 
 class CommandSocket:
-    """Listens on a Unix socket of mode 0660. Whoever calls poll() every turn answers; serve(word) gives the answer.
+    """Listens on a Unix socket of mode 0660. It answers in poll(), to be called every step.
 
-    Only this user, root and members of this process's group are heard. The caller holds a lock that makes it the only one
-    with this path: a socket left behind by another is replaced.
+    serve(word) gives the answer. Only this user, root and members of this process's group are accepted. The caller holds a lock
+    that makes it the only one with this path: a socket left behind by another is replaced.
     """
 
     def __init__(self, path: Path, serve: Callable[[str], Answer], clock: Clock) -> None:
@@ -60,7 +60,7 @@ class CommandSocket:
             raise CommandSocketError(f"{path}: {error.strerror}") from None
 
     def poll(self) -> None:
-        """Take in a client and what the others have said, answer what is complete, drop who takes too long."""
+        """Accept a client, read from the others, answer complete lines, and drop slow clients."""
         now_s = self._clock.now_s()
         self._accept(now_s)
         for client in list(self._clients):
@@ -69,7 +69,7 @@ class CommandSocket:
                 self._clients.remove(client)
 
     def close(self) -> None:
-        """End all talks and take the socket away."""
+        """Close all connections and remove the socket."""
         for client in self._clients:
             client.socket.close()
         self._clients.clear()
@@ -82,7 +82,7 @@ class CommandSocket:
             return
         try:
             connection, _ = self._socket.accept()
-        except OSError:  # nobody there, gone again, or no descriptor left
+        except OSError:  # no client, gone already, or no descriptor left
             return
         connection.setblocking(False)
         if _may_speak(connection):
@@ -92,7 +92,7 @@ class CommandSocket:
             connection.close()
 
     def _hear(self, client: _Client) -> bool:
-        """Take in what the client sent; whether the talk is over."""
+        """Read what the client sent. Return True if the connection can be closed."""
         try:
             data = client.socket.recv(LONGEST_LINE + 1)
         except BlockingIOError:
@@ -119,25 +119,25 @@ _NOT_A_LINE: Answer = {"ok": False, "said": 'say one line: {"do": "start|hold|re
 
 
 def _may_speak(connection: socket.socket) -> bool:
-    """Whether the kernel says that this user, root or one of this process's group is on the other end."""
+    """Return True if the other end is this user, root or in this process's group, by the kernel."""
     try:
         raw = connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size)
     except OSError:
         return False
     try:
         groups = connection.getsockopt(socket.SOL_SOCKET, _SO_PEERGROUPS, _GROUPS_BYTES)
-    except OSError:  # more groups than fit, or a kernel that does not tell them: the main one counts
+    except OSError:  # more groups than fit, or a kernel that does not report them: only the main group counts
         groups = b""
     _, user, group = _CREDENTIALS.unpack(raw)
     return allowed(user, group, struct.unpack(f"{len(groups) // 4}I", groups))
 
 
 def allowed(user: int, group: int, groups: tuple[int, ...]) -> bool:
-    """Whether one of this user, main group and further groups may give orders to this process."""
+    """Return True if this user, main group and further groups may command this process."""
     return user in (0, os.geteuid()) or os.getegid() in (group, *groups)
 
 
 def _say(connection: socket.socket, answer: Answer) -> None:
-    """One line, whole or not at all: who does not listen is not waited for."""
+    """Send one line, entirely or not at all. It does not wait for a client that does not read."""
     with contextlib.suppress(OSError):
         connection.send(json.dumps(answer).encode() + b"\n")

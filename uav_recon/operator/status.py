@@ -1,4 +1,4 @@
-"""How the flight stands, as an operator wants to read it: a few lines, or JSON."""
+"""Status of the flight for an operator: a few lines of text, or JSON."""
 
 from __future__ import annotations
 
@@ -13,10 +13,12 @@ from uav_recon.types.vehicle import FlightPhase, MissionProgress, VehicleState
 
 @dataclass(frozen=True, slots=True)
 class Status:
-    """None: not known. Ages in seconds; position in the world frame, metres.
+    """Status of the flight.
 
-    pilot: its phase; mission: its phase, or "silent". note: the pilot's newest reason in words, or what the mission waits
-    for on the ground, and note_codes its codes; refusals: what the guard turned down so far.
+    None: not known. Ages in seconds; position in the world frame, metres.
+
+    pilot: its phase; mission: its phase, or "silent". note: the pilot's newest reason as text, or what the mission waits for on
+    the ground, note_codes: its codes; refusals: number of proposals that the guard has rejected.
     """
 
     pilot: str
@@ -43,7 +45,10 @@ class Status:
         progress: MissionProgress | None,
         mission_receives: bool,
     ) -> Status:
-        """From the newest value of each channel; numbers that are not finite are not known."""
+        """Return the status from the newest value of each channel.
+
+        Numbers that are not finite count as not known.
+        """
         if vehicle is None:
             return Status("starting", "silent")
         x, y, z = (_finite(v, 2) for v in vehicle.world_from_body.translation_m.tolist())
@@ -69,7 +74,7 @@ class Status:
 
     @staticmethod
     def told(tree: Any) -> Status:
-        """What as_json gave. Raises ValueError for anything else."""
+        """Return the status from the output of as_json. Raises ValueError for anything else."""
         try:
             status = Status(**tree)
             status.lines()
@@ -78,11 +83,11 @@ class Status:
         return status
 
     def as_json(self) -> dict[str, Any]:
-        """For a line of JSON."""
+        """Return the status as a dict for a line of JSON."""
         return asdict(self)
 
     def lines(self) -> list[str]:
-        """For a person."""
+        """Return the status as lines for a person."""
         known = {
             "pilot": self.pilot,
             "mission": self.mission,

@@ -10,7 +10,7 @@ from uav_recon.interfaces import Clock
 from uav_recon.operator.client import CallError
 from uav_recon.operator.status import Status
 
-PERIOD_S, MAX_LOST = 1.0, 3  # a pilot that restarts answers again before three answers are lost
+PERIOD_S, MAX_LOST = 1.0, 3  # a restarted pilot is back before three answers are lost
 
 
 class Page(Protocol):

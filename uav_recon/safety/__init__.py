@@ -1,1 +1,1 @@
-"""The last hop: fence, limits and the guard that denies by default. Imports types only."""
+"""Safety: fence, limits, and the guard, which denies by default. Imports types only."""

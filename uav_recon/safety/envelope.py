@@ -1,4 +1,7 @@
-"""Where the body's centre may be told to go, and how fast: plain numbers, checked when they are written down."""
+"""Envelope: fence and limits for the commanded motion of the body's centre.
+
+All numbers are plain floats and are checked when the envelope is made.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +17,8 @@ _ROUNDING_M = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class Fence:
-    """A floor plan between a floor and a ceiling (odom, m), and how far inside it the body's centre stays.
+    """A floor plan between a floor and a ceiling (odom, m), with an inset for the body's centre.
+
     Raises ValueError if the inset leaves no height.
     """
 
@@ -29,13 +33,14 @@ class Fence:
             raise ValueError(f"floor {self.floor_m}, ceiling {self.ceiling_m} m: no room for an inset of {self.inset_m} m")
 
     def holds(self, position_m: Vec3) -> bool:
-        """Whether a place lies inside the fence itself, the inset not counted. False for what is not a number."""
+        """Return True if a position lies inside the fence itself, without the inset. False for NaN."""
         return self.plan.holds(position_m[:2]) and self.floor_m <= position_m[2] <= self.ceiling_m
 
 
 @dataclass(frozen=True, slots=True)
 class Envelope:
     """The fence and the limits of commanded motion (SI, radians).
+
     The take-off and landing column is the cylinder of ``pad_radius_m`` round the pad, from ``pad_depth_m`` below the
     pad up to the inset ceiling. It relaxes only the floor: sideways and upwards the inset fence holds there too.
     Raises ValueError if a number is not finite or positive, or the pad does not lie inside.
@@ -60,12 +65,15 @@ class Envelope:
             raise ValueError(f"the take-off place {self.pad_m} is not inside the fence and its inset")
 
     def in_band(self, position_m: Vec3) -> bool:
-        """Whether a height lies between inset floor and inset ceiling."""
+        """Return True if a height lies between inset floor and inset ceiling."""
         inset_m = self.fence.inset_m - _ROUNDING_M
         return self.fence.floor_m + inset_m <= position_m[2] <= self.fence.ceiling_m - inset_m
 
     def in_column(self, position_m: Vec3) -> bool:
-        """Whether a place lies in the take-off and landing column and the fence's plan. False for what is not a number."""
+        """Return True if a position is in the take-off and landing column and the fence's plan.
+
+        False for NaN.
+        """
         x, y, z = position_m
         inset_m = self.fence.inset_m - _ROUNDING_M
         return (
@@ -75,15 +83,20 @@ class Envelope:
         )
 
     def admits(self, position_m: Vec3, stop_m: Vec3) -> bool:
-        """Whether the straight way from a place to its stopping place stays inside. False for what is not a number. Heights
-        and column are convex: both ends in the same one answer for all between; the plan's sides are held against the way.
+        """Return True if the straight path from a position to its stopping point stays inside.
+
+        False for NaN. Heights and column are convex: if both ends are in the same one, so are all points between. The plan's
+        sides are checked against the path.
         """
         in_band = self.in_band(position_m) and self.in_band(stop_m)
         in_column = self.in_column(position_m) and self.in_column(stop_m)
         return in_column or (in_band and self._in_plan(position_m[:2], stop_m[:2]))
 
     def nearest_inside(self, position_m: Vec3) -> Vec3:
-        """The place itself if it is inside, otherwise a near one that is; the pad if there is none."""
+        """Return the position if it is inside, otherwise a near one that is.
+
+        The pad if there is none.
+        """
         if self.admits(position_m, position_m):
             return position_m
         x, y, z = position_m
@@ -93,7 +106,7 @@ class Envelope:
         return self.pad_m if plan is None else (plan[0], plan[1], height_m)
 
     def stopping_point(self, position_m: Vec3, velocity_mps: Vec3) -> Vec3:
-        """Where braking with the whole allowed acceleration ends: p + v |v| / 2a."""
+        """Return the point where braking with the whole allowed acceleration ends: p + v |v| / 2a."""
         seconds = math.hypot(*velocity_mps) / (2.0 * self.max_acceleration_mps2)
         x, y, z = (p + v * seconds for p, v in zip(position_m, velocity_mps, strict=True))
         return x, y, z

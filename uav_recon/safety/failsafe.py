@@ -1,4 +1,7 @@
-"""Which rung a flight stands on. It goes down by itself, up only after a while in health, and never up from landing."""
+"""Failsafe: selects the action of a flight from the health of its inputs.
+
+The action becomes more severe at once. It becomes less severe only after a time of good health, and never after LAND.
+"""
 
 from __future__ import annotations
 
@@ -10,13 +13,16 @@ from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
 
 _HEALTH_S = 2.0
-_BARELY_S = 0.2  # a retreat so young has not left its place: a mission back after the five seconds it may take flies on
-_OUTSIDE_S = 3.0  # a push over the fence itself is brought back within this, or the flight ends
-_REFUSALS, _REFUSALS_S = 3, 1.0  # a mission that is refused so often is not listened to for a while
+_BARELY_S = 0.2  # a younger retreat has not moved yet: a mission that is back after its five seconds flies on at once
+_OUTSIDE_S = 3.0  # after a push over the fence itself the vehicle must be back within this, or the flight ends
+_REFUSALS, _REFUSALS_S = 3, 1.0  # a mission with this many refusals within this time (s) is ignored for a while
 
 
 class FailsafeAction(IntEnum):
-    """From flying on to the ground. Handing over to the firmware is what the pilot does when its link is gone."""
+    """Actions from flight to the ground, in order of severity.
+
+    Handing over to the firmware is what the pilot does when its link is lost.
+    """
 
     FLY = 0
     HOLD = 1
@@ -26,7 +32,7 @@ class FailsafeAction(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class FailsafeTimeouts:
-    """How long (s) silence of pose, mission and depth is borne before each rung."""
+    """Silence (s) of pose, mission and depth that is allowed before each action."""
 
     pose_hold_s: float
     pose_land_s: float
@@ -40,8 +46,11 @@ class FailsafeTimeouts:
 
 @dataclass(frozen=True, slots=True)
 class FailsafeInputs:
-    """What the ladder judges by: ages (s; infinity for never), whether inside the fence itself, refusals so far.
-    pose_age_s: of the newest sound pose, or since any was fed if longer. lost, wrong: why. refused_s: without motion.
+    """Inputs of the failsafe. Ages in seconds, infinity for never.
+
+    inside: the position is inside the fence itself. refusals: number of refusals.
+
+    pose_age_s: of the newest sound pose, or since any was fed if longer. lost, wrong: the reason, or None. refused_s: without motion.
     """
 
     now_s: float
@@ -56,7 +65,7 @@ class FailsafeInputs:
 
 
 class Failsafe:
-    """One flight's. step() once a turn; the answer is the rung and why it is not a higher one."""
+    """The failsafe of one flight. Call step() once per control step."""
 
     def __init__(self, patience: FailsafeTimeouts) -> None:
         self._patience = patience
@@ -68,8 +77,10 @@ class Failsafe:
         self._refusals: int | None = None
 
     def step(self, health: FailsafeInputs) -> tuple[FailsafeAction, Reason | None]:
-        """Down at once; up from holding at once, from retreating after _HEALTH_S (at once if barely begun), from landing never.
-        Kept from flying for as long as a silent mission is borne, whatever keeps it: nobody comes, so it lands.
+        """Return the action, and the reason why it is not FLY.
+
+        It becomes more severe at once. It returns from HOLD at once, from RETREAT after _HEALTH_S (at once if just begun), from
+        LAND never. If the inputs require more than FLY for longer than ``intent_land_s``, for any reason, it becomes LAND.
         """
         rung, why = self._wanted(health)
         self._kept_since_s = math.inf if rung is FailsafeAction.FLY else min(self._kept_since_s, health.now_s)
@@ -116,5 +127,5 @@ class Failsafe:
 
 
 def _rung_of(age_s: float, limits_s: tuple[float, float, float]) -> FailsafeAction:
-    """The lowest rung whose limit an age is beyond; an age that is not a number is beyond all."""
+    """Return the most severe action whose limit an age exceeds; NaN exceeds all."""
     return FailsafeAction(max([rung for rung, limit_s in enumerate(limits_s, 1) if not age_s <= limit_s], default=0))

@@ -1,4 +1,4 @@
-"""Whether the hull may go along a straight way: what is not known free is refused."""
+"""Free-space check of straight paths for the whole hull. Unknown space is rejected."""
 
 from __future__ import annotations
 
@@ -11,12 +11,13 @@ from uav_recon.safety.envelope import Vec3
 from uav_recon.types.maps import FreeSpace
 
 _ROUNDING = 1e-9
-_STANDING = 1e-30  # square of a leg so short that it stands
+_STANDING = 1e-30  # square of the length of a leg that counts as standing
 
 
 class FreeSpaceCheck:
-    """One published free space, asked for an upright hull of radius and height (m), which touches the voxels whose centres
-    lie in it.
+    """A published free space, checked for an upright hull of radius and height (m).
+
+    The hull touches the voxels whose centres lie in it.
     """
 
     def __init__(self, space: FreeSpace, hull_radius_m: float, hull_height_m: float) -> None:
@@ -27,8 +28,10 @@ class FreeSpaceCheck:
         self._wide, self._high = hull_radius_m / self._step_m, hull_height_m / 2.0 / self._step_m
 
     def admits(self, *way_m: Vec3) -> bool:
-        """Whether the hull may go along straight legs through these places (odom, m): it touches nothing that is not known
-        free, but for voxels that it touches already and that no leg goes nearer to. A ghost beside a vehicle shall not keep it.
+        """Return True if the hull may move along straight legs through these positions (odom, m).
+
+        It must touch nothing that is not known free, except voxels that it touches already and that no leg approaches: a false
+        obstacle beside a vehicle must not keep it there.
         """
         way = [self._in_voxels(place_m) for place_m in way_m]
         met = ((a, b, voxel) for a, b in itertools.pairwise(way) for voxel in self._touched(a, b))
@@ -38,13 +41,15 @@ class FreeSpaceCheck:
         )
 
     def _touched(self, a: Vec3, b: Vec3) -> Iterator[tuple[int, int, int]]:
-        """Voxels that are not known free in a hull that goes from a to b: of each column what it passes while the column is
-        within its radius, from root to root of |column - a - share (b - a)| = radius.
+        """Yield the voxels not known free in a hull that moves from a to b.
+
+        For each column, these are the voxels that it passes while the column is within its radius, from root to root of
+        |column - a - share (b - a)| = radius.
         """
         wide, high, (x, y, z), (dx, dy, dz) = self._wide + _ROUNDING, self._high + _ROUNDING, a, map(operator.sub, b, a)
         rows, columns = _between(x, b[0], wide), _between(y, b[1], wide)
         if self._is_open(rows, columns, _between(z, z + dz, high)):
-            return  # as nearly every way that is flown
+            return  # true for nearly every path that is flown
         square = dx * dx + dy * dy + _STANDING
         for i, j in itertools.product(rows, columns):
             along = (i - x) * dx + (j - y) * dy
@@ -56,7 +61,10 @@ class FreeSpaceCheck:
                 yield from ((i, j, k) for k in layers if not self._is_open(*column, range(k, k + 1)))
 
     def _is_open(self, rows: range, columns: range, layers: range) -> bool:
-        """Whether a whole box is known free. A row's bits lie one behind the other, and are asked together."""
+        """Return True if a whole box is known free.
+
+        The bits of a row are consecutive, and are read together.
+        """
         nx, ny, nz = self._shape
         if min(rows.start, columns.start, layers.start) < 0 or rows.stop > nx or columns.stop > ny or layers.stop > nz:
             return False
@@ -69,11 +77,11 @@ class FreeSpaceCheck:
         return True
 
     def _in_voxels(self, place_m: Vec3) -> Vec3:
-        """In voxel edges, a whole number at the centre of each voxel."""
+        """Return a position in voxel edges, a whole number at the centre of each voxel."""
         (x, y, z), (ox, oy, oz), step_m = place_m, self._origin, self._step_m
         return (x - ox) / step_m - 0.5, (y - oy) / step_m - 0.5, (z - oz) / step_m - 0.5
 
 
 def _between(a: float, b: float, reach: float) -> range:
-    """The voxels whose centres lie between two places or within reach of one."""
+    """Return the voxels whose centres lie between two positions or within reach of one."""
     return range(math.ceil(min(a, b) - reach), math.floor(max(a, b) + reach) + 1)

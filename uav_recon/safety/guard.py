@@ -1,6 +1,7 @@
-"""The last hop before the wire: denies by default, and the only maker of a ClearedSetpoint.
-Every cleared setpoint keeps one invariant: it lies inside the envelope and in known-free space, and so does the place where
-braking from it would end. So whatever is proposed next, the guard can always answer with a brake that stays there.
+"""Guard: the last check before the wire; denies by default, only maker of ClearedSetpoint.
+
+Every cleared setpoint keeps one invariant: it lies inside the envelope and in known-free space, and so does the point where
+braking from it would end. So the guard can answer any next proposal with a brake that stays there.
 """
 
 from __future__ import annotations
@@ -21,12 +22,15 @@ from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.trajectory import Refusal, Setpoint
 
 _MAKER = object()
-_STILL_MPS = 0.02  # slower is no motion that wants a free way
-_FUTURE_S = 0.1  # a stamp this far ahead of the clock is another boot's
+_STILL_MPS = 0.02  # a slower motion needs no free path
+_FUTURE_S = 0.1  # a stamp later than the clock by this is of another boot
 
 
 class ClearedSetpoint:
-    """A setpoint that passed the guard. Nobody else can make one: the link sends nothing else."""
+    """A setpoint that passed the guard.
+
+    Only the guard can make one, and the link sends nothing else.
+    """
 
     __slots__ = ("_setpoint",)
 
@@ -37,14 +41,16 @@ class ClearedSetpoint:
 
     @property
     def setpoint(self) -> Setpoint:
-        """What may go on the wire."""
+        """The setpoint that may be sent."""
         return self._setpoint
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SetpointProposal:
-    """A sample of a motion made on the map of ``map_epoch``. retreating: the pilot's own way back, slow, along breadcrumbs:
-    it needs neither a mission nor depth; evading: out of the way of something that comes on, as fast as past what is near.
+    """A sample of a motion that was planned on the map of ``map_epoch``.
+
+    retreating: the pilot's own slow path back along breadcrumbs, which needs neither a mission nor depth. evading: out of the
+    path of an approaching obstacle, with the speed limit for passing near obstacles.
     """
 
     setpoint: Setpoint
@@ -56,8 +62,10 @@ class SetpointProposal:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GuardInputs:
-    """What the guard judges by: the clock, the newest good pose and its frame, ages (s; infinity for never), the known-free
-    space and the newest depth frame, None before the first.
+    """Inputs of the guard.
+
+    The clock, the newest good pose and its frame, ages (s; infinity for never), the known-free space and the newest depth
+    frame, None before the first.
     """
 
     now_s: float
@@ -74,10 +82,11 @@ class GuardInputs:
 
 @dataclass(frozen=True, slots=True)
 class Bounds:
-    """How far an old word carries, and how slow the blind go (SI).
-    silence_way_m: flown since the mission's last pulse, with the braking from here. depth_hold_s: oldest depth in motion.
-    blind_mps: fastest motion where the camera does not look, and then only through what it saw lately; the envelope's speed
-    says that neither is asked for. retreat_mps: fastest motion on the retreat and with a degraded pose.
+    """Limits on the age of inputs, and on the speed without sight (SI).
+
+    silence_way_m: longest path since the mission's last message, including the braking from here. depth_hold_s: oldest depth in
+    motion. blind_mps: fastest motion where the camera does not look, and then only through what it saw lately; if it equals the
+    envelope's speed, neither is required. retreat_mps: fastest motion on the retreat and with a degraded pose.
     """
 
     pose_hold_s: float
@@ -90,7 +99,7 @@ class Bounds:
 
 
 class Guard:
-    """Lets a proposal through, or answers with a brake from the last cleared setpoint to rest."""
+    """Clears a proposal, or answers with a brake from the last cleared setpoint to rest."""
 
     def __init__(self, envelope: Envelope, bounds: Bounds, sight: RecentlySeenSpace) -> None:
         self.envelope, self.bounds, self._sight = envelope, bounds, sight
@@ -98,11 +107,13 @@ class Guard:
         self._steps = ContinuityCheck()
         self._rest_until_s = -math.inf
         self._refused: int | None = None
-        self.refusals = 0  # episodes: a trajectory turned down at thirty samples running counts once
+        self.refusals = 0  # episodes: a trajectory rejected at thirty samples in a row counts once
 
     def clear(self, proposal: SetpointProposal | None, situation: GuardInputs) -> tuple[ClearedSetpoint, Refusal | None]:
-        """Judge one sample. No proposal means brake and hold; a Refusal tells why a proposal was not flown. Never raises
-        on numbers. The very first setpoint holds the present place (drawn inside the envelope).
+        """Check one sample. Without a proposal the vehicle brakes and holds.
+
+        A Refusal holds the reason why a proposal is not flown. Never raises on numbers. The very first setpoint holds the
+        present position (moved inside the envelope).
         """
         fault = None if proposal is None else self._fault(proposal, situation)
         setpoint = self._brake(situation) if proposal is None or fault else proposal.setpoint
@@ -112,12 +123,12 @@ class Guard:
         return ClearedSetpoint(setpoint, _MAKER), refusal
 
     def rebase(self, situation: GuardInputs, rest_s: float = 1.0) -> None:
-        """Odom itself jumped: forget the last setpoint and what was seen, and hold the present place for a while."""
+        """Forget the last setpoint and what was seen after a jump of odom, and hold for ``rest_s``."""
         self._last, self._rest_until_s = None, situation.now_s + rest_s
         self._sight.forget()
 
     def fault_of_take_off(self, situation: GuardInputs, height_m: float) -> Reason | None:
-        """Why the vehicle may not climb from where it stands, None if the declared column is confirmed free that high."""
+        """Return why the vehicle may not climb, None if the column is confirmed free that high."""
         here, top = situation.position_m, (situation.position_m[0], situation.position_m[1], height_m)
         if situation.free is None or situation.ahead is None:
             return Reason(ReasonCode.TAKEOFF_COLUMN_NOT_SEEN)
@@ -158,15 +169,18 @@ class Guard:
         )
 
     def _silent(self, speed_mps: float, intent_age_s: float) -> bool:
-        """The faster, the sooner: what is flown since the last pulse, and the braking, stay within silence_way_m."""
+        """Return True if the mission is silent for too long at this speed.
+
+        The path flown since the last message, and the braking, must stay within silence_way_m: the faster, the sooner.
+        """
         braking_m = speed_mps**2 / (2.0 * self.envelope.max_acceleration_mps2)
         heard = -_FUTURE_S <= intent_age_s <= self.bounds.intent_hold_s
         return not (heard and speed_mps * intent_age_s + braking_m <= max(self.bounds.silence_way_m, braking_m))
 
     def _space_fault(self, last: ClearedMotion, motion: ClearedMotion, stop_m: Vec3, situation: GuardInputs) -> Reason | None:
-        """The way here and the way to rest, for the whole hull. What is not known free is refused."""
+        """Check the path here and the path to rest, for the whole hull. Unknown space is rejected."""
         if motion.position_m == last.position_m == stop_m:
-            return None  # a hold: there is nothing to go through
+            return None  # a hold: there is no path to check
         if situation.free is None:
             return Reason(ReasonCode.NO_FREE_SPACE)
         if situation.free.map_epoch != situation.map_epoch:
@@ -176,7 +190,7 @@ class Guard:
         return None
 
     def _sight_fault(self, motion: ClearedMotion, speed_mps: float, retreating: bool, situation: GuardInputs) -> Reason | None:
-        """What raw depth says of the way: how fast it may be flown towards what is near, and where nobody looks."""
+        """Check the speed by raw depth: towards near obstacles, and outside the camera's view."""
         ahead, bounds = situation.ahead, self.bounds
         if speed_mps <= _STILL_MPS or (retreating and ahead is None):
             return None
@@ -184,7 +198,7 @@ class Guard:
             return Reason(ReasonCode.DEPTH_STALE)
         direction = np.array(motion.velocity_mps) / speed_mps
         direction_body = situation.body_from_odom @ direction
-        since_s = min(max(0.0, situation.now_s - ahead.stamp_s), bounds.depth_hold_s)  # a retreat asks an older one too
+        since_s = min(max(0.0, situation.now_s - ahead.stamp_s), bounds.depth_hold_s)  # a retreat uses an older one too
         room_m = ahead.room_m(direction_body) - speed_mps * since_s
         if not speed_mps <= fastest_mps(room_m, self.envelope.max_acceleration_mps2, bounds.margins, speed_mps):
             return Reason(ReasonCode.OBSTACLE_NEAR, (room_m, speed_mps))
@@ -198,7 +212,7 @@ class Guard:
         return None if seen else Reason(ReasonCode.NOT_SEEN_RECENTLY, (x, y, z))
 
     def _brake(self, situation: GuardInputs) -> Setpoint:
-        """Slow down along the last cleared velocity within the acceleration limit, then stay."""
+        """Slow down along the last cleared velocity within the acceleration limit, then hold."""
         last, limit_mps2 = self._last, self.envelope.max_acceleration_mps2
         if last is None:
             known = all(math.isfinite(value) for value in (*situation.position_m, situation.yaw_rad))

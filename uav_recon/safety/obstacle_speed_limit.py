@@ -1,4 +1,7 @@
-"""The nearest thing in the way, straight from raw depth in body axes: no map, and no pose but where the nose points."""
+"""Speed limit from the nearest obstacle in the path, from raw depth in body axes.
+
+It uses no map, and of the pose only the heading.
+"""
 
 from __future__ import annotations
 
@@ -10,13 +13,16 @@ import numpy as np
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.min_range_grid import MinRangeGrid
 
-_BESIDE_M = 0.05  # a return this far beside the hull's way still is in it
-_MIN_SHARE = 0.2  # of the pixels: a frame with fewer returns is as good as none, be it dark, covered or too near
+_BESIDE_M = 0.05  # a return this far beside the hull's path still counts
+_MIN_SHARE = 0.2  # min. share of pixels: a frame with fewer returns is invalid (dark, covered or too near)
 
 
 @dataclass(frozen=True, slots=True)
 class Margins:
-    """What stays free before the hull (m) when it stops, and before it passes at more than ``slow_mps``; reaction (s)."""
+    """Free distances (m) in front of the hull.
+
+    stop_m: when it stops. fast_m: before it passes at more than ``slow_mps``. reaction_s: reaction time (s).
+    """
 
     stop_m: float
     fast_m: float
@@ -25,7 +31,7 @@ class Margins:
 
 
 class ForwardDepth:
-    """One frame's nearest returns as places about the body's centre."""
+    """The nearest returns of one frame as positions about the body's centre."""
 
     def __init__(self, nearby: MinRangeGrid, hull_radius_m: float) -> None:
         self.stamp_s = nearby.stamp_s
@@ -35,16 +41,19 @@ class ForwardDepth:
 
     @staticmethod
     def tells(nearby: MinRangeGrid) -> bool:
-        """Whether a frame has enough returns to be believed at all."""
+        """Return True if a frame has enough returns to be valid."""
         return nearby.share >= _MIN_SHARE
 
     def sees(self, direction_body: FloatArray) -> bool:
-        """Whether the camera looks where a unit vector (3,) in body axes points."""
+        """Return True if a unit vector (3,) in body axes points into the camera's view."""
         x, y, z = (self._depth_from_body @ direction_body).tolist()
-        return bool(abs(x) <= z * self._half_tan[0] and abs(y) <= z * self._half_tan[1])  # never where z is negative
+        return bool(abs(x) <= z * self._half_tan[0] and abs(y) <= z * self._half_tan[1])  # False where z is negative
 
     def room_m(self, direction_body: FloatArray) -> float:
-        """Metres that the hull may go along a unit vector (3,) in body axes before it meets a return; infinity for none."""
+        """Return the distance (m) that the hull can move along a unit vector (3,) to a return.
+
+        direction_body: in body axes. Infinity if there is no return.
+        """
         along = self._places @ direction_body
         across = np.linalg.norm(self._places - along[:, None] * direction_body, axis=1)
         met = along[(along > 0.0) & (across <= self._radius_m + _BESIDE_M)]
@@ -52,9 +61,10 @@ class ForwardDepth:
 
 
 def fastest_mps(room_m: float, braking_mps2: float, margins: Margins, speed_mps: float) -> float:
-    """The greatest speed at which what the way has left is enough to react in and to brake in.
-    room_m: before the hull. Below slow_mps the hull stops stop_m short; above it, it is back to slow_mps fast_m short:
-    v² = v_end² + 2 a (room - reaction - margin), HAZARDS 2.
+    """Return the greatest speed at which the free path is enough to react and to brake.
+
+    room_m: in front of the hull. Below slow_mps the hull stops stop_m before the obstacle; above it, it is back to slow_mps
+    fast_m before it: v² = v_end² + 2 a (room - reaction - margin), HAZARDS 2.
     """
     left_m = room_m - speed_mps * margins.reaction_s
     if left_m > margins.fast_m:

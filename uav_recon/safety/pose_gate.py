@@ -1,4 +1,4 @@
-"""Which poses are believed: a jump, a turn or a stamp that no flight explains never reaches the autopilot."""
+"""Pose gate: a jump, a turn or a stamp that no flight explains never reaches the autopilot."""
 
 from __future__ import annotations
 
@@ -11,19 +11,22 @@ from uav_recon.types.pose import StampedPose
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
 
-_MAX_AGE_S = 0.15  # older odometry is never fed: the estimator would drop it, or take it for new
+_MAX_AGE_S = 0.15  # older odometry is never sent: the estimator would drop it, or take it for new
 _FUTURE_S = 0.05
-_JUMP_M, _WIDEST_M = 0.10, 0.30  # beside where the last pose and its velocity lead; three sigma between these bounds
+_JUMP_M, _WIDEST_M = 0.10, 0.30  # max. distance from the prediction of pose and velocity: three sigma, within these bounds
 _TURN_RAD = math.radians(8.0)
 _PUSH_MPS2 = 1.0  # acceleration that the prediction does not know
-_FASTEST_MPS, _LARGEST = 2.0, 1e4  # whatever the unit, no number is larger; NaN is not within it either
-_PATIENCE = 3  # refused in a row: the track is lost
-_PROOF, _PROOF_S = 20, 1.0  # a track found again is believed after so many that agree, over so long
+_FASTEST_MPS, _LARGEST = 2.0, 1e4  # in any unit, no number is larger; NaN is rejected too
+_PATIENCE = 3  # rejections in a row after which the track is lost
+_PROOF, _PROOF_S = 20, 1.0  # a new track is accepted after this many poses that agree, over this time
 
 
 @dataclass(frozen=True, slots=True)
 class PoseVerdict:
-    """Whether a pose is believed; anew: it does not go on from the last one believed, odom itself has jumped."""
+    """Result for a pose.
+
+    good: accepted. again: it does not continue the last accepted one, because odom itself has jumped.
+    """
 
     good: bool
     again: bool = False
@@ -31,16 +34,16 @@ class PoseVerdict:
 
 
 class PoseGate:
-    """Judges each pose once, in the order in which they come. Never raises on numbers."""
+    """Checks each pose once, in the order in which they arrive. Never raises on numbers."""
 
     def __init__(self, max_yaw_rate_radps: float) -> None:
-        self._max_yaw_rate_radps = 2.0 * max_yaw_rate_radps  # turning is checked at the setpoint; here it is only plausible
+        self._max_yaw_rate_radps = 2.0 * max_yaw_rate_radps  # turning is checked at the setpoint; here for plausibility only
         self._believed: StampedPose | None = None
-        self._track: StampedPose | None = None  # the newest of a track that is not believed yet
+        self._track: StampedPose | None = None  # the newest of a track that is not accepted yet
         self._agreed, self._since_s, self._refused = 0, 0.0, 0
 
     def judge(self, pose: StampedPose, now_s: float) -> PoseVerdict:
-        """Believe, or say why not."""
+        """Accept a pose, or reject it with a reason."""
         last = self._believed
         repeated = last is not None and pose.stamp_s <= last.stamp_s
         if fault := _unfit(pose, now_s) or (Reason(ReasonCode.POSE_REPEATED) if repeated else None):
@@ -54,7 +57,10 @@ class PoseGate:
         return self._prove(pose, why or Reason(ReasonCode.POSE_ON_TRIAL))
 
     def _prove(self, pose: StampedPose, why: Reason) -> PoseVerdict:
-        """A pose off the believed track begins or continues another one, which has to last."""
+        """Check a pose that does not continue the accepted track.
+
+        It begins or continues another track, which has to last.
+        """
         track, self._track = self._track, pose
         if track is None or pose.stamp_s <= track.stamp_s or self._leap(track, pose):
             self._agreed, self._since_s = 0, pose.stamp_s
@@ -72,7 +78,7 @@ class PoseGate:
         return PoseVerdict(False, why=why)
 
     def _leap(self, last: StampedPose, pose: StampedPose) -> Reason | None:
-        """What no flight explains between two poses."""
+        """Return the change between two poses that no flight explains, None for nothing."""
         dt_s = pose.stamp_s - last.stamp_s
         way = pose.odom_from_body.translation_m - last.odom_from_body.translation_m
         off_m = math.hypot(*(way - last.velocity_odom_mps * dt_s).tolist())
@@ -90,7 +96,7 @@ class PoseGate:
 
 
 def _unfit(pose: StampedPose, now_s: float) -> Reason | None:
-    """What is wrong with a pose by itself."""
+    """Return the fault of a pose by itself, None for nothing."""
     if not -_FUTURE_S <= now_s - pose.stamp_s <= _MAX_AGE_S:
         return Reason(ReasonCode.POSE_AGE, (now_s - pose.stamp_s,))
     if pose.velocity_odom_mps.shape != (3,) or pose.covariance.shape != (6, 6):

@@ -1,4 +1,7 @@
-"""Which space was seen free a short while ago: the way where the camera does not look leads only through that."""
+"""Memory of the space that was seen free a short time ago.
+
+Outside the camera's view the vehicle may only fly through such space.
+"""
 
 from __future__ import annotations
 
@@ -12,15 +15,15 @@ from uav_recon.types.min_range_grid import MinRangeGrid, in_view
 from uav_recon.types.pose import Pose
 
 _VIEWS = 160  # spread over the memory: ten seconds of them at 15 Hz
-_BEFORE_M = 0.05  # free ends so far before a return
+_BEFORE_M = 0.05  # free space ends this far before a return
 
 
 class RecentlySeenSpace:
-    """The last views, each with its cells' nearest returns, and where the hull has been since."""
+    """The last views, each with its cells' nearest returns, and the past positions of the hull."""
 
     def __init__(self, memory_s: float, hull_radius_m: float) -> None:
         self._memory_s, self._radius_m = memory_s, hull_radius_m
-        self.reach_m = hull_radius_m + _BEFORE_M  # from the body's centre to what the hull comes to next
+        self.reach_m = hull_radius_m + _BEFORE_M  # from the body's centre to what the hull reaches next
         self._count = 0
         self._stamp_s = np.full(_VIEWS, -math.inf)
         self._depth_from_odom, self._place_m = np.zeros((_VIEWS, 3, 3)), np.zeros((_VIEWS, 3))
@@ -29,7 +32,7 @@ class RecentlySeenSpace:
         self._half_tan = np.ones(2)
 
     def add(self, nearby: MinRangeGrid, odom_from_body: Pose) -> None:
-        """Remember a frame, taken from there."""
+        """Store a frame taken from this pose."""
         if self._range_m.shape[1:] != nearby.range_m.shape:
             self._range_m = np.zeros((_VIEWS, *nearby.range_m.shape))
             self._stamp_s[:] = -math.inf
@@ -42,11 +45,11 @@ class RecentlySeenSpace:
         self._body_m[n], self._range_m[n] = odom_from_body.translation_m, nearby.range_m
 
     def forget(self) -> None:
-        """Odom itself jumped: nothing was seen in the new one."""
+        """Forget all views after a jump of odom: none of them was seen in the new odom."""
         self._stamp_s[:] = -math.inf
 
     def saw_free(self, place_m: Vec3, now_s: float) -> bool:
-        """Whether a view within the memory looked past this place, or the hull itself was there."""
+        """Return True if a view within the memory saw past this position, or the hull was there."""
         fresh = now_s - self._stamp_s <= self._memory_s
         if bool(np.any(fresh & (np.linalg.norm(self._body_m - place_m, axis=1) <= self._radius_m))):
             return True

@@ -1,4 +1,4 @@
-"""From one setpoint to the next: no farther than the limits lead, and place and velocity of one motion."""
+"""Continuity of setpoints: limits of each step, and position consistent with velocity."""
 
 from __future__ import annotations
 
@@ -27,15 +27,17 @@ class ClearedMotion:
 
 @dataclass(frozen=True, slots=True)
 class ContinuityCheck:
-    """What has been taken beyond the limits of place, velocity and heading (m, m/s, degrees) and not been made up for since:
-    the slack is for a late clock, and not for each setpoint anew. astray_m: the places, from where the velocities lead.
+    """The excess over the limits of position, velocity and heading (m, m/s, degrees).
+
+    beyond: what was used and not made up for since; the slack is for a late clock, and is not granted again for each setpoint.
+    astray_m: difference of the positions from where the velocities lead.
     """
 
     beyond: Vec3 = (0.0, 0.0, 0.0)
     astray_m: Vec3 = (0.0, 0.0, 0.0)
 
     def after(self, last: ClearedMotion, motion: ClearedMotion, envelope: Envelope) -> tuple[ContinuityCheck, Reason | None]:
-        """With one more, and why it is one too many, None if it is not."""
+        """Return the check after one more setpoint, and its fault, None if there is none."""
         dt_s, braking_mps2 = min(max(motion.at_s - last.at_s, 0.0), _LONGEST_S), envelope.max_acceleration_mps2
         turn_deg = math.degrees(abs(math.remainder(motion.yaw_rad - last.yaw_rad, math.tau)))
         steps = math.dist(motion.position_m, last.position_m), math.dist(motion.velocity_mps, last.velocity_mps), turn_deg
@@ -44,7 +46,7 @@ class ContinuityCheck:
         ways = zip(self.astray_m, last.position_m, motion.position_m, last.velocity_mps, motion.velocity_mps, strict=True)
         x, y, z = (old + q - p - (u + v) / 2.0 * dt_s for old, p, q, u, v in ways)
         off_m = math.hypot(x, y, z)
-        left = max(1.0 - braking_mps2 * dt_s**2 / 4.0 / max(off_m, 1e-12), 0.0)  # what the limit allows between any two is none
+        left = max(1.0 - braking_mps2 * dt_s**2 / 4.0 / max(off_m, 1e-12), 0.0)  # what the acceleration limit allows is ignored
         taken = zip((a, b, c, off_m * left), (*steps, off_m), _MAX, _CODES, strict=True)
         faults = [Reason(code, (step,)) for beyond, step, most, code in taken if not beyond <= most]
         return ContinuityCheck((a, b, c), (x * left, y * left, z * left)), faults[0] if faults else None

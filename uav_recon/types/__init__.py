@@ -1,1 +1,1 @@
-"""Frozen values that cross a boundary: numpy only, arrays read-only, stamped at the source."""
+"""Frozen values that cross boundaries: numpy only, read-only arrays, stamped at the source."""

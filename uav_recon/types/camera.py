@@ -1,4 +1,4 @@
-"""What a depth camera gives: intrinsics, frames, inertial samples."""
+"""Camera values: intrinsics, frames, inertial samples."""
 
 from __future__ import annotations
 
@@ -17,7 +17,10 @@ BODY_FROM_OPTICAL = np.array([[0.0, 0.0, 1.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0,
 
 @dataclass(frozen=True, slots=True)
 class Intrinsics:
-    """Pinhole camera without distortion, pixels. Pixel (0, 0) is the CENTRE of the top-left pixel."""
+    """Pinhole camera without distortion, in pixels.
+
+    Pixel (0, 0) is the CENTRE of the top-left pixel.
+    """
 
     fx: float
     fy: float
@@ -28,7 +31,7 @@ class Intrinsics:
 
     @staticmethod
     def from_fov(width: int, height: int, horizontal_rad: float, vertical_rad: float) -> Intrinsics:
-        """Build from full angles of view, principal point in the middle."""
+        """Build from full angles of view, with the principal point in the middle."""
         return Intrinsics(
             fx=width / 2 / float(np.tan(horizontal_rad / 2)),
             fy=height / 2 / float(np.tan(vertical_rad / 2)),
@@ -54,21 +57,23 @@ class Intrinsics:
         return Intrinsics(**values)
 
     def pinhole_px(self) -> FloatArray:
-        """fx, fy, cx, cy, (4,): as kernels take them."""
+        """Return fx, fy, cx, cy as an array (4,), the form that kernels use."""
         return np.array([self.fx, self.fy, self.cx, self.cy])
 
     def bearings(self) -> FloatArray:
-        """Direction through each pixel with z = 1, shape (height, width, 3)."""
+        """Return the direction through each pixel with z = 1, shape (height, width, 3)."""
         u, v = np.meshgrid(np.arange(self.width), np.arange(self.height))
         return np.stack([(u - self.cx) / self.fx, (v - self.cy) / self.fy, np.ones_like(u, dtype=np.float64)], axis=-1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frame:
-    """One RGB-D frame. depth_m (H, W) float32 along the optical axis, NaN = no return; rgb (h, w, 3) uint8 sRGB.
+    """One RGB-D frame.
+
+    depth_m: (H, W) float32 along the optical axis, NaN = no return. rgb: (h, w, 3) uint8 sRGB.
 
     A D435i's depth is wider than its colour: geometry comes from all depth, colour where there is colour.
-    rgb_from_depth carries a point from the depth frame to the colour frame.
+    rgb_from_depth transforms a point from the depth frame into the colour frame.
     """
 
     stamp_s: float
@@ -86,7 +91,7 @@ class Frame:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PosedFrame:
-    """A frame and where its depth imager was at its own stamp."""
+    """A frame and the pose of its depth imager at its own stamp."""
 
     frame: Frame
     world_from_depth: Pose
@@ -95,7 +100,10 @@ class PosedFrame:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImuSample:
-    """One inertial sample in body FLU axes: angular rate (3,) rad/s and specific force (3,) m/s²."""
+    """One inertial sample in body FLU axes.
+
+    gyro_radps: angular rate (3,) rad/s. specific_force_mps2: specific force (3,) m/s².
+    """
 
     stamp_s: float
     gyro_radps: FloatArray
@@ -103,6 +111,9 @@ class ImuSample:
 
 
 def body_from_camera(position_body_m: FloatArray, pitch_down_rad: float) -> Pose:
-    """Pose of an optical camera on the body: at ``position_body_m`` (3,), looking forward and tilted down."""
+    """Return the pose of an optical camera on the body, looking forward and tilted down.
+
+    position_body_m: (3,) position of the camera on the body.
+    """
     tilt = Pose(np.array([np.cos(pitch_down_rad / 2), 0.0, np.sin(pitch_down_rad / 2), 0.0]), position_body_m)
     return tilt @ Pose.from_matrix(BODY_FROM_OPTICAL)

@@ -1,4 +1,4 @@
-"""Where the autopilot is reached, as it is written down."""
+"""Check of the autopilot's address as written in the config."""
 
 from __future__ import annotations
 
@@ -7,7 +7,10 @@ EVERYWHERE = ("0.0.0.0", "::", "*")  # noqa: S104  (refused, not used)
 
 
 def link_address(url: str) -> str:
-    """The url again. Raises ValueError, one line, unless it is udp:HOST:PORT or serial:DEVICE:BAUD that there can be."""
+    """Return the url unchanged if it is a possible udp:HOST:PORT or serial:DEVICE:BAUD.
+
+    Raises ValueError, one line, if it is not.
+    """
     kind, _, rest = url.partition(":")
     place, _, number = rest.rpartition(":")
     if kind not in ("udp", "serial") or not place or not (number.isascii() and number.isdigit()):

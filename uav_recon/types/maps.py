@@ -1,4 +1,4 @@
-"""What is known of the space and of the surface."""
+"""Maps of free and occupied space, and of the surface."""
 
 from __future__ import annotations
 
@@ -9,13 +9,16 @@ import numpy as np
 from uav_recon.types.frames import BoolArray, ByteArray, Float32Array, FloatArray, IntArray, frozen
 
 UNKNOWN, FREE, OCCUPIED = 0, 1, 2
-TILE = 8  # columns along x and y of a tile, the grain in which changes of a map are told
+TILE = 8  # columns along x and y of a tile, the unit in which changes of a map are recorded
 LARGEST_DISTANCE_VOXELS = 15  # its square fits a byte
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GridSpec:
-    """A voxel grid: voxel (i, j, k) spans origin + resolution * [(i,j,k), (i,j,k)+1]; C order (x, y, z)."""
+    """A voxel grid in C order (x, y, z).
+
+    Voxel (i, j, k) spans origin + resolution * [(i,j,k), (i,j,k)+1].
+    """
 
     origin_world_m: FloatArray
     resolution_m: float
@@ -26,37 +29,37 @@ class GridSpec:
 
     @staticmethod
     def covering(lower_m: FloatArray, upper_m: FloatArray, resolution_m: float) -> GridSpec:
-        """The smallest grid on multiples of the resolution that covers a box."""
+        """Return the smallest grid on multiples of the resolution that covers a box."""
         first = np.floor(np.asarray(lower_m) / resolution_m + 1e-6).astype(int)
         last = np.ceil(np.asarray(upper_m) / resolution_m - 1e-6).astype(int)
         nx, ny, nz = (int(n) for n in last - first)
         return GridSpec(first * resolution_m, resolution_m, (nx, ny, nz))
 
     def index(self, points_world: FloatArray) -> IntArray:
-        """Voxel index (N, 3) or (3,) of points; may lie outside the grid."""
+        """Return the voxel index (N, 3) or (3,) of points; may lie outside the grid."""
         return np.floor((points_world - self.origin_world_m) / self.resolution_m).astype(np.int64)
 
     def centre(self, index: IntArray) -> FloatArray:
-        """Centres in world (N, 3) or (3,) of voxel indices."""
+        """Return the centres in world, (N, 3) or (3,), of voxel indices."""
         centre: FloatArray = self.origin_world_m + (np.asarray(index) + 0.5) * self.resolution_m
         return centre
 
     def contains(self, index: IntArray) -> BoolArray:
-        """Which indices (N, 3) lie inside, (N,) bool."""
+        """Return a mask (N,) of the indices (N, 3) inside the grid."""
         inside: BoolArray = np.all((index >= 0) & (index < np.array(self.shape)), axis=-1)
         return inside
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class VoxelMap:
-    """A frozen picture of the voxels.
+    """A frozen snapshot of the voxels.
 
     state: (nx, ny, nz) uint8 of UNKNOWN | FREE | OCCUPIED.
     distance2: (nx, ny, nz) uint8, SQUARED distance in voxels from a voxel's centre to the centre of the nearest voxel that
     is NOT known free (occupied, unknown, or outside the grid or the fence), exact below the cap; 0 in such a voxel.
     Unknown is not free.
     tile_revision: (ceil(nx / TILE), ceil(ny / TILE)) int64, the revision at which anything in a tile of TILE x TILE columns
-    last changed, so that whoever saw an older revision of this map can look at the changed tiles alone.
+    last changed. A reader that knows an older revision of this map only has to read the changed tiles.
     """
 
     grid: GridSpec
@@ -73,17 +76,20 @@ class VoxelMap:
 
     @staticmethod
     def whole(grid: GridSpec, state: ByteArray, distance2: ByteArray, revision: int, map_epoch: int = 0) -> VoxelMap:
-        """A map all of which is as old as its revision."""
+        """Return a map in which every tile has the map's own revision."""
         tiles = (-(-grid.shape[0] // TILE), -(-grid.shape[1] // TILE))
         return VoxelMap(grid, state, distance2, np.full(tiles, revision, dtype=np.int64), revision, map_epoch)
 
     def changed_tiles(self, since_revision: int) -> IntArray:
-        """Tiles (N, 2) that changed after a revision of the same map epoch; all of them for a negative revision."""
+        """Return the tiles (N, 2) that changed after a revision of the same map epoch.
+
+        All tiles for a negative revision.
+        """
         changed: IntArray = np.ascontiguousarray(np.argwhere(self.tile_revision > since_revision))
         return changed
 
     def distance_m(self, index: IntArray) -> FloatArray:
-        """Distance in metres at voxel indices (..., 3); 0 outside the grid."""
+        """Return the distance in metres at voxel indices (..., 3); 0 outside the grid."""
         inside = self.grid.contains(index)
         i, j, k = np.moveaxis(np.where(inside[..., None], index, 0), -1, 0)
         found: FloatArray = np.where(inside, np.sqrt(self.distance2[i, j, k].astype(np.float64)), 0.0) * self.grid.resolution_m
@@ -92,9 +98,10 @@ class VoxelMap:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FreeSpace:
-    """Where nothing is known to be: one bit a voxel, in C order, the first voxel the highest bit of the first byte.
+    """The voxels that are known free: one bit each, in C order.
 
-    bits: (ceil(nx ny nz / 8),) uint8. It outlives the mission that published it.
+    The first voxel is the highest bit of the first byte. bits: (ceil(nx ny nz / 8),) uint8. It remains valid after the mission
+    process that published it has ended.
     """
 
     grid: GridSpec
@@ -107,13 +114,16 @@ class FreeSpace:
 
     @staticmethod
     def of(voxels: VoxelMap) -> FreeSpace:
-        """The voxels of a map that are known free."""
+        """Return the voxels of a map that are known free."""
         return FreeSpace(voxels.grid, np.packbits(voxels.state == FREE), voxels.revision, voxels.map_epoch)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SurfaceElements:
-    """Points of the learned surface: position_world (N, 3), outward normal_world (N, 3), uncertainty (N,) >= 0."""
+    """Points of the learned surface.
+
+    position_world: (N, 3). normal_world: (N, 3), outward. uncertainty: (N,) >= 0.
+    """
 
     position_world: FloatArray
     normal_world: FloatArray
@@ -124,7 +134,10 @@ class SurfaceElements:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TriangleMesh:
-    """vertices_world (V, 3) float64, faces (F, 3) int64, rgb (V, 3) uint8, uncertainty (V,) float32."""
+    """A coloured triangle mesh.
+
+    vertices_world: (V, 3) float64. faces: (F, 3) int64. rgb: (V, 3) uint8. uncertainty: (V,) float32.
+    """
 
     vertices_world: FloatArray
     faces: IntArray

@@ -1,4 +1,4 @@
-"""What is near, straight from one raw depth frame: no pose, no map."""
+"""Minimum range grid: nearest returns of one raw depth frame, without pose or map."""
 
 from __future__ import annotations
 
@@ -15,12 +15,14 @@ _EVERY = frozen(np.ones((), dtype=bool))
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MinRangeGrid:
-    """The depth image in cells of equal angle tangents, rows from its top, columns from its left.
+    """A depth image in cells of equal angle tangents, rows from the top, columns from the left.
 
     range_m: (rows, columns) float32, distance along the ray to the nearest return in each cell, NaN where it holds too few.
     half_tan: tangents of half the horizontal and half the vertical angle of view. share: of the pixels that had a return.
-    believed: whether the picture fits itself and what was seen before. What is near in one that does not is still not flown at.
-    full: (rows, columns), cells most of whose pixels had a return: of the rest nobody knows what is before the one that came.
+    believed: False if the frame is inconsistent in itself or with earlier ones; even then the vehicle does not fly towards the
+    near returns in it.
+    full: (rows, columns), cells most of whose pixels had a return. In any other cell, the space in front of the nearest return
+    is unknown.
     """
 
     stamp_s: float
@@ -35,16 +37,16 @@ class MinRangeGrid:
         object.__setattr__(self, "range_m", frozen(np.asarray(self.range_m, dtype=np.float32)))
 
     def points(self) -> FloatArray:
-        """The returns (N, 3) in the depth imager's axes, along the rays of their cells' middles."""
+        """Return the returns (N, 3) in the depth imager's axes, along the rays of the cell centres."""
         there = np.isfinite(self.range_m)
         found: FloatArray = _rays(*self.range_m.shape, *self.half_tan)[there] * self.range_m[there][:, None]
         return found
 
 
 def in_view(seen: FloatArray, half_tan: FloatArray, shape: tuple[int, ...]) -> tuple[BoolArray, FloatArray, FloatArray]:
-    """Whether places (..., 3) in a depth imager's axes lie in its view, and in which row and column of its cells.
+    """Return whether positions (..., 3) lie in a depth imager's view, and their row and column.
 
-    half_tan (..., 2). shape: of the view, its last two numbers are rows and columns.
+    seen: in the depth imager's axes. half_tan: (..., 2). shape: of the view, its last two numbers are rows and columns.
     """
     deep = np.maximum(seen[..., 2], 1e-6)
     rows, columns = shape[-2:]
@@ -56,7 +58,7 @@ def in_view(seen: FloatArray, half_tan: FloatArray, shape: tuple[int, ...]) -> t
 
 @functools.lru_cache(maxsize=4)  # cameras have one shape each
 def _rays(rows: int, columns: int, half_tan_x: float, half_tan_y: float) -> FloatArray:
-    """Unit vectors (rows, columns, 3) through the cells' middles."""
+    """Return the unit vectors (rows, columns, 3) through the cell centres."""
     x = ((np.arange(columns) + 0.5) / columns * 2.0 - 1.0) * half_tan_x
     y = ((np.arange(rows) + 0.5) / rows * 2.0 - 1.0) * half_tan_y
     rays = np.stack(np.broadcast_arrays(x[None, :], y[:, None], np.ones((rows, columns))), axis=-1)

@@ -1,4 +1,4 @@
-"""What an operator may ask for, and how it reaches the mission."""
+"""Commands of the operator, and how they reach the mission."""
 
 from __future__ import annotations
 
@@ -7,17 +7,23 @@ from enum import Enum
 
 
 class OperatorCommand(Enum):
-    """A human's wish. Sticks and switches of the transmitter are not among them: they always win, without asking us."""
+    """A command of a human operator.
 
-    START = "start"  # on the ground: take off and begin; held in the air: go on
-    HOLD = "hold"  # stay where it is until told otherwise
+    Sticks and switches of the transmitter are not among them: they always take precedence, in the autopilot itself.
+    """
+
+    START = "start"  # on the ground: take off and begin; while holding in flight: continue
+    HOLD = "hold"  # hold position until the next command
     RETURN = "return"  # fly home and land there
     LAND = "land"  # land here, now
 
 
 @dataclass(frozen=True, slots=True)
 class GivenCommand:
-    """An order that the pilot has accepted, for the mission to follow. stamp_s: companion's monotonic clock."""
+    """A command that the pilot has accepted, for the mission to follow.
+
+    stamp_s: companion's monotonic clock.
+    """
 
     stamp_s: float
     order: OperatorCommand

@@ -1,4 +1,7 @@
-"""A simple polygon on the floor plan: plain numbers, so that config and guard judge it by the same lines."""
+"""A simple polygon on the floor plan.
+
+It uses plain numbers, so that config and guard use the same code for it.
+"""
 
 from __future__ import annotations
 
@@ -7,18 +10,18 @@ from dataclasses import dataclass, field
 
 Vec2 = tuple[float, float]
 
-_SMALLEST_M, _LARGEST_M = 2.0, 500.0  # a fence beyond these was written in another unit
+_SMALLEST_M, _LARGEST_M = 2.0, 500.0  # a fence outside these limits was written in another unit
 
 
 @dataclass(frozen=True, slots=True)
 class Polygon:
-    """Corners (x, y) in metres, in order, either way round; the last one joins the first.
+    """Corners (x, y) in metres, in order, in either direction; the last one joins the first.
 
-    Raises ValueError, with one line, for a polygon that is open, crosses itself, or is of no size to fly in.
+    Raises ValueError, with one line, for a polygon that is open, crosses itself, or has no size to fly in.
     """
 
     corners_m: tuple[Vec2, ...]
-    _sides: tuple[tuple[Vec2, Vec2], ...] = field(init=False, repr=False, compare=False)  # asked for at each of its questions
+    _sides: tuple[tuple[Vec2, Vec2], ...] = field(init=False, repr=False, compare=False)  # used by every method
 
     def __post_init__(self) -> None:
         corners = self.corners_m
@@ -40,15 +43,18 @@ class Polygon:
 
     @staticmethod
     def box(low_m: Vec2, high_m: Vec2) -> Polygon:
-        """The rectangle between two corners."""
+        """Return the rectangle between two corners."""
         return Polygon((low_m, (high_m[0], low_m[1]), high_m, (low_m[0], high_m[1])))
 
     def sides(self) -> tuple[tuple[Vec2, Vec2], ...]:
-        """Each corner with the next."""
+        """Return the pairs of each corner and the next."""
         return self._sides
 
     def holds(self, point_m: Vec2) -> bool:
-        """Whether a point lies inside: a ray towards +x meets an odd number of sides. False for what is not a number."""
+        """Return True if a point lies inside: a ray towards +x meets an odd number of sides.
+
+        False for NaN.
+        """
         x, y = point_m
         odd = False
         for (ax, ay), (bx, by) in self.sides():
@@ -57,21 +63,27 @@ class Polygon:
         return odd
 
     def room_m(self, start_m: Vec2, end_m: Vec2) -> float:
-        """Least distance from any point of a straight way to the border; negative if the way is not all inside."""
+        """Return the least distance from any point of a straight segment to the border.
+
+        It is negative if the segment is not entirely inside.
+        """
         if not (self.holds(start_m) and self.holds(end_m)):
             return -math.inf
         min_m = min(_between(start_m, end_m, a, b) for a, b in self.sides())
         return min_m if min_m > 0.0 else -math.inf
 
     def nearest_with_room(self, point_m: Vec2, room_m: float) -> Vec2 | None:
-        """The nearest point that is so far from every side, found beside one side or two; None where none of these is."""
+        """Return the nearest point that is ``room_m`` from every side, or None.
+
+        Only points beside one side or two are tried; None if none of them fits.
+        """
         found = [self._beside(point_m, a, b, room_m) for a, b in self.sides()]
         found += [self._beside(place, a, b, room_m) for place in tuple(found) for a, b in self.sides()]
         good = [place for place in found if self.room_m(place, place) >= room_m - 1e-9]
         return min(good, key=lambda place: math.dist(place, point_m), default=None)
 
     def _beside(self, point_m: Vec2, a: Vec2, b: Vec2, room_m: float) -> Vec2:
-        """The nearest point to the line beside a side, ``room_m`` to its inner side."""
+        """Return the nearest point that is at least ``room_m`` to the inner side of a side's line."""
         length_m = math.dist(a, b)
         ux, uy = (b[0] - a[0]) / length_m, (b[1] - a[1]) / length_m
         inward = 1.0 if self._signed_area() > 0.0 else -1.0
@@ -89,7 +101,7 @@ def _side_of(a: Vec2, b: Vec2, p: Vec2) -> float:
 
 
 def _folds(a: Vec2, b: Vec2, c: Vec2, d: Vec2) -> bool:
-    """Whether two sides with a common corner lie over each other."""
+    """Return True if two sides with a common corner overlap."""
     (shared,) = {a, b} & {c, d} if len({a, b} & {c, d}) == 1 else (None,)
     if shared is None:
         return True
@@ -99,13 +111,13 @@ def _folds(a: Vec2, b: Vec2, c: Vec2, d: Vec2) -> bool:
 
 
 def _between(a: Vec2, b: Vec2, c: Vec2, d: Vec2) -> float:
-    """Distance (m) between two straight ways; 0 where they meet."""
+    """Return the distance (m) between two straight segments; 0 where they meet."""
     across = _side_of(a, b, c) * _side_of(a, b, d) < 0.0 and _side_of(c, d, a) * _side_of(c, d, b) < 0.0
     return 0.0 if across else min(_to(a, c, d), _to(b, c, d), _to(c, a, b), _to(d, a, b))
 
 
 def _to(p: Vec2, a: Vec2, b: Vec2) -> float:
-    """Distance (m) from a point to a straight way."""
+    """Return the distance (m) from a point to a straight segment."""
     dx, dy = b[0] - a[0], b[1] - a[1]
     square = dx * dx + dy * dy
     share = min(max(((p[0] - a[0]) * dx + (p[1] - a[1]) * dy) / square, 0.0), 1.0) if square > 0.0 else 0.0

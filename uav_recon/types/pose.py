@@ -1,4 +1,4 @@
-"""Rigid transforms: one value, one composition operator."""
+"""Rigid transforms with one composition operator, and odometry values."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Pose:
 
     @staticmethod
     def identity() -> Pose:
-        """The transform that changes nothing."""
+        """Return the identity transform."""
         return Pose(np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3))
 
     @staticmethod
@@ -77,7 +77,7 @@ class Pose:
         return Pose(quat, np.asarray(matrix, dtype=np.float64)[:3, 3])
 
     def rotation(self) -> FloatArray:
-        """Rotation matrix (3, 3)."""
+        """Return the rotation matrix (3, 3)."""
         w, x, y, z = self.quat_wxyz.tolist()
         return np.array(
             [
@@ -88,19 +88,19 @@ class Pose:
         )
 
     def matrix(self) -> FloatArray:
-        """Homogeneous matrix (4, 4)."""
+        """Return the homogeneous matrix (4, 4)."""
         out = np.eye(4)
         out[:3, :3] = self.rotation()
         out[:3, 3] = self.translation_m
         return out
 
     def inverse(self) -> Pose:
-        """source_from_target."""
+        """Return source_from_target."""
         conjugate = self.quat_wxyz * np.array([1.0, -1.0, -1.0, -1.0])
         return Pose(conjugate, -self.rotation().T @ self.translation_m)
 
     def __matmul__(self, other: Pose) -> Pose:
-        """a_from_b @ b_from_c = a_from_c."""
+        """Compose: a_from_b @ b_from_c = a_from_c."""
         aw, ax, ay, az = self.quat_wxyz.tolist()
         bw, bx, by, bz = other.quat_wxyz.tolist()
         quat = np.array(
@@ -114,27 +114,30 @@ class Pose:
         return Pose(quat, self.rotation() @ other.translation_m + self.translation_m)
 
     def apply(self, points: FloatArray) -> FloatArray:
-        """Carry points (3,) or (N, 3) from the source frame into the target frame."""
+        """Transform points (3,) or (N, 3) from the source frame into the target frame."""
         return points @ self.rotation().T + self.translation_m
 
     def yaw_rad(self) -> float:
-        """Heading of the x axis about z, in (-pi, pi]."""
+        """Return the heading of the x axis about z, in (-pi, pi]."""
         w, x, y, z = self.quat_wxyz.tolist()
         return math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
 
 
 class PoseHealth(Enum):
-    """How far odometry may be flown on."""
+    """Health of the odometry, and what it allows."""
 
     GOOD = "good"  # fly
     DEGRADED = "degraded"  # fly slowly
-    LOST = "lost"  # stand still, and land if it lasts
-    WRONG = "wrong"  # land: who stands still by it is led astray
+    LOST = "lost"  # hold position, and land if it lasts
+    WRONG = "wrong"  # land: a hold by this odometry would drift
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WorldFromOdom:
-    """What the pose source has corrected since the start (REP-105): odom never jumps, this does, and epoch counts how often."""
+    """The correction of the pose source's map since the start (REP-105).
+
+    Odom never jumps; world_from_odom does. epoch: number of corrections.
+    """
 
     world_from_odom: Pose
     epoch: int = 0
@@ -142,17 +145,17 @@ class WorldFromOdom:
     @staticmethod
     @functools.cache
     def start() -> WorldFromOdom:
-        """Before the first correction world and odom are one."""
+        """Return the value before the first correction, when world and odom coincide."""
         return WorldFromOdom(Pose.identity())
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StampedPose:
-    """Odometry: where the body is, how fast, and how far to trust it.
+    """Odometry: pose and velocity of the body, and how reliable they are.
 
     velocity_odom_mps: (3,). covariance: (6, 6), position then rotation vector, m² and rad².
     quality: 0 (lost) to 100. reset_counter: +1 (mod 256) whenever odom itself jumps. map_epoch: of the maps that go with it.
-    health, and why it is no better (None for GOOD). correction: odom's place in the world at this stamp.
+    health, and why it is no better (None for GOOD). correction: odom's pose in the world at this stamp.
     """
 
     stamp_s: float
@@ -173,7 +176,9 @@ class StampedPose:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MapCorrection:
-    """A new frame of the map, in which the present pose stays as it is: where past frames were taken in it.
+    """A new map frame, and the poses of past frames in it.
+
+    The present pose is the same in the new frame.
 
     map_epoch: its number. stamp_s (N,): capture stamps of those frames; world_from_depth (N): their depth imagers' poses.
     """
@@ -188,5 +193,5 @@ class MapCorrection:
             raise ValueError(f"{len(self.world_from_depth)} poses for stamps of shape {self.stamp_s.shape}")
 
     def poses(self) -> Iterator[tuple[float, Pose]]:
-        """Stamp and pose of each frame."""
+        """Return the stamp and the pose of each frame."""
         return zip(self.stamp_s.tolist(), self.world_from_depth, strict=True)

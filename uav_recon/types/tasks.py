@@ -1,4 +1,4 @@
-"""What the planner works on and what it answers."""
+"""Input and output of the planner."""
 
 from __future__ import annotations
 
@@ -13,14 +13,17 @@ from uav_recon.types.reason import Reason
 
 
 class TaskKind(Enum):
-    """Why a place is worth a look."""
+    """Kind of a task: the purpose of its view."""
 
     EXPLORE = "explore"
     RECONSTRUCT = "reconstruct"
 
 
 class PlanMode(Enum):
-    """The planner's mode (paper, section III-C): frontiers only, or frontiers and uncertain surface together."""
+    """Mode of the planner (paper, section III-C).
+
+    Either frontiers only, or frontiers and uncertain surface together.
+    """
 
     EXPLORE = "explore"
     MERGED = "merged"
@@ -28,7 +31,10 @@ class PlanMode(Enum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Viewpoint:
-    """Where the BODY is to be: position (3,), heading, and how far the camera looks down (fixed mounts: their angle)."""
+    """Pose of the BODY for a view.
+
+    position_world: (3,). yaw_rad: heading. pitch_down_rad: how far the camera looks down (fixed mounts: their angle).
+    """
 
     position_world: FloatArray
     yaw_rad: float
@@ -40,7 +46,10 @@ class Viewpoint:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Task:
-    """One place worth a look, and the best view of it. gain: unknown voxels beyond a frontier, or sum of |n.v| sigma."""
+    """One position worth a view, and its best view.
+
+    gain: unknown voxels beyond a frontier, or sum of |n.v| sigma.
+    """
 
     kind: TaskKind
     centroid_world: FloatArray
@@ -50,10 +59,12 @@ class Task:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ViewPath:
-    """Views in order, and the way to each: waypoints_world[i] is (Ni, 3), from the previous view to view i, ends included.
+    """Views in order, and the path to each.
 
-    mode: how it was chosen. task_s: seconds spent making tasks, step_s: the whole plan (compute time, for the report).
-    clearance_m: what its way keeps, body centre to anything not known free; None = what ways usually keep.
+    waypoints_world[i] is (Ni, 3), from the previous view to view i, both ends included.
+
+    mode: of the planner. task_s: seconds spent on making tasks; step_s: on the whole plan (compute time, for the report).
+    clearance_m: what the path keeps, body centre to anything not known free; None = the usual clearance.
     """
 
     viewpoints: tuple[Viewpoint, ...]
@@ -69,7 +80,10 @@ class ViewPath:
 
 @dataclass(frozen=True, slots=True)
 class NothingLeft:
-    """No task is worth a flight. reason says why, with counts of frontiers as its details."""
+    """No task is worth a flight.
+
+    reason: with the counts of frontiers as its details.
+    """
 
     reason: Reason
     task_s: float
@@ -78,7 +92,7 @@ class NothingLeft:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlanRequest:
-    """Everything a plan depends on; the same request gives the same plan."""
+    """All inputs of a plan; the same request gives the same plan."""
 
     voxels: VoxelMap
     surface: SurfaceElements | None

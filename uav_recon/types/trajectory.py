@@ -1,4 +1,4 @@
-"""Motion handed from the mission to the pilot, and what the guard makes of it."""
+"""Trajectories and intents that the mission sends to the pilot, and the guard's refusals."""
 
 from __future__ import annotations
 
@@ -13,7 +13,10 @@ from uav_recon.types.reason import Reason
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Setpoint:
-    """Where to be now, in odom: position, velocity, acceleration (3,), heading and its rate, camera pitch down."""
+    """The desired state at one instant, in odom.
+
+    Position, velocity, acceleration (3,), heading and its rate, camera pitch down.
+    """
 
     position_m: FloatArray
     velocity_mps: FloatArray
@@ -24,17 +27,17 @@ class Setpoint:
 
     @staticmethod
     def hold(position_m: FloatArray, yaw_rad: float, camera_pitch_down_rad: float = 0.0) -> Setpoint:
-        """Stay there."""
+        """Return a setpoint at rest."""
         return Setpoint(np.asarray(position_m, dtype=np.float64), np.zeros(3), np.zeros(3), yaw_rad, 0.0, camera_pitch_down_rad)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trajectory:
-    """A motion sampled at a fixed step that ENDS AT REST in space that was known free when it was made.
+    """A sampled motion that ENDS AT REST in space that was known free when it was made.
 
     position_m, velocity_mps, acceleration_mps2: (N, 3) in odom; yaw_rad (N,) unwrapped; yaw_rate_radps (N,);
     camera_pitch_down_rad (N,). Sample i is at start_s + i * step_s. views_s: instants, relative to start_s, at which
-    a view is to be captured. clearance_m: that it keeps, None = not said.
+    a view will be captured. clearance_m: that it keeps, None = not stated.
     """
 
     start_s: float
@@ -58,11 +61,14 @@ class Trajectory:
 
     @property
     def duration_s(self) -> float:
-        """Seconds from start to rest."""
+        """Time from start to rest in seconds."""
         return float((len(self.yaw_rad) - 1) * self.step_s)
 
     def setpoint_at(self, now_s: float) -> Setpoint:
-        """The setpoint at an instant: before the start its first sample, after the end at rest on its last one."""
+        """Return the setpoint at an instant.
+
+        Before the start it is the first sample, after the end it is at rest at the last one.
+        """
         t = min(max((now_s - self.start_s) / self.step_s, 0.0), len(self.yaw_rad) - 1.0)
         i = min(int(t), max(len(self.yaw_rad) - 2, 0))
         j = min(i + 1, len(self.yaw_rad) - 1)
@@ -83,7 +89,7 @@ class Trajectory:
 
 
 class Goal(Enum):
-    """What the mission wants of the pilot."""
+    """The action that the mission requests from the pilot."""
 
     STANDBY = "standby"  # on the ground: be ready, do not arm
     FLY = "fly"  # arm if on the ground, then follow the trajectory
@@ -92,10 +98,10 @@ class Goal(Enum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Intent:
-    """The mission's proposal, renewed at every mission step: stamp_s is the mission's pulse.
+    """The mission's proposal, renewed at every mission step: stamp_s is the mission's heartbeat.
 
-    note: what people are to be told of it in flight. unattended: nobody attends any more, so that no hold of an
-    operator stands.
+    note: message for people in flight, None for nothing. operator_lost: no operator attends any more, so an operator's hold no
+    longer applies.
     """
 
     stamp_s: float
@@ -107,7 +113,7 @@ class Intent:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Refusal:
-    """A proposal the guard did not let through, why, and what flies instead."""
+    """A proposal that the guard rejected, the reason, and the setpoint that is flown instead."""
 
     reason: Reason
     instead: Setpoint

@@ -1,4 +1,4 @@
-"""What the autopilot says of the vehicle, and what the mission says of itself."""
+"""State of the vehicle as the autopilot reports it, and progress of the mission."""
 
 from __future__ import annotations
 
@@ -14,27 +14,27 @@ from uav_recon.types.reason import Reason
 
 
 class FlightPhase(Enum):
-    """The pilot's own account of where it stands with the autopilot."""
+    """The pilot's state towards the autopilot."""
 
     CONNECTING = "connecting"  # no heartbeat, no pose, or the estimator does not follow yet
-    READY = "ready"  # on the ground, everything needed for arming is there
-    ARMING = "arming"  # stream runs, mode and arm requested, not confirmed yet
+    READY = "ready"  # on the ground, all conditions for arming are met
+    ARMING = "arming"  # setpoints are sent, mode and arming requested, not confirmed yet
     FLYING = "flying"  # armed, our mode, following trajectories or holding
-    LANDING = "landing"  # land mode commanded or met
+    LANDING = "landing"  # land mode commanded or observed
     LANDED = "landed"  # disarmed after a flight
-    YIELDED = "yielded"  # not ours any more (a human's, another's, silent, deaf): no setpoint, mode or arm command goes out
+    YIELDED = "yielded"  # no control (a human, another sender, an unresponsive autopilot): no setpoint, mode or arm command
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class VehicleState:
     """Telemetry in our frames; world = odom at epoch 0.
 
-    mode: '' until the autopilot has told it, and whether it is armed. battery_fraction: NaN if unknown.
+    mode: '' until the autopilot has reported it and whether it is armed. battery_fraction: NaN if unknown.
     camera_pitch_down_rad: measured gimbal pitch, NaN on a fixed mount.
-    trajectory_id: the trajectory being flown, -1 for none. refusals: proposals turned down by the guard so far.
-    note: the newest reason (refused arming, failsafe, refusal). max_speed_mps: the guard's speed limit now.
+    trajectory_id: the trajectory being flown, -1 for none. refusals: number of proposals that the guard has rejected.
+    note: the newest reason (refused arming, failsafe, refusal), None for none. max_speed_mps: the guard's speed limit now.
     operator_received_s: when the pilot last answered its operator, companion's clock; -inf: not since it started.
-    world_from_rest: of its setpoints, where braking from the newest ends; None before the first.
+    world_from_rest: where braking from the newest setpoint ends; None before the first.
     """
 
     stamp_s: float
@@ -59,7 +59,7 @@ class VehicleState:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MissionProgress:
-    """One line of the mission's life, for screens, recorders and the report."""
+    """A sample of the mission's progress, for screens, recorders and the report."""
 
     stamp_s: float
     phase: str

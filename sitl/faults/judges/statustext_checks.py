@@ -50,7 +50,7 @@ def _since(e: FlightEvidence, codes: Collection[str], from_s: float) -> float:
 
 
 def statustext_missing(e: FlightEvidence) -> str:
-    """The first reaction that nobody was told of in time, in words; '' for none."""
+    """Return the first reaction that was not reported in time, as text; '' for none."""
     asked = [o.stamp_s for o in e.wire.orders if o.command in _LAND and _airborne(e, o.stamp_s)]
     due: list[tuple[str, Collection[str], float, float]] = []
     due += [("landing asked for", LANDING, asked[0], asked[0])] if asked else []

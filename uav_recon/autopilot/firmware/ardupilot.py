@@ -1,9 +1,9 @@
-"""ArduCopter's personality: its modes, what it must tell us, when it may arm, and how it is brought into the air.
+"""ArduCopter profile: its modes, required telemetry, conditions for arming, and take-off.
 
-Facts from ../shared/AUTOPILOTS.md (measured on 4.8-dev) and its sources: an origin is taken once per boot, and leaves the
+Facts from ../shared/AUTOPILOTS.md (measured on 4.8-dev) and its sources: an origin is accepted once per boot, and leaves the
 vehicle without a home if it comes before the estimator follows the poses; on the ground setpoints do nothing, or end a
-take-off, so none is sent before it is in the air; when setpoints end it hovers for ever, so the landing is ours to command,
-and a heartbeat that ends is what lands it after our death.
+take-off, so none is sent before the vehicle flies; when setpoints end it hovers for ever, so we have to command the landing,
+and if our process dies, the missing heartbeat makes it land.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ from uav_recon.types.reason import Reason, autopilot_text
 from uav_recon.types.reason_code import ReasonCode
 
 TAKE_OFF = 22
-CLIMB_M = 0.5  # by command; from there on setpoints are followed
+CLIMB_M = 0.5  # height of the climb by command; from there on setpoints are followed
 MIN_VERSION = (4, 5, 2)  # before it, VISO_DELAY_MS had no effect
-LOCAL_FRD = 20  # MAV_FRAME: odometry in any other is dropped without a word
+LOCAL_FRD = 20  # MAV_FRAME: odometry in any other is dropped without a message
 _FAMILY = 3
 _CUSTOM_MODE_ENABLED = 1.0
 _GUIDED, _LAND = 4, 9
@@ -47,7 +47,7 @@ CLIMB: Command = (TAKE_OFF, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, CLIMB_M))
 ALL_BUT_YAW_RATE = 2048
 
 STREAMS_HZ = (
-    (0, 10.0),  # HEARTBEAT: a human's mode is to be seen at once
+    (0, 10.0),  # HEARTBEAT: a mode that a human selects must be seen at once
     (1, 2.0),  # SYS_STATUS
     (31, 30.0),  # ATTITUDE_QUATERNION
     (32, 30.0),  # LOCAL_POSITION_NED
@@ -60,36 +60,37 @@ ASKED_ONCE = (148,)  # AUTOPILOT_VERSION
 
 
 def mode_name(custom_mode: int) -> str:
-    """The mode as ArduPilot's own tools call it."""
+    """Return the mode as ArduPilot's own tools call it."""
     return _MODES.get(custom_mode, f"MODE{custom_mode}")
 
 
 def is_ours(custom_mode: int) -> bool:
-    """GUIDED: the vehicle follows our setpoints."""
+    """Return True for GUIDED: the vehicle follows our setpoints."""
     return custom_mode == _GUIDED
 
 
 def is_landing(custom_mode: int) -> bool:
-    """LAND, by our word or by a failsafe."""
+    """Return True for LAND, by our command or by a failsafe."""
     return custom_mode == _LAND
 
 
 def missing_for_origin(t: Telemetry, time_known: bool, now_s: float) -> Reason | None:
-    """What is missing before the origin may be sent, None for nothing."""
+    """Return what is missing before the origin may be sent, None for nothing."""
     return missing_to_follow(t, time_known, now_s, "ArduPilot", _FAMILY, MIN_VERSION)
 
 
 def missing_for_arming(t: Telemetry, time_known: bool, now_s: float) -> Reason | None:
-    """What is missing before arming may be asked for, None for nothing."""
+    """Return what is missing before arming may be requested, None for nothing."""
     return missing_for_origin(t, time_known, now_s) or missing_to_arm(t)
 
 
 class ArduPilotArmingSequence:
-    """GUIDED, motors, and a climb by command; each is believed when it is seen. The climb is asked for once. A mode that is
-    neither the one it began in nor ours is somebody's choice.
+    """GUIDED, motors, and a climb by command; each counts when telemetry shows it.
+
+    The climb is requested once. A mode that is neither the initial one nor ours was chosen by someone else.
     """
 
-    LIFT_S = 5.0  # a real one is 0.2 m up 3.95 s after the order: its motors alone take three
+    LIFT_S = 5.0  # a real vehicle has climbed 0.2 m 3.95 s after the command: its motors alone take three
     ARRIVED_M, CLIMB_S = 0.10, 12.0
 
     def __init__(self, now_s: float) -> None:
@@ -102,7 +103,10 @@ class ArduPilotArmingSequence:
         self._climb_s, self._lift_off = math.inf, TakeoffMonitor(math.nan)
 
     def step(self, now_s: float, t: Telemetry) -> tuple[Outcome, Command | None]:
-        """What has been reached, and the command to send now. No setpoint may be sent before it is ARMED."""
+        """Return the state of the attempt, and the command to send now.
+
+        No setpoint may be sent before the state is ARMED.
+        """
         self._mode_before = t.custom_mode if self._mode_before is None else self._mode_before
         if not is_ours(t.custom_mode) and (self._mode_seen or t.custom_mode != self._mode_before):
             return self._give_up(Reason(ReasonCode.MODE_CHANGED, (mode_name(t.custom_mode),)))

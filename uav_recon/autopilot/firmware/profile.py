@@ -1,6 +1,6 @@
-"""What differs between the firmwares we fly, as one value each; what they have in common in their handshakes.
+"""Firmware profiles: the differences between the firmwares, and common handshakes.
 
-On both, commands are believed when HEARTBEAT and telemetry show their effect, never by their ACK.
+On both, a command counts as done when HEARTBEAT and telemetry show its effect, never by its ACK.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ _HEARTBEAT_S, _POSE_S = 3.0, 0.5
 Command = tuple[int, tuple[float, ...]]
 Version = tuple[int, int, int]
 
-ARM: Command = (ARM_DISARM, (1.0,))  # the second parameter stays 0: the autopilot's own checks are never forced
-DISARM: Command = (ARM_DISARM, (0.0,))  # likewise: in the air the autopilot refuses it
+ARM: Command = (ARM_DISARM, (1.0,))  # the second parameter stays 0: the autopilot's own checks are never overridden
+DISARM: Command = (ARM_DISARM, (0.0,))  # likewise: in flight the autopilot refuses it
 
 
 class Outcome(Enum):
-    """Where an attempt to arm stands."""
+    """State of an attempt to arm."""
 
     PENDING = "pending"
     ARMED = "armed"
@@ -35,23 +35,26 @@ class Outcome(Enum):
 
 
 class ArmingSequence(Protocol):
-    """From the ground to where setpoints are followed. streams: setpoints run all the while; else none may be sent."""
+    """Sequence from the ground to where the vehicle follows setpoints.
+
+    streams: True if setpoints must be sent all the time; otherwise none may be sent.
+    """
 
     streams: bool
     reason: Reason | None
 
     def step(self, now_s: float, t: Telemetry) -> tuple[Outcome, Command | None]:
-        """What has been reached, and the command to send now. A reason is given with GIVEN_UP."""
+        """Return the state of the attempt, and the command to send now. GIVEN_UP has a reason."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class FirmwareProfile:
-    """Its rules. Modes are HEARTBEAT's custom_mode.
+    """Rules of a firmware. Modes are HEARTBEAT's custom_mode.
 
-    missing_for_origin and missing_for_arming (telemetry, whether its clock is known, now) name what is missing, None
-    for nothing. pose_frame: MAV_FRAME of our ODOMETRY. setpoint_mask: what of a setpoint it is to ignore. streams_hz:
-    messages to ask for; asked_once: once; polled_hz: one by one, so often, where a rate cannot be set.
+    missing_for_origin and missing_for_arming (telemetry, whether its clock is known, now) name what is missing, None for
+    nothing. pose_frame: MAV_FRAME of our ODOMETRY. setpoint_mask: ignored fields of a setpoint. streams_hz: requested messages;
+    asked_once: messages requested once; polled_hz: messages requested one by one at this rate, where a rate cannot be set.
     """
 
     mode_name: Callable[[int], str]
@@ -71,9 +74,10 @@ class FirmwareProfile:
 def missing_to_follow(
     t: Telemetry, time_known: bool, now_s: float, name: str, family: int, oldest: Version, unknown: Version | None = None
 ) -> Reason | None:
-    """What is missing until an autopilot of this family (MAV_AUTOPILOT) follows our poses, None for nothing.
+    """Return what is missing until the autopilot follows our poses, None for nothing.
 
-    unknown: the first version that nobody has read the source of; None where any newer one will do.
+    family: required MAV_AUTOPILOT. unknown: the first version whose source has not been reviewed; None if every newer one is
+    accepted.
     """
     if not now_s - t.heartbeat_s <= _HEARTBEAT_S:
         return Reason(ReasonCode.NO_HEARTBEAT)
@@ -99,7 +103,7 @@ def missing_to_follow(
 
 
 def missing_to_arm(t: Telemetry) -> Reason | None:
-    """What is missing once it follows our poses, None for nothing."""
+    """Return what is missing once it follows our poses, None for nothing."""
     if not t.origin_known:
         return Reason(ReasonCode.NO_ORIGIN)
     return None if t.prearm_good else Reason(ReasonCode.PREARM_FAILED, details=autopilot_text(t.warning))
@@ -111,7 +115,7 @@ def _dotted(version: Version) -> str:
 
 @dataclass(slots=True)
 class Request:
-    """One command, asked for a few times until the state shows it."""
+    """One command, sent a few times until the state shows its effect."""
 
     command: Command
     patience_s: float
@@ -120,7 +124,7 @@ class Request:
     asked_s: float = -math.inf
 
     def step(self, now_s: float, why: Reason, t: Telemetry) -> tuple[Command | None, Reason | None]:
-        """The command when it is due, and why it is given up when it was asked for in vain too often."""
+        """Return the command when it is due, and a reason once it failed too often."""
         if now_s - self.asked_s < self.patience_s:
             return None, None
         if self.asked >= self.tries:

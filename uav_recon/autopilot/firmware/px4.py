@@ -1,6 +1,6 @@
-"""PX4's personality: its modes, what it must tell us, when it may arm, and how arming is asked for.
+"""PX4 profile: its modes, required telemetry, conditions for arming, and arming sequence.
 
-Facts from ../shared/AUTOPILOTS.md (measured on 1.17) and PX4's sources: OFFBOARD wants a running setpoint stream first;
+Facts from ../shared/AUTOPILOTS.md (measured on 1.17) and PX4's sources: OFFBOARD requires a running setpoint stream first;
 the origin may be set only once the estimator follows the poses.
 """
 
@@ -31,10 +31,10 @@ _AUTO_MODES = {1: "READY", 2: "TAKEOFF", 3: "LOITER", 4: "MISSION", 5: "RTL", 6:
 FLY: Command = (DO_SET_MODE, (_CUSTOM_MODE_ENABLED, _OFFBOARD))
 LAND: Command = (DO_SET_MODE, (_CUSTOM_MODE_ENABLED, _AUTO, _AUTO_LAND))
 
-LOCAL_NED = 1  # MAV_FRAME: a heading in LOCAL_FRD is none to it, so no global position, no Hold and no arming
-CLOCK_ANSWERS = 500  # until PX4 believes stamps: fifty seconds
+LOCAL_NED = 1  # MAV_FRAME: PX4 does not use a heading in LOCAL_FRD, so no global position, no Hold and no arming
+CLOCK_ANSWERS = 500  # answers until PX4 accepts stamps: fifty seconds
 MIN_VERSION = (1, 15, 4)  # before 1.15.2, LAND without a global position flew to local (0, 0)
-UNKNOWN_VERSION = (1, 18, 0)  # what it does with our words is not known: AUTOPILOTS reads up to 1.17
+UNKNOWN_VERSION = (1, 18, 0)  # its handling of our messages is not known: AUTOPILOTS covers versions up to 1.17
 
 STREAMS_HZ = (
     (1, 2.0),  # SYS_STATUS
@@ -45,37 +45,43 @@ STREAMS_HZ = (
     (245, 5.0),  # EXTENDED_SYS_STATE
     (285, 10.0),  # GIMBAL_DEVICE_ATTITUDE_STATUS
 )
-POLLED_HZ = ((0, 10.0),)  # HEARTBEAT: once a second by itself, whatever it is told (measured): too late for a human's mode
+POLLED_HZ = ((0, 10.0),)  # HEARTBEAT: sent once a second at any requested rate (measured): too late for a human's mode
 ASKED_ONCE = (148,)  # AUTOPILOT_VERSION
 
 
 def mode_name(custom_mode: int) -> str:
-    """The mode as PX4's own tools call it."""
+    """Return the mode as PX4's own tools call it."""
     main, sub = custom_mode >> 16 & 0xFF, custom_mode >> 24 & 0xFF
     name = _MAIN_MODES.get(main, f"MODE{main}")
     return f"{name}.{_AUTO_MODES.get(sub, sub)}" if main == _AUTO else name
 
 
 def is_ours(custom_mode: int) -> bool:
-    """OFFBOARD: the vehicle follows our setpoints."""
+    """Return True for OFFBOARD: the vehicle follows our setpoints."""
     return custom_mode >> 16 & 0xFF == _OFFBOARD
 
 
 def is_landing(custom_mode: int) -> bool:
-    """AUTO.LAND, by our word or by a failsafe (a blind descent shows as LAND too)."""
+    """Return True for AUTO.LAND, by our command or by a failsafe.
+
+    A blind descent shows as LAND too.
+    """
     return custom_mode >> 16 & 0xFFFF == _AUTO_LAND << 8 | _AUTO
 
 
 def missing_for_origin(t: Telemetry, time_known: bool, now_s: float) -> Reason | None:
-    """What is missing before the origin may be sent, None for nothing. Sent too early, PX4 puts local z at the altitude."""
+    """Return what is missing before the origin may be sent, None for nothing.
+
+    If it is sent too early, PX4 sets local z to the altitude.
+    """
     return missing_to_follow(t, time_known, now_s, "PX4", _PX4_FAMILY, MIN_VERSION, UNKNOWN_VERSION)
 
 
 def missing_for_arming(t: Telemetry, time_known: bool, now_s: float) -> Reason | None:
-    """What is missing before arming may be asked for, None for nothing.
+    """Return what is missing before arming may be requested, None for nothing.
 
     Until its TIMESYNC has converged PX4 takes a pose for as old as its arrival (HAZARDS 0.8): on a link that repeats frames or
-    lets some come late, old poses would pass for new ones.
+    delays some, old poses would pass for new ones.
     """
     missing = missing_for_origin(t, time_known, now_s) or missing_to_arm(t)
     if not missing and t.stale_frames and t.clock_answers < CLOCK_ANSWERS:
@@ -84,8 +90,9 @@ def missing_for_arming(t: Telemetry, time_known: bool, now_s: float) -> Reason |
 
 
 class Px4ArmingSequence:
-    """From a running stream to armed in OFFBOARD: the mode first, then the motors, three tries each. A mode that is neither
-    the one it began in nor ours is somebody's choice.
+    """From a running stream to armed in OFFBOARD: mode first, then motors, three tries each.
+
+    A mode that is neither the initial one nor ours was chosen by someone else.
     """
 
     STREAM_S = 1.0
@@ -99,7 +106,10 @@ class Px4ArmingSequence:
         self._mode_seen = False
 
     def step(self, now_s: float, t: Telemetry) -> tuple[Outcome, Command | None]:
-        """What has been reached, and the command to send now. Setpoints must be streaming all the while."""
+        """Return the state of the attempt, and the command to send now.
+
+        Setpoints must be streaming all the time.
+        """
         self._mode_before = t.custom_mode if self._mode_before is None else self._mode_before
         if not is_ours(t.custom_mode) and (self._mode_seen or t.custom_mode != self._mode_before):
             changed = Reason(ReasonCode.MODE_CHANGED, (mode_name(t.custom_mode),))

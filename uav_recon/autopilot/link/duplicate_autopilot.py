@@ -1,7 +1,7 @@
-"""Whether two autopilots speak under one name: two boot clocks at the same time, or a mode that goes to and fro.
+"""Detection of two autopilots with one id: two boot clocks at once, or an alternating mode.
 
-No frame is told apart by it: who is right, only a signature can say. A link that delays, repeats or shuffles frames by half a
-second is one autopilot, and so is one that restarts: its old clock falls silent.
+It does not sort frames: only a signature can show which sender is right. A link that delays, repeats or shuffles frames by
+half a second counts as one autopilot, and so does an autopilot that restarts: its old clock falls silent.
 """
 
 from __future__ import annotations
@@ -15,18 +15,18 @@ from uav_recon.autopilot.mavlink.messages import Heartbeat, Received
 
 _STAMPED = (31, 32)  # ATTITUDE_QUATERNION and LOCAL_POSITION_NED begin with milliseconds since boot
 _WRAP_S = 2.0**32 / 1000.0
-_APART_S = 0.8  # clocks farther apart are two; frames of one come half a second late at most
-_LIVED_S, _SILENT_S = 0.6, 0.4  # a clock heard for longer, and not silent for longer: longer than frames of a restart mix
+_APART_S = 0.8  # clocks farther apart are two; frames of one are at most half a second late
+_LIVED_S, _SILENT_S = 0.6, 0.4  # a clock counts after the first and until the second: longer than a restart mixes frames
 _MAX_CLOCKS = 3
-_CHANGES, _WITHIN_S = 6, 3.0  # of a mode: frames that are 0.3 s late make five of one switch
+_CHANGES, _WITHIN_S = 6, 3.0  # changes of a mode: frames that are 0.3 s late make five of one switch
 _AGAIN_S = 1.0
 _CALM_S = 2.0
-_TOLD_S = 0.25  # what was told so lately stands: a vehicle tells its mode ten times a second
+_TOLD_S = 0.25  # a state reported within this time is current: a vehicle reports its mode ten times a second
 
 
 @dataclass(slots=True)
 class _BootClock:
-    """ahead_s: of ours, as its newest frame had it."""
+    """A boot clock. ahead_s: its lead over our clock, by its newest frame."""
 
     ahead_s: float
     first_s: float
@@ -34,7 +34,7 @@ class _BootClock:
 
 
 class DuplicateAutopilotDetector:
-    """Hears every frame of the vehicle's autopilot, before anything is left out."""
+    """Must receive every frame of the vehicle's autopilot, before any is filtered out."""
 
     def __init__(self) -> None:
         self._clocks: list[_BootClock] = []
@@ -45,19 +45,20 @@ class DuplicateAutopilotDetector:
         self._seen_s = -math.inf
 
     def update(self, received: Received, now_s: float) -> None:
-        """One frame that the gate let in."""
+        """Check one frame that the gate admitted."""
         if isinstance(received.message, Heartbeat):
             self._hear_state(received.message, received.frame, now_s)
         elif kind_of(received.frame) in _STAMPED:
             self._hear_clock(int.from_bytes(payload_of(received.frame)[:4], "little") / 1000.0 - now_s, now_s)
 
     def detected(self, now_s: float) -> bool:
-        """Whether there are two, now or within the last two seconds."""
+        """Return True if there are two, now or within the last two seconds."""
         return now_s - self._seen_s <= _CALM_S
 
     def told(self, now_s: float) -> list[tuple[bool, int]]:
-        """Whether armed, and in which mode, as heartbeats of the last quarter second say; more than one where they contradict
-        each other or change.
+        """Return (armed, mode) of the heartbeats of the last quarter second.
+
+        There is more than one entry if they contradict each other or change.
         """
         return [state for state, at_s in self._told_s.items() if now_s - at_s < _TOLD_S]
 

@@ -1,4 +1,4 @@
-"""Who speaks on the link and may not, and what else is wrong with it: told to people once for each kind and flight."""
+"""Alerts about other senders and faults on the link, each reported once per kind and flight."""
 
 from __future__ import annotations
 
@@ -32,7 +32,10 @@ _COMMAND = {
 
 
 class LinkAlerts:
-    """own: our system and component. What a ground station, a camera or a radio says of itself is no intrusion."""
+    """Collects alerts.
+
+    own: our system and component. Messages of a ground station, a camera or a radio about itself are no intrusion.
+    """
 
     def __init__(self, own: tuple[int, int]) -> None:
         self._own = own
@@ -40,7 +43,7 @@ class LinkAlerts:
         self._told: set[ReasonCode] = set()
 
     def update(self, received: Received) -> None:
-        """A frame that was not let in."""
+        """Check a frame that was not admitted."""
         who = (received.system, received.component)
         if who == self._own:
             self.note(Reason(ReasonCode.INTRUDER_OWN_ID))
@@ -51,17 +54,17 @@ class LinkAlerts:
             self.note(Reason(ReasonCode.INTRUDER_STATE, who))
 
     def note(self, alarm: Reason) -> None:
-        """Note an alarm, which counts if it is the first of its code in this flight."""
+        """Record an alert, unless one of its kind was reported in this flight."""
         if alarm.code not in self._told:
             self._alarms.setdefault(alarm.code, alarm)
 
     def begin(self) -> None:
-        """A flight begins: what goes on in it is told anew, what was before it is over."""
+        """Start a flight: earlier alerts are dropped, and each kind may be reported again."""
         self._alarms.clear()
         self._told.clear()
 
     def news(self) -> list[Reason]:
-        """What is to be told now, and then not again in this flight."""
+        """Return the alerts to report now; they are not reported again in this flight."""
         news = list(self._alarms.values())
         self._told |= set(self._alarms)
         self._alarms.clear()
@@ -69,6 +72,6 @@ class LinkAlerts:
 
 
 def tells_state(received: Received) -> bool:
-    """Whether it speaks as an autopilot does of its vehicle."""
+    """Return True if the message reports the state of a vehicle, as an autopilot's does."""
     message = received.message
     return isinstance(message, _TELL_STATE) or (isinstance(message, Heartbeat) and message.autopilot != NOT_AN_AUTOPILOT)

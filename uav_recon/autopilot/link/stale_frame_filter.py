@@ -1,4 +1,7 @@
-"""Which frames of a sender are news: links repeat frames and let some overtake others, and an old state undoes a newer one."""
+"""Filter for old frames of a sender.
+
+Links repeat frames and let some overtake others; an old state must not replace a newer one.
+"""
 
 from __future__ import annotations
 
@@ -6,24 +9,26 @@ import math
 
 from uav_recon.autopilot.mavlink.framing import kind_of, payload_of
 
-_NUMBERS = 256  # of MAVLink, then again from 0
-_AGAIN_S = 1.0  # so late a copy of a frame may still come; by half of that a busy sender is half round
-_SILENCE_S = 0.5  # a kind not heard for so long is news whatever its number: a sender may count anew, or two share its name
+_NUMBERS = 256  # sequence numbers of MAVLink, which then restart at 0
+_AGAIN_S = 1.0  # max. delay of a copy; in half of it a busy sender passes half of the sequence numbers
+_SILENCE_S = 0.5  # after this silence any number is accepted: a sender may have restarted, or two share an id
 
 
 class StaleFrameFilter:
-    """Of one sender: what comes again, byte for byte, and says another thing than the newest of its kind, is not. Of the rest
-    the sequence number of the frames decides, each kind of message for itself.
+    """Filters the frames of one sender.
+
+    A byte-identical copy is stale if the newest frame of its kind has another payload. Otherwise the sequence number decides,
+    separately for each kind of message.
     """
 
     def __init__(self) -> None:
         self._newest = 0  # number of the newest frame, counted on beyond 255
-        self._heard: dict[bytes, float] = {}  # each frame of the last second, the oldest first
+        self._heard: dict[bytes, float] = {}  # each frame of the last second, oldest first
         self._said: dict[int, bytes] = {}  # by kind: the newest payload
         self._taken: dict[int, tuple[int, float]] = {}  # by kind: the number of the newest, and when it came
 
     def is_newest(self, frame: bytes, now_s: float) -> bool:
-        """Whether a whole MAVLink 2 frame says something newer than all of its kind before it."""
+        """Return True if a whole MAVLink 2 frame is newer than all of its kind before it."""
         kind, half = kind_of(frame), _NUMBERS // 2
         if self._is_copy(frame, now_s) and payload_of(frame) != self._said[kind]:
             return False
@@ -36,7 +41,7 @@ class StaleFrameFilter:
         return True
 
     def _is_copy(self, frame: bytes, now_s: float) -> bool:
-        """Whether the same was heard within the last second."""
+        """Return True if the same frame was received within the last second."""
         while self._heard and next(iter(self._heard.values())) < now_s - _AGAIN_S:
             del self._heard[next(iter(self._heard))]
         return self._heard.setdefault(frame, now_s) != now_s

@@ -1,4 +1,7 @@
-"""The autopilot's clock, estimated from TIMESYNC exchanges: the one with the shortest round trip is believed."""
+"""Estimate of the autopilot's clock from TIMESYNC exchanges.
+
+The exchange with the shortest round trip gives the offset.
+"""
 
 from __future__ import annotations
 
@@ -7,9 +10,9 @@ from collections import deque
 
 _NS = 1_000_000_000
 _CONTRADICTS_NS = _NS // 10
-_END_NS = 1 << 62  # 146 years: what goes on from there soon fits no field of 63 bits
-_LATEST, _LONGEST_NS = 20, 2 * _NS  # exchanges that tell how slow the link is: of two seconds
-_ENOUGH = 5  # exchanges running that say the same against the estimate
+_END_NS = 1 << 62  # 146 years: a clock that continues from there soon exceeds 63 bits
+_LATEST, _LONGEST_NS = 20, 2 * _NS  # exchanges that measure the speed of the link; max. round trip of two seconds
+_ENOUGH = 5  # consecutive exchanges that agree with each other and contradict the estimate
 
 
 class TimeSyncFilter:
@@ -17,32 +20,33 @@ class TimeSyncFilter:
 
     Converged after ``samples_needed`` exchanges faster than ``round_trip_s``. A longer exchange than that is ignored.
     One that contradicts the estimate by more than 0.1 s makes it doubtful: it may not be used until an exchange agrees with it
-    again, or until five running agree with one another and are believed. A clock that went back belongs to an autopilot that
-    rebooted: start again with these five. One that was only set, or stood still for a while, takes what was learned with it.
-    ``usual_trip_s``: median of the last twenty exchanges, whatever they took; 0 before there are so many.
+    again, or until five consecutive ones agree with one another and replace it. A clock that went back belongs to an autopilot
+    that rebooted: the filter restarts with these five. If the clock was only set, or stood still for a while, the earlier
+    samples are shifted with it.
+    ``usual_trip_s``: median of the last twenty exchanges of any duration; 0 before there are twenty.
     """
 
     def __init__(self, samples_needed: int = 10, round_trip_s: float = 0.025, window: int = 64) -> None:
         self._needed, self._round_trip_ns = samples_needed, int(round_trip_s * _NS)
         self._samples: deque[tuple[int, int]] = deque(maxlen=window)  # (round trip, offset), ns
-        self._trips: deque[tuple[int, int]] = deque(maxlen=_LATEST)  # (sent, round trip), ns, whatever it took
-        self._against: list[tuple[int, int]] = []  # exchanges running that contradict them
+        self._trips: deque[tuple[int, int]] = deque(maxlen=_LATEST)  # (sent, round trip), ns, of any duration
+        self._against: list[tuple[int, int]] = []  # consecutive exchanges that contradict them
         self._newest_ns = self._offset_ns = 0
         self.usual_trip_s = 0.0
         self.restarts = 0
 
     @property
     def converged(self) -> bool:
-        """Whether the offset may be used."""
+        """True if the offset may be used."""
         return len(self._samples) >= self._needed and not self._against
 
     @property
     def lost(self) -> bool:
-        """Whether it could be used once and cannot now: every exchange counts."""
+        """True if the offset could be used before and cannot now: every exchange counts."""
         return bool(self._against) or (self.restarts > 0 and not self.converged)
 
     def observe(self, sent_ns: int, autopilot_ns: int, now_ns: int) -> None:
-        """One answer: what we sent, what the autopilot's clock said, and when it came back."""
+        """Process one answer: when it was sent, the autopilot's clock in it, and when it came back."""
         round_trip = now_ns - sent_ns
         self._time(sent_ns, round_trip)
         if not (0 <= round_trip <= self._round_trip_ns and autopilot_ns < _END_NS):
@@ -56,7 +60,7 @@ class TimeSyncFilter:
         self._offset_ns = min(self._samples)[1]
 
     def _time(self, sent_ns: int, round_trip: int) -> None:
-        """Of copies of an answer the first one counts."""
+        """Record a round trip. Of copies of an answer only the first one counts."""
         if 0 <= round_trip <= _LONGEST_NS and all(sent_ns != before for before, _ in self._trips):
             self._trips.append((sent_ns, round_trip))
             if len(self._trips) == _LATEST:
@@ -78,5 +82,8 @@ class TimeSyncFilter:
         self._against, self._newest_ns, self._offset_ns = [], autopilot_ns, min(self._samples)[1]
 
     def autopilot_ns(self, ours_s: float) -> int:
-        """Our instant on the autopilot's clock, never negative. Meaningless before convergence."""
+        """Return our instant on the autopilot's clock, never negative.
+
+        It has no meaning before convergence.
+        """
         return max(int(ours_s * _NS) + self._offset_ns, 0)

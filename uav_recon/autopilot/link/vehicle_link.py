@@ -1,4 +1,4 @@
-"""One link: bytes in become telemetry of the one autopilot we fly; what we send goes out here and nowhere else."""
+"""The link to one autopilot: decodes received bytes into telemetry, and sends all messages."""
 
 from __future__ import annotations
 
@@ -40,19 +40,21 @@ from uav_recon.types.reason_code import ReasonCode
 
 _WARNING = 4
 _DEAF_S = 1.7
-_SLOW_TRIP_S, _SLOW_FOR_S = 0.2, 10.0  # 0.1 s each way: at 0.8 m/s it lags by 0.08 m more
+_SLOW_TRIP_S, _SLOW_FOR_S = 0.2, 10.0  # 0.1 s each way: at 0.8 m/s the vehicle lags by 0.08 m more
 _SET_MESSAGE_INTERVAL, _REQUEST_MESSAGE = 511, 512
 _NS = 1_000_000_000
-_PROMPT_NS = 25_000_000  # a question is answered so soon, or its round trip is too long to be learned from
-# Heartbeat (a lost one ends no flight); TIMESYNC, and while its clock is lost; gimbal at most.
+_PROMPT_NS = 25_000_000  # max. delay of a useful answer; with more, its round trip is too long to learn from
+# Heartbeat (one lost ends no flight); TIMESYNC, and that while its clock is lost; gimbal, maximum.
 _CHATTER_HZ = (5.0, 10.0, 50.0, 10.0)
 _AUTOPILOT_VERSION = 148.0
 
 
 class VehicleLink:
-    """Speaks MAVLink with one autopilot over one byte link. Methods never block and never raise on what arrives.
+    """Exchanges MAVLink messages with one autopilot over one byte link.
 
-    firmware: whose rules hold on the other end. gate: who may speak there.
+    Methods never block and never raise on received data.
+
+    firmware: profile of the firmware on the other end. gate: filter for senders.
     """
 
     def __init__(
@@ -67,7 +69,7 @@ class VehicleLink:
     ) -> None:
         self._bytes, self._log, self._gate = bytes_link, log, gate
         self.firmware = firmware
-        self.mute = False  # no heartbeat any more
+        self.mute = False  # True: send no heartbeats any more
         self._own = (system, component)
         self._decoder, self._encoder = Decoder(), Encoder(system, component)
         self._timesync, self._succession, self._double = TimeSyncFilter(), StaleFrameFilter(), DuplicateAutopilotDetector()
@@ -81,11 +83,11 @@ class VehicleLink:
 
     @property
     def time_known(self) -> bool:
-        """Whether the autopilot's clock is known."""
+        """True if the autopilot's clock is known."""
         return self._timesync.converged
 
     def receive(self, now_s: float) -> None:
-        """Take in whatever arrived."""
+        """Process the received bytes."""
         try:
             data = self._bytes.read()
         except OSError as error:
@@ -105,7 +107,10 @@ class VehicleLink:
         self._gate.refuse("MAVLink 1", self._decoder.mavlink1_frames - old_frames)
 
     def _notice_slowness(self, now_s: float) -> None:
-        """A link is slow until it has been quick for a while: each change of speed costs a stop."""
+        """Update whether the link is slow.
+
+        A link counts as slow until it has been quick for a while: each change of the speed limit costs a stop.
+        """
         trip_s = self._timesync.usual_trip_s
         if trip_s > _SLOW_TRIP_S:
             self._slow_s = now_s
@@ -113,8 +118,10 @@ class VehicleLink:
         self.telemetry.slow = now_s - self._slow_s < _SLOW_FOR_S
 
     def keep_alive(self, now_s: float) -> None:
-        """Our heartbeat, and the question for the autopilot's clock. No heartbeat while we are deaf: one that lands only when
-        it takes us for dead (ArduPilot, two seconds later) is to land before the vehicle is given up for lost.
+        """Send our heartbeat, and the request for the autopilot's clock.
+
+        No heartbeat is sent after a silence of the autopilot: one that lands only when our heartbeats stop (ArduPilot, two
+        seconds later) has to land before the vehicle is given up as lost.
         """
         deaf = -math.inf < self.telemetry.received_s < now_s - _DEAF_S
         if self._heartbeat.due(now_s) and not (self.mute or deaf):
@@ -126,17 +133,20 @@ class VehicleLink:
             self.command(now_s, _REQUEST_MESSAGE, _AUTOPILOT_VERSION)
 
     def poll(self, now_s: float) -> None:
-        """For what does not come often enough by itself."""
+        """Request messages that the autopilot does not send often enough by itself."""
         for identifier, keeper in self._polled:
             if self.telemetry.system and keeper.due(now_s):
                 self.command(now_s, _REQUEST_MESSAGE, float(identifier))
 
     def stop_heartbeats(self) -> None:
-        """From now on the autopilot is to take us for dead, and to land by itself where it is ours no more."""
+        """Stop our heartbeats, so that an autopilot that is still in our mode lands by failsafe."""
         self.mute = True
 
     def feed_pose(self, pose: StampedPose, now_s: float) -> None:
-        """ODOMETRY on the autopilot's clock; nothing before it is known, while it is in doubt, or for another."""
+        """Send ODOMETRY on the autopilot's clock.
+
+        Nothing is sent before that clock is known, while it is doubtful, or to another autopilot.
+        """
         if not self.time_known or self.telemetry.stranger:
             return
         time_us = self._timesync.autopilot_ns(pose.stamp_s) // 1000
@@ -144,7 +154,7 @@ class VehicleLink:
         self.telemetry.pose_fed_s = now_s
 
     def stream(self, cleared: ClearedSetpoint, now_s: float, gimbal: bool) -> None:
-        """Put a cleared setpoint on the wire, and at most ten times a second its camera pitch."""
+        """Send a cleared setpoint, and at most ten times a second its camera pitch."""
         boot_ms = self._timesync.autopilot_ns(now_s) // 1_000_000
         self._send(self._encoder.setpoint(self.telemetry.system, cleared.setpoint, boot_ms, self.firmware.setpoint_mask), now_s)
         if gimbal and self._gimbal.due(now_s):
@@ -152,39 +162,42 @@ class VehicleLink:
             self._send(self._encoder.gimbal_pitch(self.telemetry.system, pitch_rad), now_s)
 
     def command(self, now_s: float, command: int, *parameters: float) -> None:
-        """COMMAND_LONG to the autopilot."""
+        """Send COMMAND_LONG to the autopilot."""
         self._send(self._encoder.command(self.telemetry.system, command, *parameters), now_s)
 
     def say(self, now_s: float, reason: Reason) -> None:
-        """Send a reason as STATUSTEXT to the people at a ground station."""
+        """Send STATUSTEXT to the people at a ground station."""
         self._send(self._encoder.text(reason.short()), now_s)
 
     def request_streams(self, now_s: float, rates_hz: tuple[tuple[int, float], ...], once: tuple[int, ...]) -> None:
-        """Ask for messages (id, rate) to be sent steadily, and for others to be sent once."""
+        """Request messages (id, rate) at a rate, and others once."""
         for identifier, rate_hz in rates_hz:
             self.command(now_s, _SET_MESSAGE_INTERVAL, float(identifier), 1e6 / rate_hz)
         for identifier in once:
             self.command(now_s, _REQUEST_MESSAGE, float(identifier))
 
     def claim_gimbal(self, now_s: float) -> None:
-        """DO_GIMBAL_MANAGER_CONFIGURE: we hold primary control; nobody secondary."""
+        """Send DO_GIMBAL_MANAGER_CONFIGURE: we have primary control, secondary control is unused."""
         self.command(now_s, 1001, float(self._own[0]), float(self._own[1]), -1.0, -1.0)
 
     def send_origin(self, now_s: float, lat_deg: float, lon_deg: float, alt_m: float) -> None:
-        """Hand the autopilot a geographic origin."""
+        """Send the geographic origin to the autopilot."""
         self._send(self._encoder.origin(self.telemetry.system, lat_deg, lon_deg, alt_m), now_s)
 
     def ask_parameter(self, now_s: float, name: str) -> None:
-        """PARAM_REQUEST_READ; from now on telemetry holds the newest value that is told of this parameter."""
+        """Send PARAM_REQUEST_READ.
+
+        From now on telemetry holds the newest reported value of this parameter.
+        """
         self._asked_parameters.add(name)
         self._send(self._encoder.parameter_request(self.telemetry.system, name), now_s)
 
     def set_parameter(self, now_s: float, value: ParameterValue) -> None:
-        """PARAM_SET. Nobody but a person's own command may ask for it."""
+        """Send PARAM_SET. Only a person's own command may cause it."""
         self._send(self._encoder.parameter_set(self.telemetry.system, value), now_s)
 
     def wait(self, timeout_s: float) -> None:
-        """Block until bytes are there or the time is over."""
+        """Block until bytes are available or the timeout ends."""
         self._bytes.wait(timeout_s)
 
     def _send(self, frame: bytes, now_s: float) -> None:
@@ -197,7 +210,10 @@ class VehicleLink:
         self._log.record(now_s, frame)
 
     def _hear(self, received: Received, now_s: float) -> None:
-        """Whom the gate admits is heard, after the vehicle's first heartbeat, and of the autopilot what is news."""
+        """Process a frame that the gate admits, after the vehicle's first heartbeat.
+
+        Of the autopilot's frames, only those are processed that are not stale.
+        """
         t, message = self.telemetry, received.message
         if (received.system, received.component) == self._own:
             t.twin_heard = True
@@ -213,8 +229,8 @@ class VehicleLink:
             return
         if from_autopilot:
             self._double.update(received, now_s)
-            dated = isinstance(message, TimesyncMessage) and message.tc1_ns != 0  # its round trip tells how late it is
-            if not self._succession.is_newest(received.frame, now_s) and not (dated or t.doubled):  # of two, nobody's is older
+            dated = isinstance(message, TimesyncMessage) and message.tc1_ns != 0  # its round trip shows how late it is
+            if not self._succession.is_newest(received.frame, now_s) and not (dated or t.doubled):  # of two, neither is older
                 t.stale_frames += 1
                 return
             t.received_s = now_s
@@ -257,8 +273,11 @@ class VehicleLink:
                 t.refused_command = message.command if message.result not in (0, 5) else t.refused_command
 
     def _take_state(self, message: Heartbeat, now_s: float) -> None:
-        """Motors stand once nobody says that they run. Of two autopilots a mode that is not ours counts before ours, so that a
-        pilot always wins, and ours before a landing, so that nobody talks us out of asking for one.
+        """Update armed state and mode.
+
+        The motors count as off only when no current heartbeat reports them running. With two autopilots, a mode that is not
+        ours has precedence over ours, so that a human pilot always wins, and ours over a landing, so that no sender can keep us
+        from requesting one.
         """
         t, told = self.telemetry, self._double.told(now_s)
         armed = [mode for runs, mode in told if runs]
@@ -271,16 +290,16 @@ class VehicleLink:
             t.custom_mode = min(armed or [t.custom_mode], key=lambda mode: rules.is_ours(mode) + 2 * rules.is_landing(mode))
 
     def _synchronise(self, message: TimesyncMessage, now_s: float) -> None:
-        """Learn from answers; answer requests in the autopilot's OWN clock, once we know it.
+        """Learn from answers; answer requests in the autopilot's OWN clock, once it is known.
 
         Pose stamps are on that clock too, so an autopilot that corrects stamps by what it learns from our answers finds
-        an offset of zero, and one that takes stamps as they are is right as well.
+        an offset of zero, and one that uses stamps unchanged is right as well.
         """
         if message.tc1_ns == 0:
             if self.time_known:
                 self._send(self._encoder.timesync(self._timesync.autopilot_ns(now_s), message.ts1_ns), now_s)
                 asked_ago_ns = self._timesync.autopilot_ns(now_s) - message.ts1_ns
-                self.telemetry.clock_answers += abs(asked_ago_ns) <= _PROMPT_NS  # a copy that comes late teaches it nothing
+                self.telemetry.clock_answers += abs(asked_ago_ns) <= _PROMPT_NS  # it learns nothing from a late copy
             return
         self._timesync.observe(message.ts1_ns, message.tc1_ns, int(now_s * _NS))
         if self._timesync.restarts > self.telemetry.reboots:

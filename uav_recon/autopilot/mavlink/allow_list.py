@@ -1,4 +1,7 @@
-"""Who may speak to us on the link: one system's autopilot and gimbal. Everybody else is counted, and named once."""
+"""Allow list of a link: one system's autopilot and gimbal.
+
+Other senders are counted, and each is logged once.
+"""
 
 from __future__ import annotations
 
@@ -15,8 +18,9 @@ _MAX_NAMES = 32
 
 @dataclass(frozen=True, slots=True)
 class AllowList:
-    """MAVLink ids of the vehicle: its system, and in it the components of its autopilot and of its gimbal. uid: of the
-    autopilot's hardware, in hex; '' for whoever answers.
+    """MAVLink ids of the vehicle: its system, and its autopilot and gimbal components.
+
+    uid: of the autopilot's hardware, in hex; '' for any autopilot.
     """
 
     system: int = 1
@@ -26,7 +30,10 @@ class AllowList:
 
 
 class AllowListFilter:
-    """The allow-list of one link. refused: how many frames and datagrams were not let in so far. seal: what frames bear."""
+    """The allow list of one link.
+
+    refused: number of rejected frames and datagrams. seal: signer of the frames.
+    """
 
     def __init__(self, allowed: AllowList | None = None, seal: Signer | None = None) -> None:
         self._allowed, self.seal = allowed or AllowList(), seal or NullSigner()
@@ -35,15 +42,15 @@ class AllowListFilter:
 
     @property
     def uid(self) -> str:
-        """Of the one autopilot that may be flown, '' for any."""
+        """Hardware id of the one autopilot that may be flown, '' for any."""
         return self._allowed.uid
 
     def greets(self, data: bytes) -> bool:
-        """Whether the frames of a datagram hold a heartbeat of the vehicle's autopilot. Changes nothing."""
+        """Return True if a datagram holds a heartbeat of the vehicle's autopilot. Changes nothing."""
         return any(self._is_greeting(received) for received in Decoder().feed(data))
 
     def admits(self, received: Received) -> bool:
-        """Whether a frame may say anything about the vehicle; who may not is named."""
+        """Return True if the frame's sender is allowed and its signature valid. Others are logged."""
         ours = (self._allowed.autopilot, self._allowed.gimbal)
         known = received.system == self._allowed.system and received.component in ours
         if known and self.seal.accept(received.frame):
@@ -53,18 +60,21 @@ class AllowListFilter:
         return False
 
     def is_autopilot(self, received: Received) -> bool:
-        """Whether the vehicle's autopilot says so of itself."""
+        """Return True if the sender is the vehicle's autopilot."""
         return (received.system, received.component) == (self._allowed.system, self._allowed.autopilot)
 
     def refuse(self, who: str, times: int = 1) -> None:
-        """Somebody was not let in. The log names each once, and no more than a screenful: a forger has names without end."""
+        """Count rejected input and log its sender.
+
+        Each sender is logged once, and at most _MAX_NAMES of them: a forger can use any number of ids.
+        """
         self.refused += times
         if times and who not in self._named and len(self._named) < _MAX_NAMES:
             self._named.add(who)
             logging.getLogger(__name__).warning("link: %s: not listened to", who)
 
     def close(self) -> None:
-        """Keep what a restart must know."""
+        """Save what a restart needs."""
         self.seal.close()
 
     def _is_greeting(self, received: Received) -> bool:

@@ -1,6 +1,7 @@
-"""THE codec: MAVLink 2 bytes to values in our frames, and our values to bytes. NED and FRD end here.
+"""The MAVLink codec: MAVLink 2 bytes to values in our frames, and values to bytes.
 
-Nothing that arrives raises. A frame counts only if its checksum holds; MAVLink 1 frames are dropped and counted.
+NED and FRD are used only here. No received data raises. A frame counts only if its checksum is correct; MAVLink 1 frames are
+dropped and counted.
 """
 
 from __future__ import annotations
@@ -51,7 +52,10 @@ _TWIST_COVARIANCE = np.diag([0.1**2] * 3 + [100.0] * 3)[_UPPER].tolist()
 
 
 class Decoder:
-    """Finds frames in a byte stream. Counters: garbage bytes, frames of MAVLink 1, frames of unknown kind."""
+    """Finds frames in a byte stream.
+
+    Counters: garbage bytes, frames of MAVLink 1, frames of unknown kind.
+    """
 
     def __init__(self) -> None:
         self._buffer = b""
@@ -60,7 +64,10 @@ class Decoder:
         self.unknown_frames = 0
 
     def feed(self, data: bytes) -> list[Received]:
-        """Every whole frame up to the end of these bytes, oldest first; an unfinished one waits for the next call."""
+        """Return every whole frame up to the end of these bytes, oldest first.
+
+        An unfinished frame waits for the next call.
+        """
         self._buffer += data[-_BUFFER_LIMIT:]
         received, at, end = [], 0, len(self._buffer)
         while at < end:
@@ -84,32 +91,38 @@ class Decoder:
         return received
 
     def _followed(self, end: int) -> bool:
-        """Whether nothing or another frame comes next: all that speaks for a frame of unknown kind."""
+        """Return True if no bytes or another frame follow.
+
+        This is the only check of a frame of unknown kind.
+        """
         return end == len(self._buffer) or self._buffer[end] in (MAGIC_1, MAGIC_2)
 
 
 class Encoder:
-    """Our voice on the link: system and component id, and our own sequence number. Every method returns one frame."""
+    """Encodes our messages with our system and component id and sequence number.
+
+    Every method returns one frame.
+    """
 
     def __init__(self, system: int, component: int) -> None:
         self._mavlink = wire.MAVLink(None, srcSystem=system, srcComponent=component)
 
     def heartbeat(self) -> bytes:
-        """An onboard controller that is active."""
+        """Return HEARTBEAT of an active onboard controller."""
         who = (wire.MAV_TYPE_ONBOARD_CONTROLLER, wire.MAV_AUTOPILOT_INVALID)
         return self._frame(_HEARTBEAT, _HEARTBEAT.unpacker.pack(0, *who, 0, wire.MAV_STATE_ACTIVE, 3))
 
     def timesync(self, tc1_ns: int, ts1_ns: int) -> bytes:
-        """A request (tc1_ns = 0, our clock) or an answer (our clock, their ts1)."""
+        """Return TIMESYNC: a request (tc1_ns = 0, our clock) or an answer (our clock, their ts1)."""
         return self._frame(_TIMESYNC, _TIMESYNC.unpacker.pack(tc1_ns, ts1_ns))
 
     def command(self, target: int, command: int, *parameters: float) -> bytes:
-        """COMMAND_LONG to the autopilot of system ``target``; missing parameters are 0."""
+        """Return COMMAND_LONG to the autopilot of system ``target``; missing parameters are 0."""
         padded = (*parameters, *([0.0] * (7 - len(parameters))))
         return self._pack(wire.MAVLink_command_long_message(target, wire.MAV_COMP_ID_AUTOPILOT1, command, 0, *padded))
 
     def origin(self, target: int, lat_deg: float, lon_deg: float, alt_m: float) -> bytes:
-        """SET_GPS_GLOBAL_ORIGIN: where on the globe the local origin is to be."""
+        """Return SET_GPS_GLOBAL_ORIGIN: the geographic position of the local origin."""
         return self._pack(
             wire.MAVLink_set_gps_global_origin_message(
                 target, round(lat_deg * 1e7), round(lon_deg * 1e7), round(alt_m * 1e3), 0
@@ -117,11 +130,12 @@ class Encoder:
         )
 
     def odometry(self, pose: StampedPose, time_us: int, frame: int) -> bytes:
-        """ODOMETRY, pose in frame (LOCAL_NED or LOCAL_FRD, the same axes to us) and BODY_FRD velocity; time_us in the
-        autopilot's clock.
+        """Return ODOMETRY.
 
-        The angular rate is not known here: zero with a variance that says so (nothing on this wire is ever NaN).
-        Quality is clipped to 1..100 (0 would say "unknown").
+        Pose in frame (LOCAL_NED or LOCAL_FRD, the same axes to us) and BODY_FRD velocity; time_us in the autopilot's clock.
+
+        The angular rate is not known here: it is zero with a variance that shows this (no number on this wire is ever NaN).
+        Quality is clipped to 1..100 (0 would mean "unknown").
         """
         velocity_body = pose.odom_from_body.rotation().T @ pose.velocity_odom_mps
         payload = _packed(
@@ -142,7 +156,7 @@ class Encoder:
         return self._frame(_ODOMETRY, payload)
 
     def setpoint(self, target: int, setpoint: Setpoint, time_boot_ms: int, mask: int) -> bytes:
-        """SET_POSITION_TARGET_LOCAL_NED; mask: the bits of what is to be ignored, 0 = nothing."""
+        """Return SET_POSITION_TARGET_LOCAL_NED. mask: bits of the ignored fields, 0 = none."""
         payload = _packed(
             _SETPOINT,
             time_boot_ms % (1 << 32),
@@ -159,7 +173,7 @@ class Encoder:
         return self._frame(_SETPOINT, payload)
 
     def gimbal_pitch(self, target: int, pitch_down_rad: float) -> bytes:
-        """GIMBAL_MANAGER_SET_PITCHYAW: pitch against the horizon, yaw stays with the vehicle."""
+        """Return GIMBAL_MANAGER_SET_PITCHYAW: pitch against the horizon, yaw stays with the vehicle."""
         flags = wire.GIMBAL_MANAGER_FLAGS_ROLL_LOCK | wire.GIMBAL_MANAGER_FLAGS_PITCH_LOCK
         return self._pack(
             wire.MAVLink_gimbal_manager_set_pitchyaw_message(
@@ -168,15 +182,18 @@ class Encoder:
         )
 
     def text(self, text: str) -> bytes:
-        """STATUSTEXT, a warning: its first fifty characters, what is not ASCII as a question mark."""
+        """Return STATUSTEXT with severity warning.
+
+        Only the first 50 characters are sent; each non-ASCII one becomes a question mark.
+        """
         return self._pack(wire.MAVLink_statustext_message(wire.MAV_SEVERITY_WARNING, text.encode("ascii", "replace")[:50]))
 
     def parameter_request(self, target: int, name: str) -> bytes:
-        """PARAM_REQUEST_READ by name."""
+        """Return PARAM_REQUEST_READ by name."""
         return self._pack(wire.MAVLink_param_request_read_message(target, wire.MAV_COMP_ID_AUTOPILOT1, name.encode(), -1))
 
     def parameter_set(self, target: int, value: ParameterValue) -> bytes:
-        """PARAM_SET."""
+        """Return PARAM_SET."""
         return self._pack(
             wire.MAVLink_param_set_message(target, wire.MAV_COMP_ID_AUTOPILOT1, value.name.encode(), value.number, value.kind)
         )
@@ -187,15 +204,16 @@ class Encoder:
         return frame
 
     def _frame(self, kind: Any, payload: bytes) -> bytes:
-        """What is said many times a second: fields in the order of the wire."""
+        """Return a frame of a frequent message; fields in the order of the wire."""
         frame = framed(kind, payload, self._mavlink.seq, self._mavlink.srcSystem, self._mavlink.srcComponent)
         self._mavlink.seq = (self._mavlink.seq + 1) % 256
         return frame
 
 
 def _packed(kind: Any, *fields: float) -> bytes:
-    """Fields in the order of the wire. Whoever speaks has bounded his numbers; one that a float32 cannot hold raises nothing
-    all the same, and goes out as the largest that it can.
+    """Return fields, in the order of the wire, as a payload.
+
+    The callers bound their numbers. One that a float32 cannot hold still raises nothing, and is sent as the largest float32.
     """
     try:
         return bytes(kind.unpacker.pack(*fields))
@@ -204,7 +222,10 @@ def _packed(kind: Any, *fields: float) -> bytes:
 
 
 def _value(identifier: int, frame: bytes) -> Message | None:
-    """What a checked frame says in our frames, or None for kinds we do not use and numbers that are not finite."""
+    """Return the message of a checked frame in our frames.
+
+    None for kinds that are not used and for numbers that are not finite.
+    """
     reader = _READERS.get(identifier)
     if reader is None:
         return None
@@ -218,7 +239,7 @@ def _heartbeat(kind: int, autopilot: int, base_mode: int, custom_mode: int) -> M
 
 def _system_status(health: int, battery_remaining: int) -> Message:
     battery = battery_remaining / 100 if 0 <= battery_remaining <= 100 else math.nan
-    return SystemStatus(bool(health & wire.MAV_SYS_STATUS_PREARM_CHECK), battery)  # PX4 never says that it is present
+    return SystemStatus(bool(health & wire.MAV_SYS_STATUS_PREARM_CHECK), battery)  # PX4 never reports this sensor as present
 
 
 def _local_position(*numbers: float) -> Message | None:
@@ -228,7 +249,7 @@ def _local_position(*numbers: float) -> Message | None:
 
 
 def _attitude(*quat: float) -> Message | None:
-    good = abs(math.hypot(*quat) - 1.0) < 1e-2  # never of what is not finite
+    good = abs(math.hypot(*quat) - 1.0) < 1e-2  # False if any element is not finite
     return Attitude(np.array(swap_attitude(quat))) if good else None
 
 
@@ -248,7 +269,10 @@ def _gimbal(quat: tuple[float, float, float, float]) -> Message | None:
 
 
 def _ekf(flags: int, horizontal: float) -> Message:
-    """ArduPilot's: it follows, it knows where it is, and it does not refuse what it is fed (innovation over gate)."""
+    """Convert ArduPilot's EKF_STATUS_REPORT.
+
+    Good: the estimator follows, knows its position, and does not reject what it is fed (innovation over gate).
+    """
     return EstimatorStatus(flags & (_EKF_FOLLOWS | _EKF_DOES_NOT) == _EKF_FOLLOWS and horizontal < 1.0)
 
 

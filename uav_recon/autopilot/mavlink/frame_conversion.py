@@ -1,7 +1,7 @@
-"""ENU/FLU inside, NED/FRD on the wire: the conversions, used by the codec alone. Each is its own inverse.
+"""Conversions between ENU/FLU inside and NED/FRD on the wire, used by the codec only.
 
-ned = (y, x, -z) of enu; frd = (x, -y, -z) of flu; both are proper rotations, so vectors, rotation vectors and
-quaternions all follow from them.
+Each is its own inverse. ned = (y, x, -z) of enu; frd = (x, -y, -z) of flu; both are proper rotations, so vectors, rotation
+vectors and quaternions all follow from them.
 """
 
 from __future__ import annotations
@@ -22,29 +22,38 @@ _SIX = np.kron(np.eye(2), NED_FROM_ENU)
 
 
 def swap_world(vector: Iterable[float]) -> Vec3:
-    """ENU (3,) to NED, or NED to ENU."""
+    """Convert ENU (3,) to NED, or NED to ENU."""
     x, y, z = vector
     return (float(y), float(x), -float(z))
 
 
 def swap_body(vector: Iterable[float]) -> Vec3:
-    """FLU (3,) to FRD, or FRD to FLU."""
+    """Convert FLU (3,) to FRD, or FRD to FLU."""
     x, y, z = vector
     return (float(x), -float(y), -float(z))
 
 
 def swap_attitude(quat_wxyz: Iterable[float]) -> Quat:
-    """ENU-from-FLU to NED-from-FRD, or back: (0,s,s,0) q (0,1,0,0) with s = sqrt(1/2), up to the sign of the whole."""
+    """Convert ENU-from-FLU to NED-from-FRD, or back.
+
+    (0,s,s,0) q (0,1,0,0) with s = sqrt(1/2), up to the sign of the whole.
+    """
     w, x, y, z = map(float, quat_wxyz)
     return (_HALF * (w + z), _HALF * (x + y), _HALF * (x - y), _HALF * (w - z))
 
 
 def swap_yaw(yaw_rad: float) -> float:
-    """Heading counter-clockwise from east to heading clockwise from north, or back; in [-pi, pi]."""
+    """Convert heading counter-clockwise from east to heading clockwise from north, or back.
+
+    The result is in [-pi, pi].
+    """
     return math.remainder(math.pi / 2 - yaw_rad, math.tau)
 
 
 def swap_covariance(covariance: FloatArray) -> FloatArray:
-    """(6, 6) of position and rotation vector, both in world axes: ENU to NED, or back."""
+    """Convert a covariance (6, 6) from ENU to NED, or back.
+
+    Position and rotation vector, both in world axes.
+    """
     swapped: FloatArray = _SIX @ covariance @ _SIX.T
     return swapped

@@ -1,4 +1,4 @@
-"""What the autopilot says, in our frames and units: the codec turns wire messages into these values."""
+"""Messages of the autopilot in our frames and units, as decoded by the codec."""
 
 from __future__ import annotations
 
@@ -10,7 +10,10 @@ from uav_recon.types.frames import FloatArray
 
 @dataclass(frozen=True, slots=True)
 class Heartbeat:
-    """vehicle: MAV_TYPE; autopilot: MAV_AUTOPILOT (8 = not an autopilot); custom_mode: the firmware's own number."""
+    """HEARTBEAT.
+
+    vehicle: MAV_TYPE. autopilot: MAV_AUTOPILOT (8 = not an autopilot). custom_mode: the firmware's own number.
+    """
 
     vehicle: int
     autopilot: int
@@ -20,7 +23,7 @@ class Heartbeat:
 
 @dataclass(frozen=True, slots=True)
 class Ack:
-    """Answer to a command. result 0 is accepted; an acceptance proves nothing, only the state does."""
+    """Answer to a command, 0 = accepted. It proves nothing; only the vehicle's state does."""
 
     command: int
     result: int
@@ -28,7 +31,10 @@ class Ack:
 
 @dataclass(frozen=True, slots=True)
 class TimesyncMessage:
-    """tc1_ns = 0: a request carrying the sender's clock in ts1_ns; otherwise the answer to our ts1_ns."""
+    """TIMESYNC.
+
+    tc1_ns = 0: a request with the sender's clock in ts1_ns; otherwise the answer to our ts1_ns.
+    """
 
     tc1_ns: int
     ts1_ns: int
@@ -36,21 +42,27 @@ class TimesyncMessage:
 
 @dataclass(frozen=True, slots=True)
 class EstimatorStatus:
-    """Whether the estimator follows: horizontal position relative to its origin is good."""
+    """Status of the estimator.
+
+    position_good: horizontal position relative to its origin is good.
+    """
 
     position_good: bool
 
 
 @dataclass(frozen=True, slots=True)
 class LandedState:
-    """Whether the autopilot's land detector says that it stands on the ground."""
+    """State of the autopilot's land detector."""
 
     on_ground: bool
 
 
 @dataclass(frozen=True, slots=True)
 class SystemStatus:
-    """prearm_good: the autopilot's own checks pass. battery_fraction: NaN if unknown."""
+    """System status.
+
+    prearm_good: the autopilot's own checks pass. battery_fraction: NaN if unknown.
+    """
 
     prearm_good: bool
     battery_fraction: float
@@ -78,7 +90,10 @@ class OriginSet:
 
 @dataclass(frozen=True, slots=True)
 class Firmware:
-    """Version as (major, minor, patch). uid: of the hardware, in hex; '' where it tells none."""
+    """Version of the firmware as (major, minor, patch).
+
+    uid: of the hardware, in hex; '' if it reports none.
+    """
 
     version: tuple[int, int, int]
     uid: str = ""
@@ -86,7 +101,10 @@ class Firmware:
 
 @dataclass(frozen=True, slots=True)
 class StatusText:
-    """What the autopilot tells people; control characters removed. severity: 0 emergency to 7 debug."""
+    """Text of the autopilot for people, without control characters.
+
+    severity: 0 emergency to 7 debug.
+    """
 
     severity: int
     text: str
@@ -101,8 +119,10 @@ class GimbalAttitude:
 
 @dataclass(frozen=True, slots=True)
 class ParameterValue:
-    """One of the firmware's parameters. number: the float of the wire, which holds the value in the firmware's own way
-    (see parameters.py). kind: MAV_PARAM_TYPE.
+    """One of the firmware's parameters.
+
+    number: the float of the wire, which holds the value in the firmware's own encoding (see parameters/reader.py). kind:
+    MAV_PARAM_TYPE.
     """
 
     name: str
@@ -128,7 +148,7 @@ Message = (
 
 
 class Received(NamedTuple):
-    """One checked MAVLink 2 frame. message is None if it says nothing we use."""
+    """One checked MAVLink 2 frame. message is None if it holds nothing that is used."""
 
     system: int
     component: int

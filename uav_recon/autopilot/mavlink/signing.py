@@ -1,8 +1,8 @@
-"""MAVLink 2 signing: what only a holder of the key can say, and can say once.
+"""MAVLink 2 signing: only holders of the key can make frames; each is accepted once.
 
-Behind a signed frame come a link id, 48 bits of time and six bytes of SHA-256 over the key and all before (mavlink.io, Message
-Signing). pymavlink's own check notes a sender's time before it has found the signature true, so one forged frame silences the
-true vehicle for good; here nothing is noted of a frame that is not true.
+A signed frame is followed by a link id, 48 bits of time and six bytes of SHA-256 over the key and all before (mavlink.io,
+Message Signing). pymavlink's own check stores a sender's time before it has verified the signature, so one forged frame
+silences the true vehicle permanently; here nothing is stored of a frame with an invalid signature.
 """
 
 from __future__ import annotations
@@ -29,65 +29,65 @@ _HASH = 6
 
 
 class KeyFileError(Exception):
-    """A key that cannot be used; its text is one line that names the file, and never what is in it."""
+    """A key that cannot be used; its text is one line that names the file, never its content."""
 
 
 class Signer(Protocol):
-    """How frames are made ours, and others' are known to be theirs."""
+    """Signs our frames and checks the signatures of received ones."""
 
     def put(self, frame: bytes, now_s: float) -> bytes:
-        """A frame of ours as it is to be sent."""
+        """Return one of our frames as it is sent."""
         ...
 
     def trusts(self, frame: bytes) -> bool:
-        """Whether a frame that arrived would be accepted. Changes nothing."""
+        """Return True if a received frame would be accepted. Changes nothing."""
         ...
 
     def accept(self, frame: bytes) -> bool:
-        """Whether a frame that arrived is true and new; then never again."""
+        """Return True if a received frame is authentic and new; a copy of it is rejected later."""
         ...
 
     def close(self) -> None:
-        """Keep what a restart must know."""
+        """Save what a restart needs."""
         ...
 
 
 class NullSigner:
-    """Signing is off: everything is taken as it is."""
+    """Signing is off: all frames are accepted."""
 
     def put(self, frame: bytes, now_s: float) -> bytes:
-        """Unsigned."""
+        """Return the frame unsigned."""
         return frame
 
     def trusts(self, frame: bytes) -> bool:
-        """Always."""
+        """Return True."""
         return True
 
     def accept(self, frame: bytes) -> bool:
-        """Always."""
+        """Return True."""
         return True
 
     def close(self) -> None:
-        """There is nothing."""
+        """Do nothing."""
 
 
 class Signature:
-    """Signing is on: each frame of ours is signed, and none without a true signature is accepted.
+    """Signing is on: our frames are signed, and only frames with a valid signature are accepted.
 
-    RADIO_STATUS, which the specification lets in unsigned, says nothing that is used here.
+    RADIO_STATUS, which the specification accepts unsigned, has no data that is used here.
     """
 
     def __init__(self, key: bytes, link_id: int, stamps: SigningTimestamps) -> None:
         self._key, self._link_id, self._stamps = key, bytes((link_id,)), stamps
-        self._heard_on: dict[tuple[int, int], int] = {}  # the link id on which each system and component was heard first
+        self._heard_on: dict[tuple[int, int], int] = {}  # the first link id of each system and component
 
     def put(self, frame: bytes, now_s: float) -> bytes:
-        """Marked as signed, and signed at this instant."""
+        """Return the frame marked as signed, and signed at this instant."""
         stamped = marked_signed(frame) + self._link_id + self._stamps.next(now_s).to_bytes(6, "little")
         return stamped + self._hash(stamped)
 
     def trusts(self, frame: bytes) -> bool:
-        """Whether the signature is true, the stamp new, and the frame made for no other link of its sender's."""
+        """Return True if the signature is valid, the stamp new, and the link id that of the sender."""
         if not is_signed(frame) or not hmac.compare_digest(frame[-_HASH:], self._hash(frame[:-_HASH])):
             return False
         if self._heard_on.get(sender_of(frame), frame[-_TAIL]) != frame[-_TAIL]:
@@ -95,7 +95,7 @@ class Signature:
         return self._stamps.is_new(self._stream(frame), self._stamp(frame))
 
     def accept(self, frame: bytes) -> bool:
-        """As trusts(), and its stamp is used up."""
+        """Return the result of trusts(), and record the stamp of an accepted frame."""
         if not self.trusts(frame):
             return False
         self._heard_on[sender_of(frame)] = frame[-_TAIL]
@@ -119,16 +119,19 @@ class Signature:
 
 
 def open_signature(key: Path, link_id: int, stamps: Path, clock: Clock, wall_s: Callable[[], float] = time.time) -> Signature:
-    """What a vehicle's key file and its file of stamps say. wall_s: seconds since 1970, asked here and never again. Raises
-    KeyFileError or StampsError.
+    """Return the signer for a vehicle's key file and its file of stamps.
+
+    wall_s: seconds since 1970, called once. Raises KeyFileError or SigningTimestampsError.
     """
     secret = read_key(key)
     return Signature(secret, link_id, SigningTimestamps(stamps, wall_s(), clock.now_s(), ThreadExecutor("signing")))
 
 
 def read_key(path: Path) -> bytes:
-    """The key of a file that only its owner may read: a line of text is a passphrase, as ground stations take it (its SHA-256
-    is the key); anything else must be 32 bytes. Raises KeyFileError.
+    """Return the key from a file that only its owner may read.
+
+    A line of text is a passphrase, as ground stations use it (its SHA-256 is the key); anything else must be 32 bytes. Raises
+    KeyFileError.
     """
     try:
         file = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC | os.O_NONBLOCK)

@@ -1,4 +1,7 @@
-"""When signed frames were made, ours and the vehicle's: kept in a file, so that no restart makes an old one good again."""
+"""Timestamps of signed frames, ours and the vehicle's.
+
+They are stored in a file, so that no restart makes an old frame valid again.
+"""
 
 from __future__ import annotations
 
@@ -11,8 +14,8 @@ from pathlib import Path
 from uav_recon.interfaces import Executor
 
 UNITS_PER_S = 100_000  # MAVLink counts tens of microseconds since 2015-01-01
-AHEAD_S = 10.0  # what the file says of ours has not been used yet; less than the minute by which a frame may be late
-LATE_S = 60.0  # a sender not heard before may be so far behind us (mavlink.io, Message Signing)
+AHEAD_S = 10.0  # the file is this far beyond our used stamps; less than the minute by which a frame may be late
+LATE_S = 60.0  # a new sender may be this far behind us (mavlink.io, Message Signing)
 _EPOCH_S = 1420070400.0
 _END = 1 << 48
 
@@ -24,14 +27,20 @@ class SigningTimestampsError(Exception):
 
 
 class SigningTimestamps:
-    """Ours grow with the injected clock and never go back: not over restarts, crashes, or a wall clock that was set.
+    """Stamps of our frames and newest stamps of other senders.
 
-    The file is written ahead of what is used, at the start and then about every five seconds on the executor. A sender's newest
-    stamp is written with it: after a crash what it said in the last seconds could be told again, after close() nothing.
+    Ours increase with the injected clock and never decrease: not over restarts, crashes, or a wall clock that was set.
+
+    The file is written with a stamp beyond those in use, at the start and then about every five seconds on the executor.
+    A sender's newest stamp is written with it: after a crash, its frames of the last seconds could be replayed;
+    after close(), none.
     """
 
     def __init__(self, path: Path, wall_s: float, now_s: float, executor: Executor) -> None:
-        """wall_s: seconds since 1970, asked once. Raises SigningTimestampsError if the file cannot be read or written."""
+        """Read the file and write it ahead.
+
+        wall_s: seconds since 1970, used once. Raises SigningTimestampsError if the file cannot be read or written.
+        """
         self._path, self._executor, self._start_s = path, executor, now_s
         stored, self._newest = _read(path)
         self._first = max(int((wall_s - _EPOCH_S) * UNITS_PER_S), stored, 1)
@@ -43,7 +52,7 @@ class SigningTimestamps:
             raise SigningTimestampsError(f"signing_stamps {path}: cannot be written ({error.strerror})") from None
 
     def next(self, now_s: float) -> int:
-        """A stamp for a frame of ours, greater than every one before."""
+        """Return a stamp for one of our frames, greater than every earlier one."""
         self._last = max(self._first + int((now_s - self._start_s) * UNITS_PER_S), self._last + 1)
         if self._last > self._promised - AHEAD_S / 2 * UNITS_PER_S:
             self._promised = promised = self._last + int(AHEAD_S * UNITS_PER_S)
@@ -52,24 +61,30 @@ class SigningTimestamps:
         return self._last
 
     def is_new(self, stream: Stream, stamp: int) -> bool:
-        """Whether a frame comes after all that its sender said before; of a sender not heard yet: whether it is not too old."""
+        """Return True if a frame is newer than all earlier ones of its sender.
+
+        The frame of a new sender must not be too old.
+        """
         newest = self._newest.get(stream)
         return stamp > newest if newest is not None else stamp + LATE_S * UNITS_PER_S >= self._last
 
     def note(self, stream: Stream, stamp: int) -> None:
-        """A frame was found true: nothing older counts any more, and ours come after it."""
+        """Record the stamp of a valid frame.
+
+        Older frames of the sender are rejected from now on, and our stamps are greater.
+        """
         self._newest[stream] = stamp
         self._last = max(self._last, stamp)
 
     def close(self) -> None:
-        """Write what was used, not ahead of it."""
+        """Write the stamps that were used, and none beyond them."""
         self._executor.close()
         self._keep(self._last + 1, dict(self._newest))
 
     def _keep(self, own: int, newest: Mapping[Stream, int]) -> None:
         try:
             self._write(own, newest)
-        except OSError as error:  # the flight goes on: only a crash and a wall clock set back would now make an old stamp good
+        except OSError as error:  # the flight continues: only a crash and a wall clock set back could make an old stamp valid
             logging.getLogger(__name__).warning("%s: cannot be written (%s)", self._path, error.strerror)
 
     def _write(self, own: int, newest: Mapping[Stream, int]) -> None:
@@ -82,7 +97,7 @@ class SigningTimestamps:
 
 
 def _read(path: Path) -> tuple[int, dict[Stream, int]]:
-    """Our first unused stamp, and the newest of each sender."""
+    """Return our first unused stamp, and the newest of each sender."""
     if not path.exists():
         return 0, {}
     try:

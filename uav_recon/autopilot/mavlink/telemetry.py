@@ -1,4 +1,4 @@
-"""What is known of the one autopilot we fly."""
+"""Telemetry: the newest data of the one autopilot that is flown."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ from uav_recon.autopilot.mavlink.messages import ParameterValue
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.reason import Reason
 
-_BATTERY_FRESH_S = 1.0  # it is told twice a second
+_BATTERY_FRESH_S = 1.0  # it is reported twice a second
 
 
 @dataclass(slots=True)
 class Telemetry:
-    """The newest word of the autopilot. Instants are ours; -inf = never."""
+    """The newest values that the autopilot reported. Instants are on our clock; -inf = never."""
 
-    system: int = 0  # MAVLink system id of the vehicle; 0 = nobody heard
+    system: int = 0  # MAVLink system id of the vehicle; 0 = none received
     received_s: float = -math.inf
     heartbeat_s: float = -math.inf
     firmware_family: int = 0  # MAV_AUTOPILOT
     armed: bool = False
     custom_mode: int = 0
-    on_ground_s: float = -math.inf  # when its land detector said so last, unless it has said otherwise since
+    on_ground_s: float = -math.inf  # when its land detector last reported the ground, unless it has reported otherwise since
     version: tuple[int, int, int] | None = None
     estimator_good: bool = False
     prearm_good: bool = False
@@ -38,16 +38,16 @@ class Telemetry:
     refused_command: int = 0  # newest command answered with anything but "accepted" or "in progress"
     warning: str = ""  # newest text of severity warning or worse
     pose_fed_s: float = -math.inf
-    twin_heard: bool = False  # somebody else speaks with our own id
-    stranger: Reason | None = None  # why the autopilot that answers is not the one that we fly
-    doubled: bool = False  # two autopilots speak with its id: whose word is whose is not known
-    slow: bool = False  # what we say takes so long that the vehicle lags by what planned ways keep from walls
+    twin_heard: bool = False  # another sender uses our own id
+    stranger: Reason | None = None  # why the autopilot that answers is not the one that is flown
+    doubled: bool = False  # two autopilots use its id: their messages cannot be distinguished
+    slow: bool = False  # our messages are too late: the lag uses up the clearance of planned paths
     reboots: int = 0
     stale_frames: int = 0  # repeated, or overtaken by newer ones
-    clock_answers: int = 0  # given to its questions for our clock, at once
-    parameters: dict[str, ParameterValue] = field(default_factory=dict)  # those that were asked for, by name
+    clock_answers: int = 0  # prompt answers to its requests for our clock
+    parameters: dict[str, ParameterValue] = field(default_factory=dict)  # those that were requested, by name
     failure: Reason | None = None  # why the byte link failed last
 
     def battery_at(self, now_s: float) -> float:
-        """Share that is left, NaN where it is not told (any more)."""
+        """Return the remaining share of the battery, NaN if it is not reported (any more)."""
         return self.battery_fraction if now_s - self.battery_s <= _BATTERY_FRESH_S else math.nan

@@ -1,4 +1,4 @@
-"""flight.tlog: every frame of both directions behind its time, written beside the loop, never by it."""
+"""flight.tlog: every frame of both directions with its time, written by its own thread."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ _STAMP = struct.Struct(">Q")
 
 
 class FrameLog(Protocol):
-    """Where the link puts what it sent and received."""
+    """Log of the frames that the link sent and received."""
 
     def record(self, now_s: float, frame: bytes) -> None:
-        """Note one frame at an instant of the injected clock. Never blocks, never raises."""
+        """Log one frame at an instant of the injected clock. Never blocks, never raises."""
         ...
 
 
 class NoLog:
-    """Keeps nothing."""
+    """A log that stores nothing."""
 
     def record(self, now_s: float, frame: bytes) -> None:
-        """Forget it."""
+        """Discard the frame."""
 
 
 class Tlog:
@@ -31,7 +31,7 @@ class Tlog:
 
     epoch_s is added to the injected clock: time.time() - clock.now_s() in flight, a constant in lockstep.
     The queue is bounded and drops its oldest frame; ``dropped`` counts them. A full disk ends the log, not the flight:
-    ``failure`` then says why. Raises OSError if the file cannot be opened.
+    ``failure`` then holds the reason. Raises OSError if the file cannot be opened.
     """
 
     def __init__(self, path: Path, epoch_s: float, capacity_frames: int = 8192) -> None:
@@ -49,24 +49,24 @@ class Tlog:
 
     @property
     def dropped(self) -> int:
-        """Frames lost so far: recorded, but neither waiting nor written."""
+        """Number of lost frames: recorded, but neither queued nor written."""
         return self._recorded - self._written - len(self._queue)
 
     @property
     def gaps(self) -> str:
-        """What is missing from it, '' for nothing."""
+        """Description of the gaps in the log, '' for nothing."""
         lost = f"{self.dropped} frames are missing from the flight's log" if self.dropped else ""
         return f"{self.failure}: {lost}" if self.failure and lost else self.failure or lost
 
     def record(self, now_s: float, frame: bytes) -> None:
-        """Note one frame."""
+        """Log one frame."""
         self._queue.append(_STAMP.pack(int((now_s + self._epoch_s) * 1e6)) + frame)
         self._recorded += 1
         if len(self._queue) > self._hurry:  # otherwise the writer wakes by itself, a few times a second
             self._wake.set()
 
     def close(self) -> None:
-        """Write what waits, and end."""
+        """Write what is queued, and end."""
         self._closing = True
         self._wake.set()
         self._thread.join(timeout=5.0)

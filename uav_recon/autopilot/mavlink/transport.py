@@ -1,4 +1,4 @@
-"""Byte links to an autopilot: a UDP socket or a serial line, neither of which ever blocks the loop."""
+"""Byte links to an autopilot: UDP and serial. Neither ever blocks the loop."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from uav_recon.autopilot.mavlink.allow_list import AllowListFilter
 from uav_recon.interfaces import ByteLink, Clock
 from uav_recon.types.link_url import BAUDS, EVERYWHERE
 
-PEER_SILENT_S = 3.0  # by then the pilot has given up a flight: only now may the vehicle speak from another address
+PEER_SILENT_S = 3.0  # by then the pilot has given up a flight: only after it may the vehicle use another address
 _READ_BUDGET = 1 << 16
-_LOOK_AGAIN_S = 0.1  # a look costs microseconds, and until the line is back nobody holds the vehicle
+_LOOK_AGAIN_S = 0.1  # opening costs microseconds, and without the line the vehicle is not controlled
 
 
 class LinkError(Exception):
@@ -25,10 +25,10 @@ class LinkError(Exception):
 
 
 def open_link(url: str, gate: AllowListFilter, clock: Clock, peer_host: str | None = None) -> ByteLink:
-    """Open ``udp:HOST:PORT`` (listens there) or ``serial:DEVICE:BAUD``. Raises LinkError with one line.
+    """Open ``udp:HOST:PORT`` (listens there) or ``serial:DEVICE:BAUD``.
 
-    gate: whose first heartbeat makes its sender the peer of a UDP link. peer_host: the only host that may become it; None is
-    this machine. A serial line has one other end.
+    gate: its first valid heartbeat makes the sender the peer of a UDP link. peer_host: the only host that may become the peer;
+    None is this machine. A serial line has only one other end. Raises LinkError with one line.
     """
     kind, _, rest = url.partition(":")
     place, _, number = rest.rpartition(":")
@@ -38,10 +38,11 @@ def open_link(url: str, gate: AllowListFilter, clock: Clock, peer_host: str | No
 
 
 class UdpLink:
-    """Listens on one address and speaks with one peer: whoever sent the first datagram that the gate knows as the vehicle's.
+    """Listens on one address and exchanges data with one peer.
 
-    Another takes its place only after the peer was silent for PEER_SILENT_S. What others send is dropped and told to the gate.
-    Before there is a peer, what is written goes nowhere.
+    The peer is the sender of the first datagram with a heartbeat that the gate accepts as the vehicle's. Another sender becomes
+    the peer only after the peer was silent for PEER_SILENT_S. Data of other senders is dropped and reported to the gate. Before
+    there is a peer, written data is discarded.
     """
 
     def __init__(self, host: str, port: int, gate: AllowListFilter, clock: Clock, peer_host: str | None = None) -> None:
@@ -62,7 +63,10 @@ class UdpLink:
             raise LinkError(f"link udp:{host}:{port}: {error.strerror or error}") from None
 
     def read(self) -> bytes:
-        """The peer's datagrams, of at most 64 KiB that arrived a call. Raises OSError if the socket is closed."""
+        """Return the peer's datagrams; at most 64 KiB of received data are read per call.
+
+        Raises OSError if the socket is closed.
+        """
         parts, size = [], 0
         while size < _READ_BUDGET:
             try:
@@ -100,7 +104,7 @@ class UdpLink:
             self.dropped_writes += 1
 
     def wait(self, timeout_s: float) -> None:
-        """Block until a datagram is there or the time is over."""
+        """Block until a datagram is available or the timeout ends."""
         select.select([self._socket], [], [], max(timeout_s, 0.0))
 
     def close(self) -> None:
@@ -109,10 +113,13 @@ class UdpLink:
 
 
 class SerialLink:
-    """A serial line, raw, eight bits, exclusive. One that goes is looked for ten times a second, and opened once it is back."""
+    """A raw serial line, eight bits, exclusive.
+
+    A line that disappears is checked ten times a second and opened when it is back.
+    """
 
     def __init__(self, device: str, baud: int, clock: Clock) -> None:
-        """Raises LinkError for a line that is not there to begin with, or is none."""
+        """Open the line. Raises LinkError if it does not exist or is no serial line."""
         if baud not in BAUDS:
             raise LinkError(f"link serial:{device}:{baud}: baud must be one of {', '.join(map(str, BAUDS))}")
         self._device, self._speed, self._clock = device, getattr(termios, f"B{baud}"), clock
@@ -124,7 +131,7 @@ class SerialLink:
             raise LinkError(f"link serial:{device}:{baud}: {error.strerror}") from None
 
     def read(self) -> bytes:
-        """Bytes that arrived, at most 64 KiB. Raises OSError while the device is gone."""
+        """Return received bytes, at most 64 KiB. Raises OSError while the device is gone."""
         file = self._line()
         self._flush(file)
         try:
@@ -140,8 +147,10 @@ class SerialLink:
         return data
 
     def write(self, data: bytes) -> None:
-        """Send. A frame that does not fit behind what still waits is dropped whole and counted. Raises OSError while the
-        device is gone.
+        """Send the bytes.
+
+        A frame that does not fit behind what still waits is dropped as a whole and counted. Raises OSError while the device is
+        gone.
         """
         file = self._line()
         self._flush(file)
@@ -152,7 +161,7 @@ class SerialLink:
         self._flush(file)
 
     def _line(self) -> int:
-        """The open device; looks for it if it went. Raises OSError."""
+        """Return the open device; reopen it if it disappeared. Raises OSError."""
         if self._file is None:
             if self._clock.now_s() < self._look_s + _LOOK_AGAIN_S:
                 raise OSError(errno.ENODEV, os.strerror(errno.ENODEV))
@@ -161,7 +170,7 @@ class SerialLink:
         return self._file
 
     def _lose(self) -> None:
-        """What waited was for a line that is no more."""
+        """Close the line and discard what waited for it."""
         self.close()
         self._pending.clear()
         self._look_s = self._clock.now_s()
@@ -178,7 +187,7 @@ class SerialLink:
             raise
 
     def wait(self, timeout_s: float) -> None:
-        """Block until bytes are there or the time is over."""
+        """Block until bytes are available or the timeout ends."""
         select.select([] if self._file is None else [self._file], [], [], max(timeout_s, 0.0))
 
     def close(self) -> None:
@@ -189,7 +198,7 @@ class SerialLink:
 
 
 def _opened(device: str, speed: int) -> int:
-    """The file number of a line that is raw and ours alone. Raises OSError."""
+    """Return the file descriptor of a raw line, opened exclusively. Raises OSError."""
     file = os.open(device, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
     try:
         fcntl.ioctl(file, termios.TIOCEXCL)
@@ -201,14 +210,14 @@ def _opened(device: str, speed: int) -> int:
 
 
 def _hung_up(file: int) -> bool:
-    """Whether nothing is to be had of it ever again."""
+    """Return True if the device is gone for ever."""
     poll = select.poll()
-    poll.register(file, 0)  # a hang-up is told in any case
+    poll.register(file, 0)  # a hang-up is reported in any case
     return bool(poll.poll(0))
 
 
 def _make_raw(file: int, speed: int) -> None:
-    """cfmakeraw(3) by hand: no echo, no line editing, no flow control, 8N1."""
+    """Set the line like cfmakeraw(3): no echo, no line editing, no flow control, 8N1."""
     attributes = termios.tcgetattr(file)
     control = termios.CREAD | termios.CLOCAL | termios.CS8
     termios.tcsetattr(file, termios.TCSANOW, [0, 0, control, 0, speed, speed, attributes[6]])

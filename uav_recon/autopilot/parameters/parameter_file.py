@@ -1,4 +1,6 @@
-"""The parameters that a vehicle is to have: a file in its ground station's own format, and the reasons in the README.
+"""Required parameters of a vehicle: a file in its ground station's format.
+
+The README of the folder gives a reason for each.
 
 `.params` is QGroundControl's (vehicle, component, name, value and MAV_PARAM_TYPE between tabs), `.param` Mission Planner's
 (name and value with a comma between them).
@@ -27,7 +29,10 @@ class ParameterFileError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class ParameterReason:
-    """A row of the README. refused: nothing is armed while the vehicle has another value. reboot: a change needs one."""
+    """An entry of the README's table.
+
+    refused: arming is refused while the vehicle has another value. reboot: a change needs one.
+    """
 
     value: str
     unit: str
@@ -38,7 +43,7 @@ class ParameterReason:
 
 @dataclass(frozen=True, slots=True)
 class RequiredParameter:
-    """A parameter and the value it is to have."""
+    """A parameter and its required value."""
 
     name: str
     value: float
@@ -46,9 +51,9 @@ class RequiredParameter:
 
 
 def load(path: Path) -> tuple[RequiredParameter, ...]:
-    """Every parameter of a file, in its order. Raises ParameterFileError.
+    """Return every parameter of a file, in its order. Raises ParameterFileError.
 
-    A name without a row in the README is somebody's own: it is to be met before arming too.
+    A name without an entry in the README is user-defined: it must be met before arming too.
     """
     read_line = {".params": _qgroundcontrol, ".param": _mission_planner}.get(path.suffix)
     if read_line is None:
@@ -59,7 +64,7 @@ def load(path: Path) -> tuple[RequiredParameter, ...]:
 
 
 def load_reasons(path: Path = REASONS) -> dict[str, ParameterReason]:
-    """The rows of the README by name. Raises ParameterFileError."""
+    """Return the entries of the README by name. Raises ParameterFileError."""
     rows: dict[str, ParameterReason] = {}
     for number, line in enumerate(_lines(path), start=1):
         cells = [cell.strip() for cell in line.strip().strip("|").split("|")]

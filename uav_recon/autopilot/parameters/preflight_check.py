@@ -1,4 +1,4 @@
-"""Whether the vehicle has the parameters that the flight relies on: read back before arming, again and again."""
+"""Check of the vehicle's parameters before arming, repeated periodically."""
 
 from __future__ import annotations
 
@@ -11,11 +11,14 @@ from uav_recon.autopilot.parameters.reader import ParameterEncoding, ParameterRe
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
 
-_AGAIN_S, _FAULT_AGAIN_S = 30.0, 3.0  # a person at a ground station may change, or mend, any of them
+_AGAIN_S, _FAULT_AGAIN_S = 30.0, 3.0  # a person at a ground station may change, or correct, any of them
 
 
 class ParameterCheck:
-    """Reads back what must be met before arming, and heeds what is told of it in flight; what may differ is not asked for."""
+    """Reads back the parameters that must be met before arming, and monitors changes in flight.
+
+    Parameters that may differ are not requested.
+    """
 
     def __init__(self, wanted: tuple[RequiredParameter, ...], form: ParameterEncoding) -> None:
         self._wanted, self._form = tuple(one for one in wanted if one.reason.refused), form
@@ -25,7 +28,10 @@ class ParameterCheck:
         self._changed: Reason | None = None
 
     def missing(self, now_s: float, link: VehicleLink) -> Reason | None:
-        """What speaks against arming, None for nothing. To be asked every turn on the ground; it never blocks."""
+        """Return what prevents arming, None for nothing.
+
+        Call it every step on the ground; it never blocks.
+        """
         t = link.telemetry
         if t.system == 0:
             return Reason(ReasonCode.NO_AUTOPILOT_PARAMETERS)
@@ -43,7 +49,10 @@ class ParameterCheck:
         return self._reason(faulty, link) if faulty else None
 
     def changed(self, link: VehicleLink) -> Reason | None:
-        """What somebody has changed in flight, None for nothing. Nothing is asked: a firmware tells everybody of a change."""
+        """Return what was changed in flight, None for nothing.
+
+        Nothing is requested: a firmware reports a change to everybody.
+        """
         if (told := link.telemetry.parameters) != self._heeded:
             self._heeded = dict(told)
             faulty = [one for one in self._faulty(link) if one.name in told]
@@ -70,12 +79,12 @@ class ParameterCheck:
 
 
 class NoParameterCheck:
-    """For whoever answers for the parameters himself."""
+    """For a user who is responsible for the parameters himself."""
 
     def missing(self, now_s: float, link: VehicleLink) -> Reason | None:
-        """Nothing."""
+        """Return ''."""
         return None
 
     def changed(self, link: VehicleLink) -> Reason | None:
-        """Nothing."""
+        """Return ''."""
         return None

@@ -1,4 +1,4 @@
-"""The firmware's parameters as it tells them: numbers on the wire and what they mean, and asking for many by name."""
+"""Reading of firmware parameters: encodings on the wire, and requests of many by name."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from uav_recon.autopilot.mavlink.messages import ParameterValue
 
 _REAL32 = 9  # MAV_PARAM_TYPE
 _INT, _FLOAT = struct.Struct("<i"), struct.Struct("<f")
-WINDOW, PATIENCE_S, TRIES = 8, 0.5, 8  # questions under way; for an answer; for one parameter, with one datagram in five lost
+WINDOW, PATIENCE_S, TRIES = 8, 0.5, 8  # max. requests at once; timeout; tries per parameter, with one datagram in five lost
 
 
 @dataclass(frozen=True, slots=True)
 class ParameterEncoding:
-    """How a firmware puts values into the float of PARAM_VALUE and PARAM_SET.
+    """Encoding of values in the float of PARAM_VALUE and PARAM_SET.
 
-    value_of: what was told; number_of: the float for a value of a MAV_PARAM_TYPE. Raises ValueError for one that it cannot
-    hold.
+    value_of: the value of a message. number_of: the float for a value of a MAV_PARAM_TYPE; raises ValueError for one that it
+    cannot hold.
     """
 
     value_of: Callable[[ParameterValue], float]
@@ -51,35 +51,38 @@ def _whole(value: float) -> int:
 
 
 BYTEWISE = ParameterEncoding(_from_bytes, _to_bytes)  # PX4: the bytes of an INT32 stand where a float is expected
-NUMERIC = ParameterEncoding(lambda told: told.number, _to_number)  # ArduPilot: everything is the float that it is
+NUMERIC = ParameterEncoding(lambda told: told.number, _to_number)  # ArduPilot: every value is sent as a float
 
 
 def equal(a: float, b: float) -> bool:
-    """Whether two values are the same to a float of 32 bits."""
+    """Return True if two values are equal to the precision of a 32-bit float."""
     return math.isclose(a, b, rel_tol=1e-6, abs_tol=1e-9)
 
 
 class ParameterReader:
-    """Asks for parameters by name, a few at a time; each until it is answered or was asked in vain too often."""
+    """Requests parameters by name, a few at a time.
+
+    Each is requested until it is answered or was requested too often.
+    """
 
     def __init__(self, names: Iterable[str]) -> None:
         self._waiting = list(names)
         self._total = len(self._waiting)
-        self._asked: dict[str, tuple[int, float, ParameterValue | None]] = {}  # tries, when last, what was known before
+        self._asked: dict[str, tuple[int, float, ParameterValue | None]] = {}  # tries, last instant, value known before
         self.silent: list[str] = []
 
     @property
     def done(self) -> bool:
-        """Whether nothing is asked any more."""
+        """True if no request is left."""
         return not self._waiting and not self._asked
 
     @property
     def progress(self) -> tuple[int, int]:
-        """How many have been answered or given up, and how many there are."""
+        """Return the number answered or given up, and the total."""
         return self._total - len(self._waiting) - len(self._asked), self._total
 
     def step(self, now_s: float, link: VehicleLink) -> None:
-        """Take what was answered, ask what is due. The answers stand in the link's telemetry."""
+        """Process answers and send due requests. The answers are in the link's telemetry."""
         for name, (tries, asked_s, before) in list(self._asked.items()):
             if link.telemetry.parameters.get(name) is not before:
                 del self._asked[name]

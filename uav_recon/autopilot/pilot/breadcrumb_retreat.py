@@ -1,4 +1,4 @@
-"""The way back without a mission: where the vehicle has been, slowly, nose first."""
+"""Retreat without a mission: slowly along the breadcrumbs of the flight, nose first."""
 
 from __future__ import annotations
 
@@ -10,26 +10,26 @@ from uav_recon.types.frames import FloatArray
 from uav_recon.types.pose import Pose
 from uav_recon.types.trajectory import Setpoint, Trajectory
 
-IDENTIFIER = -2  # of the pilot's own trajectory; a mission counts from one
+IDENTIFIER = -2  # identifier of the pilot's own trajectory; a mission counts from one
 
 _APART_M = 0.2
-_MAX = 5000  # a kilometre; beyond it the older half is forgotten
-_LONGEST_S = 60.0  # of a way: a retreat ends in a landing after land_timeout_s, which is no longer than this
+_MAX = 5000  # a kilometre; beyond it the older half is dropped
+_LONGEST_S = 60.0  # max. duration of a path: a retreat ends in a landing after land_timeout_s, which is not longer than this
 _STEP_S = 0.05
 _SMOOTH_S = 0.4  # width of each of two box averages: speed over width bounds the acceleration
-_SHARE = 0.9  # of the speed allowed: what sampling adds
-_TURNING = 2  # times slower until the nose points where it goes: over where it came from a moment ago
+_SHARE = 0.9  # share of the allowed speed: sampling adds the rest
+_TURNING = 2  # factor by which it is slower until the nose points ahead; until then it flies where it has just been
 _TURN_RADPS = 0.7
 
 
 class Breadcrumbs:
-    """Places (odom, m) where the vehicle was in flight, and the way back along them."""
+    """Positions (odom, m) of the vehicle in flight, and the path back along them."""
 
     def __init__(self) -> None:
         self._places_m, self._count = np.empty((_MAX, 3)), 0  # oldest first
 
     def drop(self, odom_from_body: Pose) -> None:
-        """Note where the vehicle is."""
+        """Record the vehicle's position."""
         place_m, places_m, count = odom_from_body.translation_m, self._places_m, self._count
         if count and math.hypot(*(place_m - places_m[count - 1]).tolist()) <= _APART_M:
             return
@@ -40,24 +40,29 @@ class Breadcrumbs:
         self._count = count + 1
 
     def forget(self) -> None:
-        """Odom itself jumped: these places are others now."""
+        """Forget all positions after a jump of odom."""
         self._count = 0
 
     def way_back(
         self, rest: Setpoint, height_m: float, start_s: float, speed_mps: float, map_epoch: int, nose_first: bool
     ) -> Trajectory:
-        """From rest back towards the first crumb at a height or above it, as far as can be flown before it lands, at rest
-        there; just a hold if there is none.
+        """Return a trajectory from rest back towards the first crumb at a height or above it.
 
-        nose_first: turned to where it goes, so that depth sees the way; otherwise the heading is kept. Loops are cut out, and
-        so is the part that an earlier way back has flown. Corners are rounded by two box averages, so place, velocity and
-        heading stay continuous. It is made within a turn of the pilot's loop, so what it costs does not grow with the flight.
+        It covers the part that can be flown before the landing, and ends at rest; it is a hold if there is no crumb.
+
+        nose_first: turn into the direction of flight, so that depth sees the path; otherwise the heading is kept. Loops are cut
+        out, and so is the part that an earlier path back has flown. Corners are rounded by two box averages, so position,
+        velocity and heading are continuous. It is computed within a step of the pilot's loop, so its cost does not grow with
+        the flight.
         """
         corners = self._corners(rest.position_m, height_m, _SHARE * speed_mps * _LONGEST_S)
         return flown(corners, rest, start_s, speed_mps, map_epoch, nose_first, IDENTIFIER)
 
     def _corners(self, place_m: FloatArray, height_m: float, max_m: float) -> FloatArray:
-        """From a place (3,), newest first, without loops and without the climb, until they are max_m long: (N, 3)."""
+        """Return corners (N, 3) from a position (3,), newest first, without loops and the climb.
+
+        They end at a length of max_m.
+        """
         places_m = self._places_m[: self._count]
         high = places_m[:, 2] >= height_m
         places_m = places_m[int(np.argmax(high)) if high.any() else len(places_m) :]
@@ -75,8 +80,9 @@ class Breadcrumbs:
 def flown(
     corners: FloatArray, rest: Setpoint, start_s: float, max_speed_mps: float, map_epoch: int, nose_first: bool, identifier: int
 ) -> Trajectory:
-    """Corners (N, 3) a little below max_speed_mps, slower while it turns towards the first leg, smoothed. It goes at once: who
-    waits for the turn begins late.
+    """Return a smoothed trajectory along corners (N, 3) at a little below max_speed_mps.
+
+    It is slower while it turns towards the first leg. It starts at once: waiting for the turn would delay it.
     """
     speed_mps = _SHARE * max_speed_mps
     along_m = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(corners, axis=0), axis=1))])
@@ -105,7 +111,10 @@ def flown(
 
 
 def _bearings(line: FloatArray, yaw_rad: float) -> list[float]:
-    """Where each place of a line (M, 3) has the next; as before where the way is steep, or over."""
+    """Return the bearing from each position of a line (M, 3) to the next.
+
+    It is the one before where the path is steep, or at its end.
+    """
     out = []
     for x, y, z in np.diff(line, axis=0).tolist():
         yaw_rad = math.atan2(y, x) if math.hypot(x, y) > abs(z) else yaw_rad
@@ -114,7 +123,7 @@ def _bearings(line: FloatArray, yaw_rad: float) -> list[float]:
 
 
 def _followed(bearings: list[float], yaw_rad: float) -> list[float]:
-    """Headings after these bearings, unwrapped, turning no faster than _TURN_RADPS."""
+    """Return headings that follow these bearings, unwrapped, no faster than _TURN_RADPS."""
     out, max_rad = [], _TURN_RADPS * _STEP_S
     for bearing in bearings:
         yaw_rad += min(max(math.remainder(bearing - yaw_rad, math.tau), -max_rad), max_rad)

@@ -1,4 +1,7 @@
-"""Whose vehicle it is: ours from the mode we asked for until anybody else's will shows, and then never again."""
+"""Control authority: whether the vehicle is ours.
+
+It is ours from the mode that we requested until anybody else intervenes, and then never again.
+"""
 
 from __future__ import annotations
 
@@ -17,13 +20,14 @@ IN_THE_AIR = (FlightPhase.FLYING, FlightPhase.LANDING)
 
 _LATE_ARM_S = 5.0
 _LINK_LOST_S = 3.0
-_BACK_S = 1.0  # after a mode that was not ours: so soon no human gives the vehicle back
+_BACK_S = 1.0  # after a mode that was not ours: no human gives the vehicle back this soon
 
 
 @dataclass(frozen=True, slots=True)
 class ControlLoss:
-    """The phase that the flight is in because of somebody else, and why. abandoned: nobody flies it now, so the autopilot is
-    to take us for dead and to land by itself.
+    """The phase of the flight after an intervention, and the reason.
+
+    abandoned: no one flies the vehicle now, so our heartbeats stop and the autopilot lands by itself.
     """
 
     phase: FlightPhase
@@ -32,7 +36,10 @@ class ControlLoss:
 
 
 class ControlAuthority:
-    """The ownership token. Whatever we did not ask for is somebody else's will: yield, or accept the autopilot's landing."""
+    """Monitors who controls the vehicle.
+
+    Everything that we did not request is the intervention of somebody else: yield, or accept the autopilot's landing.
+    """
 
     def __init__(self, firmware: FirmwareProfile) -> None:
         self._firmware = firmware
@@ -41,16 +48,17 @@ class ControlAuthority:
         self._yielded_s = math.inf
 
     def asked_to_arm(self, now_s: float) -> None:
-        """Motors that start within a while are ours."""
+        """Record a request to arm: motors that start within a few seconds are ours."""
         self._arm_asked_s = now_s
 
     def motors_may_start(self, now_s: float) -> bool:
-        """Whether that while is not over."""
+        """Return True while that time is not over."""
         return now_s - self._arm_asked_s < _LATE_ARM_S
 
     def watch(self, phase: FlightPhase, t: Telemetry, now_s: float) -> ControlLoss | None:
-        """What the autopilot's state means for the phase we are in, None for nothing. Motors are ours only in the attempt that
-        asked for them.
+        """Return the consequence of the autopilot's state for the present phase, None for nothing.
+
+        Motors are ours only in the attempt that requested them.
         """
         rebooted, self._reboots = t.reboots != self._reboots, t.reboots
         if phase in _IDLE:
@@ -77,13 +85,17 @@ class ControlAuthority:
         return None
 
     def given_back(self, t: Telemetry, now_s: float) -> Reason | None:
-        """What a human has to know who chose our mode again, None if none did: it is not taken up."""
+        """Return a message for a human who selected our mode again, None for nothing.
+
+        Control is not taken again.
+        """
         ours = t.armed and self._firmware.is_ours(t.custom_mode) and now_s - self._yielded_s > _BACK_S
         return Reason(ReasonCode.CONTROL_RETURNED, (self._firmware.mode_name(t.custom_mode),)) if ours else None
 
     def operator_lost(self, t: Telemetry, now_s: float) -> ControlLoss | None:
-        """Of a vehicle that was yielded: where the mode that it was yielded to was forged, nobody flies it. A human's mode
-        outlives our heartbeats.
+        """Check a vehicle that was yielded: if the mode that caused it was forged, no one flies it.
+
+        A mode that a human chose stays without our heartbeats.
         """
         self._yielded_s = min(self._yielded_s, now_s)
         if t.stranger or t.doubled:
@@ -95,5 +107,5 @@ class ControlAuthority:
 
 
 def yielded(*why: Reason, abandoned: bool = False) -> ControlLoss:
-    """Never ours again."""
+    """Return the loss of control for the rest of the flight."""
     return ControlLoss(FlightPhase.YIELDED, Reason(ReasonCode.CONTROL_RELEASED, details=why), abandoned)

@@ -1,5 +1,7 @@
-"""The last rung that is ours: ask for LAND until it is seen, then leave it alone until the motors stop. Asked for in vain, the
-landing is the firmware's, whose own failsafe lands what nobody flies.
+"""Landing: the last action that is ours.
+
+It requests LAND until the mode shows it, and then waits until the motors stop. If the requests have no effect, the firmware's
+own failsafe lands a vehicle that no one flies.
 """
 
 from __future__ import annotations
@@ -14,19 +16,20 @@ from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.vehicle import FlightPhase
 
-_AGAIN_S = 0.7  # a fifth of all frames may be lost, the answer late; a human's mode is seen before we ask again in any case
-_MODE_FRESH_S, _MODE_WAIT_S = 0.05, 0.1  # an operator who asks to land waits for no more than 0.15 s
+_AGAIN_S = 0.7  # a fifth of all frames may be lost, the answer late; a human's mode is always seen before the next request
+_MODE_FRESH_S, _MODE_WAIT_S = 0.05, 0.1  # an operator who asks to land waits for 0.15 s at most
 _HEARD_S = 0.5  # a human may have taken over unseen in a longer silence
 _IN_VAIN_S = 5.0  # seven requests, and the answer to the last
 _GROUND_FRESH_S = 0.5
 _STUCK_S, _STILL_M = 10.0, 0.05
-_WANDER_MPS = 0.03  # an estimate's own at rest; a landing comes down ten times as fast
+_WANDER_MPS = 0.03  # drift of an estimate at rest; a landing descends ten times as fast
 
 
 class Landing:
-    """There is no way back up. ``seen``: the autopilot lands, and wants no more setpoints. ``alert``: what a human has to
-    know, or see to: the motors are never stopped from here, but of a vehicle that has not ``lifted`` and whose autopilot says
-    so too.
+    """The landing of a flight; it cannot be taken back.
+
+    ``seen``: the autopilot lands, and needs no more setpoints. ``alert``: what a human has to know or do. The motors are never
+    stopped from here, except those of a vehicle that has not ``lifted`` and whose autopilot reports the ground too.
     """
 
     def __init__(self, seen: bool, lifted: bool = True) -> None:
@@ -38,7 +41,10 @@ class Landing:
         self.alert: Reason | None = None
 
     def step(self, link: VehicleLink, now_s: float) -> ControlLoss | None:
-        """None while it lasts; LANDED, or YIELDED when somebody chose another mode, or the autopilot does not heed us."""
+        """Return None while it lasts, LANDED at its end, or YIELDED.
+
+        YIELDED: somebody chose another mode, or the autopilot does not react to our requests.
+        """
         t, firmware = link.telemetry, link.firmware
         if not t.armed:
             return ControlLoss(FlightPhase.LANDED, None)
@@ -65,9 +71,9 @@ class Landing:
         return None
 
     def _watch_descent(self, height_m: float, now_s: float) -> None:
-        """A landing that does not come down any more, and is not over.
+        """Detect a landing that no longer descends and has not ended.
 
-        The height held against follows slowly: it is one of the last on the way down, or the estimate wanders.
+        The reference height follows slowly: it is one of the last of the descent, or the estimate drifts.
         """
         off_m, follows_m = height_m - self._height_m, _WANDER_MPS * max(now_s - self._watched_s, 0.0)
         self._watched_s = now_s
@@ -79,8 +85,9 @@ class Landing:
             self.alert = Reason(ReasonCode.LANDING_NOT_ENDING)
 
     def _mode_is_current(self, t: Telemetry, now_s: float) -> bool:
-        """Whether no human can have taken over unseen: the mode was told this instant, or is not told often; and since the last
-        silence and request.
+        """Return True if no human can have taken over unseen.
+
+        The mode was reported this instant, or is not reported often; and it was reported after the last silence and request.
         """
         if now_s - t.received_s > _HEARD_S:
             self._deaf_s = now_s

@@ -1,5 +1,6 @@
-"""What makes a motion unfit to be flown before anybody asks where it leads: shapes, numbers, rest at its end; and what is said
-of the space around unfit to be asked.
+"""Validation of messages from other processes: trajectories, free space and range grids.
+
+Shapes, numbers, and rest at the end of a motion are checked before anything else uses them.
 """
 
 from __future__ import annotations
@@ -16,11 +17,11 @@ from uav_recon.types.trajectory import Trajectory
 
 _REST_MPS = 0.05
 _LARGEST = 1e6  # m, m/s, m/s², rad, rad/s: no flight needs more, and no arithmetic overflows below it
-_FINEST_M, _COARSEST_M = 0.01, 2.0  # of known-free space
+_FINEST_M, _COARSEST_M = 0.01, 2.0  # voxel edge of known-free space
 
 
 def trajectory_fault(trajectory: Trajectory) -> Reason | None:
-    """What makes a trajectory unfit to be sampled, None if it is sound."""
+    """Return why a trajectory cannot be sampled, None if it can."""
     count = len(trajectory.yaw_rad) if trajectory.yaw_rad.ndim == 1 else 0
     vectors = (trajectory.position_m, trajectory.velocity_mps, trajectory.acceleration_mps2)
     scalars = (trajectory.yaw_rad, trajectory.yaw_rate_radps, trajectory.camera_pitch_down_rad)
@@ -38,7 +39,10 @@ def trajectory_fault(trajectory: Trajectory) -> Reason | None:
 
 
 def is_valid_free_space(space: FreeSpace) -> bool:
-    """Whether known-free space makes sense: a grid of voxels that a hull can be compared with, and a bit for each."""
+    """Return True if known-free space is valid.
+
+    It is a grid of voxels of a size comparable with a hull, and has a bit for each.
+    """
     grid, bits = space.grid, space.bits
     if grid.origin_world_m.shape != (3,) or not bool((np.abs(grid.origin_world_m) <= _LARGEST).all()):
         return False
@@ -48,6 +52,6 @@ def is_valid_free_space(space: FreeSpace) -> bool:
 
 
 def is_valid_range_grid(nearby: MinRangeGrid) -> bool:
-    """Whether what is near makes sense: cells in rows and columns, in a field of view that has a width and a height."""
+    """Return True if a range grid has rows and columns of cells, and a field of view."""
     cells, (wide, high) = nearby.range_m, nearby.half_tan
     return cells.ndim == 2 and cells.size > 0 and 0.0 < wide <= _LARGEST and 0.0 < high <= _LARGEST

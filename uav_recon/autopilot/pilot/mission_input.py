@@ -1,4 +1,4 @@
-"""What the mission wants of the pilot, as long as it may be listened to."""
+"""Input from the mission, while the mission is not silent."""
 
 from __future__ import annotations
 
@@ -15,20 +15,23 @@ Key = tuple[int, float]
 
 
 class MissionInput:
-    """The newest intent and its trajectory. A trajectory that was forsaken is not taken up again; ``malformed`` counts."""
+    """The newest intent and its trajectory.
+
+    A rejected trajectory is not accepted again. ``malformed`` counts malformed ones.
+    """
 
     def __init__(self, intent: Channel[Intent], fresh_s: float) -> None:
         self._channel, self._fresh_s = intent, fresh_s
         self._intent: Intent | None = None
-        self._wanted_s = -math.inf  # stamp of its last wish
-        self._rejected: Key | None = None  # malformed, turned down, or made in an odom that is no more
+        self._wanted_s = -math.inf  # stamp of its last request
+        self._rejected: Key | None = None  # malformed, rejected, or planned in an earlier odom
         self.trajectory: Trajectory | None = None
         self.news: Reason | None = None  # what it has to tell people, once: None in every other turn
         self._told: Reason | None = None
         self.malformed = 0
 
     def update(self, now_s: float) -> Reason | None:
-        """Take over the newest intent; why its trajectory cannot be flown, once, None if it can."""
+        """Read the newest intent; return why its trajectory cannot be flown, once, None if it can."""
         self.news = None
         try:
             intent = self._channel.latest()
@@ -53,27 +56,30 @@ class MissionInput:
         return fault
 
     def reject_trajectory(self) -> None:
-        """Fly this trajectory no more: the mission has to propose another one."""
-        self._rejected, self.trajectory = _key(self.trajectory) or self._rejected, None  # twice is not never
+        """Stop flying this trajectory: the mission has to propose another one."""
+        self._rejected, self.trajectory = _key(self.trajectory) or self._rejected, None  # a second call keeps the rejection
 
     def age_s(self, now_s: float) -> float:
-        """Seconds since the mission last wanted anything, infinity before the first.
+        """Return the seconds since the mission's last request, infinity before the first.
 
-        One that stands by is silent: in flight it has been started anew, and knows nothing of the flight that it is in.
+        A mission in STANDBY counts as silent: in flight it was restarted, and does not know the flight that it is in.
         """
         return now_s - self._wanted_s
 
     def operator_lost(self, now_s: float) -> bool:
-        """Whether a mission that is not silent says that nobody attends any more."""
+        """Return True if a mission that is not silent reports that the operator is lost."""
         return self._intent is not None and self.age_s(now_s) <= self._fresh_s and self._intent.operator_lost
 
     def goal(self, now_s: float) -> Goal:
-        """What a mission that is not silent wants, STANDBY otherwise."""
+        """Return the goal of a mission that is not silent, STANDBY otherwise."""
         if self._intent is None or self.age_s(now_s) > self._fresh_s:
             return Goal.STANDBY
         return self._intent.goal
 
 
 def _key(trajectory: Trajectory | None) -> Key | None:
-    """A restarted mission counts from zero again, so the start belongs to a trajectory's name."""
+    """Return the identity of a trajectory.
+
+    A restarted mission counts from zero again, so the start is part of it.
+    """
     return None if trajectory is None else (trajectory.identifier, trajectory.start_s)

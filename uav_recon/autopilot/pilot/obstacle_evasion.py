@@ -1,4 +1,4 @@
-"""Giving way: what stands in the way all of a sudden stops the vehicle, and what comes on makes it step aside."""
+"""Obstacle evasion: stop at a sudden obstacle, and give way to an approaching one."""
 
 from __future__ import annotations
 
@@ -15,51 +15,52 @@ from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.trajectory import Setpoint, Trajectory
 
-IDENTIFIER = -3  # of the step aside
+IDENTIFIER = -3  # identifier of the step aside
 
 _FRESH_S = 0.5
-_MANY_CELLS = 8  # less of it has to be seen twice, so soon after each other: one picture alone may err
-_STOP_M = 1.6  # of the body's centre from what was not there: nearer, nothing is flown on
-_COMING_MPS = 0.25  # nearer by so much a second
-_HEED_M = 2.5  # what comes on from farther off is let come
+_MANY_CELLS = 8  # with fewer cells it must be seen twice within _FRESH_S: one frame alone may be wrong
+_STOP_M = 1.6  # distance of the body's centre from a sudden obstacle within which the vehicle stops
+_COMING_MPS = 0.25  # min. approach speed
+_HEED_M = 2.5  # an approaching obstacle farther away is ignored
 _STEP_M, _STEP_MPS = 1.2, 0.5
 _LATE_S = 0.5  # its motion is smoothed, and followed with a lag
-_PASS_M = 0.4  # of the body's centre, which is a hull and an error: nearer, it leads into what comes
-_ROOMS_M = ((0.20, 0.10), (0.10, 0.03), (0.0, 0.0))  # beside the hull, inside the inset: plans', ways back's, the guard's
-_AFTER_S = 1.0  # after the step nothing is taken up for so long
+_PASS_M = 0.4  # min. passing distance of the body's centre, which is hull and error: below it a step leads into the obstacle
+_ROOMS_M = ((0.20, 0.10), (0.10, 0.03), (0.0, 0.0))  # clearance beside the hull, inside the inset: plans, paths back, guard
+_AFTER_S = 1.0  # after the step no trajectory is flown for this time
 _AHEAD_S = np.linspace(0.2, 4.0, 20)
 _WAYS = 16
 _AROUND = np.array([(0.0, 0.0, 0.0), *((math.cos(a), math.sin(a), 0.0) for a in np.arange(8) * math.tau / 8)])
 
 
 class ObstacleEvasion:
-    """One flight's. hear() once for each intruder; the rest may be asked at any time."""
+    """The evasion of one flight. Call update() once per obstacle; the other methods at any time."""
 
     def __init__(self, guard: Guard) -> None:
         self._guard = guard
         self._heard: list[SuddenObstacle] = []
 
     def update(self, intruder: SuddenObstacle | None) -> None:
-        """What the newest depth frame showed, None for nothing."""
+        """Add the obstacle in the newest depth frame, None for nothing."""
         if intruder is not None and not (self._heard and self._heard[-1] is intruder):
             self._heard = [*self._heard[-3:], intruder]
 
     def stops(self, now_s: float) -> bool:
-        """Whether something is near that was not there before, or comes on."""
+        """Return True if something near was not there before, or approaches."""
         if not self._heard or not self._fresh(now_s) or not self._is_sure():
             return False
         away_m = [one.away_m for one in self._heard[-2:]]
         return away_m[-1] <= _STOP_M or (away_m[-1] <= _HEED_M and self._nearer_mps(away_m, now_s) >= _COMING_MPS)
 
     def why(self) -> Reason:
-        """What stops it."""
+        """Return the reason why the vehicle stops."""
         return Reason(ReasonCode.NEW_OBSTACLE, (self._heard[-1].away_m if self._heard else math.nan,))
 
     def step_aside(self, rest: Setpoint, situation: GuardInputs) -> Trajectory | Reason | None:
-        """From rest out of the way of what comes on; None if nothing does, a reason if nowhere is known free.
+        """Return a trajectory from rest out of the path of an approaching obstacle.
 
-        It comes on if its places come nearer to the rest: the vehicle itself still comes nearer while it stops. Where there is
-        room it keeps that of planned ways; with none, a wall is better come near to than what comes on.
+        None if nothing approaches, a reason if no end is known free. It approaches if its positions come nearer to the rest
+        position: the vehicle itself still comes nearer while it stops. Where possible the clearance is that of planned paths;
+        otherwise it is smaller: coming near a wall is better than coming near the obstacle.
         """
         here = rest.position_m
         away_m = [_level_m(one.places_m[0], here) for one in self._heard[-2:]]
@@ -75,7 +76,7 @@ class ObstacleEvasion:
         return Reason(ReasonCode.NO_ROOM_TO_EVADE)
 
     def over(self, way: Trajectory, now_s: float) -> bool:
-        """Whether a step aside is done."""
+        """Return True if a step aside is done."""
         return now_s - way.start_s - way.duration_s >= _AFTER_S
 
     def _is_sure(self) -> bool:
@@ -87,14 +88,14 @@ class ObstacleEvasion:
         return now_s - self._heard[-1].stamp_s <= _FRESH_S
 
     def _nearer_mps(self, away_m: list[float], now_s: float) -> float:
-        """How fast it comes nearer, by how far off it was at its newest two sights; 0 where there are none."""
+        """Return the approach speed from its newest two distances; 0 without them."""
         if len(away_m) < 2 or not self._fresh(now_s):
             return 0.0
         apart_s = self._heard[-1].stamp_s - self._heard[-2].stamp_s
         return (away_m[0] - away_m[1]) / apart_s if 0.0 < apart_s <= _FRESH_S else 0.0
 
     def _may(self, here: FloatArray, end: FloatArray, room_m: float, inside_m: float, situation: GuardInputs) -> bool:
-        """Whether the ways to the end and to all around it are known free, and inside the fence."""
+        """Return True if the paths to and around the end are known free and inside the fence."""
         free, envelope, a = situation.free, self._guard.envelope, _floats(here)
         return free is not None and all(
             free.admits(a, _floats(end + room_m * out)) and envelope.admits(a, _floats(end + inside_m * out)) for out in _AROUND
@@ -106,8 +107,9 @@ def _level_m(a: FloatArray, b: FloatArray) -> float:
 
 
 def _ways_aside(here: FloatArray, places: FloatArray, coming_mps: float) -> list[FloatArray]:
-    """Ends (3,) of steps, the one that keeps farthest from what comes on first; none that leads into it: a camera that has not
-    yet looked round knows nothing free but where that comes from.
+    """Return the ends (3,) of steps, first the one that keeps farthest from the obstacle.
+
+    No step leads into the obstacle: a camera that has not yet looked round knows free space only where the obstacle comes from.
     """
     steps = [_STEP_M * np.array([math.cos(a), math.sin(a), 0.0]) for a in np.arange(_WAYS) * math.tau / _WAYS]
     pass_m = [_closest_m(here, here + step, places, coming_mps) for step in steps]
@@ -116,8 +118,9 @@ def _ways_aside(here: FloatArray, places: FloatArray, coming_mps: float) -> list
 
 
 def _closest_m(here: FloatArray, end: FloatArray, places: FloatArray, coming_mps: float) -> float:
-    """How near (m, level) something seen at places (N, 3), the nearest first, gets to one that goes from here to the end, if
-    it comes straight on and through.
+    """Return the least level distance (m) of an obstacle to a vehicle that flies to ``end``.
+
+    places: (N, 3) of the obstacle, nearest first. The obstacle is taken to come straight on and through.
     """
     to_us = (here - places[0])[:2] / max(_level_m(here, places[0]), 1e-6)
     theirs = places[:, None, :2] + np.outer(coming_mps * _AHEAD_S, to_us)

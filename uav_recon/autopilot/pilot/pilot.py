@@ -1,4 +1,4 @@
-"""The pilot: the one loop that feeds poses, asks for modes, and streams what the guard clears."""
+"""Pilot: the loop that feeds poses, requests modes, and sends what the guard clears."""
 
 from __future__ import annotations
 
@@ -40,12 +40,12 @@ _LINK_HOLD_S = 0.5
 _TICK_S = 0.01
 _ASKED = Reason(ReasonCode.STOP_REQUESTED)
 _RESET_REST_S = 1.0
-_ANEW = Reason(ReasonCode.ODOMETRY_RESTARTED)  # nor can the mission tell what of it does
+_ANEW = Reason(ReasonCode.ODOMETRY_RESTARTED)  # the mission cannot know which part of the map still fits
 
 
 @dataclass(frozen=True, slots=True)
 class PilotChannels:
-    """Where the pilot meets perception and mission."""
+    """Channels between the pilot, perception and the mission."""
 
     odom: Channel[StampedPose]
     intent: Channel[Intent]
@@ -56,7 +56,7 @@ class PilotChannels:
 
 @dataclass(frozen=True, slots=True)
 class HullGeometry:
-    """What the pilot must know of the vehicle and its flight: the hull (m), the hover over the pad (m), a gimbal."""
+    """Geometry of the vehicle and its flight: hull (m), hover height over the pad (m), gimbal."""
 
     hull_radius_m: float
     hull_height_m: float
@@ -65,11 +65,13 @@ class HullGeometry:
 
 
 class Pilot:
-    """Owner calls step() about a hundred times a second, or whenever bytes arrive; it never blocks and never raises
-    on what the autopilot, perception or the mission say.
+    """The pilot's control loop. It never blocks.
 
-    YIELDED means: no setpoint, mode or arm command any more, until the process is started anew. Poses, heartbeats and
-    TIMESYNC go on, because a human flying by position needs them.
+    Its owner calls step() about a hundred times a second, or whenever bytes arrive. It never raises on data from the
+    autopilot, perception or the mission.
+
+    YIELDED means: no setpoint, mode or arm command any more, until the process is restarted. Poses, heartbeats and
+    TIMESYNC continue, because a human who flies by position needs them.
     """
 
     def __init__(
@@ -108,14 +110,14 @@ class Pilot:
         self._arming: ArmingSequence | None = None
         self._landing: Landing | None = None
         self._lift_off: TakeoffMonitor | None = None
-        self._grounded: Reason | None = None  # why the take-off is no good
+        self._grounded: Reason | None = None  # why the take-off fails
         self._may_arm = True  # a refused arming is not tried again before the mission has withdrawn FLY
         self._land_wanted: Reason | None = None
         self._held, self._operator_s = False, -math.inf
-        self._again_s = math.inf  # since when the flight goes on in another odom than it began in
+        self._again_s = math.inf  # since when the flight has been in another odom than at its start
 
     def step(self) -> None:
-        """One turn: listen, feed, judge, act, stream, tell."""
+        """Run one step: receive, feed poses, check, act, send a setpoint, report."""
         now_s = self._clock.now_s()
         self._link.receive(now_s)
         self._listen(now_s)
@@ -128,32 +130,36 @@ class Pilot:
         self._link.keep_alive(now_s)
 
     def wait(self) -> None:
-        """Block until bytes arrive or the next turn is due (at once on a link in memory)."""
+        """Block until bytes arrive or the next step is due (returns at once on a link in memory)."""
         now_s = self._clock.now_s()
         self._link.wait(min(self._tick.next_s() - now_s, _TICK_S))
 
     def request_land(self, why: Reason = _ASKED) -> None:
-        """End the flight here and now, whatever the mission says. On the ground: no flight is begun any more."""
+        """End the flight here and now, regardless of the mission. On the ground: start no flight."""
         self._land_wanted = self._land_wanted or why
 
     def request_hold(self, hold: bool) -> None:
-        """Stay here, whatever the mission says; or follow it again. Whatever ends a flight still ends it, and so does a
-        mission that nobody attends.
+        """Hold position regardless of the mission, or follow it again.
+
+        Every reason to end a flight still ends it. The hold ends when the mission reports that the operator is lost.
         """
         self._held = hold
 
     def hear_operator(self) -> None:
-        """A sign of life, by a way that nobody else can speak on: never a HEARTBEAT, which anybody can forge."""
+        """Record an operator heartbeat.
+
+        It comes through a channel that no one else can use, never as a HEARTBEAT, which anybody can forge.
+        """
         self._operator_s = self._clock.now_s()
 
     @property
     def in_flight(self) -> bool:
-        """Whether the vehicle is, or may be, in the air by our doing, or may still start its motors by it."""
+        """True if the vehicle is, or may be, flying because of us, or may still start its motors."""
         over = self.phase in (FlightPhase.LANDED, FlightPhase.YIELDED)
         motors = not over and self._authority.motors_may_start(self._clock.now_s())
         return motors or self.phase in (FlightPhase.ARMING, *IN_THE_AIR)
 
-    # ---- listen and judge -------------------------------------------------------------------------------------
+    # ---- receive and check -------------------------------------------------------------------------------------
 
     def _listen(self, now_s: float) -> None:
         if self._poses.step(now_s):
@@ -162,7 +168,7 @@ class Pilot:
             self._lookout.forget()
             self._again_s = min(self._again_s, now_s) if self.in_flight else math.inf
         self._lookout.step(self._poses.pose, now_s)
-        if self.phase in IN_THE_AIR:  # what passes while it arms is none of its business: it stands, and gives way to nobody
+        if self.phase in IN_THE_AIR:  # while it arms it stands, and does not evade
             self._steering.evasion.update(self._lookout.intruder)
         fault = self._mandate.update(now_s)
         if fault:
@@ -191,7 +197,10 @@ class Pilot:
     # ---- act --------------------------------------------------------------------------------------------------
 
     def _enter(self, phase: FlightPhase, why: Reason | None, landing_seen: bool = False) -> None:
-        """Every change of phase but those of an undisturbed flight. Its reason is told at once: a note is talked over."""
+        """Change the phase, except in an undisturbed flight.
+
+        Its reason is sent at once, because a later note may replace it.
+        """
         self.phase, self._note, self._arming = phase, why or self._note, None
         if why is not None:
             self._herald.say(why, self._clock.now_s())
@@ -206,7 +215,7 @@ class Pilot:
             self._link.stop_heartbeats()
 
     def _advance(self, now_s: float) -> None:
-        """One step of the sequence for the phase we are in."""
+        """Run one step of the sequence of the present phase."""
         if self.phase is FlightPhase.CONNECTING:
             missing = self._briefing.missing(now_s)
             self.phase, self._note = (FlightPhase.CONNECTING if missing else FlightPhase.READY), missing
@@ -256,7 +265,7 @@ class Pilot:
             self._link.command(now_s, command[0], *command[1])
 
     def _abandon_arming(self, why: Reason | None) -> None:
-        """Back on the ground, or into a landing if the motors may have started in between."""
+        """Return to READY, or start a landing if the motors may have started in between."""
         self._may_arm = False
         self._enter(FlightPhase.LANDING if self._link.telemetry.armed else FlightPhase.READY, why)
 
@@ -268,7 +277,7 @@ class Pilot:
         blocked = self._low.with_detail(blocked) if self._low is not None and blocked is not None else blocked
         why = self._land_wanted or (self._low if self._rung is FailsafeAction.LAND else None) or blocked or wanted
         brakes = self._rung is FailsafeAction.LAND and not self._land_wanted and not self._steering.at_rest
-        if why and not brakes:  # a firmware told to land in motion looks for its own place to stop, farther on
+        if why and not brakes:  # a firmware that gets LAND in motion chooses its own stopping point, farther on
             self._enter(FlightPhase.LANDING, why)
             self._land(now_s)
 
@@ -279,10 +288,13 @@ class Pilot:
         if loss is not None:
             self._lose(loss)
 
-    # ---- stream and tell --------------------------------------------------------------------------------------
+    # ---- send and report --------------------------------------------------------------------------------------
 
     def _stream(self, now_s: float) -> None:
-        """One setpoint, if the vehicle is ours: the guard's answer to the trajectory, or its hold."""
+        """Send one setpoint if the vehicle is ours.
+
+        It is the guard's answer to the trajectory, or its hold.
+        """
         arming = self.phase is FlightPhase.ARMING and self._arming is not None and self._arming.streams
         landing = self.phase is FlightPhase.LANDING and self._landing is not None and not self._landing.seen
         if not (arming or landing or self.phase is FlightPhase.FLYING):
@@ -332,6 +344,9 @@ def make_pilot(
     parameters: ParameterCheck | None = None,
     gate: AllowListFilter | None = None,
 ) -> Pilot:
-    """Wire a pilot that flies a firmware over the given bytes. gate: who may speak there; None: system 1."""
+    """Build a pilot for a firmware on the given byte link.
+
+    gate: filter for senders; None: system 1.
+    """
     link = VehicleLink(bytes_link, log or NoLog(), clock.now_s(), firmware, gate or AllowListFilter())
     return Pilot(link, guard, sight, patience, channels, clock, origin, airframe, setpoint_rate_hz, parameters)

@@ -1,4 +1,7 @@
-"""From odometry to the autopilot: every new, good and young pose once; anything else is silence, never a repetition."""
+"""Pose feed: sends every new, valid and recent pose to the autopilot once.
+
+Nothing is ever repeated; without such a pose nothing is sent.
+"""
 
 from __future__ import annotations
 
@@ -18,10 +21,12 @@ _UNSOUND = (PoseHealth.LOST, PoseHealth.WRONG)
 
 
 class PoseFeed:
-    """Holds the newest pose that is fit to be believed; sound_s is the stamp of the newest one that was neither lost nor wrong.
+    """Holds the newest valid pose.
 
-    ``refused`` counts those that were not fit. The autopilot hears of each time that odom begins anew: where the source did not
-    count it, as one that was started again cannot, the reset counter that is fed does.
+    sound_s: stamp of the newest one that was neither lost nor wrong.
+
+    ``refused`` counts the rejected poses. The reset counter that is sent increases at each restart of odom, also if the source
+    did not count it, as a restarted source cannot.
     """
 
     def __init__(self, odom: Channel[StampedPose], link: VehicleLink, gate: PoseGate) -> None:
@@ -33,16 +38,16 @@ class PoseFeed:
 
     @property
     def lost(self) -> Reason | None:
-        """Why the newest pose is lost, None if it is not."""
+        """Reason why the newest pose is lost, None if it is not."""
         return self._why(PoseHealth.LOST)
 
     @property
     def wrong(self) -> Reason | None:
-        """Why the newest pose is wrong, None if it is not."""
+        """Reason why the newest pose is wrong, None if it is not."""
         return self._why(PoseHealth.WRONG)
 
     def step(self, now_s: float) -> bool:
-        """Take over what is new; whether it begins odom anew, so that nothing from before it holds any more."""
+        """Process a new pose. Return True if it restarts odom, so that all earlier data is void."""
         pose = newest(self._odom, self._heard)
         if pose is None:
             return False
@@ -63,7 +68,10 @@ class PoseFeed:
 
 
 def newest(channel: Channel[T], heard: T | None) -> T | None:
-    """The newest value if it is another than the one heard before; a record that is just being written comes the next time."""
+    """Return the newest value if it differs from the last one received.
+
+    A record that is being written is read the next time.
+    """
     try:
         value = channel.latest()
     except ValueError:

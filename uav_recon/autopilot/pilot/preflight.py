@@ -1,4 +1,4 @@
-"""Before a flight: the autopilot is asked for what it has to tell, and told where on the globe it is."""
+"""Preflight setup: requests the autopilot's messages and sends the geographic origin."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _AGAIN_S = 2.0
 
 @dataclass(frozen=True, slots=True)
 class Origin:
-    """The place on the globe that the autopilot is told; indoors any will do."""
+    """The geographic position that is sent to the autopilot; indoors any position will do."""
 
     lat_deg: float
     lon_deg: float
@@ -22,14 +22,14 @@ class Origin:
 
 
 class PreflightSetup:
-    """Asks again every two seconds for as long as something is missing."""
+    """Repeats the requests every two seconds while something is missing."""
 
     def __init__(self, link: VehicleLink, origin: Origin, gimbal: bool, parameters: ParameterCheck | NoParameterCheck) -> None:
         self._link, self._origin, self._gimbal, self._parameters = link, origin, gimbal, parameters
         self._asked_s = -math.inf
 
     def missing(self, now_s: float) -> Reason | None:
-        """What is still missing before arming, None for nothing. Parameters are read back beside everything else."""
+        """Return what is missing before arming, None for nothing. Also reads the parameters back."""
         t, parameters = self._link.telemetry, self._parameters.missing(now_s, self._link)
         missing = self._link.firmware.missing_for_arming(t, self._link.time_known, now_s)
         if missing and t.system != 0 and now_s - self._asked_s >= _AGAIN_S:

@@ -1,14 +1,20 @@
-"""Refusals that lead nowhere: a mission that wants nothing but what is refused flies no better than a silent one."""
+"""Timer of refusals without motion.
+
+A mission whose requests are all refused is treated like a silent one.
+"""
 
 from __future__ import annotations
 
 import math
 
-_MOTION_S = 1.0  # flown without a refusal for so long is a motion; a moment of one comes before many a refusal
+_MOTION_S = 1.0  # a motion counts if flown for this time without a refusal; a shorter one precedes many a refusal
 
 
 class RefusalTimer:
-    """One flight's. ``refused_s``: from the first refusal since a motion to the last; 0 where none came for quiet_s."""
+    """The timer of one flight.
+
+    ``refused_s``: from the first refusal since a motion to the last; 0 if none came for quiet_s.
+    """
 
     def __init__(self, quiet_s: float, refusals: int = 0) -> None:
         self._quiet_s, self._refusals = quiet_s, refusals
@@ -17,11 +23,14 @@ class RefusalTimer:
 
     @property
     def refused_s(self) -> float:
-        """Seconds for which refusals have come, however seldom, and no motion between them."""
+        """Duration in seconds of refusals, however rare, without a motion in between."""
         return max(self._last_s - self._first_s, 0.0)
 
     def update(self, refusals: int, moving: bool, now_s: float) -> None:
-        """refusals: so far. moving: a motion that leads somewhere is flown at this instant."""
+        """Update the timer.
+
+        refusals: number of refusals. moving: at this instant a motion is flown.
+        """
         self._moving_since_s = min(self._moving_since_s, now_s) if moving else math.inf
         if now_s - self._moving_since_s >= _MOTION_S or now_s - self._last_s > self._quiet_s:
             self._first_s = math.inf

@@ -1,4 +1,4 @@
-"""From what was flown last to a trajectory that begins a little beside it, without a jump."""
+"""Setpoint blending: from the last setpoint to a trajectory that begins slightly beside it."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.trajectory import Setpoint, Trajectory
 
-_LARGEST_GAP_M = 0.5  # beyond what counts as off its way; more is not a beginning from here: the guard shall refuse it
+_LARGEST_GAP_M = 0.5  # more than a push causes; a trajectory that begins farther away is left for the guard to reject
 _LARGEST_TURN_RAD = 0.5
 _SHORTEST_S = 1.0
 _MEAN_SPEED_MPS = 0.08
@@ -18,10 +18,12 @@ _MEAN_TURN_RADPS = 0.15
 
 
 class SetpointBlender:
-    """Closes the gap along 1 - 3s² + 2s³, so that place and velocity stay continuous at both ends.
+    """Closes the gap along 1 - 3s² + 2s³.
+
+    Position and velocity are continuous at both ends.
 
     A mission plans from the measured pose, which lies a tracking error beside the setpoint; the guard allows no such step.
-    flown, age_s old, has gone on since: what joins in motion without a gap is flown as it is.
+    flown: the last setpoint. It is age_s old and is extrapolated, so a trajectory that joins without a gap is flown unchanged.
     """
 
     def __init__(self, flown: Setpoint, age_s: float, trajectory: Trajectory, now_s: float) -> None:
@@ -35,7 +37,7 @@ class SetpointBlender:
         self._duration_s = max(_SHORTEST_S, distance_m / _MEAN_SPEED_MPS, abs(turn_rad) / _MEAN_TURN_RADPS)
 
     def apply(self, setpoint: Setpoint, now_s: float) -> Setpoint:
-        """The trajectory's sample at an instant, with what is left of the gap added."""
+        """Return the trajectory's sample at an instant, with the rest of the gap added."""
         s = (now_s - self._start_s) / self._duration_s
         if s >= 1.0:
             return setpoint

@@ -1,4 +1,7 @@
-"""Which motion is put before the guard: the mission's, the pilot's own way back or aside, or none, which brakes and holds."""
+"""Setpoint selection: the motion that is proposed to the guard.
+
+It is the mission's, the pilot's own path back or aside, or none, which brakes and holds.
+"""
 
 from __future__ import annotations
 
@@ -19,47 +22,48 @@ from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.trajectory import Refusal, Setpoint, Trajectory
 
-_WAYS = 3  # ways back that are tried, each from rest: what refused the last may have passed, a late pose or a late turn of ours
-_SETTLES_S = 1.0  # after a refusal the vehicle itself rests too: it follows its setpoints late
-_STANDS_M = 0.3  # before the hull, as the way is refused: what stands there stays, and is not felt along
-_ASTRAY_M = 0.35  # level, ahead of or beside the newest setpoint in _SOON_S: something pushes it. Untroubled: within 0.17 m
-_SOON_S, _PACED_S, _LED_MPS = 0.3, 0.2, 0.2  # as it has gone for so long, while setpoints lead it on
-_LONGEST_AGE_S = 0.1  # of a setpoint that is carried on by its velocity
-_HOVER_SHARE = 0.9  # of the hover's height: the first breadcrumb so high ends the climb
+_WAYS = 3  # paths back that are tried, each from rest: the cause of a refusal may pass, as a late pose or a late step of ours
+_SETTLES_S = 1.0  # pause after a refusal, until the vehicle rests too: it follows its setpoints late
+_STANDS_M = 0.3  # an obstacle this close in front of the hull at a refusal is permanent: no other path is tried
+_ASTRAY_M = 0.35  # level deviation beyond or beside the newest setpoint after _SOON_S: a push. Undisturbed: within 0.17 m
+_SOON_S, _PACED_S, _LED_MPS = 0.3, 0.2, 0.2  # by the trend of the last _PACED_S, while setpoints are faster than _LED_MPS
+_LONGEST_AGE_S = 0.1  # max. age of a setpoint that is extrapolated by its velocity
+_HOVER_SHARE = 0.9  # share of the hover height: the first breadcrumb this high ends the climb
 
 
 class SetpointSelector:
-    """Keeps the breadcrumbs. ``blocked``: why there is no way back or aside any more, None while there is one. ``evasions``
-    counts what was not flown on because something stood there all of a sudden, and each step aside. ``moves``: the newest
-    setpoint is of a motion, and not of a hold.
+    """Selects the setpoint and records the breadcrumbs.
+
+    ``blocked``: why there is no path back or aside any more, None while there is one. ``evasions`` counts trajectories stopped by
+    sudden obstacles or a push, and each step aside. ``moves``: the newest setpoint is of a motion, and not of a hold.
     """
 
     def __init__(self, guard: Guard, mandate: MissionInput, hover_height_m: float) -> None:
         self._guard, self._mandate, self._hover_height_m = guard, mandate, hover_height_m
         self._crumbs = Breadcrumbs()
-        self._flown: Setpoint | None = None  # the newest setpoint on the wire
+        self._flown: Setpoint | None = None  # the newest setpoint that was sent
         self._flown_s = -math.inf
-        self._off: deque[tuple[float, float]] = deque()  # (instant, metres) off its way
-        self._braking = False  # from a refusal to rest: nothing new is taken up on the way
+        self._off: deque[tuple[float, float]] = deque()  # (instant, metres) off its path
+        self._braking = False  # from a refusal to rest: nothing new is flown in between
         self._way_back: Trajectory | None = None
         self._refused_ways, self._refused_s = 0, -math.inf
         self._refused_for: Reason | None = None
         self._handed: Trajectory | None = None  # the trajectory that the handover leads to
         self._handover: SetpointBlender | None = None
         self._aside: Trajectory | None = None
-        self._giving = False  # something near decides what is flown
+        self._giving = False  # evasion is active
         self.evasion = ObstacleEvasion(guard)
         self.blocked: Reason | None = None
         self.evasions, self.moves = 0, False
 
     @property
     def at_rest(self) -> bool:
-        """Whether the newest setpoint is."""
+        """True if the newest setpoint is at rest."""
         return self._flown is None or not np.any(self._flown.velocity_mps)
 
     @property
     def odom_from_rest(self) -> Pose | None:
-        """Where braking from the newest setpoint ends; None before the first."""
+        """Pose where braking from the newest setpoint ends; None before the first."""
         if self._flown is None:
             return None
         (x, y, z), (vx, vy, vz) = self._flown.position_m.tolist(), self._flown.velocity_mps.tolist()
@@ -67,12 +71,12 @@ class SetpointSelector:
         return Pose.from_yaw(self._flown.yaw_rad, np.array(stop_m))
 
     def was_at(self, odom_from_body: Pose) -> None:
-        """In flight, and not on the way back."""
+        """Record a position in flight that is not on the path back."""
         self._crumbs.drop(odom_from_body)
         self._way_back, self._refused_ways = None, 0
 
     def rebase(self, situation: GuardInputs, rest_s: float) -> None:
-        """Odom is another, or a flight begins: nothing that was flown counts."""
+        """Reset after a jump of odom or at the start of a flight: all earlier motion is void."""
         self._guard.rebase(situation, rest_s)
         self._flown = None
         self._crumbs.forget()
@@ -80,7 +84,7 @@ class SetpointSelector:
         self._way_back, self._refused_ways, self._aside, self.blocked = None, 0, None, None
 
     def steer(self, rung: FailsafeAction, situation: GuardInputs) -> tuple[ClearedSetpoint, Refusal | None]:
-        """The guard's word for this instant. What it turned down is not proposed again."""
+        """Return the guard's answer for this instant. A rejected trajectory is not proposed again."""
         self.moves = False
         before, self._giving = self._giving, rung <= FailsafeAction.HOLD and self._gives_way(situation)
         if self._giving:
@@ -105,7 +109,7 @@ class SetpointSelector:
         off_m = self._soon_off_its_way_m(situation)
         astray = off_m > _ASTRAY_M
         cleared, refusal = self._guard.clear(None if astray else self._proposal(trajectory, situation.now_s, False), situation)
-        if astray:  # pushed as well as led outwards it would be over the fence before it stops
+        if astray:  # pushed and led outwards, it would be over the fence before it stops
             refusal, self.evasions = Refusal(Reason(ReasonCode.OFF_PATH, (off_m,)), cleared.setpoint), self.evasions + 1
         if refusal is not None:
             self._braking = True
@@ -113,7 +117,11 @@ class SetpointSelector:
         return cleared, refusal
 
     def _soon_off_its_way_m(self, situation: GuardInputs) -> float:
-        """As it goes: to wait until a push has moved it is to lead it on meanwhile. At a hold it is led nowhere, and swings."""
+        """Return the predicted deviation from the path (m).
+
+        It is extrapolated, because setpoints would lead the vehicle on until a push has moved it. At a hold they do not lead
+        it, and it swings, so the present deviation is returned.
+        """
         now_s, off_m = situation.now_s, self._off_its_way_m(situation)
         self._off.append((now_s, off_m))
         while now_s - self._off[0][0] > _PACED_S:
@@ -125,7 +133,10 @@ class SetpointSelector:
         return off_m + _SOON_S * max((off_m - begun_m) / (now_s - begun_s), 0.0)
 
     def _off_its_way_m(self, situation: GuardInputs) -> float:
-        """Level, from where it is told to be: ahead of it or beside it. Behind its setpoints it is late, and not pushed."""
+        """Return the level deviation (m) beyond or beside the setpoint.
+
+        A vehicle behind its setpoints is late, and not pushed.
+        """
         if self._flown is None:
             return 0.0
         (x, y, _), (vx, vy, _) = self._flown.position_m.tolist(), self._flown.velocity_mps.tolist()
@@ -137,14 +148,14 @@ class SetpointSelector:
         return math.hypot(off_x_m, off_y_m)
 
     def _gives_way(self, situation: GuardInputs) -> bool:
-        """Whether something near decides what is flown: it came all of a sudden, or the vehicle is still stepping aside."""
+        """Return True if evasion is active: for a sudden obstacle, or during a step aside."""
         if self._aside is not None and self.evasion.over(self._aside, situation.now_s):
             self._aside = None
             self._turn_down()
         return self._aside is not None or self.evasion.stops(situation.now_s)
 
     def _give_way(self, situation: GuardInputs) -> tuple[ClearedSetpoint, Refusal | None]:
-        """Stop, and from rest step aside if it comes on."""
+        """Stop, and from rest step aside if the obstacle approaches."""
         if self._aside is not None:
             aside = dataclasses.replace(self._proposal(self._aside, situation.now_s, True), evading=True)
             cleared, refusal = self._guard.clear(aside, situation)
@@ -159,13 +170,14 @@ class SetpointSelector:
         return cleared, None
 
     def _turn_down(self) -> None:
-        """What the mission wants is made anew, from where the vehicle is."""
+        """Reject the mission's trajectory, so that it plans again from where the vehicle is."""
         self.evasions += 1
         self._mandate.reject_trajectory()
 
     def _retreat(self, situation: GuardInputs) -> tuple[ClearedSetpoint, Refusal | None]:
-        """From rest back along the breadcrumbs, and a hold where they begin; it ends, at rest, where ways are refused again and
-        again, or the first time that something stands in it.
+        """Fly from rest back along the breadcrumbs, and hold where they begin.
+
+        The retreat ends, at rest, when several paths were refused, or the first time that an obstacle stands in one.
         """
         way, now_s = self._way_back, situation.now_s
         if way is None or self.blocked:
@@ -199,7 +211,7 @@ class SetpointSelector:
 
 
 def _stands_before(setpoint: Setpoint, situation: GuardInputs) -> bool:
-    """Whether depth, believed or not, shows something close before the hull where it is to go."""
+    """Return True if depth, valid or not, shows something close in the hull's path."""
     speed_mps = float(np.linalg.norm(setpoint.velocity_mps))
     if situation.ahead is None or speed_mps == 0.0:
         return False

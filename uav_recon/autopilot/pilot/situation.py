@@ -1,4 +1,4 @@
-"""What the pilot knows at an instant, in the words of those who ask: the guard, the ladder, the mission."""
+"""The pilot's state at an instant, as input for the guard, the failsafe and the mission."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _LONGEST_NOTE = 200
 
 
 class SituationBuilder:
-    """Put together anew at each question from what the pilot's parts know; keeps nothing itself."""
+    """Builds the inputs from the pilot's parts at each call; stores nothing itself."""
 
     def __init__(
         self,
@@ -41,11 +41,14 @@ class SituationBuilder:
 
     @property
     def refusals(self) -> int:
-        """Proposals turned down so far, by whomever."""
+        """Number of proposals that were rejected by any part."""
         return self._guard.refusals + self._mandate.malformed + self._steering.evasions
 
     def situation(self, now_s: float) -> GuardInputs:
-        """For the guard. Without a pose it is at odom's origin, with a pose that is infinitely old."""
+        """Return the guard's inputs.
+
+        Without a pose the position is odom's origin, with an infinite pose age.
+        """
         pose, intent_age_s = self._poses.pose, self._mandate.age_s(now_s)
         free, ahead = self._lookout.known_free, self._lookout.ahead
         if pose is None:
@@ -58,17 +61,17 @@ class SituationBuilder:
         )
 
     def health(self, now_s: float, refused_s: float) -> FailsafeInputs:
-        """For the ladder. refused_s: of refusals without a motion."""
+        """Return the failsafe's inputs. refused_s: duration of refusals without a motion."""
         inside = self._guard.envelope.fence.holds(self._position_m)
-        pose_s = min(self._poses.sound_s, self._link.telemetry.pose_fed_s)  # it flies by no others
+        pose_s = min(self._poses.sound_s, self._link.telemetry.pose_fed_s)  # no other poses are used for flight
         lost = (TWO if self._link.telemetry.doubled else None) or self._parameters.changed(self._link) or self._poses.lost
         ages_s = (now_s - pose_s, self._mandate.age_s(now_s), self._lookout.depth_age_s(now_s))
         return FailsafeInputs(now_s, *ages_s, inside, self.refusals, lost, self._poses.wrong, refused_s)
 
     def state(self, now_s: float, phase: FlightPhase, note: Reason | None, operator_s: float, gimbal: bool) -> VehicleState:
-        """For the mission: where odometry says that the vehicle is, or the autopilot before there is any.
+        """Return the state for the mission, with the autopilot's own pose before there is odometry.
 
-        operator_s: when the operator was heard. gimbal: whether there is one whose pitch means something.
+        operator_s: time of the last operator heartbeat. gimbal: True if the gimbal pitch is valid.
         """
         t, pose, trajectory = self._link.telemetry, self._poses.pose, self._mandate.trajectory
         if pose is not None:
@@ -97,7 +100,7 @@ class SituationBuilder:
 
     @property
     def _position_m(self) -> Vec3:
-        """In odom; its origin before the first pose."""
+        """Position in odom; its origin before the first pose."""
         x, y, z = self._poses.pose.odom_from_body.translation_m.tolist() if self._poses.pose else (0.0, 0.0, 0.0)
         return x, y, z
 

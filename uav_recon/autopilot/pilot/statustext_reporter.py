@@ -1,4 +1,4 @@
-"""Tells the people at a ground station what the pilot does and why, once for each thing it has to say."""
+"""STATUSTEXT reporter: sends each new note of the pilot once to the ground station."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ import math
 from uav_recon.autopilot.link.vehicle_link import VehicleLink
 from uav_recon.types.reason import Reason
 
-_APART_S = 1.0  # a mission that is refused thirty times a second is not told of thirty times
+_APART_S = 1.0  # min. interval: a mission that is refused thirty times a second causes one message
 
 
 class StatusTextReporter:
-    """STATUSTEXT of each new note of a flight; the newest wins where they come faster than one a second."""
+    """Sends STATUSTEXT for each new note of a flight; of several within a second, the newest."""
 
     def __init__(self, link: VehicleLink) -> None:
         self._link = link
@@ -19,7 +19,7 @@ class StatusTextReporter:
         self._said_s = -math.inf
 
     def step(self, note: Reason | None, now_s: float) -> None:
-        """To be called every turn of a flight with what is to be known."""
+        """Send the note if it is new. Call it every step of a flight."""
         if note == self._said or now_s - self._said_s < _APART_S:
             return
         if note is not None:
@@ -27,6 +27,6 @@ class StatusTextReporter:
         self._said = note
 
     def say(self, note: Reason, now_s: float) -> None:
-        """At once, also where the next note would take its place in the same turn; who says such things says few."""
+        """Send at once, even if another note follows in the same step; meant for rare messages."""
         self._said, self._said_s = note, now_s
         self._link.say(now_s, note)

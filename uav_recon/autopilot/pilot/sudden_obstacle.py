@@ -1,4 +1,7 @@
-"""Whether something stands now where a moment ago nothing was: a door, a person, a thing that comes nearer."""
+"""Detection of sudden obstacles: something stands now where a moment ago nothing was.
+
+Examples are a door, a person, or an object that comes nearer.
+"""
 
 from __future__ import annotations
 
@@ -13,16 +16,18 @@ from uav_recon.types.min_range_grid import MinRangeGrid, in_view
 from uav_recon.types.pose import Pose
 
 _MEMORY_S = 0.8
-_VIEWS = 6  # kept for so long, evenly
-_INSIDE_M, _INSIDE_SHARE = 0.20, 0.04  # so far before what was seen there then, and this share of the range: pose and noise
-_REACH_M = 3.0  # from the body's centre; what is farther does not concern it yet
-_CELLS, _SAYING = 2, 2  # returns that it has at least, and views that looked past each of them
+_VIEWS = 6  # number of views within that time, at even intervals
+_INSIDE_M, _INSIDE_SHARE = 0.20, 0.04  # min. distance before earlier returns, plus a share of the range: pose error and noise
+_REACH_M = 3.0  # distance from the body's centre; what is farther away is not relevant yet
+_CELLS, _SAYING = 2, 2  # min. returns of an obstacle, and min. views that looked past each of them
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SuddenObstacle:
-    """places_m: its returns in odom (N, 3), one a cell, the nearest first, seen at stamp_s; away_m: how far that is from the
-    body's centre, level.
+    """A sudden obstacle, seen at stamp_s.
+
+    places_m: its returns in odom (N, 3), one per cell, nearest first. away_m: level distance of the nearest from the body's
+    centre.
     """
 
     stamp_s: float
@@ -32,7 +37,10 @@ class SuddenObstacle:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _View:
-    """range_m: the nearest return in the cell or beside it, NaN where that is not known."""
+    """A past view.
+
+    range_m: the nearest return in the cell or beside it, NaN where that is not known.
+    """
 
     stamp_s: float
     odom_from_depth: Pose
@@ -41,22 +49,22 @@ class _View:
 
 
 class Neighbourhood:
-    """Remembers what the camera looked past in the last second, by cells; about 0.2 ms a frame."""
+    """Stores what the camera looked past in the last second, by cells; about 0.2 ms a frame."""
 
     def __init__(self) -> None:
         self._views: deque[_View] = deque()
 
     def forget(self) -> None:
-        """Odom itself jumped."""
+        """Forget all views after a jump of odom."""
         self._views.clear()
 
     def look(self, nearby: MinRangeGrid, odom_from_body: Pose) -> SuddenObstacle | None:
-        """What in a frame stands where views of the last moments looked past, the nearest of it; None for nothing."""
+        """Return the returns of a frame where earlier views looked past, or None."""
         odom_from_depth = odom_from_body @ nearby.body_from_depth
         while self._views and nearby.stamp_s - self._views[0].stamp_s > _MEMORY_S:
             self._views.popleft()
         if self._views and self._views[-1].range_m.shape != nearby.range_m.shape:
-            self._views.clear()  # of another camera
+            self._views.clear()  # from another camera
         places = odom_from_depth.apply(nearby.points())
         here = odom_from_body.translation_m
         close = places[np.linalg.norm(places[:, :2] - here[:2], axis=1) <= _REACH_M]
@@ -70,7 +78,7 @@ class Neighbourhood:
 
 
 def _looked_past(views: Collection[_View], places: FloatArray) -> IntArray:
-    """How many views had nothing at places (N, 3) in odom, nor before them: (N,)."""
+    """Return the number (N,) of views with nothing at or before positions (N, 3) in odom."""
     place_m = np.array([view.odom_from_depth.translation_m for view in views])
     odom_from_depth = np.array([view.odom_from_depth.rotation() for view in views])
     half_tan, range_m = np.array([[view.half_tan] for view in views]), np.array([view.range_m for view in views])
@@ -84,9 +92,10 @@ def _looked_past(views: Collection[_View], places: FloatArray) -> IntArray:
 
 
 def _eroded(nearby: MinRangeGrid) -> FloatArray:
-    """Each cell's nearest return or that of the eight around it; NaN where most of it has none, or it lies at the border, or
-    above one most of which has none: near the floor that is the floor, too near to be seen, and a table's top at a flat angle
-    shows nothing of itself but what is behind it.
+    """Return for each cell the nearest return in it and the eight around it.
+
+    NaN for a cell at the border, and where the cell or one of the three below it has returns in less than most of its pixels:
+    near the floor such a lower cell is floor too near to be seen, and a table top at a flat angle shows only what is behind it.
     """
     range_m = nearby.range_m
     nearest = np.full(range_m.shape, np.nan)

@@ -1,4 +1,4 @@
-"""What the pilot knows of the space around: the mission's known-free space, and raw depth straight from perception."""
+"""Surroundings of the vehicle: known-free space, and raw depth from perception."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from uav_recon.types.min_range_grid import MinRangeGrid
 from uav_recon.types.pose import StampedPose
 
 _FUTURE_S = 0.1
-_PAST_S, _BESIDE_S = 0.5, 0.04  # poses are kept for so long; one so far from a frame's stamp is not its pose
+_PAST_S, _BESIDE_S = 0.5, 0.04  # poses are stored for this time; max. difference between the stamps of a frame and its pose
 
 
 class Surroundings:
-    """Keeps the newest of both, ready to be asked. A frame with too few returns, or an old one, is none.
+    """Holds the newest of both. A frame with too few returns, or an old one, is ignored.
 
-    One that is not believed keeps the vehicle off what it shows as near, and is none for anything else.
+    The near returns of an inconsistent frame still keep the vehicle away; it is ignored for anything else.
     """
 
     def __init__(
@@ -42,12 +42,12 @@ class Surroundings:
         self.ahead: ForwardDepth | None = None
         self._believed_s, self._neighbourhood = -math.inf, Neighbourhood()
         self._past: deque[StampedPose] = deque()
-        self.intruder: SuddenObstacle | None = None  # in the newest frame that is believed
+        self.intruder: SuddenObstacle | None = None  # in the newest valid frame
 
     def step(self, pose: StampedPose | None, now_s: float) -> None:
-        """Take over what is new. Raises nothing: a record that makes no sense is none.
+        """Read what is new. Raises nothing: an invalid record is ignored.
 
-        A frame comes tenths of a second late: it was taken from where the vehicle was then.
+        A frame comes tenths of a second late, so it is used with the pose at its stamp.
         """
         if pose is not None and not (self._past and self._past[-1].stamp_s >= pose.stamp_s):
             self._past.append(pose)
@@ -75,12 +75,12 @@ class Surroundings:
                 self.intruder = self._neighbourhood.look(nearby, then.odom_from_body)
 
     def forget(self) -> None:
-        """Odom itself jumped: what was seen and mapped in it stands elsewhere now."""
+        """Forget everything after a jump of odom: what was seen and mapped before is elsewhere now."""
         self.known_free = None
         self._neighbourhood.forget()
         self._past.clear()
         self.intruder = None
 
     def depth_age_s(self, now_s: float) -> float:
-        """Seconds since the newest frame that says anything and is believed, infinity before the first."""
+        """Return the age (s) of the newest valid frame with enough returns, infinity for none."""
         return now_s - self._believed_s

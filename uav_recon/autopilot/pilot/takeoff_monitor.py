@@ -1,4 +1,7 @@
-"""A take-off has to show: so high within so long, and level; a vehicle that cannot lift itself is not left to try."""
+"""Take-off monitor: the vehicle must reach a height in time and stay level.
+
+A vehicle that cannot lift itself must not continue to try.
+"""
 
 from __future__ import annotations
 
@@ -12,8 +15,10 @@ _TILT_RAD = math.radians(15.0)
 
 
 class TakeoffMonitor:
-    """From the first word that makes it climb until it is LIFTED_M up. within_s: how long that may take; PX4 spools up for a
-    second and ramps for half a second (MPC_TKO_RAMP_T), and by itself stops the motors after five.
+    """Monitors the take-off from the first climb command until the vehicle is LIFTED_M up.
+
+    within_s: time allowed for it. PX4 spools up for a second and ramps for half a second (MPC_TKO_RAMP_T), and by itself stops
+    the motors after five.
     """
 
     LIFTED_M = 0.2
@@ -24,11 +29,14 @@ class TakeoffMonitor:
         self.lifted = False
 
     def begin(self, now_s: float) -> None:
-        """It is told to climb now, if it was not before."""
+        """Record the start of the climb command; later calls have no effect."""
         self._begun_s = min(self._begun_s, now_s)
 
     def fault(self, now_s: float, t: Telemetry) -> Reason | None:
-        """Why it is not to go on, None while it may; by the autopilot's own estimate."""
+        """Return why the take-off must end, None while it may continue.
+
+        The autopilot's own estimate decides.
+        """
         climbed_m, took_s = float(t.position_m[2]) - self._ground_m, now_s - self._begun_s
         self.lifted = self.lifted or climbed_m >= self.LIFTED_M
         if self.lifted or took_s < 0.0:
@@ -40,5 +48,5 @@ class TakeoffMonitor:
 
 
 def _tilt_rad(w: float, x: float, y: float, z: float) -> float:
-    """Between the body's vertical and the world's."""
+    """Return the angle between the body's vertical and the world's."""
     return math.acos(min(max(1.0 - 2.0 * (x * x + y * y), -1.0), 1.0))
