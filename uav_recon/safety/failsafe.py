@@ -50,7 +50,8 @@ class FailsafeInputs:
 
     inside: the position is inside the fence itself. refusals: number of refusals.
 
-    pose_age_s: of the newest sound pose, or since any was fed if longer. lost, wrong: the reason, or None. refused_s: without motion.
+    pose_age_s: of the newest sound pose, or since any was fed if longer. lost, wrong: the reason, or None.
+    refused_s: without motion.
     """
 
     now_s: float

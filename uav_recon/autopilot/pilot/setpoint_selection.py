@@ -34,8 +34,8 @@ _HOVER_SHARE = 0.9  # share of the hover height: the first breadcrumb this high 
 class SetpointSelector:
     """Selects the setpoint and records the breadcrumbs.
 
-    ``blocked``: why there is no path back or aside any more, None while there is one. ``evasions`` counts trajectories stopped by
-    sudden obstacles or a push, and each step aside. ``moves``: the newest setpoint is of a motion, and not of a hold.
+    ``blocked``: why there is no path back or aside any more, None while there is one. ``evasions`` counts trajectories stopped
+    by sudden obstacles or a push, and each step aside. ``moves``: the newest setpoint is of a motion, and not of a hold.
     """
 
     def __init__(self, guard: Guard, mandate: MissionInput, hover_height_m: float) -> None:
