@@ -44,7 +44,7 @@ class ProgressDisplay:
         return True
 
     def _waiting(self) -> None:
-        text = Text("compiling kernels and waiting for the vehicle ...", style="dim")
+        text = Text("starting the processes and waiting for the vehicle ...", style="dim")
         if self._live:
             self._live.update(text)
         elif self._last != ("waiting", -1):

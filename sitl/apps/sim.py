@@ -10,9 +10,10 @@ from pathlib import Path
 
 from rich.console import Console
 
+from sitl.apps.kernel_compilation import compile_ahead, flight_jobs
 from sitl.apps.sim_options import SimOptions
 from sitl.apps.sim_processes import SimProcesses
-from sitl.scene.scene import Scene, SceneError, load_scene
+from sitl.scene.scene import GENERATED, Scene, SceneError, load_scene
 from uav_recon import config as product_config
 from uav_recon.errors import EXIT_USAGE, UserError
 
@@ -22,7 +23,10 @@ __all__ = ["SimOptions", "simulate"]
 def simulate(options: SimOptions) -> int:
     """Fly as asked; returns the exit code. Raises Failure with one line for anything a user can mend."""
     console = Console(stderr=False)
+    begun_s = time.monotonic()
     _need_open3d()
+    if options.scene is None or options.scene.startswith(GENERATED) or Path(options.scene).exists():  # else refused below
+        compile_ahead(flight_jobs((options.variant,), options.mapper == "neural"), console)
     scene = _scene(options)
     options.make_folder()
     started_s = time.monotonic()
@@ -38,7 +42,7 @@ def simulate(options: SimOptions) -> int:
         else:
             _claim_port(options.port)
             times_real = None
-            fault = SimProcesses(_commands(options, Path(runtime)), options.out / "logs", Path(runtime), console).fly()
+            fault = SimProcesses(_commands(options, Path(runtime)), options.out / "logs", Path(runtime), console, begun_s).fly()
     from sitl.apps.flight_judge import judge, summary
 
     report = judge(options, scene, time.monotonic() - started_s, fault, console)

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from uav_recon.app import processes
+from uav_recon.app.kernel_cache import use_writable_cache
 from uav_recon.cli.exit_codes import end, exit_with
 from uav_recon.cli.faults import faults
 from uav_recon.cli.operator import register
@@ -386,6 +387,7 @@ def bench_uncertainty(
 
 def main() -> None:
     """Entry point."""
+    use_writable_cache()
     end(app)
 
 

@@ -38,6 +38,7 @@ from uav_recon.types.maps import FREE, OCCUPIED, GridSpec, SurfaceElements, Voxe
 from uav_recon.types.tasks import NothingLeft, PlanMode, PlanRequest, TaskKind, ViewPath, Viewpoint
 
 TOY_CAMERA = CameraGeometry(1.5, 1.0, np.zeros(3), -1.0, 1.0, 4.5)  # to warm up with
+TOY_CONFIG = PlannerConfig(clearance_m=0.3)
 SAME_SHARE = 0.5  # of what a task is to settle: if the committed view settles so much of it, it is no task of its own
 
 
@@ -229,15 +230,20 @@ def _share_in(promised: IntArray, settled: IntArray) -> float:
     return float(np.isin(promised, settled).mean()) if len(promised) else 0.0
 
 
+def warm_up_frontiers() -> None:
+    """Compile the kernels of frontiers and their views: a third of the planner's."""
+    views.warm_up(TOY_CONFIG, TOY_CAMERA)
+
+
 def warm_up(name: VariantName) -> None:
     """Compile every kernel of the planner: on a toy map that grows, surface included, by every way of choosing.
 
     The vehicle and its camera are toys too: in a room as small as this the real one might find nothing to do.
     """
-    config, camera = PlannerConfig(clearance_m=0.3), TOY_CAMERA
+    config, camera = TOY_CONFIG, TOY_CAMERA
     for module in (traversal, segments, space, atsp, travel_time, view_history, gain_field, rejection_counts):
         module.warm_up()
-    views.warm_up(config, camera)
+    warm_up_frontiers()
     grid = GridSpec(np.zeros(3), 0.1, (40, 30, 20))
     low_m, high_m = np.zeros(3), np.array([4.0, 3.0, 2.0])
     rng = np.random.default_rng(0)
