@@ -41,7 +41,7 @@ class ProgressDisplay:
         progress, now_s = self._wires.progress.latest(), time.monotonic()
         if progress is None:
             waited_s = now_s - self._begun_s
-            self._put(Text(f"starting: compiling kernels, waiting for the vehicle: {waited_s:.0f} s", "dim"), ("starting", 0))
+            self._put(Text(f"starting the processes, waiting for the vehicle: {waited_s:.0f} s", "dim"), ("starting", 0))
             return False
         landed_for_s = self._landed_for_s(now_s)
         if landed_for_s > LANDED_S:

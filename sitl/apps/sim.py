@@ -11,9 +11,10 @@ from pathlib import Path
 
 from rich.console import Console
 
+from sitl.apps.kernel_compilation import compile_ahead, flight_jobs
 from sitl.apps.sim_options import SimOptions
 from sitl.apps.sim_processes import SimProcesses
-from sitl.scene.scene import Scene, SceneError, load_scene
+from sitl.scene.scene import GENERATED, Scene, SceneError, load_scene
 from uav_recon import config as product_config
 from uav_recon.app.option_validation import require_writable_file
 from uav_recon.app.step_display import StepDisplay
@@ -33,8 +34,11 @@ def simulate(options: SimOptions, json: Path | None = None) -> int:
     options.check_folder()
     if not options.lockstep:
         _claim_port(options.port)
+    begun_s = time.monotonic()
+    _need_open3d()
+    if options.scene is None or options.scene.startswith(GENERATED) or Path(options.scene).exists():  # else refused below
+        compile_ahead(flight_jobs((options.variant,), options.mapper == "neural"), console)
     with StepDisplay(console).step("loading the scene"):
-        _need_open3d()
         scene = _scene(options)
     options.make_folder()
     started_s = time.monotonic()
@@ -49,7 +53,7 @@ def simulate(options: SimOptions, json: Path | None = None) -> int:
             fault, times_real = flown.fault, flown.simulated_s / flown.wall_s
         else:
             times_real = None
-            fault = SimProcesses(_commands(options, Path(runtime)), options.out / "logs", Path(runtime), console).fly()
+            fault = SimProcesses(_commands(options, Path(runtime)), options.out / "logs", Path(runtime), console, begun_s).fly()
     from sitl.apps.flight_judge import judge, summary
 
     report = judge(options, scene, time.monotonic() - started_s, fault, console)

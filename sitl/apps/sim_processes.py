@@ -50,9 +50,13 @@ class SimProcesses:
     Children of a process end with it.
     """
 
-    def __init__(self, commands: dict[str, list[str]], logs: Path, runtime: Path, console: Console) -> None:
+    def __init__(
+        self, commands: dict[str, list[str]], logs: Path, runtime: Path, console: Console, begun_s: float | None = None
+    ) -> None:
+        """begun_s: when the program began, on the monotonic clock; the console shows how long it took to be ready."""
         self._commands, self._logs, self._runtime, self._console = commands, logs, runtime, console
         self._wires = file_channels(runtime)
+        self._begun_s = begun_s
         self._children: list[_Child] = []
         self._interrupts, self._given_up = 0, False
         self._patience_s = float("inf")  # deadline for the end of the mission after an interrupt
@@ -105,9 +109,17 @@ class SimProcesses:
                     raise UserError(NOT_FLOWN, EXIT_INTERRUPTED)
                 if time.monotonic() > self._patience_s:
                     return f"the mission did not end within {LANDING_S:.0f} s after the interrupt"
-                if not screen.show() and time.monotonic() > deadline_s:
+                if screen.show():
+                    self._say_ready()
+                elif time.monotonic() > deadline_s:
                     return f"the vehicle was not ready within {READY_TIMEOUT_S:.0f} s; see the logs in {self._logs}"
                 time.sleep(0.2)
+
+    def _say_ready(self) -> None:
+        """Print once how long the start took."""
+        if self._begun_s is not None:
+            self._console.print(f"ready after {time.monotonic() - self._begun_s:.0f} s", highlight=False)
+            self._begun_s = None
 
     def _grounded(self) -> bool:
         """Return True before the take-off: nothing to land, nothing to save."""

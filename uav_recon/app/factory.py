@@ -341,10 +341,20 @@ def warm_up(config: Config) -> None:
     """Compile every kernel of the mission process before the drone may be READY."""
     from uav_recon.planning import view_planner as planner
 
+    warm_up_map(config)
+    planner.warm_up(config.planner.variant)
+    warm_up_motion(config)
+
+
+def warm_up_map(config: Config) -> None:
+    """Compile the kernels of the occupancy map and of the keyframe selection."""
     voxels = make_occupancy_map(config)
     voxels.warm_up()
     make_keyframe_selection(config, voxels).warm_up()
-    planner.warm_up(config.planner.variant)
+
+
+def warm_up_motion(config: Config) -> None:
+    """Compile the kernels of motion planning."""
     make_motion(config, config.planner.clearance_m).warm_up()
 
 

@@ -17,8 +17,9 @@ from types import FrameType
 import numpy as np
 
 from uav_recon import config as configuration
-from uav_recon.app import factory, memory_lock, operator_factory, systemd_notify
+from uav_recon.app import factory, kernel_jobs, memory_lock, operator_factory, systemd_notify
 from uav_recon.app.flight_channels import file_channels
+from uav_recon.app.kernel_cache import compile_kernels, log_progress
 from uav_recon.app.option_validation import UsageError, readable
 from uav_recon.app.wait_notice import WaitNotice, missing_processes
 from uav_recon.clock import MonotonicClock, RateKeeper, ThreadExecutor
@@ -28,6 +29,8 @@ from uav_recon.interfaces import Channel, Clock
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.vehicle import FlightPhase, VehicleState
+
+LOG = logging.getLogger(__name__)
 
 PERCEPTION_RATE_HZ = 100.0
 PILOT_SILENT_S = 1.0  # a VehicleState older than this counts as no pilot; longer than one lost turn
@@ -120,7 +123,7 @@ def pilot(config_path: Path, flight: Path | None) -> int:
     desk.close()
     log.close()
     if log.gaps:
-        logging.getLogger(__name__).warning("%s", log.gaps)
+        LOG.warning("%s", log.gaps)
     link.close()
     gate.close()
     return 0
@@ -143,6 +146,7 @@ def perception(config_path: Path) -> int:
     stop, clock, config = Stop(), MonotonicClock(), factory.load_config(config_path)
     wires = file_channels(config.runtime.folder)
     claim("perception", config)
+    compile_kernels([kernel_jobs.PERCEPTION], config_path, log_progress(LOG), lambda: stop.asked)
     the_perception = factory.make_perception(config, wires, clock, lambda: stop.asked)
     systemd_notify.ready()
     gone = perceive(the_perception.step, wires.vehicle, clock, lambda: stop.asked)
@@ -163,7 +167,7 @@ def perceive(step: Callable[[], None], vehicle: Channel[VehicleState], clock: Cl
     rate, gone, said = RateKeeper(PERCEPTION_RATE_HZ, clock.now_s()), "", ""
     while not (why := "asked to end" if asked() else gone) or is_flown(vehicle, clock.now_s()):
         if why and not said:
-            logging.getLogger(__name__).warning("%s: perception ends after the landing; the vehicle flies by its poses", why)
+            LOG.warning("%s: perception ends after the landing; the vehicle flies by its poses", why)
         said = why
         if asked():
             systemd_notify.extend(STOP_AGAIN_S)
@@ -202,6 +206,7 @@ def mission(config_path: Path, flight: Path | None) -> int:
     claim("mission", config)
     folder = flight_folder(config, flight)
     configuration.save(config, folder / "config.toml")
+    compile_kernels(kernel_jobs.mission_jobs(config.planner.variant), config_path, log_progress(LOG), lambda: stop.asked)
     safety, camera = config.safety, config.camera
     low, high = np.array(safety.fence_min_m), np.array(safety.fence_max_m)
     try:
@@ -237,7 +242,7 @@ def mission(config_path: Path, flight: Path | None) -> int:
     mount = "gimbal" if camera.mount == "gimbal" else f"fixed:{camera.pitch_down_deg:g}"
     card = FlightInfo(folder.name, config.planner.variant, config.link.autopilot, mount)
     publish(build_report(folder, card, clock.now_s() - begun_s), folder)
-    logging.getLogger(__name__).info("%s", outcome_text(aborted))
+    LOG.info("%s", outcome_text(aborted))
     return 0
 
 

@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from uav_recon.app.kernel_cache import use_writable_cache
 from uav_recon.cli import faults, operator, services, simulate
 from uav_recon.cli.bench import bench
 from uav_recon.cli.commands import HELP_NAMES, Commands, add
@@ -64,6 +65,7 @@ app.add_typer(config, name="config", rich_help_panel=VEHICLE)
 
 def main() -> None:
     """Entry point."""
+    use_writable_cache()
     end(app)
 
 

@@ -51,8 +51,7 @@ class Perception:
         self._odom, self._frames, self._nearby = odom, frames, nearby
         self._clock, self._frame_wait_s = clock, frame_wait_s
         self._credence = DepthConsistencyMonitor()
-        for part in (self._credence, error_propagation, min_range_binning):
-            part.warm_up()
+        warm_up()
         self._rate = RateKeeper(rate_hz, clock.now_s())
         self._waiting: deque[Frame] = deque()
         self._newest_frame_s = -math.inf  # never later than now: no stamp of another clock can block the frames after it
@@ -130,3 +129,9 @@ class Perception:
         # The mission would have to re-pose its keyframes by estimate.correction before it could map in the world.
         self._frames.publish(PosedFrame(frame, estimate.odom_from_body @ body_from_depth, estimate.map_epoch))
         self.published_frames += 1
+
+
+def warm_up() -> None:
+    """Compile every kernel of perception."""
+    for part in (DepthConsistencyMonitor, error_propagation, min_range_binning):
+        part.warm_up()

@@ -48,6 +48,7 @@ from uav_recon.types.rgbd_camera import Camera
 from uav_recon.types.tasks import NothingLeft, PlanMode, PlanRequest, TaskKind, ViewPath, Viewpoint
 
 TOY_CAMERA = CameraGeometry(1.5, 1.0, np.zeros(3), -1.0, 1.0, 4.5)  # for warm_up()
+TOY_CONFIG = PlannerConfig(clearance_m=0.3)
 SAME_SHARE = 0.5  # a task is dropped if the committed view settles this share of its voxels
 
 
@@ -307,15 +308,20 @@ def _share_in(promised: IntArray, settled: IntArray) -> float:
     return float(np.isin(promised, settled).mean()) if len(promised) else 0.0
 
 
+def warm_up_frontiers() -> None:
+    """Compile the kernels of frontiers and their views: a third of the planner's."""
+    views.warm_up(TOY_CONFIG, TOY_CAMERA)
+
+
 def warm_up(name: VariantName) -> None:
     """Compile every kernel of the planner on a small growing map with surface.
 
     Vehicle and camera are small too: in so small a room the real ones might find no task.
     """
-    config, camera = PlannerConfig(clearance_m=0.3), TOY_CAMERA
+    config, camera = TOY_CONFIG, TOY_CAMERA
     for module in (traversal, segments, space, atsp, travel_time, view_history, gain_field, rejection_counts):
         module.warm_up()
-    views.warm_up(config, camera)
+    warm_up_frontiers()
     grid = GridSpec(np.zeros(3), 0.1, (40, 30, 20))
     low_m, high_m = np.zeros(3), np.array([4.0, 3.0, 2.0])
     rng = np.random.default_rng(0)

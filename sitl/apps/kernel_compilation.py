@@ -1,0 +1,78 @@
+"""Compile what a simulated flight runs, the simulator's kernels and the product's, under a progress bar."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+from sitl.apps.sim_options import SimOptions
+from sitl.camera import d435i, depth_surfels
+from sitl.scene.scene import Scene, load_scene
+from sitl.truth.hull_clearance import HullClearance
+from uav_recon import config as product_config
+from uav_recon.app import kernel_jobs
+from uav_recon.app.kernel_cache import KernelJob, compile_kernels, progress_text
+from uav_recon.config import VariantName
+
+LINE_EVERY_S = 5.0  # on a screen that cannot be drawn on
+SIMULATOR = KernelJob("simulator", f"{__name__}:simulator", 30)
+DEPTH_ONLY_MAPPER = KernelJob("depth-only mapper", f"{__name__}:depth_only_mapper", 3)
+
+
+def simulator(_config_path: Path, _: str) -> None:
+    """Compile the kernels of the scene, the camera and the collision check."""
+    scene = load_scene(None, fine=False)
+    d435i.warm_up()
+    clearance = HullClearance(scene)
+    clearance.hull_m(np.zeros(3))
+    clearance.standing_m((0.0, 0.0, 0.0))
+
+
+def depth_only_mapper(_config_path: Path, _: str) -> None:
+    """Compile the kernels of the mapper that learns nothing."""
+    depth_surfels.warm_up()
+
+
+def flight_jobs(variants: Sequence[str] = ("adaptive",), neural: bool = True) -> list[KernelJob]:
+    """Return the jobs of flights of these planner variants, with the neural mapper or with the depth-only one."""
+    jobs = [job for variant in variants for job in kernel_jobs.mission_jobs(cast(VariantName, variant))]
+    own = [SIMULATOR, kernel_jobs.PERCEPTION] if neural else [SIMULATOR, kernel_jobs.PERCEPTION, DEPTH_ONLY_MAPPER]
+    return [*dict.fromkeys(job for job in jobs if neural or job.name != kernel_jobs.MAPPER), *own]
+
+
+def compile_ahead(jobs: Sequence[KernelJob], console: Console) -> None:
+    """Compile what is not in the cache yet, with a bar; on a console that is none, with a line every LINE_EVERY_S."""
+    columns = (TextColumn("compiling kernels (first run only)"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    progress = Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
+    task, next_s = progress.add_task("", total=None), [-np.inf]
+
+    def show(done: int, total: int) -> None:
+        if console.is_terminal:
+            progress.start()
+            progress.update(task, completed=done, total=total)
+        elif time.monotonic() >= next_s[0]:
+            next_s[0] = time.monotonic() + LINE_EVERY_S
+            console.print(progress_text(done, total), highlight=False)
+
+    with tempfile.TemporaryDirectory(prefix="uav_recon-") as folder:
+        path = Path(folder) / "config.toml"
+        product_config.save(SimOptions.parse(out=Path(folder)).config(_toy_scene(), Path(folder)), path)
+        try:
+            compile_kernels(jobs, path, show)
+        finally:
+            progress.stop()
+
+
+def _toy_scene() -> Scene:
+    """Return a scene for a config: a fence, and nothing in it."""
+    low, high = np.full(3, -1.5), np.full(3, 1.5)
+    return Scene(
+        "toy", np.zeros((0, 3), np.float32), np.zeros((0, 3), np.int32), np.zeros((0, 3), np.uint8), 0.0, low, high, low
+    )

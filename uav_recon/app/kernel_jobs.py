@@ -1,0 +1,65 @@
+"""The kernels of the product, as jobs for kernel_cache: what each process calls before it is ready, in parts of a minute.
+
+Which kernels are compiled depends on the planner's variant and on the config's options, not on its sizes.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import cast
+
+from uav_recon.app import factory
+from uav_recon.app.kernel_cache import KernelJob
+from uav_recon.config import VariantName
+
+HERE, MAPPER = __name__, "mapper"
+PERCEPTION = KernelJob("perception", f"{HERE}:perception", 20)
+
+
+def mission_jobs(variant: VariantName) -> list[KernelJob]:
+    """Return the jobs of the mission process and its mapper, in the order that keeps two cores busy to the end."""
+    return [
+        KernelJob("frontiers", f"{HERE}:frontiers", 90),
+        KernelJob(MAPPER, f"{HERE}:mapper", 80),
+        KernelJob(f"planner {variant}", f"{HERE}:planner", 110, ("frontiers",), variant),
+        KernelJob("map", f"{HERE}:occupancy_map", 30),
+        KernelJob("motion", f"{HERE}:motion", 30),
+    ]
+
+
+def perception(_config_path: Path, _: str) -> None:
+    """Compile the kernels of the perception process."""
+    from uav_recon.localization import perception as stage
+
+    stage.warm_up()
+
+
+def frontiers(_config_path: Path, _: str) -> None:
+    """Compile the kernels of the frontiers."""
+    from uav_recon.planning import view_planner
+
+    view_planner.warm_up_frontiers()
+
+
+def planner(_: Path, variant: str) -> None:
+    """Compile the kernels of the planner's variant; those of the frontiers come out of the cache."""
+    from uav_recon.planning import view_planner
+
+    view_planner.warm_up(cast(VariantName, variant))
+
+
+def occupancy_map(config_path: Path, _: str) -> None:
+    """Compile the kernels of the occupancy map and the keyframe selection."""
+    factory.warm_up_map(factory.load_config(config_path))
+
+
+def motion(config_path: Path, _: str) -> None:
+    """Compile the kernels of motion planning."""
+    factory.warm_up_motion(factory.load_config(config_path))
+
+
+def mapper(config_path: Path, _: str) -> None:
+    """Compile the kernels of the neural mapper."""
+    config = factory.load_config(config_path)
+    mapper_config = config.mapper.model_copy(update={"prior_model": None})  # it compiles nothing
+    factory.make_neural_mapper(config.model_copy(update={"mapper": mapper_config})).warm_up()
