@@ -12,8 +12,11 @@ import pytest
 
 from sitl.apps.sim import SimOptions, simulate
 from uav_recon import config
+from uav_recon.recording.flight_log import read_timeline
 from uav_recon.recording.report import Report
 from uav_recon.recording.review import check_recording
+from uav_recon.types.reason import Reason
+from uav_recon.types.reason_code import ReasonCode
 
 pytestmark = pytest.mark.slow
 VIEWS = 14
@@ -42,7 +45,9 @@ def test_the_mission_is_completed_without_contact(flights: list[Flight]) -> None
     for flight in flights:
         report = flight.report
         assert report.outcome == "completed"
-        assert report.stop_reason.startswith(f"view budget of {VIEWS} spent")
+        spent = Reason(ReasonCode.VIEWS_SPENT, (VIEWS,))
+        assert report.stop_reason.startswith(spent.text())
+        assert read_timeline(flight.folder).outcomes[-1].stop_codes[:1] == spent.codes()
         assert report.views == VIEWS
         assert report.safety.contacts == 0
         assert report.safety.failsafes == 0

@@ -13,7 +13,10 @@ from pathlib import Path
 
 import pytest
 
+from uav_recon.recording.flight_log import outcome_text
 from uav_recon.recording.report import Report
+from uav_recon.types.reason import Reason
+from uav_recon.types.reason_code import ReasonCode
 
 pytestmark = [pytest.mark.slow, pytest.mark.real_time]
 READY_S = 240.0
@@ -111,7 +114,7 @@ def test_ctrl_c_lands_and_still_writes_the_report(tmp_path: Path) -> None:
     said = sim.end()
     assert (tmp_path / "f" / "report.json").exists(), said
     report = Report.load(tmp_path / "f" / "report.json")
-    assert report.outcome == "aborted: the operator asked to land"
+    assert report.outcome == outcome_text(Reason(ReasonCode.OPERATOR_LAND))
     assert report.safety.contacts == 0
     assert (tmp_path / "f" / "report.html").exists()
     assert sim.process.returncode == 1, said
