@@ -106,7 +106,13 @@ def test_no_tree_crashes(extra: dict[str, Any]) -> None:
 
 @pytest.mark.parametrize(
     ("content", "wanted"),
-    [(b"[safety", "not TOML"), (b"a = 1\na = 2\n", "not TOML"), (b"\xff\xfe\x00", "not TOML"), (b"", "safety: field required")],
+    [
+        (b"[safety", "not TOML"),
+        (b"a = 1\na = 2\n", "not TOML"),
+        (b"\xff\xfe\x00", "not TOML"),
+        (b"", "safety: field required"),
+        (b"a = " + b"[" * 100_000, "nested too deeply"),
+    ],
 )
 def test_a_file_that_is_no_config_is_one_line(tmp_path: Path, content: bytes, wanted: str) -> None:
     path = tmp_path / "config.toml"
