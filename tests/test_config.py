@@ -106,7 +106,13 @@ def test_no_input_crashes_the_parser(extra: dict[str, Any]) -> None:
 
 @pytest.mark.parametrize(
     ("content", "wanted"),
-    [(b"[safety", "not TOML"), (b"a = 1\na = 2\n", "not TOML"), (b"\xff\xfe\x00", "not TOML"), (b"", "safety: field required")],
+    [
+        (b"[safety", "not TOML"),
+        (b"a = 1\na = 2\n", "not TOML"),
+        (b"\xff\xfe\x00", "not TOML"),
+        (b"", "safety: field required"),
+        (b"a = " + b"[" * 100_000, "nested too deeply"),
+    ],
 )
 def test_an_invalid_config_file_is_a_one_line_error(tmp_path: Path, content: bytes, wanted: str) -> None:
     path = tmp_path / "config.toml"

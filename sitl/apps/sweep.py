@@ -150,7 +150,9 @@ def _load(path: Path | None) -> list[Record]:
         return [from_tree(tree) for tree in json.loads(path.read_text(encoding="utf-8"))["flights"]]
     except FileNotFoundError:
         return []
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+    except RecursionError:
+        raise UserError(f"--json {path}: not a results file of `uav-recon sweep` (nested too deeply)", EXIT_USAGE) from None
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise UserError(f"--json {path}: not a results file of `uav-recon sweep` ({error})", EXIT_USAGE) from None
 
 
