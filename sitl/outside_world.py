@@ -16,7 +16,7 @@ from sitl.camera.d435i import SimulatedD435i
 from sitl.geometry.transform import rigid, rotation_from_quat
 from sitl.truth.hull_clearance import HullClearance
 from sitl.world.pose_tracker import SimulatedTracker
-from sitl.world.step_sizes import REAL, StepSizes
+from sitl.world.step_sizes import FINE_STEPS, StepSizes
 
 F64 = NDArray[np.float64]
 PAD_HEIGHT_M, PAD_RADIUS_M = 0.4, 0.6  # clearance is not measured below this height at the pad or in a landing
@@ -69,7 +69,7 @@ class Flyer(Protocol):
         ...
 
 
-class Outlet(Protocol):
+class CameraStreamOutput(Protocol):
     """Output of the camera stream: the stream file's writer, or a fault injector before it."""
 
     def write_frame(self, stamp_s: float, depth_mm: NDArray[np.uint16], rgb: NDArray[np.uint8]) -> None:
@@ -125,18 +125,24 @@ class OutsideWorld:
         camera: SimulatedD435i,
         poses: SimulatedTracker,
         clearance: HullClearance,
-        stream: Outlet,
+        stream: CameraStreamOutput,
         start_s: float,
         mount_pitch_down_rad: float | None,
-        pace: StepSizes = REAL,
+        pace: StepSizes = FINE_STEPS,
     ) -> None:
         """Set up the simulator at start_s.
 
         mount_pitch_down_rad: tilt of a fixed camera; None: a gimbal controlled by the flyer.
         """
-        self._imu_hz, self._truth_hz = pace.imu_hz, pace.truth_hz
-        self.flyer, self.camera, self._poses, self.clearance = flyer, camera, poses, clearance
-        self.stream, self._start_s, self._mount_pitch_down_rad = stream, start_s, mount_pitch_down_rad
+        self._imu_hz = pace.imu_hz
+        self._truth_hz = pace.truth_hz
+        self.flyer = flyer
+        self.camera = camera
+        self._poses = poses
+        self.clearance = clearance
+        self.stream = stream
+        self._start_s = start_s
+        self._mount_pitch_down_rad = mount_pitch_down_rad
         self._imu_count = self._truth_count = self._frame_count = 0
         self.truth_log = TruthLog([])
 
@@ -193,7 +199,7 @@ class OutsideWorld:
         self._frame_count = int((now_s - self._start_s) / self.camera.period_s + 1e-9) + 1
         return True
 
-    def expose(self, now_s: float) -> PendingFrame:
+    def begin_frame(self, now_s: float) -> PendingFrame:
         """Return the pose of a frame at now_s. Call it in the stepping thread; develop() in any."""
         pitch_rad = self._mount_pitch_down_rad
         if pitch_rad is None:
@@ -215,7 +221,7 @@ class PendingFrame:
     pitch_down_rad: float
 
 
-class Darkroom:
+class RenderThread:
     """Thread that renders the newest frame, so that rendering never delays the autopilot."""
 
     def __init__(self, world: OutsideWorld) -> None:
@@ -245,6 +251,7 @@ class Darkroom:
                 self._wake.wait_for(lambda: self._newest is not None or not self._open)
                 if not self._open:
                     return
-                exposure, self._newest = self._newest, None
+                exposure = self._newest
+                self._newest = None
             if exposure is not None:
                 self._world.develop(exposure)

@@ -111,7 +111,7 @@ def test_threaded_work_never_overlaps_and_raises_at_its_result() -> None:
 
 
 def test_closing_does_not_wait_for_work_that_does_not_return() -> None:
-    executor = ThreadExecutor("plan", patience_s=0.05)
+    executor = ThreadExecutor("plan", close_timeout_s=0.05)
     begun, gate = threading.Event(), threading.Event()
 
     def stick() -> bool:
@@ -132,7 +132,7 @@ def test_closing_does_not_wait_for_work_that_does_not_return() -> None:
 PROGRAM = """
 import threading
 from uav_recon.clock import ThreadExecutor
-executor = ThreadExecutor("plan", patience_s=0.05)
+executor = ThreadExecutor("plan", close_timeout_s=0.05)
 begun = threading.Event()
 executor.submit(lambda: (begun.set(), threading.Event().wait()), cost_s=0.0)
 begun.wait(60.0)

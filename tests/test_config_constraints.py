@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from uav_recon.config import ConfigError, load, parse
-from uav_recon.config_constraints import CONSTRAINTS, WRITTEN_RELATIONS
+from uav_recon.config_constraints import CONSTRAINTS, EXPLICIT_KEY_CONSTRAINTS
 
 FLOWN = Path(__file__).parents[1] / "systemd" / "config.toml"
 EDGE = "the edge of 30 million voxels from safety.fence_min_m to safety.fence_max_m with voxels.margin_m around"
@@ -73,7 +73,7 @@ def test_each_constraint_at_its_limit(section: str, key: str, last: float, first
 
 def test_every_constraint_is_tested_here() -> None:
     told = {(f"{section}.{key}", limit.partition(", which")[0]) for section, key, _, _, limit in BORDERS}
-    assert told == {(one.key, f"{one.must_be} {one.limit}") for one in (*CONSTRAINTS, *WRITTEN_RELATIONS)}
+    assert told == {(one.key, f"{one.must_be} {one.limit}") for one in (*CONSTRAINTS, *EXPLICIT_KEY_CONSTRAINTS)}
 
 
 def test_a_shell_with_one_end_from_the_preset_is_not_checked() -> None:

@@ -25,14 +25,16 @@ T = TypeVar("T")
 
 _HEAD = struct.Struct("<8sqIIq")  # magic, sequence, length, CRC, sequence again
 _MAGIC = b"UAVCHAN1"
-_NONSENSE = (struct.error, TypeError, IndexError, KeyError, AttributeError, OverflowError, RecursionError, SyntaxError)
+_DECODE_ERRORS = (struct.error, TypeError, IndexError, KeyError, AttributeError, OverflowError, RecursionError, SyntaxError)
 
 
 class MemoryChannel(Generic[T]):
     """A channel for lockstep. Values pass through encode() and decode(), as in a FileChannel."""
 
     def __init__(self, kind: type[T]) -> None:
-        self._kind, self._value, self._sequence = kind, cast("T | None", None), 0
+        self._kind = kind
+        self._value = cast("T | None", None)
+        self._sequence = 0
 
     def publish(self, value: T) -> None:
         """Replace the value."""
@@ -55,9 +57,12 @@ class FileChannel(Generic[T]):
     """
 
     def __init__(self, path: Path, kind: type[T], capacity_bytes: int = 1 << 16) -> None:
-        self._path, self._kind, self._capacity = path, kind, capacity_bytes + _HEAD.size
+        self._path = path
+        self._kind = kind
+        self._capacity = capacity_bytes + _HEAD.size
         self._map = _map_file(path, self._capacity)
-        self._read_sequence, self._value = -1, cast("T | None", None)
+        self._read_sequence = -1
+        self._value = cast("T | None", None)
 
     def publish(self, value: T) -> None:
         """Replace the value. Raises ValueError if it exceeds the capacity."""
@@ -139,7 +144,7 @@ def decode(data: bytes, kind: type[T]) -> T:
         tree = json.loads(data[4 : 4 + length])
         arrays = _read_arrays(data, 4 + length)
         return cast("T", _decode(tree, kind, arrays))
-    except (*_NONSENSE, UnicodeDecodeError) as error:
+    except (*_DECODE_ERRORS, UnicodeDecodeError) as error:
         raise ValueError(f"not a {kind.__name__}: {error}") from None
 
 

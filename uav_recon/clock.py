@@ -72,7 +72,9 @@ class _Finished(Generic[T]):
     """A result that becomes visible at an instant of the simulated clock."""
 
     def __init__(self, clock: Clock, value: T, visible_s: float) -> None:
-        self._clock, self._value, self._visible_s = clock, value, visible_s
+        self._clock = clock
+        self._value = value
+        self._visible_s = visible_s
 
     def done(self) -> bool:
         return self._clock.now_s() >= self._visible_s
@@ -99,12 +101,12 @@ class InlineExecutor:
 class ThreadExecutor:
     """Executor for real time with one worker thread, so that plans never overlap.
 
-    patience_s: seconds for which close() waits for running work; None waits until it has returned. Work that never returns
+    close_timeout_s: seconds for which close() waits for running work; None waits until it has returned. Work that never returns
         is abandoned and ends with the process.
     """
 
-    def __init__(self, name: str, patience_s: float | None = None) -> None:
-        self._patience_s = patience_s
+    def __init__(self, name: str, close_timeout_s: float | None = None) -> None:
+        self._patience_s = close_timeout_s
         self._work: SimpleQueue[Callable[[], None] | None] = SimpleQueue()
         self._closed = False
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)

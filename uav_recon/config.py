@@ -44,7 +44,7 @@ Host = Annotated[str, Field(pattern=r"^\d{1,3}(\.\d{1,3}){3}$")]
 VariantName = Literal["adaptive", "merged", "reconstruct", "explore", "explore-yaw", "explore-then-refine", "evpp", "vpp"]
 UncertaintyName = Literal["agreement", "paper", "colour", "information", "product"]
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
-PLAINLY = {"extra_forbidden": "unknown key", "string_pattern_mismatch": "want four numbers with dots between them"}
+ERROR_TEXT = {"extra_forbidden": "unknown key", "string_pattern_mismatch": "want four numbers with dots between them"}
 
 
 class ConfigError(Exception):
@@ -295,7 +295,7 @@ class Config(Section):
 
     @model_validator(mode="after")
     def _everything_fits_together(self) -> Config:
-        fault = config_constraints.fault_of(self)
+        fault = config_constraints.first_violation(self)
         if fault:
             raise ValueError(fault)
         return self
@@ -326,7 +326,7 @@ def parse(tree: dict[str, Any], source: str) -> Config:
         where = ".".join(str(part) for part in first["loc"])
         value = first.get("input")
         shown = "" if isinstance(value, dict) or value is None else f" (got {value!r})"
-        fault = PLAINLY.get(first["type"], first["msg"].removeprefix("Value error, "))
+        fault = ERROR_TEXT.get(first["type"], first["msg"].removeprefix("Value error, "))
         raise ConfigError(f"{source}: {where}{where and ': '}{fault[0].lower()}{fault[1:]}{shown}") from None
 
 

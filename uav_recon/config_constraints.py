@@ -94,7 +94,7 @@ CONSTRAINTS = (
     ),
 )
 # checked only if both keys are in the file: the preset gives missing ones
-WRITTEN_RELATIONS = (_to("planner.shell_min_m", "less than", "planner.shell_max_m"),)
+EXPLICIT_KEY_CONSTRAINTS = (_to("planner.shell_min_m", "less than", "planner.shell_max_m"),)
 
 
 class Requirement(NamedTuple):
@@ -124,12 +124,12 @@ REQUIREMENTS = (
 )
 
 
-def fault_of(config: Any) -> str:
+def first_violation(config: Any) -> str:
     """Return the first violated constraint as one line, or '' if there is none.
 
     The line names key, value and allowed range. config: the whole tree.
     """
-    for key, must_be, limit, of, rounding in (*CONSTRAINTS, *(r for r in WRITTEN_RELATIONS if _written(config, r))):
+    for key, must_be, limit, of, rounding in (*CONSTRAINTS, *(r for r in EXPLICIT_KEY_CONSTRAINTS if _written(config, r))):
         value, most = attrgetter(key)(config), of(config)
         slack = -rounding if must_be == "at least" else rounding
         if not _HOLDS[must_be](value, most + slack):

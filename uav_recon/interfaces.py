@@ -208,7 +208,7 @@ class Planner(Protocol):
         """Record that this path is flown, or could not be flown. A later plan evaluates the outcome."""
         ...
 
-    def still_worth(self, voxels: VoxelMap, position_world: FloatArray, yaw_rad: float) -> bool:
+    def next_view_has_gain(self, voxels: VoxelMap, position_world: FloatArray, yaw_rad: float) -> bool:
         """Return True if the next view of the last plan still has a gain in a newer map.
 
         Takes microseconds.

@@ -15,7 +15,7 @@ from sitl.camera.d435i import Model
 from sitl.runtime.array_cache import cache_folder
 from sitl.scene.rasterizer import Renderer
 from sitl.scene.scene import Scene
-from sitl.truth.reference_times import SEEN_WELL_S
+from sitl.truth.reference_times import REFERENCE_TIMES_S
 from sitl.truth.visibility import VisibleTruth, load_visible_truth
 from uav_recon.app import factory
 from uav_recon.app.step_display import Report as Progress
@@ -61,15 +61,15 @@ class FlightTruth:
             )  # fmt: skip
 
 
-def judge(options: SimOptions, scene: Scene, wall_s: float, fault: str | None, console: Console) -> Report:
+def evaluate_flight(options: SimOptions, scene: Scene, wall_s: float, fault: str | None, console: Console) -> Report:
     """Evaluate the flight in options.out against ground truth and write the report there."""
     steps = StepDisplay(console)
     with steps.step("computing the surface that the camera can see (kept for the next flight in this scene)") as progress:
         cut = visible_truth(options, scene, progress)
     with steps.step("evaluating path, clearance and setpoints"):
-        report = flown(options, scene, wall_s, fault)
+        report = flight_report(options, scene, wall_s, fault)
     with steps.step("evaluating coverage, and recall over time") as progress:
-        report = against_truth(report, options, scene, cut, progress)
+        report = add_truth_metrics(report, options, scene, cut, progress)
     mesh = load_mesh(options.out)
     if mesh is not None and len(mesh.faces):
         with steps.step("rendering images of model and truth") as progress:
@@ -87,7 +87,7 @@ def visible_truth(options: SimOptions, scene: Scene, progress: Progress = no_rep
     return load_visible_truth(scene, options.mount, camera, cache_folder(), progress)
 
 
-def flown(options: SimOptions, scene: Scene, wall_s: float, fault: str | None) -> Report:
+def flight_report(options: SimOptions, scene: Scene, wall_s: float, fault: str | None) -> Report:
     """Return the product's report of the flight in options.out, with figures from ground truth.
 
     These are path, flight time, setpoint stream and safety. Quick.
@@ -109,7 +109,7 @@ def flown(options: SimOptions, scene: Scene, wall_s: float, fault: str | None) -
     )
 
 
-def against_truth(
+def add_truth_metrics(
     report: Report, options: SimOptions, scene: Scene, cut: VisibleTruth, progress: Progress = no_report
 ) -> Report:
     """Add the explored fraction of the truth, and the recall of its surface over time."""
@@ -119,7 +119,7 @@ def against_truth(
         explored_fraction=None if voxels is None else _explored_fraction(voxels, scene, cut),
         recall_over_time=curve,
         time_to_recall_s={recall: time_to(curve or (), float(recall)) for recall in TIMED_RECALLS},
-        oracle_s=SEEN_WELL_S.get(scene.name),
+        oracle_s=REFERENCE_TIMES_S.get(scene.name),
     )
 
 

@@ -26,7 +26,7 @@ from sitl.apps.world_process import make_world
 from sitl.autopilots.byte_links import pipe
 from sitl.outside_world import OutsideWorld
 from sitl.scene.scene import Scene
-from sitl.world.step_sizes import QUICK, REAL
+from sitl.world.step_sizes import COARSE_STEPS, FINE_STEPS
 from uav_recon.app import factory, operator_factory
 from uav_recon.app.flight_channels import memory_channels
 from uav_recon.app.processes import MISSION_RATE_HZ, RECORDER_RATE_HZ
@@ -52,7 +52,7 @@ LONGEST_S = 3600.0
 
 
 @dataclass(frozen=True)
-class Flown:
+class LockstepResult:
     """Result of a flight in lockstep.
 
     fault: one line, None without a fault. simulated_s: duration on the simulated clock. wall_s, processor_s: wall and
@@ -141,14 +141,15 @@ class NoHook:
         return finished
 
 
-NOBODY = NoHook()
+NO_HOOK = NoHook()
 
 
-class Call(Generic[T]):
+class HookedPending(Generic[T]):
     """Pending result of the planner; not done while the hook stops the planner."""
 
     def __init__(self, inner: Pending[T], meddler: LockstepHook) -> None:
-        self._inner, self._meddler = inner, meddler
+        self._inner = inner
+        self._meddler = meddler
 
     def done(self) -> bool:
         """Return True if the result is available."""
@@ -159,15 +160,16 @@ class Call(Generic[T]):
         return self._inner.result()
 
 
-class Calls:
+class HookedExecutor:
     """Executor of the mission's planning, in which the hook can make a call hang."""
 
     def __init__(self, inner: InlineExecutor, meddler: LockstepHook) -> None:
-        self._inner, self._meddler = inner, meddler
+        self._inner = inner
+        self._meddler = meddler
 
     def submit(self, work: Callable[[], T], cost_s: float) -> Pending[T]:
         """Start work; its result becomes available after cost_s of simulated time."""
-        return Call(self._inner.submit(work, cost_s), self._meddler)
+        return HookedPending(self._inner.submit(work, cost_s), self._meddler)
 
     def close(self) -> None:
         """Do nothing: work runs inline."""
@@ -175,22 +177,22 @@ class Calls:
 
 def fly_in_lockstep(
     options: SimOptions, config: Config, scene: Scene, console: Console, land: Callable[[], bool], timelapse: bool = True,
-    meddler: LockstepHook = NOBODY,
-) -> Flown:  # fmt: skip
+    meddler: LockstepHook = NO_HOOK,
+) -> LockstepResult:  # fmt: skip
     """Run a flight in lockstep and write its results to options.out.
 
     land: returns True if the operator wants to land now. timelapse: store states of the surface, from which recall over
     time is computed. meddler: the hook of this flight.
     """
     clock, quick = ManualClock(START_S), options.mapper == "depth-only"
-    pace, wires = (QUICK, direct_channels()) if quick else (REAL, memory_channels())
+    pace, wires = (COARSE_STEPS, direct_channels()) if quick else (FINE_STEPS, memory_channels())
     ours, theirs = pipe()
     world = make_world(options.world(config.runtime.folder), scene, theirs, clock.now_s, pace)
     meddler.enter(world, wires, START_S)
     factory.warm_up(config)
     mapper = _mapper(options, config)
     log, journal = MemoryTlog(options.out / "flight.tlog"), FlightLog(options.out)
-    link, executor = meddler.link(ours), Calls(InlineExecutor(clock), meddler)
+    link, executor = meddler.link(ours), HookedExecutor(InlineExecutor(clock), meddler)
     pilot = factory.make_pilot(config, wires, link, log, clock)
     perception = factory.make_perception(config, wires, clock)
     conductor = factory.make_conductor(config, wires, mapper, executor, journal, clock, time.perf_counter)
@@ -205,14 +207,14 @@ def fly_in_lockstep(
     steps = 0
     started_s, processor_s = time.perf_counter(), time.process_time()
     with ProgressDisplay(console, wires) as screen:
-        while not meddler.over(conductor.finished) and steps * pace.turn_s < LONGEST_S:
+        while not meddler.over(conductor.finished) and steps * pace.iteration_s < LONGEST_S:
             steps += 1
-            now_s = START_S + steps * pace.turn_s
+            now_s = START_S + steps * pace.iteration_s
             clock.advance_to(now_s)
             meddler.turn(now_s)
             world.step(now_s)
             if world.frame_due(now_s):
-                world.develop(world.expose(now_s))
+                world.develop(world.begin_frame(now_s))
             if meddler.restarts("perception"):
                 perception = factory.make_perception(config, wires, clock)
             if meddler.runs("perception"):
@@ -249,7 +251,7 @@ def fly_in_lockstep(
         watcher.close()
     world.truth_log.save(options.out / "truth.npz", world)
     fault = None if conductor.finished else f"the flight did not end within {LONGEST_S:.0f} s of simulated time"
-    return Flown(fault, steps * pace.turn_s, wall_s, processor_s)
+    return LockstepResult(fault, steps * pace.iteration_s, wall_s, processor_s)
 
 
 @contextmanager

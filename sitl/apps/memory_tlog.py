@@ -15,7 +15,8 @@ class MemoryTlog:
     """
 
     def __init__(self, path: Path) -> None:
-        self._path, self._bytes = path, bytearray()
+        self._path = path
+        self._bytes = bytearray()
 
     def record(self, now_s: float, frame: bytes) -> None:
         """Append one frame."""

@@ -21,7 +21,8 @@ class ProgressDisplay:
     """A live line on a terminal; elsewhere a line at each change of phase and every ten views."""
 
     def __init__(self, console: Console, wires: FlightChannels) -> None:
-        self._console, self._wires = console, wires
+        self._console = console
+        self._wires = wires
         self._live = Live(console=console, refresh_per_second=4, transient=True) if console.is_terminal else None
         self._last = ("", -1)
         self._begun_s = self._printed_s = time.monotonic()

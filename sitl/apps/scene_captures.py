@@ -89,7 +89,7 @@ def capture(
     return SceneCaptures(eye.header, np.array(depths), np.array(pictures), np.array(poses))
 
 
-def held_out(scene: Scene, world_from_rgb: F64, spec: CameraSpec, stride: int) -> Pixels:
+def held_out_pixels(scene: Scene, world_from_rgb: F64, spec: CameraSpec, stride: int) -> Pixels:
     """Return every stride-th pixel, in u and v, of true images at world_from_rgb (V, 4, 4).
 
     Takes about 20 ms per image.

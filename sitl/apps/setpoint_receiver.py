@@ -42,7 +42,8 @@ class Hover:
     """Outputs of perception and mission for a hover at take-off height in an empty hall."""
 
     def __init__(self, config: Config, autopilot: Autopilot, start_s: float) -> None:
-        self._config, self._autopilot = config, autopilot
+        self._config = config
+        self._autopilot = autopilot
         self._wires = file_channels(config.runtime.folder)
         self._motion = factory.make_motion(config, config.planner.clearance_m)
         self._motion.warm_up()

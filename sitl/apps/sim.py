@@ -54,9 +54,9 @@ def simulate(options: SimOptions, json: Path | None = None) -> int:
         else:
             times_real = None
             fault = SimProcesses(_commands(options, Path(runtime)), options.out / "logs", Path(runtime), console, begun_s).fly()
-    from sitl.apps.flight_judge import judge, summary
+    from sitl.apps.flight_judge import evaluate_flight, summary
 
-    report = judge(options, scene, time.monotonic() - started_s, fault, console)
+    report = evaluate_flight(options, scene, time.monotonic() - started_s, fault, console)
     console.print(summary(report, options.out), markup=False, highlight=False, soft_wrap=True)
     if json is not None:
         flight = {"completed": report.completed, "times_real": times_real, "report": dataclasses.asdict(report)}

@@ -34,7 +34,7 @@ class _Child:
     process: subprocess.Popen[bytes]
     log: Path
 
-    def last_words(self) -> str:
+    def end_reason(self) -> str:
         """Return the reason for its end: the signal, or the last line on stderr."""
         code = self.process.returncode
         if code is not None and code < 0:
@@ -54,12 +54,16 @@ class SimProcesses:
         self, commands: dict[str, list[str]], logs: Path, runtime: Path, console: Console, begun_s: float | None = None
     ) -> None:
         """begun_s: when the program began, on the monotonic clock; the console shows how long it took to be ready."""
-        self._commands, self._logs, self._runtime, self._console = commands, logs, runtime, console
+        self._commands = commands
+        self._logs = logs
+        self._runtime = runtime
+        self._console = console
         self._wires = file_channels(runtime)
         self._begun_s = begun_s
         self._children: list[_Child] = []
-        self._interrupts, self._given_up = 0, False
-        self._patience_s = float("inf")  # deadline for the end of the mission after an interrupt
+        self._interrupts = 0
+        self._given_up = False
+        self._deadline_s = float("inf")  # deadline for the end of the mission after an interrupt
 
     def fly(self) -> str | None:
         """Fly; return the fault in one line, None without one.
@@ -101,13 +105,13 @@ class SimProcesses:
             while True:
                 mission = self._child("mission")
                 if mission.process.poll() is not None:
-                    return None if mission.process.returncode == 0 else f"mission died: {mission.last_words()}"
+                    return None if mission.process.returncode == 0 else f"mission died: {mission.end_reason()}"
                 for child in self._children:
                     if child.process.poll() is not None:
-                        return f"{child.name} died: {child.last_words()}"
+                        return f"{child.name} died: {child.end_reason()}"
                 if self._given_up:
                     raise UserError(NOT_FLOWN, EXIT_INTERRUPTED)
-                if time.monotonic() > self._patience_s:
+                if time.monotonic() > self._deadline_s:
                     return f"the mission did not end within {LANDING_S:.0f} s after the interrupt"
                 if screen.show():
                     self._say_ready()
@@ -138,7 +142,7 @@ class SimProcesses:
         if self._grounded():
             self._given_up = True
             return
-        self._patience_s = time.monotonic() + LANDING_S
+        self._deadline_s = time.monotonic() + LANDING_S
         for child in self._children:
             if child.name == "mission" and child.process.poll() is None:
                 child.process.send_signal(signal.SIGTERM)

@@ -90,7 +90,7 @@ def fly_case(case: Case, truth: bool) -> Record:
 def _fly(case: Case, folder: Path, truth: bool) -> Record:
     from rich.console import Console
 
-    from sitl.apps.flight_judge import against_truth, flown, visible_truth
+    from sitl.apps.flight_judge import add_truth_metrics, flight_report, visible_truth
     from sitl.apps.lockstep import fly_in_lockstep
     from sitl.apps.sim_options import SimOptions
     from sitl.scene.scene import load_scene
@@ -105,9 +105,9 @@ def _fly(case: Case, folder: Path, truth: bool) -> Record:
     config = options.config(scene, folder)
     product_config.save(config, options.out / "config.toml")
     flight = fly_in_lockstep(options, config, scene, Console(quiet=True), lambda: False, timelapse=truth)
-    report = flown(options, scene, flight.wall_s, flight.fault)
+    report = flight_report(options, scene, flight.wall_s, flight.fault)
     if truth:
-        report = against_truth(report, options, scene, visible_truth(options, scene))
+        report = add_truth_metrics(report, options, scene, visible_truth(options, scene))
     safety, planning = report.safety, report.planning
     return Record(
         case, report.outcome, report.stop_reason, report.flight_time_s, report.path_length_m, report.views,

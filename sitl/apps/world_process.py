@@ -27,22 +27,22 @@ from sitl.autopilots.byte_links import ByteEnd, UdpPeer
 from sitl.autopilots.px4.autopilot import Px4
 from sitl.autopilots.px4.parameters import Px4Parameters
 from sitl.camera import d435i
-from sitl.outside_world import Darkroom, Flyer, OutsideWorld
+from sitl.outside_world import Flyer, OutsideWorld, RenderThread
 from sitl.real_firmware.ardupilot import ArduPilotBinary
 from sitl.real_firmware.firmware_vehicle import FirmwareVehicle
 from sitl.real_firmware.process import FirmwareError
 from sitl.real_firmware.px4 import Px4Binary
-from sitl.scene.mesh_simplification import merged
+from sitl.scene.mesh_simplification import simplified
 from sitl.scene.rasterizer import Renderer
 from sitl.scene.scene import Scene, load_scene
 from sitl.truth.hull_clearance import HullClearance
 from sitl.world.pose_tracker import SimulatedTracker
 from sitl.world.quadrotor import AirframeDynamics, Quadrotor
-from sitl.world.step_sizes import REAL, StepSizes
+from sitl.world.step_sizes import FINE_STEPS, StepSizes
 from uav_recon.sensors.stream_format import StreamWriter
 
 STEP_S = 0.004
-_NEVER = 10**9  # number of partial garbage collections before a full one
+_NO_FULL_GC = 10**9  # number of partial garbage collections before a full one
 
 
 @dataclass(frozen=True)
@@ -81,13 +81,13 @@ class WorldOptions:
 
 
 def make_world(
-    options: WorldOptions, scene: Scene, link: ByteEnd, now_s: Callable[[], float], pace: StepSizes = REAL
+    options: WorldOptions, scene: Scene, link: ByteEnd, now_s: Callable[[], float], pace: StepSizes = FINE_STEPS
 ) -> OutsideWorld:
     """Create the simulator with a simulated autopilot; its time starts after kernel compilation."""
     return _assemble(options, scene, lambda room: _autopilot(options, scene, room, link, pace), now_s, pace)
 
 
-def make_world_of(
+def make_firmware_world(
     firmware: Path, options: WorldOptions, scene: Scene, companion_port: int, ends: contextlib.ExitStack
 ) -> OutsideWorld:
     """Create the simulator with a real firmware, which sends to companion_port.
@@ -98,7 +98,7 @@ def make_world_of(
     def boot(_: HullClearance) -> Flyer:
         return ends.enter_context(contextlib.closing(_firmware(options, firmware, scene, companion_port)))
 
-    return _assemble(options, scene, boot, time.monotonic, REAL)
+    return _assemble(options, scene, boot, time.monotonic, FINE_STEPS)
 
 
 def _assemble(
@@ -122,9 +122,9 @@ def _autopilot(options: WorldOptions, scene: Scene, room: HullClearance, link: B
     if options.autopilot == "ardupilot":
         parameters = ArduPilotParameters.load()
         airframe = AirframeDynamics(tilt_lag_s=lean_lag_s(parameters))
-        vehicle = Quadrotor(seed=options.seed, yaw_rad=yaw_rad, airframe=airframe, standing_m=standing_m)
+        vehicle = Quadrotor(seed=options.seed, yaw_rad=yaw_rad, airframe=airframe, support_height_m=standing_m)
         return ArduCopter(vehicle, link, parameters, options.seed, pace.physics_s)
-    vehicle = Quadrotor(seed=options.seed, yaw_rad=yaw_rad, standing_m=standing_m)
+    vehicle = Quadrotor(seed=options.seed, yaw_rad=yaw_rad, support_height_m=standing_m)
     return Px4(vehicle, link, Px4Parameters.load(), options.seed, pace.physics_s)
 
 
@@ -132,7 +132,7 @@ def _renderer(scene: Scene, camera: d435i.Model) -> Renderer:
     if camera != "fast":
         seen = scene.paint or scene
         return Renderer(seen.vertices, seen.faces, seen.rgb)
-    vertices, faces = merged(scene.vertices, scene.faces)  # this camera has no colour
+    vertices, faces = simplified(scene.vertices, scene.faces)  # this camera has no colour
     return Renderer(vertices, faces, np.zeros(vertices.shape, np.uint8))
 
 
@@ -167,7 +167,7 @@ def fly(options: WorldOptions) -> None:
 def _outside(options: WorldOptions, scene: Scene, ends: contextlib.ExitStack) -> OutsideWorld:
     """Return the simulator with autopilot or firmware; `ends` closes its link or its firmware."""
     if options.firmware is not None:
-        return make_world_of(Path(options.firmware), options, scene, options.port, ends)
+        return make_firmware_world(Path(options.firmware), options, scene, options.port, ends)
     link = ends.enter_context(contextlib.closing(UdpPeer(remote=("127.0.0.1", options.port))))
     return make_world(options, scene, link, time.monotonic)
 
@@ -179,13 +179,13 @@ def run(world: OutsideWorld, ended: Callable[[float], bool]) -> None:
     simulator for 0.57 s.
     """
     gc.freeze()
-    gc.set_threshold(*gc.get_threshold()[:2], _NEVER)
-    darkroom = Darkroom(world)
+    gc.set_threshold(*gc.get_threshold()[:2], _NO_FULL_GC)
+    darkroom = RenderThread(world)
     next_s = time.monotonic()
     while not ended(now_s := time.monotonic()):
         world.step(now_s)
         if world.frame_due(now_s):
-            darkroom.submit(world.expose(now_s))
+            darkroom.submit(world.begin_frame(now_s))
         next_s = max(next_s + STEP_S, now_s)
         time.sleep(max(next_s - time.monotonic(), 0.0))
     darkroom.close()

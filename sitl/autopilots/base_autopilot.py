@@ -40,7 +40,7 @@ class VehicleTruth:
     mode: str
 
 
-class Decides(Protocol):
+class CommanderInterface(Protocol):
     """Commander: flight mode, arming state and failsafes."""
 
     armed: bool
@@ -67,7 +67,7 @@ class Autopilot(ABC):
         parameters: ParameterTable,
         server: MavlinkServer,
         board: AutopilotState,
-        commander: Decides,
+        commander: CommanderInterface,
         requests: BaseCommands,
         booted_before_s: float,
         seed: int,
@@ -78,16 +78,21 @@ class Autopilot(ABC):
         booted_before_s: time from boot to the first step(). step_s: time step of physics, estimator and control, well below
         the lags of the vehicle.
         """
-        self._step_s, self._slow_steps = step_s, max(round(_SLOW_S / step_s), 1)
-        self.vehicle, self.parameters = vehicle, parameters
+        self._step_s = step_s
+        self._slow_steps = max(round(_SLOW_S / step_s), 1)
+        self.vehicle = vehicle
+        self.parameters = parameters
         self._imu = Imu(seed, step_s)
-        self._server, self._board, self._commander, self._requests = server, board, commander, requests
+        self._server = server
+        self._board = board
+        self._commander = commander
+        self._requests = requests
         self._booted_before_s = booted_before_s
         self._started = False
         self._steps = 0
         self._revision = parameters.revision
         self._start_s = 0.0
-        self._eyes: PilotView | None = None  # set while a human pilot flies it without the estimator
+        self._pilot_view: PilotView | None = None  # set while a human pilot flies it without the estimator
 
     @property
     def setpoint_arrivals_s(self) -> list[float]:
@@ -130,7 +135,7 @@ class Autopilot(ABC):
         """Disarm by the kill switch: the motors stop, even in flight."""
 
     @abstractmethod
-    def lose_land_detector(self) -> None:
+    def disable_land_detector(self) -> None:
         """Disable the land detector: no landing is detected any more."""
 
     def write_parameter(self, name: str, value: float) -> None:
@@ -150,8 +155,8 @@ class Autopilot(ABC):
         b = self._board
         b.boot_s, b.origin, b.home = b.now_s, None, None
         self._server.restart()
-        self._forget()
-        self._eyes = PilotView(self.vehicle)
+        self._reset_after_reboot()
+        self._pilot_view = PilotView(self.vehicle)
 
     def transmitter(self, heard: bool) -> None:
         """Switch the pilot's RC transmitter on (True) or off."""
@@ -196,7 +201,7 @@ class Autopilot(ABC):
             self._configure()
         self._sense()
         if self._steps % self._slow_steps == 0:
-            self._think(self._step_s * self._slow_steps)
+            self._step_slow_tasks(self._step_s * self._slow_steps)
         self._act()
         b.gimbal.step(self._step_s)
         self._server.stream_out(b.now_s)
@@ -214,8 +219,8 @@ class Autopilot(ABC):
         affect the flight.
         """
         v, b = self.vehicle, self._board
-        seen = self._eyes or b.estimator
-        force, turn = self._fly(self._step_s, seen)
+        seen = self._pilot_view or b.estimator
+        force, turn = self._control(self._step_s, seen)
         in_body = frd_from_flu(rotate(conjugate(seen.quat_wxyz), force))
         v.step(self._step_s, rotate(v.quat_wxyz, in_body), -turn, self._commander.armed)
 
@@ -237,15 +242,15 @@ class Autopilot(ABC):
         """Apply changed parameters."""
 
     @abstractmethod
-    def _think(self, dt_s: float) -> None:
+    def _step_slow_tasks(self, dt_s: float) -> None:
         """Run the 50 Hz tasks: slow sensors, home, commander."""
 
     @abstractmethod
-    def _forget(self) -> None:
+    def _reset_after_reboot(self) -> None:
         """Reset estimator and clock offsets after a reboot, and enter a manual mode."""
 
     @abstractmethod
-    def _fly(self, dt_s: float, seen: Estimator | PilotView) -> tuple[Vec3, float]:
+    def _control(self, dt_s: float, seen: Estimator | PilotView) -> tuple[Vec3, float]:
         """Return the wanted specific force (local NED, m/s^2) and yaw rate (about down, rad/s).
 
         seen: source of position, velocity and attitude.

@@ -22,7 +22,8 @@ class BaseCommands(ABC):
     """Dispatcher of received messages by id; unknown ones are ignored."""
 
     def __init__(self, board: AutopilotState, server: MavlinkServer) -> None:
-        self._board, self._server = board, server
+        self._board = board
+        self._server = server
         self.setpoint_arrivals_s: list[float] = []
         self._handlers: dict[int, Callable[[ReceivedMessage, float], None]] = {
             mavlink.MAVLINK_MSG_ID_COMMAND_LONG: self._command_long,

@@ -284,12 +284,16 @@ class Estimator:
         dx = dy = dz = turn = 0.0
         if self._position_of(pose):
             if xy and self._tuning.fuse_xy:
-                dx, dy, self._fused_xy_s = pose.position[0] - past[1], pose.position[1] - past[2], stamp
+                dx = pose.position[0] - past[1]
+                dy = pose.position[1] - past[2]
+                self._fused_xy_s = stamp
             if z and self._tuning.fuse_z:
-                dz, self._fused_z_s = pose.position[2] + self.height_offset_m - past[3], stamp
+                dz = pose.position[2] + self.height_offset_m - past[3]
+                self._fused_z_s = stamp
         heading = self._yaw_of(pose)
         if yaw and self._tuning.fuse_yaw and math.isfinite(heading):
-            turn, self._fused_yaw_s = wrapped(heading - past[4]), stamp
+            turn = wrapped(heading - past[4])
+            self._fused_yaw_s = stamp
         self._baro_zero += dz
         self._shift(dx, dy, dz, 0.0, 0.0, 0.0, stamp, turn)
         if turn:  # the velocity is known in the body frame, so it rotates with the heading

@@ -14,7 +14,8 @@ class LandDetector:
     def __init__(self, after_s: float) -> None:
         self._after_s = after_s
         self._resting_s = 0.0
-        self.landed, self.blind = True, False
+        self.landed = True
+        self.blind = False
 
     def touched_down(self, dt_s: float, force: Vec3, velocity: Vec3, level_known: bool) -> bool:
         """Advance by dt_s; return True if a landing was detected in this step.
@@ -36,4 +37,5 @@ class LandDetector:
 
     def rest(self) -> None:
         """Set the state to landed: motors idle or off."""
-        self.landed, self._resting_s = True, 0.0
+        self.landed = True
+        self._resting_s = 0.0

@@ -45,7 +45,9 @@ class MessageEncoder:
     """Encoder of packets with the sender's ids and a sequence number."""
 
     def __init__(self, system: int, component: int) -> None:
-        self._system, self._component, self._number = system, component, 0
+        self._system = system
+        self._component = component
+        self._number = 0
 
     def frame(self, message: Packet) -> bytes:
         """Return the bytes of one packet. Raises struct.error for a field of wrong type or range."""

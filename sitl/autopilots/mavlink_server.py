@@ -34,8 +34,10 @@ class MavlinkServer:
     def __init__(self, link: ByteEnd, parameters: ParameterTable, system: int = 1, component: int = 1) -> None:
         self._link = link
         self._parameters = parameters
-        self._system, self._component = system, component
-        self._speaker, self._listener = MessageEncoder(system, component), MessageDecoder()
+        self._system = system
+        self._component = component
+        self._encoder = MessageEncoder(system, component)
+        self._decoder = MessageDecoder()
         self._streams: dict[int, Stream] = {}
         self._due_s = 0.0
         self._out = bytearray()
@@ -46,7 +48,7 @@ class MavlinkServer:
 
     def restart(self) -> None:
         """Reset sequence numbers and message rates to those at boot."""
-        self._speaker = MessageEncoder(self._system, self._component)
+        self._encoder = MessageEncoder(self._system, self._component)
         for stream in self._streams.values():
             stream.interval_s, stream.next_s = stream.default_s, 0.0
         self._due_s = 0.0
@@ -55,7 +57,7 @@ class MavlinkServer:
 
     def send(self, message: Packet) -> None:
         """Queue a message; flush() sends it."""
-        self._out += self._speaker.frame(message)
+        self._out += self._encoder.frame(message)
 
     def say(self, severity: int, text: str) -> None:
         """Send a STATUSTEXT, in chunks of 50 bytes if it is longer."""
@@ -145,7 +147,7 @@ class MavlinkServer:
         """
         while self._inbox and self._inbox[0][0] <= now_s:
             arrival, data = self._inbox.popleft()
-            for message in self._listener.feed(data):
+            for message in self._decoder.feed(data):
                 if getattr(message, "target_system", 0) in (0, self._system):
                     yield arrival, message
 

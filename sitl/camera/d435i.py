@@ -84,8 +84,11 @@ class SimulatedD435i:
     """Camera in a scene. Frame n of a seed has the same noise in every run. Not thread-safe."""
 
     def __init__(self, renderer: CameraView, model: Model = "d435i", noise: Noise = "d435i", seed: int = 0) -> None:
-        self.header, self.period_s = stream_header(model), 1.0 / RATES_HZ[model]
-        self.renderer, self._model, self._seed = renderer, model, seed
+        self.header = stream_header(model)
+        self.period_s = 1.0 / RATES_HZ[model]
+        self.renderer = renderer
+        self._model = model
+        self._seed = seed
         self._noise = _NOISES[noise]
         self._frames = 0
         tx, ty, tz = self.header.rgb_from_depth[4:]

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from sitl.runtime.jit import kernel
 
 NORMAL_BASE_M = 0.08  # half the baseline of the depth differences for normals: large against the depth noise
-LARGEST_JUMP = 0.12  # relative depth difference to either end of the baseline; more is an edge
+MAX_RELATIVE_DEPTH_STEP = 0.12  # relative depth difference to either end of the baseline; more is an edge
 SMALLEST_COSINE = 0.15
 PRIOR_SIGMA_M = 1.0  # standard deviation before any measurement
-FIRST_ROOM = 4096  # initial capacity, in surface elements
+INITIAL_CAPACITY = 4096  # initial capacity, in surface elements
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 I32 = NDArray[np.int32]
@@ -28,11 +28,12 @@ class DepthSurfels:
     """
 
     def __init__(self, low_m: F64, high_m: F64, cell_m: float) -> None:
-        self._low, self._cell_m = np.asarray(low_m, np.float64), cell_m
+        self._low = np.asarray(low_m, np.float64)
+        self._cell_m = cell_m
         extent = np.asarray(high_m, np.float64) - self._low
         self._cube = np.full(tuple(int(n) for n in np.ceil(extent / cell_m - 1e-6)), -1, np.int32)
-        self._sums = np.zeros((FIRST_ROOM, 8))  # points (3), normals (3), weight, information
-        self._view = np.zeros(FIRST_ROOM, np.int32)
+        self._sums = np.zeros((INITIAL_CAPACITY, 8))  # points (3), normals (3), weight, information
+        self._view = np.zeros(INITIAL_CAPACITY, np.int32)
         self._views = self._count = 0
 
     def __len__(self) -> int:
@@ -111,7 +112,7 @@ def _look(
             u0, u1, v0, v1 = max(u - du, 0), min(u + du, width - 1), max(v - dv, 0), min(v + dv, height - 1)
             za, zb = np.float64(depth[v, u0]), np.float64(depth[v, u1])
             zc, zd = np.float64(depth[v0, u]), np.float64(depth[v1, u])
-            edge = LARGEST_JUMP * z
+            edge = MAX_RELATIVE_DEPTH_STEP * z
             if not (abs(za - z) < edge and abs(zb - z) < edge and abs(zc - z) < edge and abs(zd - z) < edge):
                 continue
             x, y = (u - cx) / fx, (v - cy) / fy

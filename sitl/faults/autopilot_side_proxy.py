@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from sitl.autopilots.byte_links import ByteEnd
-from sitl.faults.mavlink_proxy import Fate, Queue, frames
+from sitl.faults.mavlink_proxy import DelayQueue, Fate, frames
 
 
 class AutopilotSideProxy:
@@ -18,8 +18,12 @@ class AutopilotSideProxy:
     """
 
     def __init__(self, end: ByteEnd, now_s: Callable[[], float], up: Fate, down: Fate) -> None:
-        self._end, self._now_s, self._up, self._down = end, now_s, up, down
-        self._rising, self._falling = Queue(), Queue()
+        self._end = end
+        self._now_s = now_s
+        self._up = up
+        self._down = down
+        self._rising = DelayQueue()
+        self._falling = DelayQueue()
         self.sent: list[tuple[float, bytes]] = []
         self.arrived: list[tuple[float, bytes]] = []
         self.heard: list[tuple[float, bytes]] = []
@@ -53,7 +57,7 @@ class AutopilotSideProxy:
             self.heard.append((now_s, frame))
             self._end.write(frame)
 
-    def forge(self, data: bytes) -> None:
+    def inject_to_product(self, data: bytes) -> None:
         """Insert bytes into what the product reads next."""
         self.heard.append((self._now_s(), data))
         self._end.write(data)

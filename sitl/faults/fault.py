@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from sitl.faults.injectors.base import Injector
 
-STANDS_S = 2.0
+AFTER_DISARM_S = 2.0
 
 
 @dataclass(frozen=True)
@@ -16,16 +16,16 @@ class Onset:
 
     after_s: the fault begins at a random time in this interval, counted from the end of the climb; from boot if at_boot is set.
     speed_mps: from that time on it begins once the vehicle flies at this speed or faster, unless at_boot is set.
-    seeing: only while the camera looks in the direction of travel, so that it can see an obstacle ahead.
-    view_m: only while nothing is nearer than this before the camera, along its level axis.
+    needs_view_ahead: only while the camera looks in the direction of travel, so that it can see an obstacle ahead.
+    min_view_depth_m: only while nothing is nearer than this before the camera, along its level axis.
     away_m: only at this horizontal distance from the pad or farther.
     """
 
     after_s: tuple[float, float] = (2.0, 8.0)
     speed_mps: float = 0.4
     at_boot: bool = False
-    seeing: bool = False
-    view_m: float = 0.0
+    needs_view_ahead: bool = False
+    min_view_depth_m: float = 0.0
     away_m: float = 0.0
 
     def wait_s(self, share: float) -> float:
@@ -44,12 +44,12 @@ class Fault:
     row: identifier of the scenario.
     injectors: what the fault consists of.
     onset: when it begins.
-    longest_s: the flight is observed for this many seconds after the onset at most.
-    stands_s: the flight is observed for this many seconds after the motors have stopped.
+    observe_s: the flight is observed for this many seconds after the onset at most.
+    observe_after_disarm_s: the flight is observed for this many seconds after the motors have stopped.
     """
 
     row: str
     injectors: Sequence[Injector]
     onset: Onset = Onset()
-    longest_s: float = 60.0
-    stands_s: float = STANDS_S
+    observe_s: float = 60.0
+    observe_after_disarm_s: float = AFTER_DISARM_S

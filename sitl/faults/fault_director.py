@@ -21,18 +21,18 @@ from numpy.typing import NDArray
 from sitl.autopilots.byte_links import ByteEnd
 from sitl.camera.d435i import pinhole
 from sitl.faults.autopilot_side_proxy import AutopilotSideProxy
-from sitl.faults.fault import STANDS_S, Fault, Onset
-from sitl.faults.injectors.base import ATTENDED, Depth, InjectionContext, Injector
-from sitl.faults.mavlink_proxy import Bytes, Late, Proxy, Tap
+from sitl.faults.fault import AFTER_DISARM_S, Fault, Onset
+from sitl.faults.injectors.base import ATTENDED, DepthFrame, InjectionContext, Injector
+from sitl.faults.mavlink_proxy import Bytes, DelayedItems, Proxy, ProxyInterface
 from sitl.geometry.quaternion import yaw_of
 from sitl.geometry.transform import body_from_camera, world_from_body
-from sitl.outside_world import Outlet, OutsideWorld
+from sitl.outside_world import CameraStreamOutput, OutsideWorld
 from sitl.world.pose_tracker import PoseRecord
 
 T = TypeVar("T")
-OURS = ("OFFBOARD", "GUIDED")
+EXTERNAL_CONTROL_MODES = ("OFFBOARD", "GUIDED")
 AIRBORNE_M = 0.9
-LONGEST_WAIT_S = 240.0  # a flight ends after this time if no fault has begun
+MAX_ONSET_WAIT_S = 240.0  # a flight ends after this time if no fault has begun
 _SEEN_RAD = math.radians(25.0)  # from the heading: a person 1 m away is still in an image of 43 degrees half width
 
 _PEEK = pinhole(16, 6, 24.0, 8.0)
@@ -51,7 +51,7 @@ class TruthSample:
     charge: float  # state of charge, 0 to 1
 
 
-def alone(row: str) -> bool:
+def never_split(row: str) -> bool:
     """Return True: the flight is not split, so every fault that begins is flown in it."""
     return True
 
@@ -62,40 +62,45 @@ class FaultDirector:
     troubles: one fault, or several that share the flight until their onsets. At each onset split(row) returns whether this
     flight is the one with that fault; if not, the flight continues with the remaining faults. The last remaining fault is flown
     without a split.
-    longest_wait_s: the flight ends after this time if no fault has begun.
+    max_onset_wait_s: the flight ends after this time if no fault has begun.
     """
 
     def __init__(
-        self, troubles: Sequence[Fault], seed: int, longest_wait_s: float = LONGEST_WAIT_S,
-        split: Callable[[str], bool] = alone,
+        self, troubles: Sequence[Fault], seed: int, max_onset_wait_s: float = MAX_ONSET_WAIT_S,
+        split: Callable[[str], bool] = never_split,
     ) -> None:  # fmt: skip
-        self._troubles, self._split = list(troubles), split
+        self._troubles = list(troubles)
+        self._split = split
         self._injectors: Sequence[Injector] = ()
-        self._longest_s, self._stands_s, self._longest_wait_s = math.inf, STANDS_S, longest_wait_s
+        self._longest_s = math.inf
+        self._stands_s = AFTER_DISARM_S
+        self._longest_wait_s = max_onset_wait_s
         self._dice = random.Random(seed * 7919 + 17)
         self._share = self._dice.random()  # position within the interval in which a fault may begin
-        self._airborne_s, self._flown, self._disarmed_s = math.inf, False, math.inf
+        self._airborne_s = math.inf
+        self._flown = False
+        self._disarmed_s = math.inf
         self._begun_s = math.inf
         self.onset_s = math.inf
         self.end_s = -math.inf
-        self.ledger: list[TruthSample] = []
-        self.proxy: Tap | None = None
+        self.truth_samples: list[TruthSample] = []
+        self.proxy: ProxyInterface | None = None
 
     # -- hooks of the flight ------------------------------------------------------------------------------------------
 
     def enter(self, world: OutsideWorld, channels: object, now_s: float) -> None:
         """Take the finished world and insert the fault stream before its camera stream."""
-        self.theatre = InjectionContext(world, self._dice, channels, self.proxy, now_s)
+        self.context = InjectionContext(world, self._dice, channels, self.proxy, now_s)
         self._begun_s = now_s
         self._stream = world.stream = FaultyStream(world.stream, self)
 
     def link(self, end: Bytes) -> Proxy:
         """Return the product's end of the MAVLink link, behind a proxy."""
-        proxy = Proxy(end, lambda: self.theatre.now_s, self._fate("to_autopilot"), self._fate("to_product"))
-        self.proxy = self.theatre.proxy = proxy
+        proxy = Proxy(end, lambda: self.context.now_s, self._fate("to_autopilot"), self._fate("to_product"))
+        self.proxy = self.context.proxy = proxy
         return proxy
 
-    def far_link(self, end: ByteEnd) -> AutopilotSideProxy:
+    def autopilot_link(self, end: ByteEnd) -> AutopilotSideProxy:
         """Return the autopilot's end of the link, behind a proxy.
 
         For flights in which only that end is in this process. Call it before the world is made.
@@ -109,11 +114,11 @@ class FaultDirector:
 
         Call it in each turn before anything else moves.
         """
-        at, flyer = self.theatre, self.theatre.world.flyer
+        at, flyer = self.context, self.context.world.flyer
         at.now_s, truth = now_s, flyer.truth()
         yaw_rad, charge = yaw_of(truth.quat_wxyz), flyer.battery_fraction
-        self.ledger.append(TruthSample(now_s, truth.position, truth.velocity, yaw_rad, truth.armed, truth.mode, charge))
-        self._watch(self.ledger[-1])
+        self.truth_samples.append(TruthSample(now_s, truth.position, truth.velocity, yaw_rad, truth.armed, truth.mode, charge))
+        self._watch(self.truth_samples[-1])
         for injector in self._injectors:
             injector.turn(at, now_s - self.onset_s)
         if self.proxy is not None:
@@ -122,34 +127,34 @@ class FaultDirector:
 
     def runs(self, stage: str) -> bool:
         """Return whether the loop of a stage runs in this turn."""
-        since_s = self.theatre.now_s - self.onset_s
+        since_s = self.context.now_s - self.onset_s
         return not any(injector.stalls(since_s, stage) for injector in self._injectors)
 
     def restarts(self, stage: str) -> bool:
         """Return whether a stage must be rebuilt before this turn."""
-        since_s = self.theatre.now_s - self.onset_s
+        since_s = self.context.now_s - self.onset_s
         return any(injector.restarts(since_s, stage) for injector in self._injectors)
 
     def holds(self) -> bool:
         """Return whether the operator commands the vehicle to hold its position."""
-        return self.theatre.hold
+        return self.context.hold
 
     def attends(self) -> bool:
         """Return whether the operator queries the status now, and note the time if so."""
-        if self.theatre.attends:
-            self.theatre.notes[ATTENDED] = self.theatre.now_s
-        return self.theatre.attends
+        if self.context.attends:
+            self.context.notes[ATTENDED] = self.context.now_s
+        return self.context.attends
 
     def lands(self) -> bool:
         """Return whether the operator commands a landing."""
-        return self.theatre.abort
+        return self.context.abort
 
     def over(self, finished: bool) -> bool:
         """Return whether the flight has ended; at the end, run end() of the injectors.
 
         finished: the mission reports that it is done.
         """
-        now_s = self.theatre.now_s
+        now_s = self.context.now_s
         late = now_s - self.onset_s > self._longest_s or (
             self.onset_s == math.inf and now_s - self._begun_s > self._longest_wait_s
         )
@@ -158,7 +163,7 @@ class FaultDirector:
         if ended:
             self.end_s = now_s
             for injector in self._injectors:
-                injector.end(self.theatre)
+                injector.end(self.context)
         return ended
 
     # -- onset ----------------------------------------------------------------------------------------------------------
@@ -168,40 +173,43 @@ class FaultDirector:
         self._disarmed_s = math.inf if now.armed else min(self._disarmed_s, now.stamp_s)
         if self.onset_s < math.inf:
             return
-        if now.armed and now.mode in OURS and now.position_m[2] > AIRBORNE_M:
+        if now.armed and now.mode in EXTERNAL_CONTROL_MODES and now.position_m[2] > AIRBORNE_M:
             self._airborne_s = min(self._airborne_s, now.stamp_s)
-        for trouble in [each for each in self._troubles if self._comes(each.onset, now)]:
+        for trouble in [each for each in self._troubles if self._onset_due(each.onset, now)]:
             if len(self._troubles) == 1 or self._split(trouble.row):
-                self._meet(trouble, now.stamp_s)
+                self._begin_fault(trouble, now.stamp_s)
                 return
             self._troubles.remove(trouble)
 
-    def _comes(self, onset: Onset, now: TruthSample) -> bool:
+    def _onset_due(self, onset: Onset, now: TruthSample) -> bool:
         """Return whether the onset condition is met."""
         since_s = self._begun_s if onset.at_boot else self._airborne_s
-        flown = now.armed and now.mode in OURS
+        flown = now.armed and now.mode in EXTERNAL_CONTROL_MODES
         fast = onset.at_boot or (flown and math.hypot(*now.velocity_mps[:2]) >= onset.speed_mps)
         due = fast and now.stamp_s >= since_s + onset.wait_s(self._share)
         away = math.hypot(*now.position_m[:2]) >= onset.away_m
-        return due and away and (not onset.seeing or self._looks_ahead()) and self._views(onset.view_m)
+        return due and away and (not onset.needs_view_ahead or self._looks_ahead()) and self._view_clear(onset.min_view_depth_m)
 
     def _looks_ahead(self) -> bool:
         """Return whether the camera looks in the direction of travel."""
-        truth = self.theatre.world.flyer.truth()
+        truth = self.context.world.flyer.truth()
         return off_nose_rad(truth.velocity, truth.quat_wxyz) <= _SEEN_RAD
 
-    def _meet(self, trouble: Fault, now_s: float) -> None:
+    def _begin_fault(self, trouble: Fault, now_s: float) -> None:
         """Begin this fault and drop all others."""
-        self._troubles, self.onset_s, self._longest_s = [trouble], now_s, trouble.longest_s
-        self._injectors, self._stands_s = trouble.injectors, trouble.stands_s
+        self._troubles = [trouble]
+        self.onset_s = now_s
+        self._longest_s = trouble.observe_s
+        self._injectors = trouble.injectors
+        self._stands_s = trouble.observe_after_disarm_s
         for injector in self._injectors:
-            injector.begin(self.theatre)
+            injector.begin(self.context)
 
-    def _views(self, clear_m: float) -> bool:
+    def _view_clear(self, clear_m: float) -> bool:
         """Return whether nothing is nearer than clear_m on the level axis before the camera."""
         if clear_m <= 0.0:
             return True
-        world = self.theatre.world
+        world = self.context.world
         truth = world.flyer.truth()
         eye = world_from_body(truth.position, yaw_of(truth.quat_wxyz)) @ body_from_camera((0.0, 0.0, 0.0), 0.0)
         seen = world.camera.renderer.render(eye, _PEEK, colour=False).depth_m
@@ -209,28 +217,29 @@ class FaultDirector:
 
     # -- streams --------------------------------------------------------------------------------------------------------
 
-    def fate(self, kind: str, item: T) -> Late[T]:
+    def fate(self, kind: str, item: T) -> DelayedItems[T]:
         """Return the results of passing an item through all injectors: (delay in seconds, item).
 
         Delays add up. kind: name of the injector method, such as "pose" or "depth".
         """
-        since_s = self.theatre.now_s - self.onset_s
-        late: Late[T] = [(0.0, item)]
+        since_s = self.context.now_s - self.onset_s
+        late: DelayedItems[T] = [(0.0, item)]
         for injector in self._injectors:
-            make: Callable[[float, T], Late[T]] = getattr(injector, kind)
+            make: Callable[[float, T], DelayedItems[T]] = getattr(injector, kind)
             late = [(wait + more, changed) for wait, each in late for more, changed in make(since_s, each)]
         return late
 
-    def _fate(self, kind: str) -> Callable[[bytes], Late[bytes]]:
+    def _fate(self, kind: str) -> Callable[[bytes], DelayedItems[bytes]]:
         return lambda frame: self.fate(kind, frame)
 
 
 class FaultyStream:
     """Camera stream that applies the faults before the real writer."""
 
-    def __init__(self, writer: Outlet, meddler: FaultDirector) -> None:
-        self._writer, self._meddler = writer, meddler
-        self._waiting: list[tuple[float, int, PoseRecord | Depth]] = []
+    def __init__(self, writer: CameraStreamOutput, meddler: FaultDirector) -> None:
+        self._writer = writer
+        self._meddler = meddler
+        self._waiting: list[tuple[float, int, PoseRecord | DepthFrame]] = []
         self._numbers = itertools.count()
         self._lock = threading.Lock()  # images are rendered in a thread of their own
 
@@ -253,10 +262,10 @@ class FaultyStream:
 
     def write_frame(self, stamp_s: float, depth_mm: NDArray[np.uint16], rgb: NDArray[np.uint8]) -> None:
         """Write a frame, which the faults may delay, change or drop."""
-        self._queue(self._meddler.fate("depth", Depth(stamp_s, depth_mm, rgb)))
+        self._queue(self._meddler.fate("depth", DepthFrame(stamp_s, depth_mm, rgb)))
 
-    def _queue(self, late: Late[PoseRecord] | Late[Depth]) -> None:
-        now_s = self._meddler.theatre.now_s
+    def _queue(self, late: DelayedItems[PoseRecord] | DelayedItems[DepthFrame]) -> None:
+        now_s = self._meddler.context.now_s
         for wait_s, item in late:
             with self._lock:
                 heapq.heappush(self._waiting, (now_s + wait_s, next(self._numbers), item))
@@ -265,14 +274,14 @@ class FaultyStream:
     def release(self, now_s: float) -> None:
         """Write every queued item that is due."""
         while (item := self._due(now_s)) is not None:
-            if isinstance(item, Depth):
+            if isinstance(item, DepthFrame):
                 self._writer.write_frame(item.stamp_s, item.depth_mm, item.rgb)
             else:
                 self._writer.write_pose(
                     item.stamp_s, item.position_m, item.quat_wxyz, item.variance, item.quality, item.reset_counter
                 )
 
-    def _due(self, now_s: float) -> PoseRecord | Depth | None:
+    def _due(self, now_s: float) -> PoseRecord | DepthFrame | None:
         with self._lock:
             if self._waiting and self._waiting[0][0] <= now_s + 1e-9:
                 return heapq.heappop(self._waiting)[2]

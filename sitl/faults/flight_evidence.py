@@ -13,9 +13,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from sitl.faults.fault_director import OURS, FaultDirector, TruthSample
+from sitl.faults.fault_director import EXTERNAL_CONTROL_MODES, FaultDirector, TruthSample
 from sitl.faults.injectors.base import TAKEN_OVER
-from sitl.faults.wire_capture import WireCapture, decode, modes_told, setpoints_in
+from sitl.faults.wire_capture import WireCapture, decode, heartbeats_in, setpoints_in
 from sitl.outside_world import BODY_ABOVE_FLOOR_M, PAD_HEIGHT_M
 from sitl.truth.hull_clearance import HullClearance
 
@@ -24,7 +24,7 @@ Bools = NDArray[np.bool_]
 
 LOW_M = PAD_HEIGHT_M - BODY_ABOVE_FLOOR_M  # height above the surface below; the same as over the pad
 BLIND_S = 0.15  # no ODOMETRY for this long: the product has no pose
-HANDED_S = 0.3  # the last setpoint is sent within this time after the pilot's switch (scenario E1)
+HANDOVER_S = 0.3  # the last setpoint is sent within this time after the pilot's switch (scenario E1)
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ class FlightEvidence:
     mode: tuple[str, ...]
     hull_s: F64
     hull_m: F64
-    boxes_m: F64
+    obstacle_distance_m: F64
     standing_m: F64
     charge: F64
     failsafes: tuple[str, ...]
@@ -92,23 +92,23 @@ class FlightEvidence:
         return np.asarray(np.linalg.norm(self.velocity_mps, axis=1))
 
     @cached_property
-    def answered_for(self) -> Bools:
+    def product_responsible(self) -> Bools:
         """Mask (K,) of the turns in which the product is responsible for the vehicle's position.
 
-        From HANDED_S after a pilot has taken control it is not responsible, unless the vehicle follows its setpoints again: the
-        product must not interfere then. That pilot's sticks are never moved in the simulation, so without a position the
+        From HANDOVER_S after a pilot has taken control it is not responsible, unless the vehicle follows its setpoints again:
+        the product must not interfere then. That pilot's sticks are never moved in the simulation, so without a position the
         vehicle drifts for as long as it is observed.
         """
-        return (self.stamp_s < self.notes.get(TAKEN_OVER, math.inf) + HANDED_S) | self.ours
+        return (self.stamp_s < self.notes.get(TAKEN_OVER, math.inf) + HANDOVER_S) | self.ours
 
     @cached_property
     def clearance_m(self) -> float:
         """Least true clearance to the scene, inf if none was measured."""
-        counts = np.interp(self.hull_s, self.stamp_s, self.answered_for & ~self.set_down) > 0.5
+        counts = np.interp(self.hull_s, self.stamp_s, self.product_responsible & ~self.blind_touchdown) > 0.5
         return float(self.hull_m[counts].min(initial=math.inf))
 
     @cached_property
-    def set_down(self) -> Bools:
+    def blind_touchdown(self) -> Bools:
         """Mask (K,) of the turns in which the vehicle comes down blindly on a surface below it.
 
         That is the case when the product sent no pose as the landing began, so that the landing position could not be chosen.
@@ -124,14 +124,14 @@ class FlightEvidence:
         return down & (not fed)
 
     @cached_property
-    def box_m(self) -> float:
+    def min_obstacle_distance_m(self) -> float:
         """Least distance from the hull to an obstacle of the fault, inf without an obstacle."""
-        return float(self.boxes_m[self.answered_for].min(initial=math.inf))
+        return float(self.obstacle_distance_m[self.product_responsible].min(initial=math.inf))
 
     @cached_property
     def ours(self) -> Bools:
         """Mask (K,) of the turns in which the vehicle followed the product's setpoints."""
-        return np.array([mode in OURS for mode in self.mode], dtype=np.bool_) & self.armed
+        return np.array([mode in EXTERNAL_CONTROL_MODES for mode in self.mode], dtype=np.bool_) & self.armed
 
     @cached_property
     def landing(self) -> Bools:
@@ -164,13 +164,13 @@ def gather(
 
     hull_m: clearance to the scene. Distances to the obstacles of the fault are added here.
     """
-    world, ledger, tap = meddler.theatre.world, meddler.ledger, meddler.proxy
+    world, ledger, tap = meddler.context.world, meddler.truth_samples, meddler.proxy
     assert tap is not None
     stamps = np.array([m.stamp_s for m in ledger])
     positions = np.array([m.position_m for m in ledger]).reshape(-1, 3)
     armed = np.array([m.armed for m in ledger], dtype=np.bool_)
     airborne, boxes_m = armed & (positions[:, 2] > 0.05), np.full(len(stamps), math.inf)
-    for obstacle in meddler.theatre.obstacles:
+    for obstacle in meddler.context.obstacles:
         boxes_m[airborne] = np.minimum(boxes_m[airborne], obstacle.hull_m(stamps[airborne], positions[airborne], radius_m))
     wire = decode(tap.sent)
     return FlightEvidence(
@@ -184,17 +184,17 @@ def gather(
         mode=tuple(m.mode for m in ledger),
         hull_s=hull_s,
         hull_m=hull_m,
-        boxes_m=boxes_m,
+        obstacle_distance_m=boxes_m,
         standing_m=_standing(world.clearance, ledger),
         charge=np.array([m.charge for m in ledger]),
         failsafes=tuple(world.flyer.failsafes),
         texts=tuple(world.flyer.texts),
         wire=wire,
         arrived_s=setpoints_in(tap.arrived),
-        heard=tuple(modes_told(tap.heard)),
+        heard=tuple(heartbeats_in(tap.heard)),
         limits=limits,
         boot_s=world.flyer.boot_s,
-        notes=dict(meddler.theatre.notes),
+        notes=dict(meddler.context.notes),
         firmware=world.flyer.version,
         stop_codes=stop_codes,
         reported=tuple((stamp_s, codes_in(text)) for stamp_s, text in wire.texts),

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from typing import Protocol, TypeVar
 
 T = TypeVar("T")
-Late = list[tuple[float, T]]  # result of an injector: (delay in seconds, item) each; empty if the item is lost
+DelayedItems = list[tuple[float, T]]  # result of an injector: (delay in seconds, item) each; empty if the item is lost
 _START, _HEADER, _CHECK, _SIGNATURE = 0xFD, 10, 2, 13
 
 
@@ -54,10 +54,10 @@ def message_id(frame: bytes) -> int:
     return int.from_bytes(frame[7:10], "little") if len(frame) >= _HEADER and frame[0] == _START else -1
 
 
-Fate = Callable[[bytes], Late[bytes]]
+Fate = Callable[[bytes], DelayedItems[bytes]]
 
 
-class Tap(Protocol):
+class ProxyInterface(Protocol):
     """Proxy at either end of the link.
 
     sent: (time, bytes) that the product wrote.
@@ -73,19 +73,19 @@ class Tap(Protocol):
         """Deliver the delayed frames that are due. Call it once per turn."""
         ...
 
-    def forge(self, data: bytes) -> None:
+    def inject_to_product(self, data: bytes) -> None:
         """Insert bytes into what the product reads next."""
         ...
 
 
-class Queue:
+class DelayQueue:
     """Frames in transit, ordered by arrival time; frames with equal times keep their order."""
 
     def __init__(self) -> None:
         self._waiting: list[tuple[float, int, bytes]] = []
         self._count = 0
 
-    def put(self, now_s: float, late: Late[bytes]) -> None:
+    def put(self, now_s: float, late: DelayedItems[bytes]) -> None:
         """Queue frames with their delays."""
         for seconds, frame in late:
             self._count += 1
@@ -105,8 +105,12 @@ class Proxy:
     """Proxy at the product's end of the link; see Tap."""
 
     def __init__(self, end: Bytes, now_s: Callable[[], float], up: Fate, down: Fate) -> None:
-        self._end, self._now_s, self._up, self._down = end, now_s, up, down
-        self._rising, self._falling = Queue(), Queue()
+        self._end = end
+        self._now_s = now_s
+        self._up = up
+        self._down = down
+        self._rising = DelayQueue()
+        self._falling = DelayQueue()
         self._forged: list[bytes] = []
         self.sent: list[tuple[float, bytes]] = []
         self.arrived: list[tuple[float, bytes]] = []
@@ -138,7 +142,7 @@ class Proxy:
             self.arrived.append((now_s, frame))
             self._end.write(frame)
 
-    def forge(self, data: bytes) -> None:
+    def inject_to_product(self, data: bytes) -> None:
         """Insert bytes into what the product reads next."""
         self._forged.append(data)
 

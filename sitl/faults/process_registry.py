@@ -36,7 +36,8 @@ class ProcessRegistry:
     """
 
     def __init__(self, folder: Path) -> None:
-        self._running, self._down = folder / RUNNING, folder / DOWN
+        self._running = folder / RUNNING
+        self._down = folder / DOWN
 
     def tell(self, pids: dict[str, int], exits: list[Exit]) -> None:
         """Write the running processes and the exits. Only the supervisor calls this."""
@@ -51,11 +52,11 @@ class ProcessRegistry:
         """Return the exits in the order in which the processes ended."""
         return [Exit(*each) for each in _read(self._running, {"exits": []})["exits"]]
 
-    def keep_down(self, names: tuple[str, ...]) -> None:
+    def block_restart(self, names: tuple[str, ...]) -> None:
         """Set the processes that must not be restarted; this replaces the previous set."""
         _write(self._down, list(names))
 
-    def kept_down(self) -> frozenset[str]:
+    def blocked_restarts(self) -> frozenset[str]:
         """Return the processes that must not be restarted."""
         return frozenset(_read(self._down, []))
 

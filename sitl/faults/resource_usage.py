@@ -7,7 +7,7 @@ from pathlib import Path
 
 from sitl.faults.injectors.base import Capabilities, InjectionContext, Injector
 from sitl.faults.injectors.cpu_and_disk_load import resident_bytes
-from sitl.faults.injectors.process_signals import MAPPER, RECORDER, roster_of
+from sitl.faults.injectors.process_signals import MAPPER, RECORDER, processes_of
 from sitl.faults.process_registry import ProcessRegistry, child_of
 from sitl.faults.report.resource_chart import Track, draw
 
@@ -28,7 +28,8 @@ class ResourceUsage(Injector):
     needs = Capabilities.PROCESSES
 
     def __init__(self, for_s: float) -> None:
-        self._for_s, self._due_s = for_s, 0.0
+        self._for_s = for_s
+        self._due_s = 0.0
         self._tracks: dict[str, Track] = {}
         self._ended = 0
 
@@ -38,7 +39,7 @@ class ResourceUsage(Injector):
             return
         self._due_s = since_s + PERIOD_S
         for name in PROCESSES:
-            self._look(name, roster_of(at), since_s)
+            self._look(name, processes_of(at), since_s)
         self._keep(at, since_s)
         at.notes["ended"] = float(self._ended)
 

@@ -19,18 +19,23 @@ from sitl.faults.table.acceptance_limits import NO_FAILSAFE, STEADY, STREAMS, do
 from sitl.faults.table.scenario import Limit, Scenario
 from sitl.runtime.die_with_parent import die_with_parent_command
 
-EVERY_S, FOR_S, TIMES = 30.0, 5.0, 10  # the mission continues every EVERY_S, for FOR_S, TIMES times
-BREATH_MB = 2.3  # range of perception's heap size while frames are allocated and freed
+RESUME_PERIOD_S, RESUME_FOR_S, RESUME_COUNT = (
+    30.0,
+    5.0,
+    10,
+)  # the mission continues every RESUME_PERIOD_S, for RESUME_FOR_S, RESUME_COUNT times
+HEAP_FLUCTUATION_MB = 2.3  # range of perception's heap size while frames are allocated and freed
 _DOWN_S = 60.0  # from the land command until the motors stop
 
 
-class Told(Injector):
+class OperatorCommands(Injector):
     """Operator commands on the command line, each at its time and in a separate process."""
 
     needs = Capabilities.PROCESSES
 
     def __init__(self, orders: Sequence[tuple[float, str]]) -> None:
-        self._orders, self._told = list(orders), list[subprocess.Popen[bytes]]()
+        self._orders = list(orders)
+        self._told = list[subprocess.Popen[bytes]]()
 
     def turn(self, at: InjectionContext, since_s: float) -> None:
         """Give the commands that are due, without waiting for a reply."""
@@ -47,8 +52,8 @@ class Told(Injector):
 
 def orders(for_s: float) -> list[tuple[float, str]]:
     """Return the operator commands of a soak that ends after for_s, as (seconds, command)."""
-    goes_s = [EVERY_S * (k + 1) for k in range(TIMES) if EVERY_S * (k + 1) + FOR_S < for_s]
-    pauses = [order for go_s in goes_s for order in ((go_s, "start"), (go_s + FOR_S, "hold"))]
+    goes_s = [RESUME_PERIOD_S * (k + 1) for k in range(RESUME_COUNT) if RESUME_PERIOD_S * (k + 1) + RESUME_FOR_S < for_s]
+    pauses = [order for go_s in goes_s for order in ((go_s, "start"), (go_s + RESUME_FOR_S, "hold"))]
     return [(0.0, "hold"), *pauses, (for_s, "land")]
 
 
@@ -56,8 +61,8 @@ def soak(name: str, said: str, for_s: float, pilot_mb_per_h: float, perception_m
     """Return a soak scenario of for_s seconds with limits on the growth of memory.
 
     Over minutes, no slope can be detected that is smaller than what a process allocates and frees all the time, which is
-    BREATH_MB in perception. The steepest slope that this alone can cause is 1.5 BREATH_MB over the observed time: less memory
-    in the first half, more in the second.
+    HEAP_FLUCTUATION_MB in perception. The steepest slope that this alone can cause is 1.5 HEAP_FLUCTUATION_MB over the observed
+    time: less memory in the first half, more in the second.
     """
     return Scenario(
         name,
@@ -75,10 +80,10 @@ def soak(name: str, said: str, for_s: float, pilot_mb_per_h: float, perception_m
             NO_FAILSAFE,
         ),
         onset=Onset((5.0, 5.0), speed_mps=0.0),
-        longest_s=for_s + 2 * _DOWN_S,
+        observe_s=for_s + 2 * _DOWN_S,
         views=400,
         why="needs processes: flown in real time",
-        live=lambda n: [Told(orders(for_s)), BatteryDrain(1.0), ResourceUsage(for_s)],
+        live=lambda n: [OperatorCommands(orders(for_s)), BatteryDrain(1.0), ResourceUsage(for_s)],
     )
 
 

@@ -23,7 +23,7 @@ MODE_OR_ARM = frozenset(
         mavlink.MAV_CMD_DO_FLIGHTTERMINATION,
     }
 )  # fmt: skip
-FORCE = 21196.0
+FORCE_ARM_MAGIC = 21196.0
 _CHECKED = ("SET_POSITION_TARGET_LOCAL_NED", "ODOMETRY", "COMMAND_LONG", "COMMAND_INT")
 
 
@@ -117,7 +117,7 @@ def setpoints_in(arrived: Sequence[tuple[float, bytes]]) -> F64:
     return np.array(told, dtype=np.float64)
 
 
-def modes_told(heard: Sequence[tuple[float, bytes]], system: int = 1) -> list[tuple[float, int, bool]]:
+def heartbeats_in(heard: Sequence[tuple[float, bytes]], system: int = 1) -> list[tuple[float, int, bool]]:
     """Return (time, custom mode, armed) of each heartbeat that reached the product.
 
     Only the HEARTBEAT messages of the given system count.

@@ -11,7 +11,7 @@ from sitl.autopilots.ardupilot.modes import ArduPilotMode
 from sitl.autopilots.ardupilot.parameters import DEFAULT_FILE
 from sitl.autopilots.mavlink_codec import ReceivedMessage
 from sitl.real_firmware.rc_transmitter import RcTransmitter
-from sitl.real_firmware.true_trajectory import Grain, Inertial, Reading, TrueTrajectory
+from sitl.real_firmware.true_trajectory import Inertial, PositionResolution, Reading, TrueTrajectory
 
 _HOME = "47.397742,8.545594,0,0"  # latitude, longitude, height, heading; arbitrary
 _SERIAL_PORTS = 9
@@ -44,14 +44,15 @@ class ArduPilotBinary:
     interfaces; therefore its port number is a different one each time.
     """
 
-    grain = Grain(metres_per_e7=0.011131884502145034, height_step_m=0.01)
+    grain = PositionResolution(metres_per_e7=0.011131884502145034, height_step_m=0.01)
     streams_hz = ((mavlink.MAVLINK_MSG_ID_SIM_STATE, 100.0),)
-    asked_again = ()
-    set_late = ()  # all parameters are read from a file at the start
+    polled_messages = ()
+    parameters_after_start = ()  # all parameters are read from a file at the start
     truth_port = companion_port = 0  # any free port
 
     def __init__(self, binary: Path, parameters: Path = DEFAULT_FILE) -> None:
-        self._binary, self._parameters = binary, parameters
+        self._binary = binary
+        self._parameters = parameters
         self.transmitter = RcTransmitter({mode.name: pulse_us for mode, pulse_us in _SWITCH.items()})
 
     def command(self, folder: Path, companion_port: int, truth_port: int) -> list[str]:
@@ -88,7 +89,7 @@ class ArduPilotBinary:
         """Add the ground truth of a message to the path; other messages are ignored."""
         if message.kind != mavlink.MAVLINK_MSG_ID_SIM_STATE:
             return
-        path.feel(Inertial((message.xgyro, message.ygyro, message.zgyro), (message.xacc, message.yacc, message.zacc)))
+        path.set_inertial(Inertial((message.xgyro, message.ygyro, message.zgyro), (message.xacc, message.yacc, message.zacc)))
         attitude = (message.q1, message.q2, message.q3, message.q4)
         velocity = (message.vn, message.ve, message.vd)
         path.take(stamp_s, Reading(message.lat_int, message.lon_int, message.alt, velocity, attitude))

@@ -16,9 +16,9 @@ from sitl.autopilots.mavlink_codec import MessageDecoder, MessageEncoder, Receiv
 from sitl.real_firmware.process import FirmwareError, FirmwareProcess
 from sitl.real_firmware.rc_transmitter import RcTransmitter
 from sitl.real_firmware.request_queue import COMPONENT, SYSTEM, RequestQueue
-from sitl.real_firmware.true_trajectory import Grain, TrueTrajectory
+from sitl.real_firmware.true_trajectory import PositionResolution, TrueTrajectory
 
-_OURS = (251, 1)  # system and component id of the simulator, which only requests messages and sets parameters
+_SIMULATOR_IDS = (251, 1)  # system and component id of the simulator, which only requests messages and sets parameters
 _BOOT_S, _SILENT_S, _ASK_S, _POLL_S = 60.0, 5.0, 1.0, 0.02
 _ARMED = 128
 _STREAMS_HZ = (
@@ -34,7 +34,7 @@ class Binary(Protocol):
     """A kind of firmware: its start and its ground truth."""
 
     @property
-    def grain(self) -> Grain:
+    def grain(self) -> PositionResolution:
         """Resolution of its positions."""
         ...
 
@@ -44,7 +44,7 @@ class Binary(Protocol):
         ...
 
     @property
-    def set_late(self) -> Iterable[tuple[str, float, int]]:
+    def parameters_after_start(self) -> Iterable[tuple[str, float, int]]:
         """Parameters to set after the start: name, value on the wire, MAV_PARAM_TYPE."""
         ...
 
@@ -59,7 +59,7 @@ class Binary(Protocol):
         ...
 
     @property
-    def asked_again(self) -> tuple[int, ...]:
+    def polled_messages(self) -> tuple[int, ...]:
         """Messages that must be requested one by one, because their rate cannot be set."""
         ...
 
@@ -93,25 +93,29 @@ class FirmwareVehicle:
     def __init__(self, binary: Binary, companion_port: int, start_yaw_rad: float, folder: Path, log: Path) -> None:
         """Start it in folder and wait for its first true position. Raises FirmwareError."""
         folder.mkdir(parents=True, exist_ok=True)
-        self._binary, self._path = binary, TrueTrajectory(binary.grain, start_yaw_rad)
+        self._binary = binary
+        self._path = TrueTrajectory(binary.grain, start_yaw_rad)
         try:
             self._link = UdpPeer(local_port=binary.truth_port, remote=None)
         except OSError as error:
             raise FirmwareError(f"port {binary.truth_port}, where the firmware sends the truth: {error.strerror}") from None
-        self._listener, self._speaker = MessageDecoder(), MessageEncoder(*_OURS)
+        self._listener = MessageDecoder()
+        self._speaker = MessageEncoder(*_SIMULATOR_IDS)
         self._now_s = self._received_s = time.monotonic()
         self._asked_s = self._polled_s = 0.0
-        self._wishes = RequestQueue()
+        self._requests = RequestQueue()
         for kind, rate_hz in (*binary.streams_hz, *_STREAMS_HZ):
-            self._wishes.stream(kind, rate_hz)
-        self._wishes.message(mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
-        self._wishes.parameters(binary.set_late)
-        self._armed, self._mode = False, ""
+            self._requests.stream(kind, rate_hz)
+        self._requests.message(mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
+        self._requests.parameters(binary.parameters_after_start)
+        self._armed = False
+        self._mode = ""
         self.setpoint_arrivals_s: list[float] = []
         self.failsafes: list[str] = []
         self.texts: list[str] = []
         self.version = ""
-        self.battery_fraction, self.boot_s = math.nan, math.inf
+        self.battery_fraction = math.nan
+        self.boot_s = math.inf
         command = binary.command(folder, companion_port, self._link.local_port)
         self._process = FirmwareProcess(command, binary.environment(), folder, log)
         self._wait()
@@ -128,10 +132,10 @@ class FirmwareVehicle:
             self._asked_s = now_s
             self._process.check()
             self._ask()
-        if now_s - self._polled_s >= _POLL_S and self._wishes.due() is None:
+        if now_s - self._polled_s >= _POLL_S and self._requests.due() is None:
             self._polled_s = now_s
-            for kind in self._binary.asked_again:
-                self._wishes.message(kind)
+            for kind in self._binary.polled_messages:
+                self._requests.message(kind)
             self._ask()
         if self._path.begun and self._binary.transmitter is not None:
             self._binary.transmitter.hold(self.truth())
@@ -176,12 +180,12 @@ class FirmwareVehicle:
             raise
 
     def _ask(self) -> None:
-        if (wish := self._wishes.due()) is not None:
+        if (wish := self._requests.due()) is not None:
             self._link.write(self._speaker.frame(wish))
 
     def _take(self, message: ReceivedMessage, stamp_s: float) -> None:
         self._binary.follow(message, stamp_s, self._path)
-        if self._wishes.answered(message):
+        if self._requests.answered(message):
             self._ask()
         if message.kind in (mavlink.MAVLINK_MSG_ID_SIM_STATE, mavlink.MAVLINK_MSG_ID_HIL_STATE_QUATERNION):
             self._received_s = stamp_s

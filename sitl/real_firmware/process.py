@@ -25,7 +25,8 @@ class FirmwareProcess:
     """
 
     def __init__(self, command: list[str], environment: Mapping[str, str], folder: Path, log: Path) -> None:
-        self._program, self._log = Path(command[0]), log
+        self._program = Path(command[0])
+        self._log = log
         # the child runs in another folder and must find sitl.runtime.die_with_parent
         search = os.pathsep.join(filter(None, (str(_ROOT), os.environ.get("PYTHONPATH"))))
         with log.open("wb") as out:

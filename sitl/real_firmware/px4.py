@@ -10,7 +10,7 @@ from pymavlink.dialects.v20 import common as mavlink
 from sitl.autopilots.mavlink_codec import ReceivedMessage
 from sitl.autopilots.px4.commander import Px4Mode
 from sitl.autopilots.px4.parameters import DEFAULT_FILE, Px4Parameters
-from sitl.real_firmware.true_trajectory import Grain, Inertial, Reading, TrueTrajectory
+from sitl.real_firmware.true_trajectory import Inertial, PositionResolution, Reading, TrueTrajectory
 
 COMPANION_PORT = 14540  # destination port of its first instance, system 1
 _TRUTH_PORT = 19410  # destination port of SIH's display output, from its start script
@@ -32,14 +32,15 @@ class Px4Binary:
     which a camera's IMU would not have. Therefore the camera's IMU is derived from the true velocities and rates.
     """
 
-    grain = Grain(metres_per_e7=0.011119492664455873, height_step_m=0.001)
+    grain = PositionResolution(metres_per_e7=0.011119492664455873, height_step_m=0.001)
     streams_hz = ((mavlink.MAVLINK_MSG_ID_HIL_STATE_QUATERNION, 100.0),)
     truth_port, companion_port = _TRUTH_PORT, COMPANION_PORT
-    asked_again = (mavlink.MAVLINK_MSG_ID_HEARTBEAT,)  # its rate cannot be set
+    polled_messages = (mavlink.MAVLINK_MSG_ID_HEARTBEAT,)  # its rate cannot be set
     transmitter = None  # its simulation has no sticks
 
     def __init__(self, binary: Path, parameters: Path = DEFAULT_FILE) -> None:
-        self._binary, self._parameters = binary, parameters
+        self._binary = binary
+        self._parameters = parameters
 
     def command(self, folder: Path, companion_port: int, truth_port: int) -> list[str]:
         """Return the command line that starts it in an empty folder.
@@ -56,7 +57,7 @@ class Px4Binary:
         return {"PX4_SIM_MODEL": _MODEL, "PX4_SIMULATOR": "sihsim", **chosen}
 
     @property
-    def set_late(self) -> Iterable[tuple[str, float, int]]:
+    def parameters_after_start(self) -> Iterable[tuple[str, float, int]]:
         """All parameters again, because its start script changes some defaults (SYS_FAILURE_EN)."""
         p = Px4Parameters.load(self._parameters)
         return [(name, p.on_wire(name), p.kind(name)) for name in self._wanted()]
@@ -68,7 +69,7 @@ class Px4Binary:
     def follow(self, message: ReceivedMessage, stamp_s: float, path: TrueTrajectory) -> None:
         """Add the ground truth of a message to the path; other messages are ignored."""
         if message.kind == mavlink.MAVLINK_MSG_ID_HIL_STATE_QUATERNION:
-            path.feel(Inertial((message.rollspeed, message.pitchspeed, message.yawspeed), None))
+            path.set_inertial(Inertial((message.rollspeed, message.pitchspeed, message.yawspeed), None))
             w, x, y, z = message.attitude_quaternion
             velocity = (message.vx * 0.01, message.vy * 0.01, message.vz * 0.01)
             path.take(stamp_s, Reading(message.lat, message.lon, message.alt * 1e-3, velocity, (w, x, y, z)))

@@ -24,7 +24,10 @@ class RcTransmitter:
 
     def __init__(self, switch: Mapping[str, int]) -> None:
         """Choose a free port for the receiver (`port`). switch: pulse of channel 5 (µs) by mode."""
-        self._switch, self._pulse_us, self._height_m, self._next_s = switch, 0, 0.0, 0.0
+        self._switch = switch
+        self._pulse_us = 0
+        self._height_m = 0.0
+        self._next_s = 0.0
         self._socket: socket.socket | None = None
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
             probe.bind(("127.0.0.1", 0))
@@ -32,7 +35,8 @@ class RcTransmitter:
 
     def take(self, mode: str, truth: VehicleTruth) -> None:
         """Set the mode switch and start to send. Raises KeyError for a mode without a position."""
-        self._pulse_us, self._height_m = self._switch[mode], truth.position[2]
+        self._pulse_us = self._switch[mode]
+        self._height_m = truth.position[2]
         if self._socket is None:
             self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
             self._socket.setblocking(False)

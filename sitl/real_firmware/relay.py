@@ -7,7 +7,7 @@ from typing import Protocol
 from sitl.autopilots.byte_links import UdpPeer
 
 
-class Passage(Protocol):
+class ProductLink(Protocol):
     """The link to the product, as seen from the autopilot."""
 
     def read(self) -> bytes:
@@ -22,9 +22,10 @@ class Passage(Protocol):
 class Relay:
     """Relay that receives from the firmware on `port`; call pass_on() every few milliseconds."""
 
-    def __init__(self, product: Passage, port: int = 0) -> None:
+    def __init__(self, product: ProductLink, port: int = 0) -> None:
         """Open the port; 0 is any free one. Raises OSError if it is not available."""
-        self._product, self._firmware = product, UdpPeer(local_port=port, remote=None)
+        self._product = product
+        self._firmware = UdpPeer(local_port=port, remote=None)
 
     @property
     def port(self) -> int:

@@ -49,7 +49,7 @@ class Inertial:
 
 
 @dataclass(frozen=True, slots=True)
-class Grain:
+class PositionResolution:
     """Resolution of a firmware's positions: metres per 1e-7 deg of latitude, height step (m)."""
 
     metres_per_e7: float
@@ -74,12 +74,13 @@ class TrueTrajectory:
     reading. The first reading is on the pad: its position becomes the world's origin, and its heading the scene's.
     """
 
-    def __init__(self, grain: Grain, start_yaw_rad: float) -> None:
+    def __init__(self, grain: PositionResolution, start_yaw_rad: float) -> None:
         """Create an empty trajectory.
 
         start_yaw_rad: heading on the pad, counter-clockwise from the world's first axis.
         """
-        self._grain, self._start_yaw_rad = grain, start_yaw_rad
+        self._grain = grain
+        self._start_yaw_rad = start_yaw_rad
         self._pad: Reading | None = None
         self._turn: Quat = IDENTITY  # world_from_enu
         self._stamp_s = -math.inf
@@ -94,7 +95,7 @@ class TrueTrajectory:
         """True after the first reading."""
         return self._pad is not None
 
-    def feel(self, felt: Inertial) -> None:
+    def set_inertial(self, felt: Inertial) -> None:
         """Set the present angular rates and specific force."""
         self._felt = felt
 
@@ -112,7 +113,9 @@ class TrueTrajectory:
         velocity = rotate(self._turn, ned_from_enu(reading.velocity_ned))
         carried = self._carried(stamp_s, velocity)
         self._position = self._near(carried, self._pad, reading)
-        self._stamp_s, self._velocity, self._quat = stamp_s, velocity, multiply(self._turn, enu_from_flu)
+        self._stamp_s = stamp_s
+        self._velocity = velocity
+        self._quat = multiply(self._turn, enu_from_flu)
         self._velocities.append((stamp_s, velocity))
         while self._velocities[0][0] < stamp_s - _SLOPE_S:
             self._velocities.popleft()

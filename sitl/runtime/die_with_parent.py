@@ -25,11 +25,11 @@ def main(parent: int, command: list[str]) -> None:
 
     Raises OSError if the kernel refuses or the command cannot be started.
     """
-    put_on(parent)
+    set_parent_death_signal(parent)
     os.execvp(command[0], command)  # noqa: S606 - our own programs
 
 
-def put_on(parent: int) -> None:
+def set_parent_death_signal(parent: int) -> None:
     """Kill this process when its parent ends; exit at once if the parent is another one already.
 
     Raises OSError if the kernel refuses.

@@ -14,7 +14,8 @@ class SerialLine:
 
     def __init__(self, name: Path) -> None:
         """Create the line under name, the path that the product opens. Raises OSError."""
-        self._name, self._end = name, -1
+        self._name = name
+        self._end = -1
         self.plug()
 
     @property

@@ -14,12 +14,12 @@ from functools import partial
 from multiprocessing.process import BaseProcess
 from typing import ParamSpec, TypeVar
 
-from sitl.runtime.die_with_parent import put_on
+from sitl.runtime.die_with_parent import set_parent_death_signal
 
 P = ParamSpec("P")
 T = TypeVar("T")
 
-GRACE_S, ASKED_EVERY_S = 5.0, 0.25  # time to clean up between SIGTERM and SIGKILL; interval of the SIGTERMs
+GRACE_S, SIGTERM_PERIOD_S = 5.0, 0.25  # time to clean up between SIGTERM and SIGKILL; interval of the SIGTERMs
 
 
 class WorkerPool:
@@ -30,12 +30,12 @@ class WorkerPool:
 
     def submit(self, work: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> Future[T]:
         """Run work(*args, **kwargs) in a process as soon as one is free; return its Future."""
-        # a process started by this call inherits the mask, so Ctrl-C cannot reach it before _sign_on()
-        heeded = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        # a process started by this call inherits the mask, so Ctrl-C cannot reach it before _init_worker()
+        previous_mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         try:
             return self._pool.submit(_done, partial(work, *args, **kwargs))
         finally:
-            signal.pthread_sigmask(signal.SIG_SETMASK, heeded)
+            signal.pthread_sigmask(signal.SIG_SETMASK, previous_mask)
 
 
 @contextmanager
@@ -47,20 +47,20 @@ def worker_pool(jobs: int) -> Iterator[WorkerPool]:
     """
     others = set(multiprocessing.active_children())
     pool = ProcessPoolExecutor(
-        jobs, mp_context=multiprocessing.get_context("spawn"), initializer=_sign_on, initargs=(os.getpid(),)
+        jobs, mp_context=multiprocessing.get_context("spawn"), initializer=_init_worker, initargs=(os.getpid(),)
     )
     try:
         yield WorkerPool(pool)
     except BaseException:
-        _dismiss(set(multiprocessing.active_children()) - others)
+        _terminate(set(multiprocessing.active_children()) - others)
         pool.shutdown(wait=False, cancel_futures=True)
         raise
     pool.shutdown()
 
 
-def _sign_on(chief: int) -> None:
+def _init_worker(chief: int) -> None:
     """Set up a new worker process: parent watch, own process group, signals, no log output."""
-    put_on(chief)
+    set_parent_death_signal(chief)
     os.setpgrp()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
@@ -81,12 +81,12 @@ def _done(work: Callable[[], T]) -> T:
             os._exit(1)
 
 
-def _dismiss(processes: Iterable[BaseProcess]) -> None:
+def _terminate(processes: Iterable[BaseProcess]) -> None:
     left = list(processes)
-    for _ in range(int(GRACE_S / ASKED_EVERY_S)):
+    for _ in range(int(GRACE_S / SIGTERM_PERIOD_S)):
         left = [process for process in left if _told(process, signal.SIGTERM)]
         for process in left:
-            process.join(ASKED_EVERY_S / len(left))
+            process.join(SIGTERM_PERIOD_S / len(left))
     for process in left:
         _told(process, signal.SIGKILL)
 

@@ -53,20 +53,23 @@ class _Flat:
     """A flat under construction: its rooms, the footprints of its contents, and their meshes."""
 
     def __init__(self, seed: int, fine: bool) -> None:
-        self.rng, self.workshop = np.random.default_rng([seed, 0xF1A7]), MeshBuilder(fine)
+        self.rng = np.random.default_rng([seed, 0xF1A7])
+        self.builder = MeshBuilder(fine)
         area, aspect = math.exp(self.rng.uniform(*np.log(AREA_M2))), self.rng.uniform(1.0, 2.2)
         wide = max(math.sqrt(area / aspect), NARROWEST_M + 0.3)
-        self.length_m, self.width_m, self.height_m = area / wide, wide, self.rng.uniform(*HEIGHT_M)
+        self.length_m = area / wide
+        self.width_m = wide
+        self.height_m = self.rng.uniform(*HEIGHT_M)
         self.parts: list[Mesh] = []
         self.standing: list[_Area] = []  # footprints of walls and furniture on the floor
-        self.doorsteps: list[_Area] = []
+        self.door_areas: list[_Area] = []
         self.rooms = [_Area(0.0, 0.0, self.length_m, self.width_m)]
 
     # -- walls ----------------------------------------------------------------------------------------------------
 
     def build_shell(self) -> None:
         """Add the floor, the ceiling and four walls with windows and pictures."""
-        x, y, z, w, rng = self.length_m, self.width_m, self.height_m, self.workshop, self.rng
+        x, y, z, w, rng = self.length_m, self.width_m, self.height_m, self.builder, self.rng
         tone = rng.uniform(0.35, 0.7)
         floors = (texture.floor, texture.carpet(tuple(rng.uniform(0.2, 0.6, 3))), texture.tiles((tone, tone, 0.9 * tone), 0.4))
         step = PAINT_STEP_M
@@ -115,7 +118,7 @@ class _Flat:
             return _Area(a, c, b, d) if along_x else _Area(c, a, d, b)
 
         at = rng.uniform(low + NARROWEST_M, high - NARROWEST_M - thick)
-        if any(area(at, at + thick, side0, side1).touches(other) for other in self.doorsteps):
+        if any(area(at, at + thick, side0, side1).touches(other) for other in self.door_areas):
             return  # the wall would block a doorway
         door = min(rng.uniform(*DOOR_M), side1 - side0 - 0.3)
         left = rng.uniform(side0 + 0.1, side1 - door - 0.1)
@@ -126,10 +129,10 @@ class _Flat:
                 wall = area(at, at + thick, begin, end)
                 paint = self._wall_paint(1 if along_x else 0, side1)
                 box = (wall.x0, wall.y0, bottom), (wall.x1, wall.y1, self.height_m)
-                self.parts.append(self.workshop.box(*box, paint, PAINT_STEP_M))
+                self.parts.append(self.builder.box(*box, paint, PAINT_STEP_M))
                 if bottom == 0.0:
                     self.standing.append(wall)
-        self.doorsteps.append(area(at - DOORSTEP_M, at + thick + DOORSTEP_M, left, left + door))
+        self.door_areas.append(area(at - DOORSTEP_M, at + thick + DOORSTEP_M, left, left + door))
         self.rooms.remove(room)
         self.rooms += [area(low, at, side0, side1), area(at + thick, high, side0, side1)]
 
@@ -137,7 +140,7 @@ class _Flat:
 
     def furnish(self, room: _Area) -> None:
         """Add furniture at the walls and elsewhere, pillars and lamps, in proportion to the area."""
-        rng, w = self.rng, self.workshop
+        rng, w = self.rng, self.builder
         crowded = rng.uniform(0.12, 0.32) * room.square_m
         for _ in range(max(1, round(0.6 * crowded))):
             self._against_a_wall(room, furniture.AT_WALLS[int(rng.integers(len(furniture.AT_WALLS)))](w, rng))
@@ -178,7 +181,7 @@ class _Flat:
         place = _Area(x - half_x, y - half_y, x + half_x, y + half_y)
         inside = place.x0 >= room.x0 and place.y0 >= room.y0 and place.x1 <= room.x1 and place.y1 <= room.y1
         wide = place.grown(gap_m)
-        if not inside or any(wide.touches(other) for other in (*self.standing, *self.doorsteps)):
+        if not inside or any(wide.touches(other) for other in (*self.standing, *self.door_areas)):
             return False
         self.standing.append(place)
         self.parts.append(piece.placed(x, y, turn_rad))

@@ -17,8 +17,8 @@ from sitl.runtime.array_cache import Arrays, cache_folder, cached, key
 
 WORTH_FACES = 50_000  # smaller meshes are rendered fast enough
 MAX_ERROR_M2 = 1e-12  # (1 µm)², times the area with which Open3D weights the quadrics
-TOLERANCE_M, TOLERATED = 0.001, 1e-5  # camera resolution; share of points that may be farther off than that
-LOST_M = 0.0004  # merged triangles farther than this from the original are removed, originals that far off restored
+TOLERANCE_M, MAX_OUTLIER_SHARE = 0.001, 1e-5  # camera resolution; share of points that may be farther off than that
+MAX_FACE_ERROR_M = 0.0004  # merged triangles farther than this from the original are removed, originals that far off restored
 ROUNDS, SAMPLES = 3, 200_000
 VERSION = 1
 F32 = NDArray[np.float32]
@@ -26,7 +26,7 @@ I32 = NDArray[np.int32]
 LOG = logging.getLogger(__name__)
 
 
-def merged(vertices: F32, faces: I32, cache_dir: Path | None = None) -> tuple[F32, I32]:
+def simplified(vertices: F32, faces: I32, cache_dir: Path | None = None) -> tuple[F32, I32]:
     """Return vertices (V, 3) and faces (F, 3) of a simplified mesh of the same surface.
 
     Both surfaces agree within TOLERANCE_M in both directions; if that fails, the original mesh is returned. Blocks for up
@@ -50,18 +50,18 @@ def _collapsed(vertices: F32, faces: I32) -> Arrays:
     good, lost = np.ones(len(triangles), np.bool_), np.zeros(len(faces), np.bool_)
     for seed in range(ROUNDS):  # small objects have little quadric weight and may vanish: keep their original triangles
         points, owner = _points(corners, triangles, seed)
-        good[owner[_distance_m(points, vertices, faces) > LOST_M]] = False
+        good[owner[_distance_m(points, vertices, faces) > MAX_FACE_ERROR_M]] = False
     triangles = triangles[good]
     for seed in range(ROUNDS):
         points, owner = _points(vertices, faces, seed)
-        lost[owner[_distance_m(points, corners, triangles) > LOST_M]] = True
+        lost[owner[_distance_m(points, corners, triangles) > MAX_FACE_ERROR_M]] = True
     triangles = np.concatenate([triangles, faces[lost] + np.int32(len(corners))])
     corners = np.concatenate([corners, vertices])
     used, number = np.unique(triangles, return_inverse=True)
     corners, triangles = corners[used], number.reshape(-1, 3).astype(np.int32)
     there, back = _points(vertices, faces, ROUNDS)[0], _points(corners, triangles, ROUNDS)[0]
     off_m = np.concatenate([_distance_m(there, corners, triangles), _distance_m(back, vertices, faces)])
-    if (off_m > TOLERANCE_M).mean() > TOLERATED:
+    if (off_m > TOLERANCE_M).mean() > MAX_OUTLIER_SHARE:
         LOG.warning("%d triangles are drawn as they are: merged, they would be off by up to %.2g m", len(faces), off_m.max())
         return {"vertices": vertices, "faces": faces}
     return {"vertices": corners, "faces": triangles}

@@ -99,10 +99,10 @@ def load_scene(
     chosen = start if start is not None else known_start
     if chosen is None:
         raise SceneError(f"{name}: no start given (--start X,Y,Z,YAW in the scene's own frame)")
-    return place(name, mesh, chosen, fence, radius_m)
+    return scene_from_mesh(name, mesh, chosen, fence, radius_m)
 
 
-def place(name: str, mesh: Mesh, start: Numbers, fence: Numbers | None, radius_m: float = HULL_RADIUS_M) -> Scene:
+def scene_from_mesh(name: str, mesh: Mesh, start: Numbers, fence: Numbers | None, radius_m: float = HULL_RADIUS_M) -> Scene:
     """Check a mesh and move the start to the origin. Raises SceneError.
 
     Arguments as for load_scene().

@@ -21,7 +21,8 @@ class HullClearance:
 
     def __init__(self, scene: Scene, radius_m: float = HULL_RADIUS_M, height_m: float = HULL_HEIGHT_M) -> None:
         self.bins = scene.samples
-        self._radius_m, self._half_height_m = radius_m, 0.5 * height_m
+        self._radius_m = radius_m
+        self._half_height_m = 0.5 * height_m
 
     def hull_m(self, position_m: ArrayLike) -> float:
         """Return the clearance (m) at a body position (3,) in the world, 0 (contact) to CAP_M."""

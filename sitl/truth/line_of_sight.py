@@ -12,7 +12,7 @@ from sitl.scene.scene import Scene
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
-AT_THE_POINT_M = 0.004  # the ray ends this far before the point: only a surface farther in front occludes it
+OCCLUSION_MARGIN_M = 0.004  # the ray ends this far before the point: only a surface farther in front occludes it
 
 
 class LineOfSight:
@@ -27,7 +27,8 @@ class LineOfSight:
         self._tensor: Any = open3d.core.Tensor.from_numpy
         self._rays: Any = open3d.t.geometry.RaycastingScene()
         self._rays.add_triangles(self._tensor(scene.vertices.astype(np.float32)), self._tensor(scene.faces.astype(np.uint32)))
-        self._points, self._normals = points.astype(np.float64), normals.astype(np.float64)
+        self._points = points.astype(np.float64)
+        self._normals = normals.astype(np.float64)
 
     def returns(self, candidates: NDArray[np.int64], camera_from_world: F64) -> NDArray[np.int64]:
         """Return the candidate point indices that give a depth return.
@@ -46,7 +47,7 @@ class LineOfSight:
         distance_m = np.linalg.norm(away, axis=1)
         squarely = np.abs(np.einsum("ij,ij->i", away, self._normals[found])) >= d435i.GRAZING_COS * distance_m
         found, away, distance_m = found[squarely], away[squarely], distance_m[squarely]
-        reach = away * (1.0 - AT_THE_POINT_M / distance_m)[:, None]
+        reach = away * (1.0 - OCCLUSION_MARGIN_M / distance_m)[:, None]
         rays = np.concatenate([np.broadcast_to(eye, reach.shape), reach], axis=1).astype(np.float32)
         hidden: NDArray[np.bool_] = self._rays.test_occlusions(self._tensor(np.ascontiguousarray(rays)), 0.0, 1.0).numpy()
         return np.asarray(found[~hidden], dtype=np.int64)

@@ -7,7 +7,7 @@ of views, then an open tour from the start at 1 m/s and 45°/s with 0.5 s per st
 
 from __future__ import annotations
 
-SEEN_WELL_S = {
+REFERENCE_TIMES_S = {
     "narrow_room": 33.0,
     "meeting_room": 28.0,
     "kitchen_dining": 63.0,

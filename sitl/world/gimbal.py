@@ -34,7 +34,8 @@ class Gimbal:
         if sender != self.owner:
             return False
         if math.isfinite(pitch):
-            self._wanted, self._rate = min(max(pitch, self._lowest), self._highest), 0.0
+            self._wanted = min(max(pitch, self._lowest), self._highest)
+            self._rate = 0.0
         elif math.isfinite(pitch_rate):
             self._rate = min(max(pitch_rate, -_RATE_RADPS), _RATE_RADPS)
         return True

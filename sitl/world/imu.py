@@ -36,7 +36,8 @@ class Imu:
         """Draw the biases. step_s: averaging time of a sample; noise falls with its square root."""
         self._noise = noise or ImuNoise()
         quieter = math.sqrt(_SAMPLE_S / step_s)
-        self._gyro_sigma, self._accel_sigma = self._noise.gyro_radps * quieter, self._noise.accel_mps2 * quieter
+        self._gyro_sigma = self._noise.gyro_radps * quieter
+        self._accel_sigma = self._noise.accel_mps2 * quieter
         self._random = random.Random(seed)
         gauss = self._random.gauss
         n = self._noise

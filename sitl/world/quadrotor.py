@@ -42,7 +42,7 @@ class Quadrotor:
 
     It starts on the pad at `start` (m), heading `yaw_rad` (0 = east).
     wind_mps: rms of the gusts per horizontal axis (a third of it vertically); indoors 0.1 to 0.2.
-    standing_m: returns the height of the body's centre (m) when it rests on the object straight below a position, -inf
+    support_height_m: returns the height of the body's centre (m) when it rests on the object straight below a position, -inf
     without one. It counts where it is above the pad's floor. Objects do not stop the vehicle from the side; such contacts
     are detected by sitl/apps/flight_judge.py.
 
@@ -51,7 +51,7 @@ class Quadrotor:
     quat_wxyz: enu_from_flu.
     gyro: FLU, rad/s.
     specific_force: FLU, m/s^2; the reading of an ideal accelerometer.
-    outside_mps2: ENU; external force divided by the mass, set by the caller. The accelerometer measures it.
+    external_acceleration_mps2: ENU; external force divided by the mass, set by the caller. The accelerometer measures it.
     on_ground: True while it rests on the floor or on an object.
     touchdowns: impact speeds of the landings, m/s.
     """
@@ -63,10 +63,10 @@ class Quadrotor:
         start: Vec3 = (0.0, 0.0, 0.0),
         yaw_rad: float = 0.0,
         airframe: AirframeDynamics | None = None,
-        standing_m: Callable[[Vec3], float] = bare_floor,
+        support_height_m: Callable[[Vec3], float] = bare_floor,
     ) -> None:
         self._frame = airframe or AirframeDynamics()
-        self._standing_m = standing_m
+        self._standing_m = support_height_m
         self._random = random.Random(seed)
         self._wind_rms = wind_mps
         self._gust: Vec3 = (0.0, 0.0, 0.0)
@@ -84,11 +84,11 @@ class Quadrotor:
         self.quat_wxyz: Quat = multiply(IDENTITY, from_yaw(yaw_rad))
         self.gyro: Vec3 = (0.0, 0.0, 0.0)
         self.specific_force: Vec3 = (0.0, 0.0, GRAVITY_MPS2)
-        self.outside_mps2: Vec3 = (0.0, 0.0, 0.0)
+        self.external_acceleration_mps2: Vec3 = (0.0, 0.0, 0.0)
         self.on_ground = True
         self.touchdowns: list[float] = []
 
-    def weaken(self, share: float) -> None:
+    def set_thrust_ratio(self, share: float) -> None:
         """Deliver this share of the wanted thrust: an overloaded vehicle or a failed motor."""
         self._share = share
 
@@ -112,7 +112,7 @@ class Quadrotor:
         self._thrust += self._gains[2] * (self._share * wanted_thrust - self._thrust)
         wind = self._blow()
         drag = 0.0 if self.on_ground else self._frame.drag_per_s
-        v, outside = self.velocity, self.outside_mps2
+        v, outside = self.velocity, self.external_acceleration_mps2
         ax = self._thrust * up[0] - drag * (v[0] - wind[0]) + outside[0]
         ay = self._thrust * up[1] - drag * (v[1] - wind[1]) + outside[1]
         az = self._thrust * up[2] - drag * (v[2] - wind[2]) + outside[2] - GRAVITY_MPS2

@@ -48,7 +48,9 @@ class Bench:
             if name == "px4"
             else ArduCopter(vehicle, theirs, ArduPilotParameters.load(), 1)
         )
-        self._lost, self._luck, self.mute = lost, random.Random(3), False
+        self._lost = lost
+        self._luck = random.Random(3)
+        self.mute = False
         self.options = ParamsOptions(name, "memory", None)
         self.wanted = load(PARAMETER_FILES[name])
 

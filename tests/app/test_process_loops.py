@@ -30,9 +30,13 @@ class Turns:
     """
 
     def __init__(self, lands_s: float = 20.0, dies_s: float = math.inf) -> None:
-        self.clock, self.channel, self.asked = ManualClock(), MemoryChannel(VehicleState), False
+        self.clock = ManualClock()
+        self.channel = MemoryChannel(VehicleState)
+        self.asked = False
         self.gone_from_s = self.gone_to_s = self.asked_s = math.inf
-        self._lands_s, self._dies_s, self.turns = lands_s, dies_s, 0
+        self._lands_s = lands_s
+        self._dies_s = dies_s
+        self.turns = 0
         self._tell()
 
     def step(self) -> None:
@@ -51,7 +55,7 @@ class Turns:
         self.channel.publish(vehicle(self.clock.now_s(), phase, armed=flies))
 
     def run(self) -> str:
-        return processes.perceive(self.step, self.channel, self.clock, lambda: self.asked)
+        return processes.run_perception(self.step, self.channel, self.clock, lambda: self.asked)
 
 
 def test_perception_asked_to_end_continues_until_the_pilot_has_landed(
@@ -124,8 +128,8 @@ def test_a_phase_counts_as_reported_only_once_it_is_published() -> None:
     If the mission read only LANDING, it would write no report.
     """
     channel = MemoryChannel(VehicleState)
-    assert not processes.has_told(FlightPhase.LANDED, channel)
+    assert not processes.phase_published(FlightPhase.LANDED, channel)
     channel.publish(vehicle(1.0, FlightPhase.LANDING, armed=True))
-    assert not processes.has_told(FlightPhase.LANDED, channel)
+    assert not processes.phase_published(FlightPhase.LANDED, channel)
     channel.publish(vehicle(1.03, FlightPhase.LANDED, armed=False))
-    assert processes.has_told(FlightPhase.LANDED, channel)
+    assert processes.phase_published(FlightPhase.LANDED, channel)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from uav_recon.evaluation.recall import REACH, WITHIN_M, ElementRecall, time_to
+from uav_recon.evaluation.recall import RADIUS_OVER_SPACING, WITHIN_M, ElementRecall, time_to
 from uav_recon.evaluation.triangle_surface import TriangleSurface
 from uav_recon.types.frames import FloatArray
 
@@ -38,7 +38,7 @@ def brute_force(points: FloatArray, position: FloatArray, normal: FloatArray, sp
     way = points[:, None] - position
     off = np.einsum("pnc,nc->pn", way, normal)
     aside = np.linalg.norm(way - off[..., None] * normal, axis=2)
-    distance = np.hypot(off, np.maximum(aside - REACH * spacing_m, 0.0))
+    distance = np.hypot(off, np.maximum(aside - RADIUS_OVER_SPACING * spacing_m, 0.0))
     return float(np.mean((distance < WITHIN_M).any(axis=1)))
 
 

@@ -38,8 +38,12 @@ class Flight:
     """Frames at 6 Hz with noise of depth and pose."""
 
     def __init__(self) -> None:
-        self.credence, self.n, self._dice = DepthConsistencyMonitor(), 0, np.random.default_rng(3)
-        self.turning, self._turned_rad = 0.0, 0.0  # rad a picture
+        self.credence = DepthConsistencyMonitor()
+        self.n = 0
+        self._dice = np.random.default_rng(3)
+        # rad a picture
+        self.turning = 0.0
+        self._turned_rad = 0.0
 
     def see(self, change: object = None, off_m: tuple[float, float, float] = (0.0, 0.0, 0.0), box: bool = False) -> bool:
         self._turned_rad += self.turning

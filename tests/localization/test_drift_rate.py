@@ -30,8 +30,14 @@ class Flight:
         paint: Paint | None = None,
         tilt_rad: float = 0.0,
     ) -> None:
-        self.creep, self.n, self.peak_mps, self.excess, self._paint = DriftRateEstimator(), 0, 0.0, 0.0, paint
-        self._velocity, self._begins_s, self._tilt_rad = np.array(velocity), begins_s, np.array([0.0, tilt_rad, 0.0])
+        self.creep = DriftRateEstimator()
+        self.n = 0
+        self.peak_mps = 0.0
+        self.excess = 0.0
+        self._paint = paint
+        self._velocity = np.array(velocity)
+        self._begins_s = begins_s
+        self._tilt_rad = np.array([0.0, tilt_rad, 0.0])
 
     @property
     def now_s(self) -> float:

@@ -100,7 +100,7 @@ def test_a_whirl_is_one_standard_deviation_of_attitude() -> None:
     base = track.at(MOTION.start_s + 0.9)
     assert base
     calm = base._replace(stamp_s=base.stamp_s + 0.05)
-    whirled = calm._replace(whirls_rad=base.whirls_rad + 0.2)
+    whirled = calm._replace(overrate_angle_rad=base.overrate_angle_rad + 0.2)
     start = Estimate.at_rest(base, (0.0, 0.0, 1.0), (1.0, 0.0, 0.0, 0.0), QUIET, inertial=True)
     before, after = (propagate(start, base, here, QUIET).covariance.diagonal() for here in (calm, whirled))
     np.testing.assert_allclose(after - before, [*[0.0] * 6, *[0.04] * 3, *[0.0] * 6], atol=1e-12)
@@ -131,8 +131,8 @@ def test_what_bias_and_offset_mean_is_forgotten_with_the_imu() -> None:
     assert base
     state = Estimate.at_rest(base, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), QUIET, inertial=True)
     state = state._replace(gyro_bias_radps=(0.1, 0.1, 0.1))
-    assert state.carried_on(True) is state
-    blind = state.carried_on(False)
+    assert state.with_imu(True) is state
+    blind = state.with_imu(False)
     assert blind.gyro_bias_radps == (0.0, 0.0, 0.0)
     assert blind.covariance[9, 9] > 100 * WITH_IMU.bias_start**2
     np.testing.assert_array_equal(blind.covariance[:9, :9], state.covariance[:9, :9])

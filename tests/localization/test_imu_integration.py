@@ -108,10 +108,10 @@ def test_what_no_propeller_pushes_is_summed_up_whatever_is_forgotten() -> None:
         track.push(k * 0.01, (0.0, 0.0, 0.0), (18.0, 0.0, 20.0))  # as hard as a vehicle flies
         if k == 20:
             before, after = _between(track, 0.015, 0.15)
-            assert before.knocks_mps == 0.0
-            assert after.knocks_mps == pytest.approx(50.0 * 0.06, abs=0.4)  # its edges are cut in halves
+            assert before.shock_velocity_mps == 0.0
+            assert after.shock_velocity_mps == pytest.approx(50.0 * 0.06, abs=0.4)  # its edges are cut in halves
     assert track.oldest_s > 1.0
-    assert _between(track, 25.0, 49.0)[1].knocks_mps == 0.0
+    assert _between(track, 25.0, 49.0)[1].shock_velocity_mps == 0.0
 
 
 def test_what_no_vehicle_turns_is_summed_up_whatever_is_forgotten() -> None:
@@ -120,10 +120,10 @@ def test_what_no_vehicle_turns_is_summed_up_whatever_is_forgotten() -> None:
         rate = {3: (0.0, -9.0, 12.0), 6: (0.0, 30.0, 0.0)}.get(k, (0.0, 0.0, 9.9))  # 15 and 30 rad/s; as fast as one turns
         track.push(k * 0.01, rate, hover)
         if k == 20:
-            assert [_between(track, a, b)[1].whirls_rad > 0.0 for a, b in ((0.0, 0.02), (0.0, 0.025))] == [False, True]
+            assert [_between(track, a, b)[1].overrate_angle_rad > 0.0 for a, b in ((0.0, 0.02), (0.0, 0.025))] == [False, True]
             before, after = _between(track, 0.045, 0.075)
-            assert after.whirls_rad - before.whirls_rad == pytest.approx(0.02 * math.hypot(8.75, 4.95))
-    assert _between(track, 25.0, 49.0)[1].whirls_rad == 0.0
+            assert after.overrate_angle_rad - before.overrate_angle_rad == pytest.approx(0.02 * math.hypot(8.75, 4.95))
+    assert _between(track, 25.0, 49.0)[1].overrate_angle_rad == 0.0
 
 
 def test_a_gyro_that_says_more_than_one_can_counts_as_one_that_says_so_much() -> None:

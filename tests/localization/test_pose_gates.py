@@ -8,8 +8,8 @@ import pytest
 
 from uav_recon.localization.pose_gates import (
     PoseGates,
+    PoseMeasurement,
     PoseRejection,
-    Sighting,
     max_step_noise_scale,
     normalized_innovation_squared,
     outlier_noise_scale,
@@ -70,9 +70,9 @@ def test_the_standard_deviation_counts_along_the_jump() -> None:
 
 @pytest.mark.parametrize(("way_m", "word"), [(0.299, None), (0.301, PoseRejection.SPEED)])
 def test_two_metres_a_second_is_the_fastest_way(way_m: float, word: PoseRejection | None) -> None:
-    before = Sighting(10.0, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), POSE)
-    after = Sighting(10.1, (way_m, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), POSE)
-    assert GATES.haste(before, after) == GATES.haste(after, before) == word
+    before = PoseMeasurement(10.0, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), POSE)
+    after = PoseMeasurement(10.1, (way_m, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), POSE)
+    assert GATES.speed_fault(before, after) == GATES.speed_fault(after, before) == word
 
 
 @pytest.mark.parametrize(

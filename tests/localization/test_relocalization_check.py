@@ -6,29 +6,29 @@ import numpy as np
 import pytest
 
 from uav_recon.localization.imu_integration import exponential, multiply, rotate
-from uav_recon.localization.pose_gates import Sighting
-from uav_recon.localization.relocalization_check import RETURN, STEP, RelocalizationCheck
+from uav_recon.localization.pose_gates import PoseMeasurement
+from uav_recon.localization.relocalization_check import AFTER_LOSS, MAP_STEP, RelocalizationCheck
 from uav_recon.types.pose import Pose, StampedPose
 
 SOURCE = StampedPose(0.0, Pose.identity(), np.zeros(3))
 MAP_TURN = exponential((0.0, 0.0, 2.0))
 
 
-def _track(k: int) -> Sighting:
+def _track(k: int) -> PoseMeasurement:
     """0.6 m/s while turning at 0.5 rad/s, at 15 Hz."""
     t = k / 15
-    return Sighting(t, (0.6 * t, 0.0, 1.0), exponential((0.0, 0.0, 0.5 * t)), SOURCE)
+    return PoseMeasurement(t, (0.6 * t, 0.0, 1.0), exponential((0.0, 0.0, 0.5 * t)), SOURCE)
 
 
-def _said(k: int, slip_m: float = 0.0, slip_rad: float = 0.0) -> Sighting:
+def _said(k: int, slip_m: float = 0.0, slip_rad: float = 0.0) -> PoseMeasurement:
     """The same motion in a map that is turned and elsewhere."""
     track = _track(k)
     x, y, z = rotate(MAP_TURN, track.position_m)
     attitude = multiply(multiply(MAP_TURN, track.odom_from_body), exponential((0.0, 0.0, slip_rad)))
-    return Sighting(track.stamp_s, (x + 5.0 + slip_m, y, z), attitude, SOURCE)
+    return PoseMeasurement(track.stamp_s, (x + 5.0 + slip_m, y, z), attitude, SOURCE)
 
 
-def _run(said: list[Sighting], *, inertial: bool = True) -> RelocalizationCheck:
+def _run(said: list[PoseMeasurement], *, inertial: bool = True) -> RelocalizationCheck:
     trial = RelocalizationCheck()
     for sighting in said:
         trial.update(sighting, _track(round(sighting.stamp_s * 15)), inertial)
@@ -36,34 +36,34 @@ def _run(said: list[Sighting], *, inertial: bool = True) -> RelocalizationCheck:
 
 
 def test_four_poses_that_move_as_the_track_does_are_a_step_of_the_map() -> None:
-    assert not _run([_said(k) for k in range(3)]).stands(STEP)
-    assert _run([_said(k) for k in range(4)]).stands(STEP)
+    assert not _run([_said(k) for k in range(3)]).stands(MAP_STEP)
+    assert _run([_said(k) for k in range(4)]).stands(MAP_STEP)
 
 
 def test_after_a_loss_it_takes_a_second() -> None:
-    assert not _run([_said(k) for k in range(15)]).stands(RETURN)
-    assert _run([_said(k) for k in range(16)]).stands(RETURN)
-    assert not _run([_said(2 * k) for k in range(11)]).stands(RETURN)  # long enough, but too few
+    assert not _run([_said(k) for k in range(15)]).stands(AFTER_LOSS)
+    assert _run([_said(k) for k in range(16)]).stands(AFTER_LOSS)
+    assert not _run([_said(2 * k) for k in range(11)]).stands(AFTER_LOSS)  # long enough, but too few
 
 
 @pytest.mark.parametrize(("slip_m", "slip_rad"), [(0.06, 0.0), (0.0, math.radians(3.2)), (-3.0, 0.0)])
 def test_one_that_slips_begins_anew(slip_m: float, slip_rad: float) -> None:
     trial = _run([_said(0), _said(1), _said(2), _said(3, slip_m, slip_rad)])
     assert len(trial) == 1
-    assert not trial.stands(STEP)
+    assert not trial.stands(MAP_STEP)
 
 
 def test_a_small_slip_is_noise() -> None:
-    assert _run([_said(k, slip_m=0.04 * (k % 2), slip_rad=0.03 * (k % 2)) for k in range(4)]).stands(STEP)
+    assert _run([_said(k, slip_m=0.04 * (k % 2), slip_rad=0.03 * (k % 2)) for k in range(4)]).stands(MAP_STEP)
 
 
 def test_without_a_witness_it_is_enough_to_move_as_a_vehicle_can() -> None:
-    def steps(way_m: float) -> list[Sighting]:
-        return [Sighting(k / 15, (way_m * k, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), SOURCE) for k in range(4)]
+    def steps(way_m: float) -> list[PoseMeasurement]:
+        return [PoseMeasurement(k / 15, (way_m * k, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), SOURCE) for k in range(4)]
 
-    assert _run(steps(0.2), inertial=False).stands(STEP)
-    assert not _run(steps(0.2)).stands(STEP)
-    assert not _run(steps(0.3), inertial=False).stands(STEP)
+    assert _run(steps(0.2), inertial=False).stands(MAP_STEP)
+    assert not _run(steps(0.2)).stands(MAP_STEP)
+    assert not _run(steps(0.3), inertial=False).stands(MAP_STEP)
 
 
 def test_an_older_pose_says_nothing_of_the_run() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from uav_recon.mapping.keyframe_selection import SIGHTINGS, UNIT, KeyframeSelection
+from uav_recon.mapping.keyframe_selection import FIXED_POINT_SCALE, OBSERVATIONS_PER_VOXEL, KeyframeSelection
 from uav_recon.types.camera import Frame, Intrinsics, PosedFrame, body_from_camera
 from uav_recon.types.maps import GridSpec
 from uav_recon.types.pose import Pose
@@ -38,7 +38,7 @@ def test_new_surface_is_worth_a_view_and_a_repeated_image_is_not(coverage: Keyfr
 
 
 def test_surface_needs_several_views_and_then_no_more(coverage: KeyframeSelection) -> None:
-    for i in range(int(SIGHTINGS) + 4):
+    for i in range(int(OBSERVATIONS_PER_VOXEL) + 4):
         posed = wall_seen(0.3 * (i % 2), 0.0)
         coverage.keep(posed)
     assert not coverage.worth(wall_seen(0.3, 0.0), views_left=10_000)  # the surface in this view has been seen well
@@ -54,8 +54,8 @@ def test_the_sum_of_views_is_kept_and_a_query_changes_nothing(coverage: Keyframe
         np.testing.assert_array_equal(coverage._looks, before)
         if step % 2:
             coverage.keep(posed)
-    np.testing.assert_allclose(coverage.looks_given(), coverage._looks.sum(dtype=np.int64) / UNIT)
-    assert coverage.looks_given() > 500 and coverage._looks.max() == SIGHTINGS * UNIT
+    np.testing.assert_allclose(coverage.total_observation_weight(), coverage._looks.sum(dtype=np.int64) / FIXED_POINT_SCALE)
+    assert coverage.total_observation_weight() > 500 and coverage._looks.max() == OBSERVATIONS_PER_VOXEL * FIXED_POINT_SCALE
 
 
 def test_noisy_depth_counts_for_less() -> None:
@@ -64,7 +64,7 @@ def test_noisy_depth_counts_for_less() -> None:
     for noise_px in (0.01, 0.2):
         coverage = KeyframeSelection(grid, LOW, HIGH, noise_px=noise_px, baseline_m=0.05)
         coverage.keep(wall_seen(0.0, 0.0, depth_m=4.0))
-        gains.append(coverage.looks_given())
+        gains.append(coverage.total_observation_weight())
     assert gains[1] < 0.5 * gains[0]
 
 

@@ -86,7 +86,7 @@ class ThreeViews:
     def accept(self, path: ViewPath) -> None:
         self.accepted.append(path)
 
-    def still_worth(self, voxels: VoxelMap, position_world: FloatArray, yaw_rad: float) -> bool:
+    def next_view_has_gain(self, voxels: VoxelMap, position_world: FloatArray, yaw_rad: float) -> bool:
         return not self.settled
 
     @staticmethod
@@ -152,19 +152,28 @@ class Desk:
             MemoryChannel(VoxelMap), MemoryChannel(SurfaceElements), MemoryChannel(ViewPath),
             MemoryChannel(MapCorrection), MemoryChannel(FreeSpace),
         )  # fmt: skip
-        self.voxels, self.planner, self.mapper = OpenSpace(), ThreeViews(), Sketchbook()
+        self.voxels = OpenSpace()
+        self.planner = ThreeViews()
+        self.mapper = Sketchbook()
         motion = MotionPlanner(MotionConfig(), 0.35)
         orders = MissionParameters(views, 4, np.inf, 1.1, 0.6, 0.2, 0.3, 0.26, 300.0, 0.1, 0.35, operator_timeout_s)
         self.retreat = Asked(MotionConfig(), 0.30)
         stages = MissionStages(
             self.voxels, NoExtraViews(), self.mapper, self.planner, self.paced(motion), self.paced(self.retreat)
         )
-        self.folder, self.journal = folder, FlightLog(folder)
+        self.folder = folder
+        self.journal = FlightLog(folder)
         self.conductor = Conductor(stages, self.wires, orders, InlineExecutor(self.clock), self.journal, self.clock)
-        self.phase, self.frames, self.refusals, self.human = FlightPhase.READY, True, 0, False
+        self.phase = FlightPhase.READY
+        self.frames = True
+        self.refusals = 0
+        self.human = False
         self.note: Reason | None = None
-        self.stands, self.battery, self.max_speed_mps = False, 0.9, math.inf
-        self.attended, self._received_s = False, -math.inf
+        self.stands = False
+        self.battery = 0.9
+        self.max_speed_mps = math.inf
+        self.attended = False
+        self._received_s = -math.inf
         self.seen: list[Phase] = []
         self._place_m = np.zeros(3)
         self.epoch = 0

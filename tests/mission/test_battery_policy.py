@@ -43,7 +43,7 @@ def turned_back_at(far_m: float, max_speed_mps: float = math.inf, per_s: float =
                                gauge, False, math.nan, 1, 0, None, max_speed_mps)  # fmt: skip
         course.follow(vehicle)
         steward.update(0.1 * k, vehicle, None)
-        if steward.left < steward.needed:
+        if steward.left < steward.required_charge:
             return 0.9 - per_s * 0.1 * k, steward.why()
     raise AssertionError("never wants home")
 
@@ -69,7 +69,7 @@ def test_a_moment_in_which_nothing_fast_is_let_pass_calls_nobody_home() -> None:
                                "OFFBOARD", FlightPhase.FLYING, 0.8, False, math.nan, 1, 0, None, max_speed_mps)  # fmt: skip
         course.follow(vehicle)
         steward.update(0.1 * k, vehicle, None)
-        needed.append(steward.needed)
+        needed.append(steward.required_charge)
     assert max(needed[900:]) <= needed[899]
 
 

@@ -74,7 +74,7 @@ def test_a_steady_burn_is_met_two_grains_below_at_worst_and_a_pessimistic_minute
     burn, _, now_s = flown(share, per_s, for_s)
     most = max((0.12 + per_s * now_s + 0.01) / (60.0 + now_s), per_s + 0.01 / 30.0)
     assert per_s - 0.02 / 30.0 <= burn.per_s(now_s) <= most + 1e-9
-    assert burn.reckoned(now_s)
+    assert burn.is_reliable(now_s)
 
 
 @settings(deadline=None)
@@ -93,7 +93,7 @@ def test_before_anything_is_measured_a_battery_of_eight_minutes_is_feared() -> N
     burn = ConsumptionEstimator()
     burn.update(0.0, 0.9, flying=True)
     assert burn.per_s(0.0) == 0.002
-    assert not burn.reckoned(29.0)
+    assert not burn.is_reliable(29.0)
 
 
 def test_a_gauge_that_stands_still_or_rises_burns_no_less_than_the_floor() -> None:
@@ -121,8 +121,8 @@ def test_where_the_gauge_slips_the_measure_begins_anew_as_pessimistic_as_it_was(
             charge.update(now_s + k * PERIOD_S, slipped, flying=True)
             burn.update(now_s + k * PERIOD_S, charge.left, flying=True)
         assert burn.per_s(now_s + 3.0) == pytest.approx(after, rel=0.15)
-        assert not burn.reckoned(now_s + 10.0)
-        assert burn.reckoned(now_s + 40.0)
+        assert not burn.is_reliable(now_s + 10.0)
+        assert burn.is_reliable(now_s + 40.0)
 
 
 def test_on_the_ground_everything_begins_anew() -> None:
@@ -130,7 +130,7 @@ def test_on_the_ground_everything_begins_anew() -> None:
     burn.update(now_s + 1.0, 0.3, flying=False)
     burn.update(now_s + 9.0, 1.0, flying=True)
     assert burn.per_s(now_s + 9.0) == pytest.approx(0.002)
-    assert not burn.reckoned(now_s + 9.0)
+    assert not burn.is_reliable(now_s + 9.0)
 
 
 def test_what_is_left_of_a_battery_that_may_take_off_covers_a_flight() -> None:

@@ -24,7 +24,8 @@ class Kept:
     """A call that returns nothing as long as its executor is stuck."""
 
     def __init__(self, inner: Pending[T], stuck: Callable[[], bool]) -> None:
-        self._inner, self._stuck = inner, stuck
+        self._inner = inner
+        self._stuck = stuck
 
     def done(self) -> bool:
         return not self._stuck() and self._inner.done()
@@ -37,7 +38,8 @@ class Sticky:
     """One worker for all calls, as in real time: while it is stuck, nothing that waits in it is done."""
 
     def __init__(self, desk: Desk) -> None:
-        self._inner, self.stuck = InlineExecutor(desk.clock), False
+        self._inner = InlineExecutor(desk.clock)
+        self.stuck = False
 
     def submit(self, work: Callable[[], T], cost_s: float) -> Pending[T]:
         return Kept(self._inner.submit(work, cost_s), lambda: self.stuck)  # type: ignore[return-value]
@@ -50,7 +52,7 @@ class Sticky:
 def stuck(tmp_path: Path) -> Iterator[tuple[Desk, Sticky]]:
     desk = Desk(tmp_path)
     executor, c = Sticky(desk), desk.conductor
-    desk.conductor = Conductor(c._stages, desk.wires, c._orders, executor, desk.journal, desk.clock)
+    desk.conductor = Conductor(c._stages, desk.wires, c._parameters, executor, desk.journal, desk.clock)
     desk.conductor.request_start()
     desk.run(30.0, until=Phase.SURVEY)
     yield desk, executor

@@ -8,7 +8,7 @@ from hall import CLEARANCE_M, CONFIG, HALL, paths, random_path, room, room_aroun
 from hypothesis import given, settings
 
 from uav_recon.motion import MotionPlanner
-from uav_recon.motion.time_parameterization import PUSHED_ON_S
+from uav_recon.motion.time_parameterization import FEEDFORWARD_OVERSHOOT_S
 from uav_recon.motion.trajectory_generation import RUN_ON_MPS
 from uav_recon.types.maps import VoxelMap
 from uav_recon.types.tasks import ViewPath
@@ -41,7 +41,7 @@ def too_fast_mps(trajectory: Trajectory, voxels: VoxelMap) -> float:
         ahead_m = np.arange(0.0, 3.0, 0.02)
         met = np.flatnonzero(room_around(place + ahead_m[:, None] * velocity / speed, voxels) <= HULL_M + 0.05)
         way_m = float(ahead_m[met[0]]) if len(met) else np.inf
-        soon_mps = speed + PUSHED_ON_S * max(float(gain @ velocity) / speed, 0.0)
+        soon_mps = speed + FEEDFORWARD_OVERSHOOT_S * max(float(gain @ velocity) / speed, 0.0)
         worst_mps = max(worst_mps, soon_mps - max(way_m / CONFIG.run_on_s, RUN_ON_MPS))
     return worst_mps
 

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import linprog
 
-from uav_recon.motion.time_parameterization import PER_SPAN, Curve, fastest, instants, smoothed
+from uav_recon.motion.time_parameterization import PER_SPAN, Curve, fastest, node_times, smoothed
 from uav_recon.types.frames import FloatArray
 
 FREE = np.full(1000, np.inf)  # no silence to heed
@@ -24,7 +24,7 @@ def test_a_straight_line_is_passed_in_bang_bang_time() -> None:
     curve = Curve.of(straight_band(6.0, 40))
     cap, x, times = np.full(len(curve.along_m), (1.0 / 0.15) ** 2), np.empty(len(curve.along_m)), np.empty(len(curve.along_m))
     assert fastest(curve.slope, curve.bend, cap, FREE[: len(cap)], np.full(len(cap), 1.2), 1.5, 0.0, x)
-    instants(x, times)
+    node_times(x, times)
     np.testing.assert_allclose(times[-1], 6.0 / 1.0 + 1.0 / 1.2, rtol=1e-3)
     np.testing.assert_allclose(curve.along_m[-1], 6.0)
 

@@ -26,9 +26,12 @@ class Vehicle:
     """A pilot that only notes what is asked of it, and its channels."""
 
     def __init__(self, phase: FlightPhase, mission: bool = True, note: Reason | None = None) -> None:
-        self.phase, self.asked, self.received_s = phase, list[str](), -math.inf
+        self.phase = phase
+        self.asked = list[str]()
+        self.received_s = -math.inf
         self.clock = ManualClock(100.0)
-        self.intent, self.orders = MemoryChannel(Intent), MemoryChannel(GivenCommand)
+        self.intent = MemoryChannel(Intent)
+        self.orders = MemoryChannel(GivenCommand)
         vehicle, progress, odom = MemoryChannel(VehicleState), MemoryChannel(MissionProgress), MemoryChannel(StampedPose)
         at = Pose(np.array([1.0, 0.0, 0.0, 0.0]), np.array([1.0, 2.0, 1.1]))
         vehicle.publish(VehicleState(99.9, at, np.zeros(3), True, "OFFBOARD", phase, 0.83, False, float("nan"), 1, 2, note))

@@ -23,7 +23,9 @@ class Office:
     """A desk and what it was asked."""
 
     def __init__(self, path: Path) -> None:
-        self.path, self.clock, self.words = path, ManualClock(), list[str]()
+        self.path = path
+        self.clock = ManualClock()
+        self.words = list[str]()
         self.desk = CommandSocket(path, self._serve, self.clock)
 
     def _serve(self, word: str) -> dict[str, Any]:

@@ -14,7 +14,7 @@ from uav_recon.clock import ManualClock, MonotonicClock
 from uav_recon.operator.client import CallError, send_command
 from uav_recon.operator.command_socket import CommandSocket
 from uav_recon.operator.status import Status
-from uav_recon.operator.status_watch import PERIOD_S, Block, Lines, in_a_line, watch
+from uav_recon.operator.status_watch import PERIOD_S, LineOutput, TerminalOutput, in_a_line, watch
 
 
 class Enough(Exception):  # noqa: N818 - Ctrl-C
@@ -85,7 +85,7 @@ def test_where_no_pilot_is_at_all_it_says_so_at_once() -> None:
 def test_on_a_terminal_each_takes_the_place_of_the_one_before(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COLUMNS", "20")
     out = io.StringIO()
-    block, status = Block(out), Status("flying", "survey", note="a note that is much longer than a line")
+    block, status = TerminalOutput(out), Status("flying", "survey", note="a note that is much longer than a line")
     block.show(status)
     height, first = out.getvalue().count("\n"), out.getvalue()
     assert "\x1b" not in first
@@ -101,7 +101,7 @@ def test_on_a_terminal_each_takes_the_place_of_the_one_before(monkeypatch: pytes
 
 def test_elsewhere_it_is_a_line_each_and_trouble_stands_beside_them() -> None:
     out, beside = io.StringIO(), io.StringIO()
-    page = Lines(out, beside, in_a_line)
+    page = LineOutput(out, beside, in_a_line)
     page.show(Status("flying", "survey", battery=0.5, refusals=0))
     page.lost("late")
     assert out.getvalue().startswith("pilot flying  mission survey  mode -  battery 50%  ")

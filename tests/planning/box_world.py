@@ -118,7 +118,8 @@ class BoxWorld:
                 self.position = np.array([np.interp(at, along, way[:, axis]) for axis in range(3)])
                 self.yaw_rad = start_yaw + turn * at / total
                 self.look(view.pitch_down_rad)
-            self.position, self.yaw_rad = np.array(view.position_world), view.yaw_rad
+            self.position = np.array(view.position_world)
+            self.yaw_rad = view.yaw_rad
             self.length_m += total
             self.views += 1
             self.track.extend(way[1:])

@@ -212,7 +212,7 @@ def test_no_other_plan_is_made_until_a_narrow_path_is_flown() -> None:
     planner = through_narrows()
     world, request, path = stuck(planner)
     planner.accept(path)
-    assert planner.still_worth(request.voxels, request.position_world, request.yaw_rad)
+    assert planner.next_view_has_gain(request.voxels, request.position_world, request.yaw_rad)
     midway = dataclasses.replace(request, position_world=np.array([3.1, 0.65, 1.2]), velocity_world_mps=MOVING)
     answer = planner.plan(midway)
     assert isinstance(answer, NothingLeft) and answer.reason == ON_A_NARROW_WAY
@@ -241,12 +241,12 @@ def test_a_view_beyond_a_narrow_path_without_new_space_is_remembered() -> None:
     _, request, path = stuck(planner)
     planner.accept(path)
     view, voxels = path.viewpoints[0], request.voxels
-    before = int(usual.visited.looks_in_vain.sum())
+    before = int(usual.view_history.failed_views.sum())
     arrived = dataclasses.replace(request, position_world=view.position_world, yaw_rad=view.yaw_rad)
     for revision in (1, 2):  # the camera sees nothing new
         newer = dataclasses.replace(voxels, revision=voxels.revision + revision)
         planner.plan(dataclasses.replace(arrived, voxels=newer))
-    assert usual.visited.looks_in_vain.sum() > before
+    assert usual.view_history.failed_views.sum() > before
 
 
 def test_the_same_requests_give_the_same_narrow_path() -> None:

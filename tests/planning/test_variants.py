@@ -8,7 +8,7 @@ from box_world import FIXED, GIMBAL
 
 from uav_recon.config import PlannerConfig, VariantName
 from uav_recon.planning.mode_rules import Adaptive, AlwaysMerged, ExploreOnly, ExploreThenRefine
-from uav_recon.planning.tour.task_ordering import ByTheWay, Greedy, Tour
+from uav_recon.planning.tour.task_ordering import FrontierWithDetours, Greedy, Tour
 from uav_recon.planning.variants import variant
 from uav_recon.types.tasks import PlanMode, TaskKind
 
@@ -35,7 +35,7 @@ def test_every_name_makes_its_own_objects(name: VariantName) -> None:
         ("adaptive", {EXPLORE, SURFACE}, Adaptive, Tour, "clusters"),
         ("explore-then-refine", {EXPLORE, SURFACE}, ExploreThenRefine, Tour, "clusters"),
         ("evpp", {EXPLORE, SURFACE}, AlwaysMerged, Greedy, "field"),
-        ("vpp", {EXPLORE, SURFACE}, AlwaysMerged, ByTheWay, "clusters"),
+        ("vpp", {EXPLORE, SURFACE}, AlwaysMerged, FrontierWithDetours, "clusters"),
     ],
 )
 def test_each_variant_has_its_kinds_mode_choice_and_views(

@@ -326,11 +326,11 @@ def test_a_view_off_its_voxel_centre_is_kept_while_its_own_position_is_clear(
     path = planner.plan(world.request())
     assert isinstance(path, ViewPath)
     planner.accept(path)
-    promised = planner.visited.next_promised(path.waypoints_world[0][0], world.yaw_rad)
+    promised = planner.view_history.next_promised(path.waypoints_world[0][0], world.yaw_rad)
     assert promised is not None
     centre = np.floor(promised.place) + 0.5
     moved = dataclasses.replace(promised, place=centre + np.array([0.0, 0.0, 0.45]))
-    monkeypatch.setattr(planner.visited, "next_promised", lambda *_: moved)
+    monkeypatch.setattr(planner.view_history, "next_promised", lambda *_: moved)
     state = world.state.copy()
     if beside:  # an obstacle so near above that the voxel's centre is still flyable
         state[tuple((np.floor(promised.place) - 1.0 + np.array([0.0, 0.0, 4.0])).astype(int))] = OCCUPIED
@@ -347,10 +347,10 @@ def test_a_view_without_remaining_gain_is_not_kept() -> None:
     assert isinstance(path, ViewPath)
     planner.accept(path)
     at, yaw = path.waypoints_world[0][0], world.yaw_rad + 2.0
-    assert planner.still_worth(voxel_map(world.state.copy(), 50), at, yaw)
+    assert planner.next_view_has_gain(voxel_map(world.state.copy(), 50), at, yaw)
     seen = np.where(MEETING_ROOM, OCCUPIED, FREE).astype(np.uint8)
     seen[world.state == 0] = np.where(np.arange(seen.size).reshape(seen.shape) % 997 == 0, 0, seen)[world.state == 0]
-    assert not planner.still_worth(voxel_map(seen, 51), at, yaw)
+    assert not planner.next_view_has_gain(voxel_map(seen, 51), at, yaw)
     onward = planner.plan(PlanRequest(voxel_map(seen, 51), None, at, yaw, 50, np.array([0.3, 0.0, 0.0])))
     if isinstance(onward, ViewPath):
         assert any(onward.viewpoints[0].position_world != path.viewpoints[0].position_world)

@@ -13,7 +13,7 @@ import pytest
 from flight_inputs import INSIDE, mesh, voxel_map, write_timeline
 
 from uav_recon.recording.flight_log import Timeline, read_timeline
-from uav_recon.recording.mesh_renders import mesh_pictures
+from uav_recon.recording.mesh_renders import render_mesh_images
 from uav_recon.recording.plots import coverage_over_time, path_over_plan, planning_over_time
 from uav_recon.types.frames import ByteArray
 from uav_recon.types.maps import TriangleMesh
@@ -54,7 +54,7 @@ def test_an_empty_flight_still_has_its_plots(tmp_path: Path) -> None:
 
 @pytest.fixture(scope="module")
 def written(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
-    return mesh_pictures(tmp_path_factory.mktemp("mesh"), mesh(), INSIDE)
+    return render_mesh_images(tmp_path_factory.mktemp("mesh"), mesh(), INSIDE)
 
 
 def test_the_near_walls_and_the_ceiling_are_left_out_of_the_views_from_outside(written: list[Path]) -> None:
@@ -78,4 +78,4 @@ def test_uncertainty_goes_from_blue_to_red(written: list[Path]) -> None:
 
 def test_an_empty_mesh_gives_no_images(tmp_path: Path) -> None:
     nothing = TriangleMesh(np.zeros((0, 3)), np.zeros((0, 3), np.int64), np.zeros((0, 3), np.uint8), np.zeros(0, np.float32))
-    assert mesh_pictures(tmp_path, nothing, INSIDE) == []
+    assert render_mesh_images(tmp_path, nothing, INSIDE) == []

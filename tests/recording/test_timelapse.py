@@ -27,7 +27,8 @@ class Flight:
     """Surface channel, clock and subscriber, stepped ten times a second."""
 
     def __init__(self, folder: Path) -> None:
-        self.clock, self.wire = ManualClock(1000.0), MemoryChannel(SurfaceElements)
+        self.clock = ManualClock(1000.0)
+        self.wire = MemoryChannel(SurfaceElements)
         self.timelapse = Timelapse(folder, self.wire, self.clock)
 
     def fly(self, seconds: float, publish_every: int = 0) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from uav_recon.safety.envelope import Envelope, Fence, Vec3
 from uav_recon.safety.free_space_check import FreeSpaceCheck
-from uav_recon.safety.guard import Bounds, Guard, GuardInputs, SetpointProposal
+from uav_recon.safety.guard import Guard, GuardBounds, GuardInputs, SetpointProposal
 from uav_recon.safety.obstacle_speed_limit import ForwardDepth, Margins
 from uav_recon.safety.recently_seen_space import RecentlySeenSpace
 from uav_recon.types.camera import body_from_camera
@@ -22,7 +22,7 @@ from uav_recon.types.trajectory import Setpoint
 DT = 1 / 30
 HULL_RADIUS_M, HULL_HEIGHT_M = 0.2, 0.2
 ENVELOPE = Envelope(Fence(Polygon.box((-1.0, -2.0), (5.0, 2.0)), -0.1, 2.4, 0.3), 1.0, 2.0, 0.8)
-BOUNDS = Bounds(0.2, 0.5, 0.5, 0.3, 1.0, 0.3, Margins(0.1, 0.4))
+BOUNDS = GuardBounds(0.2, 0.5, 0.5, 0.3, 1.0, 0.3, Margins(0.1, 0.4))
 GRID = GridSpec(np.array([-2.0, -3.0, -1.0]), 0.1, (80, 60, 45))
 MOUNT = body_from_camera(np.array([0.1, 0.0, 0.0]), 0.0)
 
@@ -66,5 +66,5 @@ def may_stand(envelope: Envelope, place_m: Vec3) -> bool:
     return envelope.admits(place_m, place_m)
 
 
-def guard_of(envelope: Envelope = ENVELOPE, bounds: Bounds = BOUNDS, sight: RecentlySeenSpace | None = None) -> Guard:
+def guard_of(envelope: Envelope = ENVELOPE, bounds: GuardBounds = BOUNDS, sight: RecentlySeenSpace | None = None) -> Guard:
     return Guard(envelope, bounds, sight or RecentlySeenSpace(10.0, HULL_RADIUS_M))

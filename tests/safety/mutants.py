@@ -110,7 +110,8 @@ class Trial:
     """A pytest plugin: where tests would be collected, one process is forked for each mutant, and only that one goes on."""
 
     def __init__(self, db: Any, seconds: float) -> None:
-        self._db, self._seconds = db, seconds
+        self._db = db
+        self._seconds = seconds
         self._first = os.getpid()
 
     def is_forked(self) -> bool:

@@ -372,5 +372,5 @@ COLUMN = {"position_m": (0.0, 0.0, 0.0)}
     ],
 )
 def test_a_take_off_wants_its_column(changes: dict[str, Any], height_m: float, reason: ReasonCode | None) -> None:
-    found = guard_of().fault_of_take_off(situation(0.0, **changes), height_m)
+    found = guard_of().takeoff_fault(situation(0.0, **changes), height_m)
     assert (found and found.code) is reason

@@ -221,8 +221,8 @@ def test_the_take_off_column_stands_over_where_the_vehicle_is() -> None:
     free = everything()
     free[23, 26, 18] = False  # its centre at 0.35, -0.35, 0.85: over this place, and over no other that is tried by mistake
     here = situation(0.0, position_m=(0.3, -0.2, 0.0), free=known_free(free))
-    assert guard_of().fault_of_take_off(here, 1.1) == Reason(ReasonCode.TAKEOFF_COLUMN_NOT_FREE)
-    assert guard_of().fault_of_take_off(here, 0.7) is None
+    assert guard_of().takeoff_fault(here, 1.1) == Reason(ReasonCode.TAKEOFF_COLUMN_NOT_FREE)
+    assert guard_of().takeoff_fault(here, 0.7) is None
 
 
 @pytest.mark.parametrize("push_mps2", [1.5, 2.5])

@@ -57,11 +57,11 @@ def test_the_camera_looks_inside_its_frustum(direction: tuple[float, float, floa
 
 
 def test_a_nearly_empty_frame_tells_nothing() -> None:
-    assert ForwardDepth.tells(frame(share=0.2))
-    assert ForwardDepth.tells(frame(share=0.9))
-    assert not ForwardDepth.tells(frame(share=0.199))
-    assert not ForwardDepth.tells(frame(share=math.nan))
-    assert seen(6, 8, 2.0).tells(frame(share=0.2))
+    assert ForwardDepth.has_enough_returns(frame(share=0.2))
+    assert ForwardDepth.has_enough_returns(frame(share=0.9))
+    assert not ForwardDepth.has_enough_returns(frame(share=0.199))
+    assert not ForwardDepth.has_enough_returns(frame(share=math.nan))
+    assert seen(6, 8, 2.0).has_enough_returns(frame(share=0.2))
 
 
 @pytest.mark.parametrize("speed", [0.0, 0.3, 0.5, 0.8, 1.0])

@@ -74,7 +74,7 @@ def flown(row: Scenario, folder: Path) -> FlightEvidence:
 
 def test_a_vehicle_pushed_into_a_wall_is_seen(tmp_path: Path) -> None:
     row = dataclasses.replace(
-        ROWS["F2"], arena="hall", injectors=lambda n: [Push(6.0, 4.0)], onset=Onset((1.0, 2.0), speed_mps=0.3), longest_s=8.0
+        ROWS["F2"], arena="hall", injectors=lambda n: [Push(6.0, 4.0)], onset=Onset((1.0, 2.0), speed_mps=0.3), observe_s=8.0
     )
     evidence = flown(row, tmp_path)
     said = violations(evidence)
@@ -83,7 +83,7 @@ def test_a_vehicle_pushed_into_a_wall_is_seen(tmp_path: Path) -> None:
 
 
 def test_a_stream_that_dies_breaks_its_bar(tmp_path: Path) -> None:
-    row = dataclasses.replace(ROWS["A1"], injectors=lambda n: [Stall("pilot", for_s=0.4)], longest_s=4.0)
+    row = dataclasses.replace(ROWS["A1"], injectors=lambda n: [Stall("pilot", for_s=0.4)], observe_s=4.0)
     figures = dict(zip((bar.name for bar in row.bars), judge(row, flown(row, tmp_path), []).figures, strict=True))
     assert figures["setpoint gap"] == pytest.approx(0.4, abs=0.08)
     assert figures["setpoints in a second"] < 20.0

@@ -214,8 +214,11 @@ class _Live:
     """
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        self.clock, self.wall_from_clock_s, self.late_by_s = ManualClock(100.0), 1.7e9, 0.005
-        self._rs, self._number = MagicMock(), 0
+        self.clock = ManualClock(100.0)
+        self.wall_from_clock_s = 1.7e9
+        self.late_by_s = 0.005
+        self._rs = MagicMock()
+        self._number = 0
         monkeypatch.setattr(realsense, "_library", lambda: self._rs)
         self._rs.context.return_value.query_devices.return_value = [MagicMock()]
         self._rs.pipeline.return_value.start.return_value.get_stream.side_effect = self._stream

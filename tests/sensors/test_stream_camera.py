@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from uav_recon.clock import ManualClock
-from uav_recon.sensors.stream_camera import StreamCamera, StreamPoses, depth_table, open_stream
+from uav_recon.sensors.stream_camera import StreamCamera, StreamPoses, depth_lookup_table, open_stream
 from uav_recon.sensors.stream_format import HEADER, POSE_SLOTS, CameraSpec, StreamError, StreamHeader, StreamWriter
 
 HEADER_OF = StreamHeader(
@@ -152,7 +152,8 @@ class _Appears(ManualClock):
 
     def __init__(self, path: Path, appears_s: float) -> None:
         super().__init__(10.0)
-        self._path, self._appears_s = path, appears_s
+        self._path = path
+        self._appears_s = appears_s
 
     def sleep_until(self, instant_s: float) -> None:
         self.advance_to(instant_s)
@@ -224,9 +225,9 @@ def test_an_invalid_stream_file_is_a_one_line_error(
 
 
 def test_the_depth_table_is_in_metres_within_the_valid_range() -> None:
-    table = depth_table(0.3, 6.0, 0.001)
+    table = depth_lookup_table(0.3, 6.0, 0.001)
     counts = np.arange(65536)
     believed = (counts >= 300) & (counts <= 6000)
     np.testing.assert_allclose(table[believed], counts[believed] / 1000, rtol=1e-6)
     assert np.isnan(table[~believed]).all()
-    assert np.isnan(depth_table(0.0, 100.0)[0])  # zero means unknown, never near
+    assert np.isnan(depth_lookup_table(0.0, 100.0)[0])  # zero means unknown, never near

@@ -107,7 +107,7 @@ def test_no_service_waits_for_another_at_boot() -> None:
 def test_the_stop_of_perception_may_be_extended_until_the_pilot_has_landed() -> None:
     """A stop of the target stops both services at once.
 
-    perceive() continues meanwhile, and its main process extends the timeout of systemd.
+    run_perception() continues meanwhile, and its main process extends the timeout of systemd.
     """
     options = _options("perception")
     assert options["NotifyAccess"] == ["main"]

@@ -57,8 +57,8 @@ def test_the_nearest_position_with_room_is_inside_and_has_that_room() -> None:
     rng = np.random.default_rng(2)
     for _ in range(60):
         x, y = rng.uniform(-4.0, 7.0, 2).tolist()
-        place = ELL.nearest_with_room((x, y), 0.3)
+        place = ELL.nearest_with_clearance((x, y), 0.3)
         assert place is not None
         assert ELL.room_m(place, place) >= 0.3 - 1e-9
-    assert ELL.nearest_with_room((0.0, 0.0), 9.0) is None
-    assert ELL.nearest_with_room((-5.0, 0.0), 0.3) == pytest.approx((-1.7, 0.0))
+    assert ELL.nearest_with_clearance((0.0, 0.0), 9.0) is None
+    assert ELL.nearest_with_clearance((-5.0, 0.0), 0.3) == pytest.approx((-1.7, 0.0))

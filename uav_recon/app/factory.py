@@ -81,7 +81,7 @@ def make_pilot(
     from uav_recon.autopilot.pilot.pilot import make_pilot as wire_pilot
     from uav_recon.autopilot.pilot.preflight import Origin
     from uav_recon.safety.failsafe import FailsafeTimeouts
-    from uav_recon.safety.guard import Bounds, Guard
+    from uav_recon.safety.guard import Guard, GuardBounds
     from uav_recon.safety.obstacle_speed_limit import Margins
     from uav_recon.safety.recently_seen_space import RecentlySeenSpace
 
@@ -91,7 +91,7 @@ def make_pilot(
         safety.depth_timeout_s, safety.depth_retreat_s, safety.depth_land_s,
     )  # fmt: skip
     margins = Margins(safety.stop_clearance_m, safety.fast_clearance_m)
-    bounds = Bounds(
+    bounds = GuardBounds(
         safety.pose_timeout_s, safety.intent_timeout_s, safety.silence_way_m, safety.depth_timeout_s, safety.blind_speed_mps,
         safety.retreat_speed_mps, margins,
     )  # fmt: skip
@@ -193,9 +193,9 @@ def _camera(config: Config, clock: Clock, stopped: Callable[[], bool]) -> tuple[
         if config.camera.source == "stream":
             open_stream(path, clock, CAMERA_WAIT_S, stopped)
             return StreamCamera(path, near_m, far_m), StreamPoses(path)
-        from uav_recon.sensors.realsense import RealSenseCamera, need_camera
+        from uav_recon.sensors.realsense import RealSenseCamera, check_camera
 
-        need_camera(config.camera.recording)
+        check_camera(config.camera.recording)
         open_stream(path, clock, CAMERA_WAIT_S, stopped)  # poses come through it
         playback, body_from_depth = config.camera.recording, tilted if fixed else None
         return (

@@ -121,7 +121,8 @@ class _Pool:
 
     def __init__(self, jobs: list[KernelJob], config_path: Path, workers: int) -> None:
         self.compiled = 0
-        self._waiting, self._config_path = list(jobs), config_path
+        self._waiting = list(jobs)
+        self._config_path = config_path
         self._undone = {job.name for job in jobs}
         self._events: queue.Queue[tuple[int, str]] = queue.Queue()
         self._workers = {number: _Worker(number, self._events) for number in range(workers)}

@@ -92,7 +92,8 @@ class Vehicle:
     """
 
     def __init__(self, bytes_link: ByteLink, options: ParamsOptions, clock: Clock, gate: AllowListFilter) -> None:
-        self._clock, self._options = clock, options
+        self._clock = clock
+        self._options = options
         self._firmware, self._form = factory.firmware(options.autopilot)
         self._link = VehicleLink(bytes_link, NoLog(), clock.now_s(), self._firmware, gate)
         self._await_heartbeat()

@@ -48,7 +48,7 @@ class Stop:
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, self._ask)
 
-    def heed_no_more(self) -> None:
+    def restore_default(self) -> None:
         """Restore the default: from now on both end the process."""
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
         signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -113,7 +113,7 @@ def pilot(config_path: Path, flight: Path | None) -> int:
     desk = operator_factory.make_command_socket(config, wires, the_pilot, clock)
     memory_lock.lock_memory_and_freeze_gc()
     systemd_notify.ready()
-    while not (stop.asked and not the_pilot.in_flight and has_told(the_pilot.phase, wires.vehicle)):
+    while not (stop.asked and not the_pilot.in_flight and phase_published(the_pilot.phase, wires.vehicle)):
         if stop.asked:
             the_pilot.request_land()
         desk.poll()
@@ -129,7 +129,7 @@ def pilot(config_path: Path, flight: Path | None) -> int:
     return 0
 
 
-def has_told(phase: FlightPhase, vehicle: Channel[VehicleState]) -> bool:
+def phase_published(phase: FlightPhase, vehicle: Channel[VehicleState]) -> bool:
     """Return True if this phase was published.
 
     The mission writes no report before it receives LANDED.
@@ -149,13 +149,13 @@ def perception(config_path: Path) -> int:
     compile_kernels([kernel_jobs.PERCEPTION], config_path, log_progress(LOG), lambda: stop.asked)
     the_perception = factory.make_perception(config, wires, clock, lambda: stop.asked)
     systemd_notify.ready()
-    gone = perceive(the_perception.step, wires.vehicle, clock, lambda: stop.asked)
+    gone = run_perception(the_perception.step, wires.vehicle, clock, lambda: stop.asked)
     if gone and not stop.asked:
         raise UserError(gone)
     return 0
 
 
-def perceive(step: Callable[[], None], vehicle: Channel[VehicleState], clock: Clock, asked: Callable[[], bool]) -> str:
+def run_perception(step: Callable[[], None], vehicle: Channel[VehicleState], clock: Clock, asked: Callable[[], bool]) -> str:
     """Step until asked to end or until the camera is gone.
 
     Returns why the camera is gone, '' for nothing.

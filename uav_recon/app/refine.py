@@ -135,9 +135,11 @@ class _Work:
     """One process of a run."""
 
     def __init__(self, wanted: RefineOptions, team: ProcessGroup, kind: str) -> None:
-        self._wanted, self._team, self._kind = wanted, team, kind
+        self._wanted = wanted
+        self._team = team
+        self._kind = kind
         self._folder = wanted.flight / REFINED
-        self._console = Console(stderr=True, quiet=not team.leads)
+        self._console = Console(stderr=True, quiet=not team.is_main)
         self._display = StepDisplay(self._console)
         self._stop = Stop()
 
@@ -147,7 +149,7 @@ class _Work:
         from uav_recon.mapping.neural.sdf_torch.feature_grid import GridError
         from uav_recon.mapping.neural.watertight.watertight_mesh import MeshResolutionError
 
-        lock = self._claim() if self._team.leads else None
+        lock = self._claim() if self._team.is_main else None
         try:
             self._run()
         except (GridError, MeshResolutionError) as error:
@@ -167,11 +169,11 @@ class _Work:
 
         gathered, refiner, checkpoints = self._prepare()
         done = self._learn(refiner, checkpoints)
-        self._team.leave()
-        self._stop.heed_no_more()
+        self._team.shutdown()
+        self._stop.restore_default()
         if not done:
             self._say(f"stopped after {refiner.steps} of {self._wanted.steps} steps; the same command continues from there")
-        elif self._team.leads:
+        elif self._team.is_main:
             with self._display.step("extracting and closing the surface"):
                 painted = ColourFusedField(refiner.field, gathered.replay, gathered.low_m, gathered.high_m)
                 mesh = closed_mesh(painted, gathered, self._wanted.voxel_m)
@@ -220,10 +222,10 @@ class _Work:
                 told = f"{(refiner.steps - start) / (now_s - began_s):.1f} steps/s, loss {loss:.3f}"
                 progress.update(task, completed=refiner.steps, told=told)
                 report(refiner.steps, self._wanted.steps)
-                if self._team.leads and now_s - saved_s > self._wanted.save_every_s:
+                if self._team.is_main and now_s - saved_s > self._wanted.save_every_s:
                     checkpoints.save(refiner.state())
                     saved_s, saved_at = time.monotonic(), refiner.steps
-        if self._team.leads and saved_at != refiner.steps:
+        if self._team.is_main and saved_at != refiner.steps:
             checkpoints.save(refiner.state())
         return refiner.done
 
@@ -232,12 +234,12 @@ class _Work:
 
     def _write(self, mesh: ClosedMesh, field: SdfField, gathered: TrainingData) -> None:
         from uav_recon.mapping.neural.watertight.mesh_export import write_closed_ply, write_textured_glb
-        from uav_recon.recording.mesh_renders import mesh_pictures
+        from uav_recon.recording.mesh_renders import render_mesh_images
 
         write_closed_ply(self._folder / MESH_PLY, mesh)
         with self._display.step("baking the texture and drawing images"):
             write_textured_glb(self._folder / MESH_GLB, mesh, field, TEXEL_VOXELS * self._wanted.voxel_m)
-            mesh_pictures(self._folder, mesh.seen(), gathered.replay.views.position[0].astype(np.float64))
+            render_mesh_images(self._folder, mesh.seen(), gathered.replay.views.position[0].astype(np.float64))
         self._say(f"{self._folder / MESH_PLY}, {MESH_GLB}: {len(mesh.faces)} faces, {100 * mesh.seen_share():.0f} % of the "
                   "area observed, the rest closes the surface")  # fmt: skip
 
@@ -284,7 +286,7 @@ def _gathered(flight: Path, config: Config, say: Callable[[str], None], progress
             say(str(error))  # one view less
     if trainer.views == 0:
         raise UserError(f"{flight}: none of its {len(folder)} keyframes can be used")
-    return trainer.gathered()
+    return trainer.training_data()
 
 
 def _digest(flight: Path, config: Config) -> str:

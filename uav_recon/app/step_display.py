@@ -25,7 +25,9 @@ class StepDisplay:
     """
 
     def __init__(self, console: Console, quick_s: float = QUICK_S, period_s: float = PERIOD_S) -> None:
-        self._console, self._quick_s, self._period_s = console, quick_s, period_s
+        self._console = console
+        self._quick_s = quick_s
+        self._period_s = period_s
 
     @contextmanager
     def step(self, text: str) -> Iterator[Report]:

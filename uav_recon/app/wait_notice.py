@@ -18,17 +18,22 @@ class WaitNotice:
     """Prints what a process waits for: after 2 s, on a change, then every 15 s."""
 
     def __init__(self, name: str, now_s: float) -> None:
-        self._name, self._since_s, self._next_s = name, now_s, now_s + FIRST_S
+        self._name = name
+        self._since_s = now_s
+        self._next_s = now_s + FIRST_S
         self._printed: tuple[str, ...] = ()
 
     def update(self, now_s: float, missing: Sequence[str]) -> None:
         """Print a line if one is due. missing: what is waited for, empty for nothing."""
         if not missing:
-            self._since_s, self._next_s, self._printed = now_s, now_s + FIRST_S, ()
+            self._since_s = now_s
+            self._next_s = now_s + FIRST_S
+            self._printed = ()
         elif now_s >= self._next_s or (self._printed and self._printed != tuple(missing)):
             line = f"uav-recon {self._name}: waiting for {' and '.join(missing)}: {now_s - self._since_s:.0f} s"
             print(line, file=sys.stderr, flush=True)
-            self._next_s, self._printed = now_s + PERIOD_S, tuple(missing)
+            self._next_s = now_s + PERIOD_S
+            self._printed = tuple(missing)
 
 
 def missing_processes(wires: FlightChannels, now_s: float) -> list[str]:

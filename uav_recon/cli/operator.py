@@ -98,11 +98,11 @@ def _status(config: Path, socket: Path | None, as_json: bool) -> int:
 
 def _watch(config: Path, socket: Path | None, as_json: bool) -> int:
     from uav_recon.app import operator_factory
-    from uav_recon.operator.status_watch import Block, Lines, in_a_line
+    from uav_recon.operator.status_watch import LineOutput, TerminalOutput, in_a_line
 
     path, out = _path(config, socket), sys.stdout
     plain = as_json or not out.isatty()
-    page = Lines(out, sys.stderr, _as_json if as_json else in_a_line) if plain else Block(out)
+    page = LineOutput(out, sys.stderr, _as_json if as_json else in_a_line) if plain else TerminalOutput(out)
     try:
         _reached(lambda: operator_factory.watch_status(lambda: _asked(path), page))
     except BrokenPipeError:

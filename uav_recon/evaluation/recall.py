@@ -16,7 +16,7 @@ from uav_recon.geometry.jit import kernel
 from uav_recon.types.frames import BoolArray, FloatArray, IntArray
 
 WITHIN_M = 0.05
-REACH = 0.5  # radius over spacing: discs touch, and the gaps between them are much narrower than WITHIN_M
+RADIUS_OVER_SPACING = 0.5  # radius over spacing: discs touch, and the gaps between them are much narrower than WITHIN_M
 
 
 class ElementRecall:
@@ -27,7 +27,7 @@ class ElementRecall:
     """
 
     def __init__(self, truth_points_world: FloatArray, spacing_m: float) -> None:
-        self._radius_m = REACH * spacing_m
+        self._radius_m = RADIUS_OVER_SPACING * spacing_m
         self._cell_m = WITHIN_M + self._radius_m
         points = np.asarray(truth_points_world, dtype=np.float64).reshape(-1, 3)
         if len(points) == 0:

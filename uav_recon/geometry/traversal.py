@@ -73,8 +73,8 @@ def visible_targets(state: ByteArray, eye: FloatArray, targets: FloatArray, tail
 
 # Radius around any point of a voxel that is guaranteed free, by the squared distance from the voxel's centre to the nearest
 # centre of a voxel that is not free: the distance less the half diagonals of both voxels.
-_FREE_WAY = np.maximum(np.sqrt(np.arange(256)) - 1.7321, 0.0)
-_LEAP_FROM = 12  # squared distance below which a jump is no longer than one voxel step
+_FREE_RADIUS = np.maximum(np.sqrt(np.arange(256)) - 1.7321, 0.0)
+_MIN_JUMP_DISTANCE2 = 12  # squared distance below which a jump is no longer than one voxel step
 
 
 @kernel
@@ -118,13 +118,13 @@ def first_obstacle(
             return flat
         if flat == end:
             return -1
-        if d2 < _LEAP_FROM:
+        if d2 < _MIN_JUMP_DISTANCE2:
             tx += delta_x if along_x else 0.0
             ty += delta_y if along_y else 0.0
             tz += 0.0 if along_x | along_y else delta_z
             continue
-        while d2 >= _LEAP_FROM:
-            t += _FREE_WAY[d2] * per_step
+        while d2 >= _MIN_JUMP_DISTANCE2:
+            t += _FREE_RADIUS[d2] * per_step
             if t >= 1.0:
                 return -1
             i, j, k = int(x0 + t * dx), int(y0 + t * dy), int(z0 + t * dz)

@@ -47,7 +47,9 @@ class GimbalMount:
     """
 
     def __init__(self, position_body_m: FloatArray, vehicle: Channel[VehicleState], stale_s: float = 0.3) -> None:
-        self._position_body_m, self._vehicle, self._stale_s = position_body_m, vehicle, stale_s
+        self._position_body_m = position_body_m
+        self._vehicle = vehicle
+        self._stale_s = stale_s
         self._sequence = 0
         self._angles: deque[tuple[float, float]] = deque(maxlen=256)  # stamp, pitch down
 

@@ -27,15 +27,23 @@ from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
 
 _ALONE = 0.05  # max. share of isolated pixels; valid frames have 0.004
-_MISFIT, _SOME = 0.20, 0.05  # max. misfits to the previous frame, and those farther than expected, as shares; valid: 0.07, 0.03
+_MISFIT, _MAX_FARTHER = (
+    0.20,
+    0.05,
+)  # max. misfits to the previous frame, and those farther than expected, as shares; valid: 0.07, 0.03
 _REFIT = 0.10  # max. share of misfits after a rejected frame: a frame that follows a wrong one may fit by chance
-_TELLING = 0.03  # misfits added by a shift, as a share of the points; shifted frames that fit: 0.000; valid: 0.18 in 3 of 4
-_THERE = ViewSelection(
+_MIN_SHIFT_LOSS = (
+    0.03  # misfits added by a shift, as a share of the points; shifted frames that fit: 0.000; valid: 0.18 in 3 of 4
+)
+_REJECTION_POSE = ViewSelection(
     0.10, math.cos(math.radians(3.0))
 )  # the camera pose is that of the first rejected frame, so that its cause would be seen
 _CALM = 3  # frames in a row that fit from there
 _HIDDEN = 0.5  # max. share of points with something in front of them: a person that comes near hides fewer
-_ASIDE, _MOMENT_S = 0.02, 0.6  # max. share of points gained by a shift within this time; valid frames after such a pause: 0.014
+_ASIDE, _MAX_PAUSE_S = (
+    0.02,
+    0.6,
+)  # max. share of points gained by a shift within this time; valid frames after such a pause: 0.014
 _DRIFT_M = 0.15  # min. shift of odom against half a minute ago that counts as drift; valid: 0.09 m
 _MANY, _EXPLAINED = 100, 0.75  # min. points, and min. share of them that a shift explains: a person explains fewer
 _MAX = 0.9  # the same share where much may have come between
@@ -58,13 +66,13 @@ class DepthConsistencyMonitor:
     """
 
     def __init__(self) -> None:
-        self._witness = PastViews()
+        self._past_views = PastViews()
         self._reset_counter = 0
         self._doubted: CameraPose | None = (
             None  # where the first of the pictures was taken that are not believed; None: they are
         )
         self._calm = self._running = 0
-        self._creep = DriftRateEstimator()
+        self._drift_rate = DriftRateEstimator()
         self._drift: Reason | None = None
         self._drift_s = -math.inf
         self._same: tuple[Float32Array, Pose] | None = None
@@ -73,34 +81,38 @@ class DepthConsistencyMonitor:
         """Return True if the frame may be used for mapping and flight."""
         if reset_counter != self._reset_counter:
             self._reset_counter = reset_counter
-            self._witness.forget()
-            self._creep.forget()
+            self._past_views.forget()
+            self._drift_rate.forget()
         seen = (frame.stamp_s, frame.depth_m, frame.depth_intrinsics, odom_from_depth)
-        newest, others = self._witness.of_newest(*seen), self._witness.of_oldest(*seen, OVERLAPPING)
+        newest, others = self._past_views.compare_newest(*seen), self._past_views.compare_oldest(*seen, OVERLAPPING)
         overlapping = next(others, None)
         alone, frozen = isolated_pixel_fraction(frame.depth_m) > _ALONE, self._frozen(frame.depth_m, odom_from_depth)
         doubted = self._doubted is not None
-        asked = newest is not None and (newest.age_s <= _MOMENT_S or doubted)
-        aside = asked and self._witness.gain_aside(*seen[1:]) > _ASIDE
+        asked = newest is not None and (newest.age_s <= _MAX_PAUSE_S or doubted)
+        aside = asked and self._past_views.gain_aside(*seen[1:]) > _ASIDE
         if not doubted:
             fits = _follows(newest) or _follows(overlapping)  # or something in front of it has left
         else:
-            fits = any(_fits(then) and self._witness.loss_aside(then, *seen[1:]) >= _TELLING for then in (newest, overlapping))
+            fits = any(
+                _fits(then) and self._past_views.loss_aside(then, *seen[1:]) >= _MIN_SHIFT_LOSS
+                for then in (newest, overlapping)
+            )
             fits |= self._is_over(_fits(newest) and not (alone or frozen or aside), odom_from_depth)
-        unasked = newest is None and not (doubted and self._witness.remembers)
+        unasked = newest is None and not (doubted and self._past_views.has_view)
         believed = not (alone or frozen or aside) and (fits or unasked)
         if not believed:
             self._doubted = self._doubted or CameraPose.of(odom_from_depth)
         else:
-            self._doubted, self._calm = None, 0
-            self._creep.update(frame, odom_from_depth)
+            self._doubted = None
+            self._calm = 0
+            self._drift_rate.update(frame, odom_from_depth)
             moved = (
-                _moved(self._witness.of_oldest(*seen, ALIKE), _EXPLAINED)
-                or _moved(self._witness.of_oldest(*seen, ALIKE_LATELY), _EXPLAINED)
+                _moved(self._past_views.compare_oldest(*seen, ALIKE), _EXPLAINED)
+                or _moved(self._past_views.compare_oldest(*seen, ALIKE_LATELY), _EXPLAINED)
                 or _moved(itertools.chain(filter(None, [overlapping]), others), _MAX)
             )
-            self._hear(frame.stamp_s, moved or _seen_through(overlapping) or self._crept())
-            self._witness.remember(*seen)
+            self._hear(frame.stamp_s, moved or _seen_through(overlapping) or self._drift_message())
+            self._past_views.remember(*seen)
         return believed
 
     def drift(self, now_s: float) -> Reason | None:
@@ -120,20 +132,21 @@ class DepthConsistencyMonitor:
 
     def _is_over(self, fits: bool, odom_from_depth: Pose) -> bool:
         """Return True if the cause of the rejection is no longer seen from where it was."""
-        there = self._doubted is not None and self._doubted.like(CameraPose.of(odom_from_depth), _THERE)
+        there = self._doubted is not None and self._doubted.like(CameraPose.of(odom_from_depth), _REJECTION_POSE)
         self._calm = self._calm + 1 if fits and there else 0
         return self._calm >= _CALM
 
     def _hear(self, stamp_s: float, said: Reason | None) -> None:
         self._running = self._running + 1 if said is not None else 0
         if self._running >= _RUNNING:
-            self._drift, self._drift_s = said, stamp_s
+            self._drift = said
+            self._drift_s = stamp_s
 
-    def _crept(self) -> Reason | None:
+    def _drift_message(self) -> Reason | None:
         """Return the drift rate that many comparisons give together, None for nothing."""
-        if self._creep.excess <= 1.0:
+        if self._drift_rate.excess <= 1.0:
             return None
-        return Reason(ReasonCode.ODOMETRY_DRIFT, (float(np.linalg.norm(self._creep.velocity_mps)),))
+        return Reason(ReasonCode.ODOMETRY_DRIFT, (float(np.linalg.norm(self._drift_rate.velocity_mps)),))
 
     def _frozen(self, depth_m: Float32Array, odom_from_depth: Pose) -> bool:
         """Return True if the camera has moved since it first gave this very image."""
@@ -152,7 +165,7 @@ def _follows(then: ViewComparison | None) -> bool:
     """
     if then is None:
         return False
-    return then.nearer <= _HIDDEN and (then.nearer + then.farther <= _MISFIT or then.farther <= _SOME)
+    return then.nearer <= _HIDDEN and (then.nearer + then.farther <= _MISFIT or then.farther <= _MAX_FARTHER)
 
 
 def _fits(then: ViewComparison | None) -> TypeGuard[ViewComparison]:

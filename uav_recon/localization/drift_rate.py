@@ -24,8 +24,8 @@ _LONGEST_STEP_S = 0.5
 _SETTLES_S = 3.0  # odom settles after it begins: views of that time are not stored
 _EVERY_S, _MEMORY_S = 1.0, 3.0  # interval and max. age of stored views: while the camera turns, some of them stays in view
 _FEWEST, _WITHIN = 40, 0.6  # min. patches that both see, and min. share of them within reach: beside a person it is 0.7
-_PAINT = 2.0  # weight of tracked points against patches: a point measures both image directions
-_HONEST_MPS = 0.012  # limit of the drift rate: valid odom shows 0.010 at most, and ...
+_POINT_WEIGHT = 2.0  # weight of tracked points against patches: a point measures both image directions
+_VALID_DRIFT_MPS = 0.012  # limit of the drift rate: valid odom shows 0.010 at most, and ...
 _TILT_RAD = 0.020  # ... across its path as much as its speed times such a tilt; measured: 0.011
 _YOUNGEST_S = 0.3  # min. age of tracked points ...
 _FEWEST_POINTS, _POINTS_WITHIN = 10, 0.5  # ... min. number of them, and min. share within reach
@@ -56,21 +56,26 @@ class DriftRateEstimator:
         """Forget all views after a jump of odom: none of them was seen in the new odom."""
         self._views.clear()
         self._flow.forget()
-        self._held, self._moved = np.zeros((3, 3)), np.zeros(3)
-        self._flown, self._flown_s2 = np.zeros(3), 0.0
+        self._held = np.zeros((3, 3))
+        self._moved = np.zeros(3)
+        self._flown = np.zeros(3)
+        self._flown_s2 = 0.0
         self._since_s = math.inf
 
     def update(self, frame: Frame, odom_from_depth: Pose) -> None:
         """Compare an accepted frame with the stored views. Once per frame, about 1 ms; never blocks."""
         step_s = min(max(frame.stamp_s - self._stamp_s, 0.0), _LONGEST_STEP_S)
         fading = math.exp(-step_s / _FADES_S)
-        self._stamp_s, self._held, self._moved = frame.stamp_s, fading * self._held, fading * self._moved
-        self._flown, self._flown_s2 = fading * self._flown, fading * self._flown_s2
+        self._stamp_s = frame.stamp_s
+        self._held = fading * self._held
+        self._moved = fading * self._moved
+        self._flown = fading * self._flown
+        self._flown_s2 = fading * self._flown_s2
         self._since_s = min(self._since_s, frame.stamp_s)
         velocity_mps = self.velocity_mps
-        self._hear_patches(frame, odom_from_depth, step_s, velocity_mps)
+        self._add_patches(frame, odom_from_depth, step_s, velocity_mps)
         if self._settled:
-            self._hear_points(self._flow.update(frame, odom_from_depth), step_s, velocity_mps)
+            self._add_points(self._flow.update(frame, odom_from_depth), step_s, velocity_mps)
 
     @property
     def velocity_mps(self) -> FloatArray:
@@ -87,8 +92,8 @@ class DriftRateEstimator:
         way = flown_mps / max(float(np.linalg.norm(flown_mps)), 1e-9)
         along_mps = float(creep_mps @ way)
         across_mps = float(np.linalg.norm(creep_mps - along_mps * way))
-        max_lateral_mps = math.hypot(_HONEST_MPS, _TILT_RAD * float(np.linalg.norm(flown_mps)))
-        return math.hypot(along_mps / _HONEST_MPS, across_mps / max_lateral_mps)
+        max_lateral_mps = math.hypot(_VALID_DRIFT_MPS, _TILT_RAD * float(np.linalg.norm(flown_mps)))
+        return math.hypot(along_mps / _VALID_DRIFT_MPS, across_mps / max_lateral_mps)
 
     def _solved(self, prior_s3: float) -> FloatArray:
         return np.asarray(np.linalg.solve(self._held + prior_s3 * np.eye(3), self._moved), dtype=np.float64)
@@ -97,7 +102,7 @@ class DriftRateEstimator:
     def _settled(self) -> bool:
         return self._stamp_s >= self._since_s + _SETTLES_S
 
-    def _hear_patches(self, frame: Frame, odom_from_depth: Pose, step_s: float, velocity_mps: FloatArray) -> None:
+    def _add_patches(self, frame: Frame, odom_from_depth: Pose, step_s: float, velocity_mps: FloatArray) -> None:
         camera = frame.depth_intrinsics.pinhole_px()
         seen = frame.depth_m, camera, odom_from_depth.rotation(), odom_from_depth.translation_m
         while self._views and frame.stamp_s - self._views[0].stamp_s > _MEMORY_S:
@@ -113,7 +118,7 @@ class DriftRateEstimator:
         if self._settled and (not self._views or frame.stamp_s - self._views[-1].stamp_s >= _EVERY_S):
             self._views.append(_View(frame.stamp_s, odom_from_depth.translation_m, patches(*seen)))
 
-    def _hear_points(self, seen: TrackedPoints | None, step_s: float, velocity_mps: FloatArray) -> None:
+    def _add_points(self, seen: TrackedPoints | None, step_s: float, velocity_mps: FloatArray) -> None:
         if seen is None:
             return
         left_m = np.abs(seen.off_m - (seen.along @ velocity_mps) * seen.age_s[:, None]).max(axis=1)
@@ -123,5 +128,5 @@ class DriftRateEstimator:
         if count < max(_FEWEST_POINTS, _POINTS_WITHIN * int(old.sum())):
             return
         along, age_s, weight = seen.along[fits], seen.age_s[fits], weight_at(seen.range_m[fits])
-        self._held += _PAINT * step_s / count * np.einsum("nai,naj,n->ij", along, along, weight * age_s**2)
-        self._moved += _PAINT * step_s / count * np.einsum("nai,na,n->i", along, seen.off_m[fits], weight * age_s)
+        self._held += _POINT_WEIGHT * step_s / count * np.einsum("nai,naj,n->ij", along, along, weight * age_s**2)
+        self._moved += _POINT_WEIGHT * step_s / count * np.einsum("nai,na,n->i", along, seen.off_m[fits], weight * age_s)

@@ -42,13 +42,13 @@ WHITE_SHARE = 0.15  # share of white noise in a claimed variance; the rest is dr
 DRIFT_TIME_S = 20.0  # correlation time of a source's drift
 _SMALLEST_M2, _LARGEST_M2 = 0.002**2, 0.08**2
 _SMALLEST_RAD2, _LARGEST_RAD2 = 0.0005**2, 0.1**2
-_TOLD = [0, 1, 2, 6, 7, 8]  # elements of the error that a pose measures
-SEEN = np.ix_(_TOLD, _TOLD)  # their block of a covariance (15, 15)
-_NOTHING, _H = np.zeros(15), np.eye(15)[_TOLD]
+_MEASURED = [0, 1, 2, 6, 7, 8]  # elements of the error that a pose measures
+SEEN = np.ix_(_MEASURED, _MEASURED)  # their block of a covariance (15, 15)
+_NOTHING, _H = np.zeros(15), np.eye(15)[_MEASURED]
 
 
 @dataclass(frozen=True, slots=True)
-class Carrier:
+class PropagationNoise:
     """Noise of the propagation between poses: densities of white noise and of random walks.
 
     See error_propagation.dynamics.
@@ -62,8 +62,8 @@ class Carrier:
     offset_start: float  # m/s²
 
 
-WITH_IMU = Carrier(0.01, 0.03, 3e-4, 1e-4, 0.02, 0.2)
-WITHOUT_IMU = Carrier(0.1, 1.2, 0.02, 1.0, 1.0, 1.0)
+WITH_IMU = PropagationNoise(0.01, 0.03, 3e-4, 1e-4, 0.02, 0.2)
+WITHOUT_IMU = PropagationNoise(0.1, 1.2, 0.02, 1.0, 1.0, 1.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,7 +114,7 @@ class Estimate(NamedTuple):
         zero = (0.0, 0.0, 0.0)
         return Estimate(base.stamp_s, position_m, zero, odom_from_gyro, zero, zero, np.diag(np.repeat(variances, 3)), inertial)
 
-    def carried_on(self, inertial: bool) -> Estimate:
+    def with_imu(self, inertial: bool) -> Estimate:
         """Return the state for propagation with or without an IMU.
 
         Bias and offset have another meaning without an IMU, so a change resets them.
@@ -151,8 +151,8 @@ def propagate(state: Estimate, base: InertialState, here: InertialState, noise: 
     before, after = state.odom_from_body(base), state.odom_from_body(here)
     walks = (noise.position_walk, noise.attitude_walk)
     dt = here.stamp_s - base.stamp_s
-    white = carrier.acceleration**2 + _doubt(here.knocks_mps - base.knocks_mps, dt)
-    rate = carrier.rate**2 + _doubt(here.whirls_rad - base.whirls_rad, dt)
+    white = carrier.acceleration**2 + _doubt(here.shock_velocity_mps - base.shock_velocity_mps, dt)
+    rate = carrier.rate**2 + _doubt(here.overrate_angle_rad - base.overrate_angle_rad, dt)
     densities = (white, carrier.offset_walk**2, rate, carrier.bias_walk**2, *walks)
     transition, walk = dynamics(dt, state.inertial, before, after, dp, dv, densities)
     _, covariance = predict(_NOTHING, state.covariance, transition, walk)

@@ -24,7 +24,7 @@ from uav_recon.types.pose import Pose
 _MAX, _APART_PX = 120, 5  # max. number of points; a grid cell of this edge with a point gets no new one
 _WIDEST_PX, _NARROWEST_PX = 320, 40  # max. width of the reduced image; images with a side shorter than this are not used
 _WINDOW_PX, _LEVELS = 9, 2
-_PLAIN, _BLOCK_PX = 30e-6, 7  # min. eigenvalue of the gradients (OpenCV's cornerMinEigenVal): texture in both directions
+_MIN_TEXTURE, _BLOCK_PX = 30e-6, 7  # min. eigenvalue of the gradients (OpenCV's cornerMinEigenVal): texture in both directions
 _RETURNS_PX = 0.5  # max. distance between a point and its position after tracking forward and back
 _EVERY_S, _OLDEST_S, _PAUSE_S = 0.5, 2.0, 0.5  # search interval, max. age of a point, max. pause between images
 _NEAREST_M = 0.2
@@ -45,13 +45,13 @@ class TrackedPoints(NamedTuple):
 class _Points(NamedTuple):
     """Points with place_m (N, 3) in odom and since_s (N,).
 
-    at_px: (N, 2) position in the newest image. aside_px: (N, 2) its difference from the position that the pose predicts.
+    at_px: (N, 2) position in the newest image. displacement_px: (N, 2) its difference from the position that the pose predicts.
     """
 
     place_m: AnyArray
     since_s: AnyArray
     at_px: AnyArray
-    aside_px: AnyArray
+    displacement_px: AnyArray
 
     def only(self, which: BoolArray) -> _Points:
         return _Points(*(values[which] for values in self))
@@ -64,7 +64,7 @@ _NONE = _Points(np.empty((0, 3)), np.empty(0), np.empty((0, 2), np.float32), np.
 
 
 @dataclass(frozen=True, slots=True)
-class _Eye:
+class _Camera:
     """A pinhole camera (fx, fy), (cx, cy) at a position in odom; axes (3, 3) are its columns."""
 
     focal_px: FloatArray
@@ -73,10 +73,10 @@ class _Eye:
     place_m: FloatArray
 
     @staticmethod
-    def of(frame: Frame, odom_from_depth: Pose, smaller: FloatArray) -> _Eye:
+    def of(frame: Frame, odom_from_depth: Pose, smaller: FloatArray) -> _Camera:
         lens, pose = frame.rgb_intrinsics, odom_from_depth @ frame.rgb_from_depth.inverse()
         middle_px = (np.array([lens.cx, lens.cy]) + 0.5) * smaller - 0.5  # pixel (0, 0) is its centre
-        return _Eye(np.array([lens.fx, lens.fy]) * smaller, middle_px, pose.rotation(), pose.translation_m)
+        return _Camera(np.array([lens.fx, lens.fy]) * smaller, middle_px, pose.rotation(), pose.translation_m)
 
     def ahead(self, place_m: AnyArray) -> AnyArray:
         """Return positions (N, 3) in the camera's own axes; those behind it get the least depth."""
@@ -98,7 +98,9 @@ class FeatureTracker:
     def forget(self) -> None:
         """Forget all points after a jump of odom: none of them was seen in the new odom."""
         self._grey: ByteArray | None = None
-        self._points, self._stamp_s, self._sought_s = _NONE, -math.inf, -math.inf
+        self._points = _NONE
+        self._stamp_s = -math.inf
+        self._sought_s = -math.inf
 
     def update(self, frame: Frame, odom_from_depth: Pose) -> TrackedPoints | None:
         """Track the points into an image and look for new ones.
@@ -111,31 +113,32 @@ class FeatureTracker:
         still = self._grey is not None and np.array_equal(grey, self._grey)  # the camera repeated the image
         if still or not frame.stamp_s - self._stamp_s <= _PAUSE_S:
             self.forget()
-        eye = _Eye.of(frame, odom_from_depth, smaller)
+        eye = _Camera.of(frame, odom_from_depth, smaller)
         seen = self._follow(frame.stamp_s, grey, eye)
-        self._grey, self._stamp_s = grey, frame.stamp_s
+        self._grey = grey
+        self._stamp_s = frame.stamp_s
         if frame.stamp_s - self._sought_s >= _EVERY_S:
             self._sought_s = frame.stamp_s
             self._points = self._points.joined(self._new(frame, odom_from_depth, grey, eye))
         return seen
 
-    def _follow(self, stamp_s: float, grey: ByteArray, eye: _Eye) -> TrackedPoints | None:
+    def _follow(self, stamp_s: float, grey: ByteArray, eye: _Camera) -> TrackedPoints | None:
         """Track the points, starting from their predicted position plus their last displacement."""
         points = self._points.only(stamp_s - self._points.since_s <= _OLDEST_S)
         belongs_px = eye.pixels(ahead_m := eye.ahead(points.place_m))
-        shown = _inside(belongs_px + points.aside_px, grey) & (ahead_m[:, 2] > _NEAREST_M)
+        shown = _inside(belongs_px + points.displacement_px, grey) & (ahead_m[:, 2] > _NEAREST_M)
         points, belongs_px = points.only(shown), belongs_px[shown]
         if self._grey is None or not len(belongs_px):
             self._points = _NONE
             return None
-        at_px, found = _followed(self._grey, grey, points.at_px, belongs_px + points.aside_px)
-        self._points = points = points._replace(at_px=at_px, aside_px=at_px - belongs_px).only(found)
+        at_px, found = _followed(self._grey, grey, points.at_px, belongs_px + points.displacement_px)
+        self._points = points = points._replace(at_px=at_px, displacement_px=at_px - belongs_px).only(found)
         x, y, range_m = eye.ahead(points.place_m).T
         across, down, deep = eye.axes.T
         along = np.stack([across - np.outer(x / range_m, deep), down - np.outer(y / range_m, deep)], axis=1)
-        return TrackedPoints(along, points.aside_px * range_m[:, None] / eye.focal_px, range_m, stamp_s - points.since_s)
+        return TrackedPoints(along, points.displacement_px * range_m[:, None] / eye.focal_px, range_m, stamp_s - points.since_s)
 
-    def _new(self, frame: Frame, odom_from_depth: Pose, grey: ByteArray, eye: _Eye) -> _Points:
+    def _new(self, frame: Frame, odom_from_depth: Pose, grey: ByteArray, eye: _Camera) -> _Points:
         """Return planar patches with the strongest texture, apart from the existing points."""
         camera, here = frame.depth_intrinsics.pinhole_px(), odom_from_depth
         place_m = patches(frame.depth_m, camera, here.rotation(), here.translation_m)[:, :3]
@@ -147,7 +150,7 @@ class FeatureTracker:
         taken = np.zeros((grey.shape[0] // _APART_PX + 1, grey.shape[1] // _APART_PX + 1), dtype=np.bool_)
         old_column, old_row = np.rint(self._points.at_px).astype(np.int64).T // _APART_PX
         taken[old_row, old_column] = True
-        fresh = np.flatnonzero((telling > _PLAIN) & ~taken[row // _APART_PX, column // _APART_PX])
+        fresh = np.flatnonzero((telling > _MIN_TEXTURE) & ~taken[row // _APART_PX, column // _APART_PX])
         best = fresh[np.argsort(-telling[fresh], kind="stable")][: _MAX - len(self._points.since_s)]
         return _Points(place_m[best], np.full(len(best), frame.stamp_s), at_px[best], np.zeros((len(best), 2), np.float32))
 

@@ -22,8 +22,8 @@ from uav_recon.localization.eskf import SEEN, WHITE_SHARE, Estimate, PoseNoise
 from uav_recon.localization.fusion_history import Arrival, FusedPose, FusionHistory, pose_innovation
 from uav_recon.localization.imu_integration import Quaternion, Vector, conjugate, multiply, normalised, rotate
 from uav_recon.localization.odometry_health import OdometryHealthMonitor
-from uav_recon.localization.pose_gates import CONTRADICTIONS, PoseGates, PoseRejection, Sighting, pose_fault
-from uav_recon.localization.relocalization_check import RETURN, STEP, RelocalizationCheck
+from uav_recon.localization.pose_gates import CONTRADICTIONS, PoseGates, PoseMeasurement, PoseRejection, pose_fault
+from uav_recon.localization.relocalization_check import AFTER_LOSS, MAP_STEP, RelocalizationCheck
 from uav_recon.types.camera import ImuSample
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.pose import Pose, StampedPose, WorldFromOdom
@@ -48,16 +48,19 @@ class FusionFilter:
     def __init__(self, pose_lost_s: float = 0.5, gates: PoseGates | None = None) -> None:
         self.rejected: Counter[PoseRejection] = Counter()
         self.correction = WorldFromOdom.start()
-        self._lost_s, self._gates = pose_lost_s, gates or PoseGates()
-        self._trial, self._watch = RelocalizationCheck(), OdometryHealthMonitor(pose_lost_s)
-        self._chain = FusionHistory(self.rejected, self._watch.fused)
-        self._reset_counter, self._source_resets = 0, 0
-        self._disputed = False  # poses since the newest fused one contradicted the track
+        self._lost_s = pose_lost_s
+        self._gates = gates or PoseGates()
+        self._relocalization = RelocalizationCheck()
+        self._watch = OdometryHealthMonitor(pose_lost_s)
+        self._history = FusionHistory(self.rejected, self._watch.fused)
+        self._reset_counter = 0
+        self._source_resets = 0
+        self._contradicted = False  # poses since the newest fused one contradicted the track
 
     @property
     def newest_pose_s(self) -> float:
         """Stamp of the newest fused pose; -inf before the first."""
-        return -math.inf if self._chain.newest is None else self._chain.newest.stamp_s
+        return -math.inf if self._history.newest is None else self._history.newest.stamp_s
 
     @property
     def newest(self) -> tuple[Estimate, float] | None:
@@ -65,7 +68,7 @@ class FusionFilter:
 
         None before the first pose.
         """
-        return None if self._chain.newest is None else (self._chain.newest.estimate, self._chain.newest.nis)
+        return None if self._history.newest is None else (self._history.newest.estimate, self._history.newest.nis)
 
     def add_imu(self, samples: list[ImuSample], now_s: float = math.inf) -> None:
         """Add inertial samples, oldest first.
@@ -73,27 +76,27 @@ class FusionFilter:
         Samples that no sensor can measure, that are not newer than the one before, or that are later than now_s, are counted
         and dropped.
         """
-        self._chain.update(samples, now_s)
+        self._history.update(samples, now_s)
 
     def add_pose(self, pose: StampedPose, now_s: float) -> bool:
         """Fuse a pose of the source at its own stamp. Return False if it was rejected.
 
         now_s: present instant, which limits the accepted stamps.
         """
-        reason = pose_fault(pose, now_s) or self._chain.untimely(pose.stamp_s)
+        reason = pose_fault(pose, now_s) or self._history.stamp_fault(pose.stamp_s)
         if reason is not None:
             self.rejected[reason] += 1
             return False
         said, noise = self._seen_in_odom(pose), PoseNoise.claimed(pose.covariance)
-        if self._chain.newest is None:
+        if self._history.newest is None:
             return self._begin(said, noise)
-        met = self._chain.meet(said, noise)
+        met = self._history.meet(said, noise)
         if met is None:
-            return self._found_again(said, noise)
-        reason = self._doubtful(met, self._chain.before(said.stamp_s))
-        if reason is not None and not self._proven(met):
+            return self._restart_after_gap(said, noise)
+        reason = self._continuity_fault(met, self._history.before(said.stamp_s))
+        if reason is not None and not self._accept_run(met):
             self.rejected[reason] += 1
-            self._disputed |= reason in CONTRADICTIONS
+            self._contradicted |= reason in CONTRADICTIONS
             return False
         if reason is None:
             self._settle(met)
@@ -105,12 +108,12 @@ class FusionFilter:
         None before the first pose, too long ago, and while the attitude is unknown: if the gyro measures a turn that no vehicle
         can make, until the next pose, which takes about a tenth of a second.
         """
-        newest, found = self._chain.newest, self._chain.at(stamp_s)
+        newest, found = self._history.newest, self._history.at(stamp_s)
         if newest is None or found is None:
             return None
         node, state, here = found
         age_s, source = stamp_s - newest.stamp_s, node.sighting.source
-        health, why = self._watch.health(age_s, newest.estimate.inertial, len(self._trial) > 0)
+        health, why = self._watch.health(age_s, newest.estimate.inertial, len(self._relocalization) > 0)
         return StampedPose(
             stamp_s,
             Pose(np.array(state.odom_from_body(here)), np.array(state.position_m)),
@@ -124,16 +127,16 @@ class FusionFilter:
             self.correction,
         )
 
-    def _doubtful(self, met: Arrival, before: FusedPose) -> PoseRejection | None:
+    def _continuity_fault(self, met: Arrival, before: FusedPose) -> PoseRejection | None:
         """Return the reason why a pose does not simply continue the one before it, '' if it does."""
         said = met.said
         if said.source.reset_counter != self._source_resets:
             return PoseRejection.RESET
         if said.stamp_s - before.stamp_s > self._lost_s:
             return PoseRejection.UNPROVEN
-        return self._gates.leap(met.residual, met.covariance) or self._gates.haste(before.sighting, said)
+        return self._gates.leap(met.residual, met.covariance) or self._gates.speed_fault(before.sighting, said)
 
-    def _proven(self, met: Arrival) -> bool:
+    def _accept_run(self, met: Arrival) -> bool:
         """Return True if a doubtful pose completes an accepted run of such poses.
 
         The filter has then fused it.
@@ -142,20 +145,22 @@ class FusionFilter:
         lost = said.stamp_s - self.newest_pose_s > self._lost_s
         if said.stamp_s < self.newest_pose_s:
             return False
-        track = Sighting(said.stamp_s, carried.position_m, carried.odom_from_body(here), said.source)
+        track = PoseMeasurement(said.stamp_s, carried.position_m, carried.odom_from_body(here), said.source)
         credible = max(np.diagonal(carried.covariance)[:3]) <= _CREDIBLE_M**2
         tilt_rad = math.hypot(residual[3], residual[4])
         tilted = self._gates.tilt_rad < tilt_rad < _OVERTURNED_RAD  # gravity is taken for acceleration; no map corrects that
-        contradicted = lost and self._disputed  # not by a step of the map: source and track never agreed on the body's motion
-        self._trial.update(said, track, carried.inertial and credible and not (tilted or contradicted))
-        if not self._trial.stands(RETURN if lost else STEP):
+        contradicted = (
+            lost and self._contradicted
+        )  # not by a step of the map: source and track never agreed on the body's motion
+        self._relocalization.update(said, track, carried.inertial and credible and not (tilted or contradicted))
+        if not self._relocalization.stands(AFTER_LOSS if lost else MAP_STEP):
             return False
         declared = said.source.reset_counter != self._source_resets
         steady = credible or (carried.inertial and carried.covariance[8, 8] <= _STEADY_RAD**2)
         if steady and not declared and abs(residual[5]) > _TURN_OF_MAP_RAD:
             return False
         if not credible or contradicted or tilted:
-            return self._begin(said, met.noise, self._trial.velocity_mps())
+            return self._begin(said, met.noise, self._relocalization.velocity_mps())
         if declared or self._gates.leap(residual, met.covariance):
             self._move_world(said.source, track)
             moved = replace(said, position_m=track.position_m, odom_from_body=track.odom_from_body)
@@ -165,47 +170,47 @@ class FusionFilter:
         self._settle(met)
         return True
 
-    def _found_again(self, said: Sighting, noise: PoseNoise) -> bool:
+    def _restart_after_gap(self, said: PoseMeasurement, noise: PoseNoise) -> bool:
         """Restart after a silence longer than the stored track, once the source agrees with itself.
 
         Nothing can contradict the source then.
         """
         if said.stamp_s >= self.newest_pose_s:
-            self._trial.update(said, said, inertial=False)
-            if self._trial.stands(RETURN):
-                return self._begin(said, noise, self._trial.velocity_mps())
+            self._relocalization.update(said, said, inertial=False)
+            if self._relocalization.stands(AFTER_LOSS):
+                return self._begin(said, noise, self._relocalization.velocity_mps())
         self.rejected[PoseRejection.UNPROVEN] += 1
         return False
 
     def _settle(self, met: Arrival) -> None:
         """Fuse a pose that continues the track."""
-        self._trial.clear()
-        self._disputed = False
-        self._chain.enter(met)
+        self._relocalization.clear()
+        self._contradicted = False
+        self._history.enter(met)
 
-    def _begin(self, said: Sighting, noise: PoseNoise, velocity_mps: Vector = (0.0, 0.0, 0.0)) -> bool:
+    def _begin(self, said: PoseMeasurement, noise: PoseNoise, velocity_mps: Vector = (0.0, 0.0, 0.0)) -> bool:
         """Forget the past and restart from this pose. After the first time, odom jumps there."""
-        if not self._chain.reaches(said.stamp_s):
+        if not self._history.reaches(said.stamp_s):
             self.rejected[PoseRejection.STAMP] += 1
             return False
-        if self._chain.newest is not None:
+        if self._history.newest is not None:
             self._reset_counter = (self._reset_counter + 1) % 256
             again = said.source.reset_counter != self._source_resets
             self.correction = replace(self.correction, epoch=self.correction.epoch + again)
-        self._trial.clear()
-        self._disputed = False
+        self._relocalization.clear()
+        self._contradicted = False
         self._source_resets = said.source.reset_counter
         self._watch.begin(said.stamp_s)
-        self._chain.begin(said, noise, velocity_mps)
+        self._history.begin(said, noise, velocity_mps)
         return True
 
-    def _move_world(self, pose: StampedPose, track: Sighting) -> None:
+    def _move_world(self, pose: StampedPose, track: PoseMeasurement) -> None:
         """Keep odom and move the world to where the source now reports it."""
         odom_from_body = Pose(np.array(track.odom_from_body), np.array(track.position_m))
         self.correction = WorldFromOdom(pose.odom_from_body @ odom_from_body.inverse(), self.correction.epoch + 1)
         self._source_resets = pose.reset_counter
 
-    def _seen_in_odom(self, pose: StampedPose) -> Sighting:
+    def _seen_in_odom(self, pose: StampedPose) -> PoseMeasurement:
         """Return the source's pose transformed from its world into odom.
 
         A quaternion and its negative are the same attitude.
@@ -215,7 +220,7 @@ class FusionFilter:
         (px, py, pz), (wx, wy, wz) = pose.odom_from_body.translation_m.tolist(), world.translation_m.tolist()
         position_m = rotate(odom_from_world, (px - wx, py - wy, pz - wz))
         attitude = normalised(multiply(odom_from_world, _quaternion(pose.odom_from_body)))
-        return Sighting(pose.stamp_s, position_m, attitude, pose)
+        return PoseMeasurement(pose.stamp_s, position_m, attitude, pose)
 
 
 def _quaternion(pose: Pose) -> Quaternion:

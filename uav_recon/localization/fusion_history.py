@@ -20,8 +20,8 @@ from uav_recon.localization.imu_integration import (
     rotate,
 )
 from uav_recon.localization.pose_gates import (
+    PoseMeasurement,
     PoseRejection,
-    Sighting,
     max_step_noise_scale,
     normalized_innovation_squared,
     outlier_noise_scale,
@@ -40,7 +40,7 @@ _FUTURE_S = 0.01
 class FusedPose:
     """A fused pose, and the estimate after it. nis: normalized innovation squared of the pose."""
 
-    sighting: Sighting
+    sighting: PoseMeasurement
     noise: PoseNoise
     estimate: Estimate
     nis: float
@@ -59,7 +59,7 @@ class Arrival:
     innovation.
     """
 
-    said: Sighting
+    said: PoseMeasurement
     noise: PoseNoise
     carried: Estimate
     here: InertialState
@@ -74,10 +74,13 @@ class FusionHistory:
     """
 
     def __init__(self, rejected: Counter[PoseRejection], fused: Callable[[float, float], None]) -> None:
-        self._rejected, self._fused = rejected, fused
+        self._rejected = rejected
+        self._fused = fused
         self._track = InertialTrack()
         self._nodes: deque[FusedPose] = deque()
-        self._imu_since_s, self._imu_s = math.inf, -math.inf  # the newest run of inertial samples without a gap
+        # the newest run of inertial samples without a gap
+        self._imu_since_s = math.inf
+        self._imu_s = -math.inf
 
     @property
     def newest(self) -> FusedPose | None:
@@ -110,7 +113,7 @@ class FusionHistory:
             self._imu_s = stamp_s
             self._track.push(stamp_s, (gx, gy, gz), (fx, fy, fz), bias)
 
-    def untimely(self, stamp_s: float) -> PoseRejection | None:
+    def stamp_fault(self, stamp_s: float) -> PoseRejection | None:
         """Return the reason why a stamp cannot be inserted, None if it can."""
         if not self._nodes:
             return None if self.reaches(stamp_s) else PoseRejection.STAMP
@@ -125,7 +128,7 @@ class FusionHistory:
         """Return the newest node that is not younger than a timely stamp."""
         return self._nodes[self._before(stamp_s)]
 
-    def meet(self, said: Sighting, noise: PoseNoise) -> Arrival | None:
+    def meet(self, said: PoseMeasurement, noise: PoseNoise) -> Arrival | None:
         """Propagate the node before a timely pose to the pose.
 
         None if the track no longer reaches back to that node.
@@ -136,7 +139,7 @@ class FusionHistory:
         """Return True if the track goes back to the stamp."""
         return not len(self._track) or stamp_s >= self._track.oldest_s
 
-    def begin(self, said: Sighting, noise: PoseNoise, velocity_mps: Vector) -> None:
+    def begin(self, said: PoseMeasurement, noise: PoseNoise, velocity_mps: Vector) -> None:
         """Forget the nodes and restart from a pose within the track."""
         inertial = self._inertial(said.stamp_s, said.stamp_s)
         if not inertial:
@@ -171,20 +174,20 @@ class FusionHistory:
         node, after = self._nodes[k], self._nodes[k + 1] if k + 1 < len(self._nodes) else None
         base, here = self._track.at(node.stamp_s), self._track.at(stamp_s)
         there = here if after is None else self._track.at(after.stamp_s)
-        if base is None or here is None or there is None or _guessed(base, here, there):
+        if base is None or here is None or there is None or _attitude_unknown(base, here, there):
             return None
         if after is None:
             return node, propagate(node.estimate, base, here, node.noise), here
-        return node, _bent(node, after, base, here, there), here
+        return node, _smoothed(node, after, base, here, there), here
 
-    def _meet(self, node: FusedPose, said: Sighting, noise: PoseNoise) -> Arrival | None:
+    def _meet(self, node: FusedPose, said: PoseMeasurement, noise: PoseNoise) -> Arrival | None:
         inertial = self._inertial(node.stamp_s, said.stamp_s)
         if not inertial:
             self._coast_to(said.stamp_s)
         base, here = self._track.at(node.stamp_s), self._track.at(said.stamp_s)
         if base is None or here is None:
             return None
-        return pose_innovation(said, noise, propagate(node.estimate.carried_on(inertial), base, here, node.noise), here)
+        return pose_innovation(said, noise, propagate(node.estimate.with_imu(inertial), base, here, node.noise), here)
 
     def _append(self, met: Arrival) -> None:
         """Add a node: the propagated estimate corrected by the pose."""
@@ -216,21 +219,21 @@ class FusionHistory:
             self._track.coast(stamp_s, (-bx, -by, -bz))
 
 
-def pose_innovation(said: Sighting, noise: PoseNoise, carried: Estimate, here: InertialState) -> Arrival:
+def pose_innovation(said: PoseMeasurement, noise: PoseNoise, carried: Estimate, here: InertialState) -> Arrival:
     """Return the innovation of a pose against an estimate propagated to its instant."""
     residual = innovation(carried, here, said.position_m, said.odom_from_body)
     return Arrival(said, noise, carried, here, residual, spread(carried, noise))
 
 
-def _guessed(base: InertialState, here: InertialState, there: InertialState) -> bool:
+def _attitude_unknown(base: InertialState, here: InertialState, there: InertialState) -> bool:
     """Return True if the attitude at ``here`` is unknown.
 
     ``here`` lies between a node, and the next node or the present.
     """
-    return here.stamp_s > base.stamp_s and there.whirls_rad > base.whirls_rad
+    return here.stamp_s > base.stamp_s and there.overrate_angle_rad > base.overrate_angle_rad
 
 
-def _bent(node: FusedPose, after: FusedPose, base: InertialState, here: InertialState, there: InertialState) -> Estimate:
+def _smoothed(node: FusedPose, after: FusedPose, base: InertialState, here: InertialState, there: InertialState) -> Estimate:
     """Return the estimate between two nodes, corrected so that the path ends at the next one."""
     state = propagate_mean(node.estimate, base, here)
     share = (here.stamp_s - node.stamp_s) / (after.stamp_s - node.stamp_s)

@@ -94,8 +94,8 @@ def logarithm(q: Quaternion) -> Vector:
 class InertialState(NamedTuple):
     """The track at one instant.
 
-    gyro_from_body, V (m/s) and X (m) in the gyro frame, B (rad, body axes). knocks_mps and whirls_rad: integrals of the forces
-    harder than any propeller's and of the turn rates faster than any vehicle's, summed regardless of direction.
+    gyro_from_body, V (m/s) and X (m) in the gyro frame, B (rad, body axes). shock_velocity_mps and overrate_angle_rad: integrals
+    of the forces harder than any propeller's and of the turn rates faster than any vehicle's, summed regardless of direction.
     """
 
     stamp_s: float
@@ -103,8 +103,8 @@ class InertialState(NamedTuple):
     velocity_integral: Vector
     position_integral: Vector
     bias_integral: Vector
-    knocks_mps: float = 0.0
-    whirls_rad: float = 0.0
+    shock_velocity_mps: float = 0.0
+    overrate_angle_rad: float = 0.0
 
 
 class InertialTrack:
@@ -165,7 +165,8 @@ class InertialTrack:
             self._append(self._advance(i, stamp_s))
         else:
             self._append(InertialState(stamp_s, IDENTITY, _ZERO, _ZERO, _ZERO))
-        self._last, self._measured = (rate_radps, force_mps2), True
+        self._last = (rate_radps, force_mps2)
+        self._measured = True
         newest = self._count - 1
         force_gyro = rotate(self._quaternion(newest), force_mps2)
         turning = _length(rate_radps)
@@ -223,7 +224,7 @@ class InertialTrack:
         self._stamp[self._count] = state.stamp_s
         self._state[self._count] = (
             *state.gyro_from_body, *state.velocity_integral, *state.position_integral, *state.bias_integral,
-            state.knocks_mps, state.whirls_rad,
+            state.shock_velocity_mps, state.overrate_angle_rad,
         )  # fmt: skip
         self._count += 1
 

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from uav_recon.localization.point_to_plane import FEWEST, MOST, gain_aside, loss_aside, residuals, shares, shift_of, surface
+from uav_recon.localization.point_to_plane import MIN_POINTS, MOST, residuals, shares, shift_gain, shift_loss, shift_of, surface
 from uav_recon.types.camera import Intrinsics
 from uav_recon.types.frames import AnyArray, Float32Array, FloatArray
 from uav_recon.types.pose import Pose
@@ -94,7 +94,7 @@ class PastViews:
         self._newest: _View | None = None
 
     @property
-    def remembers(self) -> bool:
+    def has_view(self) -> bool:
         """True if there is an image to compare with."""
         return self._newest is not None
 
@@ -112,16 +112,16 @@ class PastViews:
         while stamp_s - self._views[0].stamp_s > _MEMORY_S:
             self._views.popleft()
 
-    def of_newest(
+    def compare_newest(
         self, stamp_s: float, depth_m: Float32Array, lens: Intrinsics, odom_from_depth: Pose
     ) -> ViewComparison | None:
         """Compare with the newest accepted image; None if too little of it is in view.
 
         If it is in view and there are no returns from there, all of it counts as farther.
         """
-        return None if self._newest is None else _compared(self._newest, stamp_s, depth_m, lens, odom_from_depth, FEWEST)
+        return None if self._newest is None else _compared(self._newest, stamp_s, depth_m, lens, odom_from_depth, MIN_POINTS)
 
-    def of_oldest(
+    def compare_oldest(
         self, stamp_s: float, depth_m: Float32Array, lens: Intrinsics, odom_from_depth: Pose, likeness: ViewSelection
     ) -> Iterator[ViewComparison]:
         """Yield comparisons with the views that meet the selection, oldest first.
@@ -141,7 +141,7 @@ class PastViews:
         if self._newest is None:
             return 0.0
         rotation, place = odom_from_depth.rotation(), odom_from_depth.translation_m
-        return float(gain_aside(self._newest.points, depth_m, lens.pinhole_px(), rotation, place))
+        return float(shift_gain(self._newest.points, depth_m, lens.pinhole_px(), rotation, place))
 
     @staticmethod
     def loss_aside(then: ViewComparison, depth_m: Float32Array, lens: Intrinsics, odom_from_depth: Pose) -> float:
@@ -150,7 +150,7 @@ class PastViews:
         If it is small, the view cannot show whether this image is shifted.
         """
         rotation, place = odom_from_depth.rotation(), odom_from_depth.translation_m
-        return float(loss_aside(then.points, depth_m, lens.pinhole_px(), rotation, place))
+        return float(shift_loss(then.points, depth_m, lens.pinhole_px(), rotation, place))
 
     def _alike(self, stamp_s: float, odom_from_depth: Pose, likeness: ViewSelection) -> Iterator[_View]:
         """Yield the views that meet the selection, oldest first."""
@@ -174,7 +174,7 @@ def _compared(
     rotation, place = odom_from_depth.rotation(), odom_from_depth.translation_m
     found, gone = residuals(view.points, depth_m, lens.pinhole_px(), rotation, place)
     age_s = stamp_s - view.stamp_s
-    if len(found) < FEWEST:
+    if len(found) < MIN_POINTS:
         if gone <= max_missing:
             return None
         return ViewComparison(gone, 0.0, 0.0, 1.0, np.zeros(3), np.zeros((3, 3)), 0.0, age_s, view.points)

@@ -47,10 +47,16 @@ class Perception:
         rate_hz: float = 30.0,
         frame_wait_s: float = 0.2,
     ) -> None:
-        self._camera, self._poses, self._fusion, self._mount = camera, poses, fusion, mount
-        self._odom, self._frames, self._nearby = odom, frames, nearby
-        self._clock, self._frame_wait_s = clock, frame_wait_s
-        self._credence = DepthConsistencyMonitor()
+        self._camera = camera
+        self._poses = poses
+        self._fusion = fusion
+        self._mount = mount
+        self._odom = odom
+        self._frames = frames
+        self._nearby = nearby
+        self._clock = clock
+        self._frame_wait_s = frame_wait_s
+        self._depth_consistency = DepthConsistencyMonitor()
         warm_up()
         self._rate = RateKeeper(rate_hz, clock.now_s())
         self._waiting: deque[Frame] = deque()
@@ -74,7 +80,7 @@ class Perception:
         estimate = self._fusion.odom_at(now_s)
         if estimate is None or (estimate.quality == 0 and self._said_lost):
             return
-        drift = self._credence.drift(now_s)
+        drift = self._depth_consistency.drift(now_s)
         if drift:
             estimate = replace(estimate, health=PoseHealth.WRONG, why=drift)
         self._odom.publish(estimate)
@@ -107,7 +113,7 @@ class Perception:
         estimate = self._fusion.odom_at(frame.stamp_s)
         if estimate is None or estimate.quality == 0:
             return True
-        return self._credence.believes(frame, estimate.odom_from_body @ body_from_depth, estimate.reset_counter)
+        return self._depth_consistency.believes(frame, estimate.odom_from_body @ body_from_depth, estimate.reset_counter)
 
     def _publish_frame(self, now_s: float) -> None:
         """Publish at most one frame per step.

@@ -7,7 +7,7 @@ import numpy as np
 from uav_recon.geometry.jit import kernel
 from uav_recon.types.frames import AnyArray, FloatArray
 
-FEWEST = 60  # min. points that both see
+MIN_POINTS = 60  # min. points that both see
 _ROWS, _COLUMNS = 18, 24  # points of an image
 _NEAREST_M = 0.1  # a point nearer than this, or behind, is in no image
 MOST = _ROWS * _COLUMNS
@@ -115,7 +115,7 @@ def residuals(
 
 
 @kernel
-def gain_aside(points: AnyArray, depth_m: AnyArray, camera: AnyArray, rotation: AnyArray, place: AnyArray) -> float:
+def shift_gain(points: AnyArray, depth_m: AnyArray, camera: AnyArray, rotation: AnyArray, place: AnyArray) -> float:
     """Return the gain of an image's best shift: missing points less misfits after it.
 
     Both are shares of the points (N, 6) of another image. A shift reads the image some columns or rows aside. The gain is zero
@@ -130,7 +130,7 @@ def gain_aside(points: AnyArray, depth_m: AnyArray, camera: AnyArray, rotation: 
 
 
 @kernel
-def loss_aside(points: AnyArray, depth_m: AnyArray, camera: AnyArray, rotation: AnyArray, place: AnyArray) -> float:
+def shift_loss(points: AnyArray, depth_m: AnyArray, camera: AnyArray, rotation: AnyArray, place: AnyArray) -> float:
     """Return the least loss of a shift: the share of the points (N, 6) that fit less.
 
     A shift reads the image some columns or rows aside. The loss is zero if few shifts can be evaluated or if a shift would not
@@ -142,7 +142,7 @@ def loss_aside(points: AnyArray, depth_m: AnyArray, camera: AnyArray, rotation: 
 
 @kernel
 def _asides(points: AnyArray, depth_m: AnyArray, camera: AnyArray, rotation: AnyArray, place: AnyArray) -> AnyArray:
-    """Return gain_aside and loss_aside of each shift, (M, 2).
+    """Return shift_gain and shift_loss of each shift, (M, 2).
 
     A single row of zeros if too little is seen at both positions.
     """
@@ -182,7 +182,7 @@ def _misfit(
             misfit = abs(_off_m(points[n], u, v, z, camera, rotation, place)) > _SHARP_M + _SHARP_PER_M * z * z
             off[k] += int(misfit)
             gone += int(misfit and k == 0 and z > deep)
-    return (count, gone / count, off[0] / count, off[1] / count) if count >= FEWEST else (count, np.nan, np.nan, np.nan)
+    return (count, gone / count, off[0] / count, off[1] / count) if count >= MIN_POINTS else (count, np.nan, np.nan, np.nan)
 
 
 @kernel

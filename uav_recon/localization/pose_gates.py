@@ -45,7 +45,7 @@ CONTRADICTIONS = (PoseRejection.JUMP, PoseRejection.TURN, PoseRejection.SPEED)
 
 
 @dataclass(frozen=True, slots=True)
-class Sighting:
+class PoseMeasurement:
     """A pose of the source as plain numbers.
 
     odom_from_body: in the filter's odom. source: the pose as it was received.
@@ -89,7 +89,7 @@ class PoseGates:
         may = turn_rad <= min(max(self.turn_rad, self.sigmas * turn_sigma), self.farthest_rad)
         return None if may else PoseRejection.TURN
 
-    def haste(self, before: Sighting, after: Sighting) -> PoseRejection | None:
+    def speed_fault(self, before: PoseMeasurement, after: PoseMeasurement) -> PoseRejection | None:
         """Return 'speed' if two poses of the source, in either order, are too far apart, '' if not."""
         way_m = math.dist(before.position_m, after.position_m)
         slow = way_m <= self.jump_m + self.speed_mps * abs(after.stamp_s - before.stamp_s)

@@ -9,7 +9,7 @@ import math
 from dataclasses import dataclass
 
 from uav_recon.localization.imu_integration import conjugate, logarithm, multiply, rotate
-from uav_recon.localization.pose_gates import Sighting
+from uav_recon.localization.pose_gates import PoseMeasurement
 
 _SLIP_M, _SLIP_RAD = 0.05, math.radians(3.0)  # between two poses, max. difference from the motion of the track
 _WIDER_M, _WIDER_RAD = 0.10, math.radians(8.0)  # the same where there are no inertial samples
@@ -24,15 +24,15 @@ class ConsistencyRequirement:
     over_s: float
 
 
-STEP = ConsistencyRequirement(4, 0.2)  # the track was never lost: a step of the source's map
-RETURN = ConsistencyRequirement(12, 1.0)  # the track was lost: a wrong relocalization is worse than none (HAZARDS, B2)
+MAP_STEP = ConsistencyRequirement(4, 0.2)  # the track was never lost: a step of the source's map
+AFTER_LOSS = ConsistencyRequirement(12, 1.0)  # the track was lost: a wrong relocalization is worse than none (HAZARDS, B2)
 
 
 class RelocalizationCheck:
     """One run of such poses. A pose that does not agree with the one before it starts a new run."""
 
     def __init__(self) -> None:
-        self._run: list[tuple[Sighting, Sighting]] = []  # the source's pose, and that of the track
+        self._run: list[tuple[PoseMeasurement, PoseMeasurement]] = []  # the source's pose, and that of the track
 
     def __len__(self) -> int:
         return len(self._run)
@@ -41,7 +41,7 @@ class RelocalizationCheck:
         """End the run."""
         self._run.clear()
 
-    def update(self, said: Sighting, track: Sighting, inertial: bool) -> None:
+    def update(self, said: PoseMeasurement, track: PoseMeasurement, inertial: bool) -> None:
         """Add a pose, and the pose that the track alone predicts for its stamp."""
         if self._run and said.stamp_s <= self._run[-1][0].stamp_s:
             return
@@ -63,7 +63,9 @@ class RelocalizationCheck:
         return (x / dt_s, y / dt_s, z / dt_s)
 
 
-def _agree(before: tuple[Sighting, Sighting], after: tuple[Sighting, Sighting], inertial: bool) -> bool:
+def _agree(
+    before: tuple[PoseMeasurement, PoseMeasurement], after: tuple[PoseMeasurement, PoseMeasurement], inertial: bool
+) -> bool:
     """Return True if the source moved as the track did or, without an IMU, as a vehicle can."""
     (said0, track0), (said1, track1) = before, after
     dt_s = said1.stamp_s - said0.stamp_s
@@ -79,6 +81,6 @@ def _agree(before: tuple[Sighting, Sighting], after: tuple[Sighting, Sighting], 
     return slip_rad <= _SLIP_RAD and math.dist(way, expected) <= _SLIP_M
 
 
-def _difference(a: Sighting, b: Sighting) -> tuple[float, float, float]:
+def _difference(a: PoseMeasurement, b: PoseMeasurement) -> tuple[float, float, float]:
     (ax, ay, az), (bx, by, bz) = a.position_m, b.position_m
     return (ax - bx, ay - by, az - bz)

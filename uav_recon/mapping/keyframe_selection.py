@@ -1,7 +1,7 @@
 """Keyframe selection: score a frame by the surface that no keyframe has observed well yet.
 
-Each surface voxel needs SIGHTINGS good observations. An observation has a lower weight if its depth noise is larger. The
-gain of a frame is the sum, over its voxels, of the observation weight it adds where observations are still missing. A frame
+Each surface voxel needs OBSERVATIONS_PER_VOXEL good observations. An observation has a lower weight if its depth noise is
+larger. The gain of a frame is the sum, over its voxels, of the observation weight it adds where observations are still missing. A frame
 is selected if its gain reaches the share that each remaining view must contribute to cover the whole room. So the view
 budget lasts for the room and is spent on new surface.
 """
@@ -16,14 +16,16 @@ from uav_recon.types.frames import AnyArray, FloatArray
 from uav_recon.types.maps import GridSpec
 from uav_recon.types.pose import Pose
 
-SIGHTINGS = 3.0
+OBSERVATIONS_PER_VOXEL = 3.0
 GOOD_SIGMA_M = 0.02  # depth noise (one sigma) up to which an observation has full weight
 PIXEL_STEP = 4
-FURNITURE = 1.5  # ratio of the surface area of a furnished room to that of its bounding box
+FURNISHED_AREA_RATIO = 1.5  # ratio of the surface area of a furnished room to that of its bounding box
 SMALLEST_GAIN = 100.0
-UNIT = 10_000  # fixed-point counts per observation; UNIT * SIGHTINGS stays below MET
-MET = 1 << 15  # flag bit of a voxel that was already counted in the current frame
-THRIFT = 2.5  # factor on the share of a view: leaves budget for the views that planned tasks will need
+FIXED_POINT_SCALE = (
+    10_000  # fixed-point counts per observation; FIXED_POINT_SCALE * OBSERVATIONS_PER_VOXEL stays below COUNTED_FLAG
+)
+COUNTED_FLAG = 1 << 15  # flag bit of a voxel that was already counted in the current frame
+BUDGET_RESERVE_FACTOR = 2.5  # factor on the share of a view: leaves budget for the views that planned tasks will need
 BASELINE_M, BASELINE_RAD = 0.25, 0.25  # a frame closer than both to the last keyframe adds nothing new
 
 
@@ -33,27 +35,29 @@ class KeyframeSelection:
     def __init__(
         self, grid: GridSpec, fence_min_m: FloatArray, fence_max_m: FloatArray, noise_px: float, baseline_m: float
     ) -> None:
-        self._grid, self._noise_px, self._baseline_m = grid, noise_px, baseline_m
+        self._grid = grid
+        self._noise_px = noise_px
+        self._baseline_m = baseline_m
         self._looks = np.zeros(grid.shape, dtype=np.uint16)
         self._met = np.zeros(0, dtype=np.int64)
         self._given = 0.0
         a, b, c = np.asarray(fence_max_m, dtype=np.float64) - np.asarray(fence_min_m, dtype=np.float64)
-        self._wanted = SIGHTINGS * FURNITURE * 2.0 * (a * b + b * c + c * a) / grid.resolution_m**2
+        self._wanted = OBSERVATIONS_PER_VOXEL * FURNISHED_AREA_RATIO * 2.0 * (a * b + b * c + c * a) / grid.resolution_m**2
         self._last: Pose | None = None
 
     def worth(self, posed: PosedFrame, views_left: int) -> bool:
         """Return True if the frame should use one of the remaining views. Takes about 1 ms."""
         if views_left <= 0 or not self._moved(posed.world_from_depth):
             return False
-        missing = max(self._wanted - self.looks_given(), 0.0)
-        return bool(self._read(posed, keep=False) >= max(THRIFT * missing / views_left, SMALLEST_GAIN))
+        missing = max(self._wanted - self.total_observation_weight(), 0.0)
+        return bool(self._read(posed, keep=False) >= max(BUDGET_RESERVE_FACTOR * missing / views_left, SMALLEST_GAIN))
 
     def keep(self, posed: PosedFrame) -> None:
         """Record that the frame became a keyframe."""
         self._last = posed.world_from_depth
         self._read(posed, keep=True)
 
-    def looks_given(self) -> float:
+    def total_observation_weight(self) -> float:
         """Return the sum of the observation weights over all voxels."""
         return self._given
 
@@ -90,8 +94,8 @@ def _gain(
 ) -> float:  # fmt: skip
     """Return the observation weight that a depth image adds, summed over the voxels it hits.
 
-    Each voxel counts once per frame. looks: flat uint16, in counts of UNIT per observation. met: scratch for the indices of
-    the voxels hit.
+    Each voxel counts once per frame. looks: flat uint16, in counts of FIXED_POINT_SCALE per observation. met: scratch for the
+    indices of the voxels hit.
     """
     gain = number = 0
     for v in range(0, depth_m.shape[0], PIXEL_STEP):
@@ -107,13 +111,16 @@ def _gain(
                 continue
             index = (i * shape[1] + j) * shape[2] + k
             given = int(looks[index])
-            if given >= MET:
+            if given >= COUNTED_FLAG:
                 continue
-            look = min(int(UNIT * min(GOOD_SIGMA_M / (sigma * z * z), 1.0)), int(UNIT * SIGHTINGS) - given)
+            look = min(
+                int(FIXED_POINT_SCALE * min(GOOD_SIGMA_M / (sigma * z * z), 1.0)),
+                int(FIXED_POINT_SCALE * OBSERVATIONS_PER_VOXEL) - given,
+            )
             gain += look
-            looks[index] = MET + given + (look if keep else 0)
+            looks[index] = COUNTED_FLAG + given + (look if keep else 0)
             met[number] = index
             number += 1
     for n in range(number):
-        looks[met[n]] -= MET
-    return gain / UNIT
+        looks[met[n]] -= COUNTED_FLAG
+    return gain / FIXED_POINT_SCALE

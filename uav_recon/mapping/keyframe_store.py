@@ -98,8 +98,9 @@ class KeyframeFolder:
             there = {"map_epoch": correction.map_epoch, "world_from_depth": None if pose is None else _pose(pose)}
             entries.append(entry | there)
         lines = BETWEEN.join(json.dumps(entry) for entry in entries)
-        write_whole(self.folder / "poses.json", (HEAD + lines + TAIL).encode())
-        self._entries, self._lines = entries, lines
+        write_atomic(self.folder / "poses.json", (HEAD + lines + TAIL).encode())
+        self._entries = entries
+        self._lines = lines
 
     def save(self, keyframe: PosedFrame) -> int:
         """Write a keyframe and return its number. Blocks for about 10 ms.
@@ -128,7 +129,7 @@ class KeyframeFolder:
         }
         self._entries.append(entry)
         self._lines += (BETWEEN if self._lines else "") + json.dumps(entry)
-        write_whole(self.folder / "poses.json", (HEAD + self._lines + TAIL).encode())
+        write_atomic(self.folder / "poses.json", (HEAD + self._lines + TAIL).encode())
         return number
 
     def load(self, number: int) -> PosedFrame:
@@ -167,10 +168,10 @@ class KeyframeFolder:
         ok, data = encoded
         if not ok:
             raise OSError(f"{self.folder / name}: image could not be encoded")
-        write_whole(self.folder / name, data.tobytes())
+        write_atomic(self.folder / name, data.tobytes())
 
 
-def write_whole(path: Path, data: bytes) -> None:
+def write_atomic(path: Path, data: bytes) -> None:
     """Replace a file atomically: a reader sees either the old or the new content."""
     temporary = path.with_name(path.name + ".part")
     temporary.write_bytes(data)

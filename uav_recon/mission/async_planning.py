@@ -40,8 +40,12 @@ class AsyncPlanner:
         plan_cost_s: float,
         view_spacing_m: float,
     ) -> None:
-        self._planner, self._motion, self._retreat, self._executor = planner, motion, retreat, executor
-        self._plan_cost_s, self._view_spacing_m = plan_cost_s, view_spacing_m
+        self._planner = planner
+        self._motion = motion
+        self._retreat = retreat
+        self._executor = executor
+        self._plan_cost_s = plan_cost_s
+        self._view_spacing_m = view_spacing_m
         self._unanswered: list[tuple[float, Pending[PlanResult]]] = []  # waiting since, infinity before the first check
 
     def waiting_s(self, now_s: float) -> float:

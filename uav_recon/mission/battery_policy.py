@@ -28,19 +28,27 @@ class BatteryPolicy:
     """
 
     def __init__(self, course: FlightTrack, home_m: FloatArray, clearance_m: float) -> None:
-        self._course, self._home_m, self._clearance_m = course, home_m, clearance_m
-        self._charge, self._burn = BatteryGaugeFilter(), ConsumptionEstimator()
-        self._looked_s, self._way_m, self._pace_mps, self._now_s = -math.inf, 0.0, math.inf, 0.0
+        self._course = course
+        self._home_m = home_m
+        self._clearance_m = clearance_m
+        self._charge = BatteryGaugeFilter()
+        self._burn = ConsumptionEstimator()
+        self._looked_s = -math.inf
+        self._way_m = 0.0
+        self._pace_mps = math.inf
+        self._now_s = 0.0
         self._quick_s = -math.inf  # when the guard last had no lower limit
 
     def update(self, now_s: float, vehicle: VehicleState, voxels: VoxelMap | None) -> None:
         """Read the gauge and the vehicle's position. Call it after FlightTrack.follow."""
-        self._now_s, self._quick_s = now_s, now_s if vehicle.max_speed_mps == math.inf else self._quick_s
+        self._now_s = now_s
+        self._quick_s = now_s if vehicle.max_speed_mps == math.inf else self._quick_s
         self._pace_mps = _SLOWER * vehicle.max_speed_mps if now_s - self._quick_s >= _SLOW_S else math.inf
         self._charge.update(now_s, vehicle.battery_fraction, flying=vehicle.armed)
         self._burn.update(now_s, self._charge.left, flying=vehicle.armed)
         if vehicle.armed and now_s - self._looked_s >= _LOOK_S:
-            self._looked_s, course = now_s, self._course
+            self._looked_s = now_s
+            course = self._course
             way = np.array([course.position_world, *course.way_back(self._home_m), self._home_m])
             self._way_m = return_distance_m(way, voxels, self._clearance_m)
 
@@ -55,13 +63,13 @@ class BatteryPolicy:
         return self._charge.lost(self._now_s)
 
     @property
-    def needed(self) -> float:
+    def required_charge(self) -> float:
         """Share at which the vehicle has to turn back.
 
         It covers the way home, and is at least LOW while consumption cannot be estimated.
         """
         need = min_charge_for(flight_s(self._way_m, self._pace_mps), self._burn.per_s(self._now_s))
-        return need if self._burn.reckoned(self._now_s) else max(need, LOW)
+        return need if self._burn.is_reliable(self._now_s) else max(need, LOW)
 
     def ends(self, starting: bool, flying: bool) -> Reason | None:
         """Return why there is no flight, or why it ends; None for nothing.

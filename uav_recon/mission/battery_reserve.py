@@ -11,7 +11,7 @@ from collections import deque
 LAND_AT = 0.20  # the autopilot lands there by itself, firmware_params/: the mission must not plan with less
 LOW = 0.30  # the vehicle returns at this level while consumption cannot be estimated
 MARGIN = 1.3
-SPENT_S = 60.0  # duration of the shortest flight: a climb, a look round and a landing
+SHORTEST_FLIGHT_S = 60.0  # duration of the shortest flight: a climb, a look round and a landing
 # Measured on 50 ways home, flown in the hall and in eight houses, 0.5 to 9 m long: 6 s and 1.1 s per metre at most, braking,
 # planning and turns on the spot included; 1 to 2 s more for each stop to plan again (four: 13 s for 3.5 m); at most 9 s from
 # over the pad to motors off. A narrow passage of a metre or two is flown at 0.2 m/s.
@@ -21,7 +21,7 @@ _MIN_MPS = 0.05
 _WHILE_S = 30.0  # a gauge is observed for this time before it is used for estimates
 _PRIOR_PER_S, _PRIOR_S = 0.002, 60.0  # a battery of eight minutes, as if the first minute had consumed at this rate
 _FLOOR_PER_S = 0.0005  # a battery of half an hour: no quadrotor of this size hovers on less
-_SLIP = 0.03  # a larger step between two values is a jump of the gauge, not consumption
+_MAX_STEP = 0.03  # a larger step between two values is a jump of the gauge, not consumption
 _GRAIN = 0.01
 
 
@@ -41,7 +41,7 @@ def min_charge_for(seconds: float, per_s: float) -> float:
     return LAND_AT + MARGIN * seconds * per_s
 
 
-TAKE_OFF = min_charge_for(SPENT_S, _PRIOR_PER_S)  # below it no flight is worth starting
+TAKE_OFF = min_charge_for(SHORTEST_FLIGHT_S, _PRIOR_PER_S)  # below it no flight is worth starting
 
 
 class ConsumptionEstimator:
@@ -52,21 +52,23 @@ class ConsumptionEstimator:
     """
 
     def __init__(self) -> None:
-        self._begun_s, self._prior_per_s = math.inf, _PRIOR_PER_S
+        self._begun_s = math.inf
+        self._prior_per_s = _PRIOR_PER_S
         self._first = self._left = math.nan
         self._lately: deque[tuple[float, float]] = deque()  # instants (s) and shares; the first is that at the window's start
 
     def update(self, now_s: float, left: float, flying: bool) -> None:
         """Add the filtered share; NaN for none. On the ground nothing is consumed."""
         if not flying:
-            self._begun_s, self._prior_per_s = math.inf, _PRIOR_PER_S
+            self._begun_s = math.inf
+            self._prior_per_s = _PRIOR_PER_S
         elif not math.isnan(left):
-            slipped = abs(left - self._left) > _SLIP
+            slipped = abs(left - self._left) > _MAX_STEP
             if slipped or self._begun_s == math.inf:
                 self._begin(now_s, left)
             self._watch(now_s, left)
 
-    def reckoned(self, now_s: float) -> bool:
+    def is_reliable(self, now_s: float) -> bool:
         """Return True if the gauge was observed for long enough without a jump."""
         return now_s - self._begun_s >= _WHILE_S
 
@@ -79,7 +81,8 @@ class ConsumptionEstimator:
 
     def _begin(self, now_s: float, left: float) -> None:
         self._prior_per_s = max(self._prior_per_s, self.per_s(now_s))
-        self._begun_s, self._first = now_s, left
+        self._begun_s = now_s
+        self._first = left
         self._lately.clear()
 
     def _watch(self, now_s: float, left: float) -> None:
@@ -91,4 +94,4 @@ class ConsumptionEstimator:
 
     def _of_late(self, now_s: float) -> float:
         """Return the recent consumption, less one step of the gauge, so that none is made up."""
-        return (self._lately[0][1] - self._lately[-1][1] - _GRAIN) / _WHILE_S if self.reckoned(now_s) else 0.0
+        return (self._lately[0][1] - self._lately[-1][1] - _GRAIN) / _WHILE_S if self.is_reliable(now_s) else 0.0

@@ -49,26 +49,34 @@ class Conductor:
         journal: Journal,
         clock: Clock,
     ) -> None:
-        self._stages, self._wires, self._orders, self._clock = stages, wires, orders, clock
-        self._account = MissionLog(journal, orders.views)
-        self._captures, self._course = ViewSchedule(VIEW_LATE_S), FlightTrack(orders.camera_pitch_down_rad)
-        self._helm = TrajectoryExecutor(stages.motion, self._course, self._captures, self._account)
-        self._ascent = Takeoff(self._helm, stages.motion, orders.takeoff_height_m)
+        self._stages = stages
+        self._channels = wires
+        self._parameters = orders
+        self._clock = clock
+        self._log = MissionLog(journal, orders.views)
+        self._captures = ViewSchedule(VIEW_LATE_S)
+        self._course = FlightTrack(orders.camera_pitch_down_rad)
+        self._executor = TrajectoryExecutor(stages.motion, self._course, self._captures, self._log)
+        self._ascent = Takeoff(self._executor, stages.motion, orders.takeoff_height_m)
         decider = AsyncPlanner(
             stages.planner, stages.motion, stages.retreat, executor, orders.plan_cost_s, orders.view_spacing_m
         )
-        self._decider = decider
-        self._survey = Survey(stages, wires, orders, self._helm, decider, self._account)
+        self._planner = decider
+        self._survey = Survey(stages, wires, orders, self._executor, decider, self._log)
         site = LandingSite(orders.takeoff_height_m, -orders.vehicle_height_m / 2, orders.clear_radius_m)
-        self._homeward = ReturnHome(self._helm, decider, self._account, site)
-        self._steward = BatteryPolicy(self._course, site.home, orders.clearance_m)
+        self._homeward = ReturnHome(self._executor, decider, self._log, site)
+        self._battery = BatteryPolicy(self._course, site.home, orders.clearance_m)
         self.phase = Phase.IDLE
         self.map: VoxelMap | None = None
-        self._frame_sequence, self._frame_s = 0, -np.inf
-        self._map_epoch, self._correction_sequence = 0, wires.correction.sequence()  # the present value is of another flight
+        self._frame_sequence = 0
+        self._frame_s = -np.inf
+        # the present value is of another flight
+        self._map_epoch = 0
+        self._correction_sequence = wires.correction.sequence()
         self._refusals = 0
-        self._bulletin, self._reported_s = MapPublisher(wires), -np.inf
-        self._attendance = OperatorWatchdog(orders.operator_timeout_s)
+        self._map_publisher = MapPublisher(wires)
+        self._reported_s = -np.inf
+        self._operator_watchdog = OperatorWatchdog(orders.operator_timeout_s)
         self._go_home: Reason | None = None  # the reason to go home, whichever other reasons there are
         self._start = self._abort = self._hold = self._released = self._arrived = False
         half_m, top_m = orders.vehicle_height_m / 2, orders.takeoff_height_m + orders.clear_radius_m  # home is clear above too
@@ -94,16 +102,18 @@ class Conductor:
 
     def resume(self) -> None:
         """Continue after a hold; without one nothing changes."""
-        self._released, self._hold = self._released or self._hold, False
+        self._released = self._released or self._hold
+        self._hold = False
 
     def request_abort(self, reason: Reason) -> None:
         """Land now; never taken back."""
-        self._abort, self._account.aborted = True, self._account.aborted or reason
+        self._abort = True
+        self._log.aborted = self._log.aborted or reason
 
     def step(self) -> None:
         """Run one step: frame, map, events, phase, motion, and the message to the pilot."""
         now_s = self._clock.now_s()
-        vehicle = self._wires.vehicle.latest()
+        vehicle = self._channels.vehicle.latest()
         self._hear_of_a_new_map(now_s, vehicle)
         self._map_newest_frame(now_s)
         if vehicle is not None:
@@ -115,7 +125,7 @@ class Conductor:
             self._hear_release(now_s, vehicle)
             self._hear_no_planner(now_s)
             self._hear_battery(now_s, vehicle)
-            self._account.update(self.phase, vehicle, self._attendance.missing if self._start else None)
+            self._log.update(self.phase, vehicle, self._operator_watchdog.missing if self._start else None)
             self._change_phase(advance(self.phase, observe(self._facts(now_s, vehicle))), now_s)
             self._act(now_s, vehicle)
         elif self._abort:  # no vehicle was ever reported, so there is none to land
@@ -129,28 +139,28 @@ class Conductor:
 
         Positions where the vehicle flew are free.
         """
-        sequence = self._wires.correction.sequence()
-        correction = self._wires.correction.latest() if sequence != self._correction_sequence else None
+        sequence = self._channels.correction.sequence()
+        correction = self._channels.correction.latest() if sequence != self._correction_sequence else None
         self._correction_sequence = sequence
         if correction is None or correction.map_epoch == self._map_epoch:
             return
-        self._map_epoch = self._helm.map_epoch = correction.map_epoch
+        self._map_epoch = self._executor.map_epoch = correction.map_epoch
         self._stages.voxels.reset(correction.map_epoch)
-        half_m = self._orders.vehicle_height_m / 2
+        half_m = self._parameters.vehicle_height_m / 2
         for crumb in self._course.breadcrumbs:
             z_m = float(crumb[2])
-            self._stages.voxels.declare_free(crumb, self._orders.clear_radius_m, z_m - half_m, z_m + half_m)
+            self._stages.voxels.declare_free(crumb, self._parameters.clear_radius_m, z_m - half_m, z_m + half_m)
         self._stages.mapper.repose(correction)
-        self._account.refusal(now_s, Reason(ReasonCode.MAP_RESTARTED, (correction.map_epoch,)))
+        self._log.refusal(now_s, Reason(ReasonCode.MAP_RESTARTED, (correction.map_epoch,)))
         self.map = self._stages.voxels.snapshot()
         self._survey.begin_again()
         self._homeward.begin_again()
         if vehicle is not None and self._course.trajectory is not None:
-            self._helm.hold(now_s, vehicle)
+            self._executor.hold(now_s, vehicle)
 
     def _map_newest_frame(self, now_s: float) -> None:
-        sequence = self._wires.frames.sequence()
-        posed = self._wires.frames.latest() if sequence != self._frame_sequence else None
+        sequence = self._channels.frames.sequence()
+        posed = self._channels.frames.latest() if sequence != self._frame_sequence else None
         if posed is None:
             return
         self._frame_sequence = sequence
@@ -160,45 +170,45 @@ class Conductor:
         self._stages.voxels.integrate(posed)
         self.map = self._stages.voxels.snapshot()
         promised = self._captures.take(posed.frame.stamp_s) and self._course.is_on_track(now_s)
-        if self._account.views_left > 0 and (promised or self._worth_a_view(posed)) and self._stages.mapper.add(posed):
+        if self._log.views_left > 0 and (promised or self._worth_a_view(posed)) and self._stages.mapper.add(posed):
             self._stages.budget.keep(posed)
-            self._account.view(posed)
+            self._log.view(posed)
 
     def _worth_a_view(self, posed: PosedFrame) -> bool:
         """Return True if a frame shows enough that is new.
 
         Views of the look round and of the tasks are taken in any case.
         """
-        return self.phase is Phase.SURVEY and self._stages.budget.worth(posed, self._account.views_left)
+        return self.phase is Phase.SURVEY and self._stages.budget.worth(posed, self._log.views_left)
 
     def _hear_guard(self, now_s: float, vehicle: VehicleState) -> None:
         """Handle a refused trajectory: hover where the guard stopped the vehicle, and plan again."""
         if vehicle.refusals > self._refusals and self._course.trajectory is not None:
-            self._account.refusal(now_s, vehicle.note or Reason(ReasonCode.REFUSED))
-            self._helm.hold(now_s, vehicle)
+            self._log.refusal(now_s, vehicle.note or Reason(ReasonCode.REFUSED))
+            self._executor.hold(now_s, vehicle)
             self._survey.stopped(now_s)
             self._homeward.replan()
         self._refusals = vehicle.refusals
 
     def _hear_operator(self, now_s: float, vehicle: VehicleState) -> None:
         """Update the operator watchdog. An operator who is lost cannot hold the vehicle either."""
-        news = self._attendance.update(now_s, vehicle.operator_received_s, flying=vehicle.armed)
+        news = self._operator_watchdog.update(now_s, vehicle.operator_received_s, flying=vehicle.armed)
         if news:
-            self._account.refusal(now_s, news)
-        if self._attendance.lost:
-            self.request_return(self._attendance.lost)
+            self._log.refusal(now_s, news)
+        if self._operator_watchdog.lost:
+            self.request_return(self._operator_watchdog.lost)
 
     def _hear_release(self, now_s: float, vehicle: VehicleState) -> None:
         """Continue after a hold from where the pilot held the vehicle, which is not on the course."""
         if self._released and self.phase is Phase.HOLD:
-            self._helm.hold(now_s, vehicle)
+            self._executor.hold(now_s, vehicle)
         elif self._released and self.phase is Phase.TAKEOFF:
             self._ascent.begin_again()
         self._released = False
 
     def _hear_no_planner(self, now_s: float) -> None:
         """Abort if the planner is dead: every trajectory comes from it, the way home too."""
-        if self._decider.waiting_s(now_s) > PLAN_LATE_S:
+        if self._planner.waiting_s(now_s) > PLAN_LATE_S:
             self.request_abort(Reason(ReasonCode.PLANNER_SILENT, (PLAN_LATE_S,)))
 
     def _hear_battery(self, now_s: float, vehicle: VehicleState) -> None:
@@ -206,32 +216,32 @@ class Conductor:
 
         If a held vehicle would turn back, the operator is informed.
         """
-        steward = self._steward
+        steward = self._battery
         steward.update(now_s, vehicle, self.map)
         starting, flying = self._start and self.phase is Phase.READY, vehicle.phase is FlightPhase.FLYING
         if ends := steward.ends(starting, flying):
             self.request_abort(ends)
-        elif self._hold and flying and steward.left < steward.needed:
-            self._account.note = steward.why()
+        elif self._hold and flying and steward.left < steward.required_charge:
+            self._log.note = steward.why()
 
     def _facts(self, now_s: float, vehicle: VehicleState) -> Facts:
         return Facts(
             vehicle=vehicle,
-            start=self._start and self.map is not None and not self._attendance.missing,
+            start=self._start and self.map is not None and not self._operator_watchdog.missing,
             abort=self._abort,
-            at_rest=self._helm.at_rest(now_s),
+            at_rest=self._executor.at_rest(now_s),
             took_off=self._ascent.risen,
             frame_age_s=now_s - self._frame_s,
             frame_timeout_s=FRAME_TIMEOUT_S,
-            nothing_left=bool(self._account.stop_reason),
-            views_left=self._account.views_left,
+            nothing_left=bool(self._log.stop_reason),
+            views_left=self._log.views_left,
             flight_s=now_s - self._ascent.begun_s,
-            max_flight_s=self._orders.max_flight_s,
+            max_flight_s=self._parameters.max_flight_s,
             arrived=self._homeward.has_arrived(now_s),
             no_way_home=self._homeward.no_path,
-            charge=self._steward.left,
-            charge_needed=self._steward.needed,
-            charge_lost=self._steward.lost,
+            charge=self._battery.left,
+            charge_needed=self._battery.required_charge,
+            charge_lost=self._battery.lost,
             hold=self._hold,
             go_home=bool(self._go_home),
         )
@@ -239,11 +249,11 @@ class Conductor:
     def _change_phase(self, phase: Phase, now_s: float) -> None:
         if phase is self.phase:
             return
-        self._account.phase(now_s, phase)
+        self._log.phase(now_s, phase)
         if phase is Phase.RETURN:
-            self._account.stop_reason = self._account.stop_reason or self._why_return(now_s)
+            self._log.stop_reason = self._log.stop_reason or self._why_return(now_s)
         if phase in (Phase.HOLD, Phase.RETURN, Phase.RETREAT):
-            self._helm.brake(now_s)
+            self._executor.brake(now_s)
         elif phase is Phase.LANDING:
             self._arrived = self._homeward.has_arrived(now_s)
         self.phase = phase
@@ -251,13 +261,13 @@ class Conductor:
         self._homeward.interrupt()
 
     def _why_return(self, now_s: float) -> Reason:
-        why = self._go_home or self._steward.why()
-        if self._account.views_left <= 0:
-            why = Reason(ReasonCode.VIEWS_SPENT, (self._orders.views,))
-        elif now_s - self._ascent.begun_s > self._orders.max_flight_s:
-            why = Reason(ReasonCode.TIME_SPENT, (self._orders.max_flight_s,))
-        self._account.note = why
-        return why.with_detail(Reason(ReasonCode.FRONTIERS_IN_LAST_PLAN, (self._account.frontiers,)))
+        why = self._go_home or self._battery.why()
+        if self._log.views_left <= 0:
+            why = Reason(ReasonCode.VIEWS_SPENT, (self._parameters.views,))
+        elif now_s - self._ascent.begun_s > self._parameters.max_flight_s:
+            why = Reason(ReasonCode.TIME_SPENT, (self._parameters.max_flight_s,))
+        self._log.note = why
+        return why.with_detail(Reason(ReasonCode.FRONTIERS_IN_LAST_PLAN, (self._log.frontiers,)))
 
     # -- act ----------------------------------------------------------------------------------------------------------
 
@@ -278,22 +288,22 @@ class Conductor:
     def _publish(self, now_s: float) -> None:
         grounded = self.phase in (Phase.IDLE, Phase.READY, Phase.DONE, Phase.YIELDED)
         goal = Goal.STANDBY if grounded else Goal.LAND if self.phase is Phase.LANDING else Goal.FLY
-        self._bulletin.free(now_s, self.map, self._course.trajectory)
-        operator, told = self._attendance, self._account.aborted or self._attendance.note
-        self._wires.intent.publish(Intent(now_s, goal, self._course.trajectory, told, bool(operator.lost)))
-        self._bulletin.maps(now_s, self.map, self._stages.mapper, last=self.finished)
+        self._map_publisher.free(now_s, self.map, self._course.trajectory)
+        operator, told = self._operator_watchdog, self._log.aborted or self._operator_watchdog.note
+        self._channels.intent.publish(Intent(now_s, goal, self._course.trajectory, told, bool(operator.lost)))
+        self._map_publisher.maps(now_s, self.map, self._stages.mapper, last=self.finished)
         if now_s - self._reported_s >= PROGRESS_PERIOD_S or self.finished:
             self._reported_s = now_s
             explored_m3, course = self._stages.voxels.explored_m3(), self._course
-            progress = self._account.progress(
+            progress = self._log.progress(
                 now_s, self.phase, explored_m3, course.path_length_m, course.position_world, self.finished
             )
-            self._wires.progress.publish(progress)
+            self._channels.progress.publish(progress)
 
     def close(self) -> Reason | None:
         """Write the last line of the journal; returns why the flight was aborted, None for one that was completed."""
-        home = self.phase is Phase.DONE and self._arrived and not self._account.aborted
-        why = self._account.aborted or self._account.note or Reason(ReasonCode.ENDED_IN_PHASE, (self.phase.value,))
+        home = self.phase is Phase.DONE and self._arrived and not self._log.aborted
+        why = self._log.aborted or self._log.note or Reason(ReasonCode.ENDED_IN_PHASE, (self.phase.value,))
         aborted = None if home else why
-        self._account.close(self._clock.now_s(), aborted)
+        self._log.close(self._clock.now_s(), aborted)
         return aborted

@@ -53,7 +53,9 @@ class FlightTrack:
         position = vehicle.world_from_body.translation_m
         if self._placed and vehicle.armed:
             self.path_length_m += float(np.linalg.norm(position - self.position_world))
-        self.position_world, self._yaw_rad, self._placed = position, vehicle.world_from_body.yaw_rad(), True
+        self.position_world = position
+        self._yaw_rad = vehicle.world_from_body.yaw_rad()
+        self._placed = True
         if vehicle.armed and (not self.breadcrumbs or np.linalg.norm(position - self.breadcrumbs[-1]) > BREADCRUMB_M):
             self.breadcrumbs.append(position.copy())  # a copy, because the received record may not live as long
 

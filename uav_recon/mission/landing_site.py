@@ -25,7 +25,8 @@ class LandingSite:
 
     def __init__(self, height_m: float, ground_m: float, room_m: float) -> None:
         self.home = np.array([0.0, 0.0, height_m])
-        self._ground_m, self._room_m = ground_m, room_m
+        self._ground_m = ground_m
+        self._room_m = room_m
 
     def is_occupied(self, voxels: VoxelMap, place: FloatArray) -> bool:
         """Return True if something stands where the vehicle would land from a position (3,).

@@ -26,7 +26,8 @@ class MapPublisher:
         due = now_s - self._free_s >= FREE_PERIOD_S or trajectory is not self._proposed
         self._proposed = trajectory
         if voxels is not None and due and voxels.revision != self._free_revision:
-            self._free_revision, self._free_s = voxels.revision, now_s
+            self._free_revision = voxels.revision
+            self._free_s = now_s
             self._wires.free.publish(FreeSpace.of(voxels))
 
     def maps(self, now_s: float, voxels: VoxelMap | None, mapper: Mapper, last: bool) -> None:

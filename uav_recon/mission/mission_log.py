@@ -52,7 +52,8 @@ class MissionLog:
             self.stop_reason = self.note = path.reason
             self.journal.plan(stamp_s, "", path.task_s, path.step_s, 0, 0, 0, waited_s)
             return
-        self.mode, self.tasks = path.mode.value, len(path.tasks)
+        self.mode = path.mode.value
+        self.tasks = len(path.tasks)
         self.frontiers = sum(task.kind is TaskKind.EXPLORE for task in path.tasks)
         views = len(path.viewpoints)
         self.journal.plan(stamp_s, self.mode, path.task_s, path.step_s, self.frontiers, self.tasks, views, waited_s)

@@ -10,7 +10,7 @@ from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
 
 
-class Obedient(Protocol):
+class CommandTarget(Protocol):
     """The conductor's interface for commands. Nothing blocks."""
 
     def request_start(self) -> None:
@@ -38,10 +38,11 @@ class OperatorCommandReceiver:
     """Passes each command on once. Commands from before this mission began are ignored."""
 
     def __init__(self, channel: Channel[GivenCommand], begun_s: float) -> None:
-        self._channel, self._received_s = channel, begun_s
+        self._channel = channel
+        self._received_s = begun_s
         self._start = False
 
-    def pass_on(self, conductor: Obedient, warm: bool, autostart: bool) -> None:
+    def pass_on(self, conductor: CommandTarget, warm: bool, autostart: bool) -> None:
         """Process the newest command.
 
         A start waits until every stage is warm. With autostart it needs no command.
@@ -59,7 +60,7 @@ class OperatorCommandReceiver:
         except ValueError:
             return None
 
-    def _obey(self, order: OperatorCommand, conductor: Obedient) -> None:
+    def _obey(self, order: OperatorCommand, conductor: CommandTarget) -> None:
         if order is OperatorCommand.START:
             self._start = True
             conductor.resume()

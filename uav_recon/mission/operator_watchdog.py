@@ -24,12 +24,13 @@ class OperatorWatchdog:
     """
 
     def __init__(self, timeout_s: float = math.inf) -> None:
-        self._timeout_s, self._warn_s = timeout_s, WARN_S if timeout_s < math.inf else math.inf
-        self._received_s, self._steady_s = (
-            -math.inf,
-            math.inf,
-        )  # the newest heartbeat, and the first of those without a gap
-        self._silent_s, self._missed = math.inf, False
+        self._timeout_s = timeout_s
+        self._warn_s = WARN_S if timeout_s < math.inf else math.inf
+        # the newest heartbeat, and the first of those without a gap
+        self._received_s = -math.inf
+        self._steady_s = math.inf
+        self._silent_s = math.inf
+        self._missed = False
         self.note: Reason | None = None
         self.lost: Reason | None = None
 
@@ -45,10 +46,12 @@ class OperatorWatchdog:
         """
         if self._received_s < received_s <= now_s + _FUTURE_S:
             broken = self._steady_s == math.inf or received_s - self._received_s > WARN_S
-            self._steady_s, self._received_s = received_s if broken else self._steady_s, received_s
+            self._steady_s = received_s if broken else self._steady_s
+            self._received_s = received_s
         elif flying and self._received_s == -math.inf:
             self._received_s = now_s  # a restarted pilot: the last heartbeat is unknown
-        self._silent_s, before = now_s - self._received_s, self.note
+        self._silent_s = now_s - self._received_s
+        before = self.note
         self._judge(flying)
         return self.note if self.note != before else None
 
@@ -56,11 +59,14 @@ class OperatorWatchdog:
         lost = flying and self._silent_s > self._timeout_s
         self.lost = Reason(ReasonCode.OPERATOR_LOST, (self._timeout_s,)) if lost else None
         if not flying:
-            self._missed, self.note = False, None
+            self._missed = False
+            self.note = None
         elif self.lost:
             self.note = Reason(ReasonCode.OPERATOR_LOST_RETURNING, (self._timeout_s,))
         elif self._silent_s > self._warn_s and not self._missed:
-            self._missed, self._steady_s = True, math.inf
+            self._missed = True
+            self._steady_s = math.inf
             self.note = Reason(ReasonCode.OPERATOR_SILENT, (WARN_S, self._timeout_s))
         elif self._missed and self._received_s - self._steady_s >= BACK_S:
-            self._missed, self.note = False, Reason(ReasonCode.OPERATOR_BACK)
+            self._missed = False
+            self.note = Reason(ReasonCode.OPERATOR_BACK)

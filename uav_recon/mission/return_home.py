@@ -37,11 +37,18 @@ class ReturnHome:
     """
 
     def __init__(self, helm: TrajectoryExecutor, decider: AsyncPlanner, account: MissionLog, site: LandingSite) -> None:
-        self._helm, self._decider, self._account, self._site = helm, decider, account, site
-        self._place, self._bad = site.home, tuple[FloatArray, ...]()
+        self._helm = helm
+        self._decider = decider
+        self._account = account
+        self._site = site
+        self._place = site.home
+        self._bad = tuple[FloatArray, ...]()
         self._decision: Pending[PlanResult] | None = None
-        self._refused, self._looks = 0, False
-        self._planned_mps, self._slow_s = math.inf, -math.inf  # speed limit when planned, and when no higher one was last set
+        self._refused = 0
+        self._looks = False
+        # speed limit when planned, and when no higher one was last set
+        self._planned_mps = math.inf
+        self._slow_s = -math.inf
         self.en_route = self.no_path = False
         self._aside: Reason | None = None
         self.lost: Reason | None = None
@@ -52,7 +59,9 @@ class ReturnHome:
 
     def begin_again(self) -> None:
         """Plan the path home again, because the map is new."""
-        self._decision, self.en_route, self.no_path = None, False, False
+        self._decision = None
+        self.en_route = False
+        self.no_path = False
 
     def replan(self) -> None:
         """Plan again after the guard or the map stopped the vehicle, a few times.
@@ -60,7 +69,8 @@ class ReturnHome:
         Except after the first stop, it looks round before: the space ahead may not have been seen lately.
         """
         if self.en_route:
-            self.en_route, self._refused = False, self._refused + 1
+            self.en_route = False
+            self._refused = self._refused + 1
             self._looks = 1 < self._refused <= _REFUSED
 
     def has_arrived(self, now_s: float) -> bool:
@@ -83,10 +93,11 @@ class ReturnHome:
             return
         if self._decision is None:
             self._planned_mps = vehicle.max_speed_mps
-            self._decision = self._think(course.rest(vehicle), voxels, along_breadcrumbs)
+            self._decision = self._step_slow_tasks(course.rest(vehicle), voxels, along_breadcrumbs)
         if self._decision is None or not self._decision.done():
             return
-        decision, self._decision = self._decision.result(), None
+        decision = self._decision.result()
+        self._decision = None
         if isinstance(decision.motion, Trajectory):
             self.en_route = True
             self._helm.fly(dataclasses.replace(decision.motion, views_s=np.zeros(0)), now_s)  # no view is taken at home
@@ -97,7 +108,7 @@ class ReturnHome:
         else:
             self.no_path = True
 
-    def _think(self, rest: Setpoint, voxels: VoxelMap, along_breadcrumbs: bool) -> Pending[PlanResult] | None:
+    def _step_slow_tasks(self, rest: Setpoint, voxels: VoxelMap, along_breadcrumbs: bool) -> Pending[PlanResult] | None:
         """Start planning; None if nothing is left to try."""
         course, here_m = self._helm.course, rest.position_m
         if self._aside:
@@ -121,7 +132,8 @@ class ReturnHome:
         if self._aside:
             self.lost = self._aside
         else:
-            self._aside, self._refused = why, _REFUSED
+            self._aside = why
+            self._refused = _REFUSED
             self._account.aborted = self._account.aborted or why
 
     def _watch(self, now_s: float, vehicle: VehicleState, voxels: VoxelMap) -> None:

@@ -40,8 +40,12 @@ class Survey:
         decider: AsyncPlanner,
         account: MissionLog,
     ) -> None:
-        self._stages, self._wires, self._orders = stages, wires, orders
-        self._helm, self._decider, self._account = helm, decider, account
+        self._stages = stages
+        self._wires = wires
+        self._orders = orders
+        self._helm = helm
+        self._decider = decider
+        self._account = account
         self._lead_s = LEAD_S + orders.plan_cost_s
         self._decision: Pending[PlanResult] | None = None
         self._departure = Departure(Setpoint.hold(np.zeros(3), 0.0))
@@ -52,17 +56,21 @@ class Survey:
 
     def interrupt(self) -> None:
         """Drop the pending request, because the phase has changed."""
-        self._decision, self._resting_since_s, self._think_again_s = None, np.inf, -np.inf
+        self._decision = None
+        self._resting_since_s = np.inf
+        self._think_again_s = -np.inf
 
     def begin_again(self) -> None:
         """Look round again before choosing views, because the map is new."""
         self.interrupt()
-        self._looked_round, self._asked_revision = False, -1
+        self._looked_round = False
+        self._asked_revision = -1
 
     def stopped(self, now_s: float) -> None:
         """Record that the guard has stopped the vehicle."""
         again = now_s - self._stopped_s < STOPPED_AGAIN_S
-        self._stopped_s, self._looks_again = -np.inf if again else now_s, self._looks_again or again
+        self._stopped_s = -np.inf if again else now_s
+        self._looks_again = self._looks_again or again
         self._decision = None
 
     def step(self, now_s: float, vehicle: VehicleState, voxels: VoxelMap) -> None:
@@ -80,10 +88,11 @@ class Survey:
             if resting:
                 self._look_round(now_s, vehicle, 0)
         elif now_s >= self._think_again_s and (resting or self._should_turn_to_something_else(now_s, voxels)):
-            self._think(now_s, vehicle, voxels)
+            self._step_slow_tasks(now_s, vehicle, voxels)
 
     def _look_round(self, now_s: float, vehicle: VehicleState, views: int) -> None:
-        self._looked_round, self._looks_again = True, False
+        self._looked_round = True
+        self._looks_again = False
         self._think_again_s = now_s + self._helm.look_round(now_s, vehicle, views)  # when all of it is seen
         self._resting_since_s = np.inf
 
@@ -101,10 +110,10 @@ class Survey:
             return False
         self._asked_revision = voxels.revision
         here = course.trajectory.setpoint_at(now_s)
-        self._settled = not self._stages.planner.still_worth(voxels, here.position_m, here.yaw_rad)
+        self._settled = not self._stages.planner.next_view_has_gain(voxels, here.position_m, here.yaw_rad)
         return self._settled
 
-    def _think(self, now_s: float, vehicle: VehicleState, voxels: VoxelMap) -> None:
+    def _step_slow_tasks(self, now_s: float, vehicle: VehicleState, voxels: VoxelMap) -> None:
         departure = self._helm.course.departure(now_s + self._lead_s, vehicle)
         start, surface = departure.setpoint, self._stages.mapper.surface()
         request = PlanRequest(voxels, surface, start.position_m, start.yaw_rad, self._account.views_left, start.velocity_mps)
@@ -114,7 +123,8 @@ class Survey:
     def _fly_decision(self, now_s: float) -> None:
         if self._decision is None or not self._decision.done():
             return
-        decision, self._decision = self._decision.result(), None
+        decision = self._decision.result()
+        self._decision = None
         flying, leave_s = self._departure.flying, self._departure.leave_s
         if flying is not None:
             if flying is not self._helm.course.trajectory or now_s > leave_s:
@@ -131,7 +141,8 @@ class Survey:
         if isinstance(decision.motion, Reason):
             self._give_up_plan(decision.motion, now_s)
             return
-        self._account.failed_in_a_row, self._resting_since_s = 0, np.inf
+        self._account.failed_in_a_row = 0
+        self._resting_since_s = np.inf
         if flying is None:
             self._helm.fly(decision.motion, now_s)
         else:

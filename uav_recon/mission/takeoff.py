@@ -20,13 +20,16 @@ class Takeoff:
     """
 
     def __init__(self, helm: TrajectoryExecutor, motion: MotionPlannerInterface, height_m: float) -> None:
-        self._helm, self._motion, self._height_m = helm, motion, height_m
+        self._helm = helm
+        self._motion = motion
+        self._height_m = height_m
         self.begun_s = np.inf
         self.risen = False  # off the floor, and the climb to the flight height is commanded
 
     def begin_again(self) -> None:
         """Restart from the present position."""
-        self._helm.course.trajectory, self.risen = None, False
+        self._helm.course.trajectory = None
+        self.risen = False
 
     def step(self, now_s: float, vehicle: VehicleState) -> None:
         """Command the next part of the climb at rest, once the vehicle flies."""

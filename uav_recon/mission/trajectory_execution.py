@@ -22,7 +22,9 @@ class TrajectoryExecutor:
     def __init__(
         self, motion: MotionPlannerInterface, course: FlightTrack, captures: ViewSchedule, account: MissionLog
     ) -> None:
-        self._motion, self._captures, self._account = motion, captures, account
+        self._motion = motion
+        self._captures = captures
+        self._account = account
         self.course = course
         self.map_epoch = 0  # map epoch of what is flown from now on
         self._braking: Trajectory | None = None
@@ -38,7 +40,8 @@ class TrajectoryExecutor:
 
     def follow(self, trajectory: Trajectory, leave_s: float) -> None:
         """Fly a trajectory that follows the present motion until ``leave_s``."""
-        self.course.trajectory, self._checked_revision = trajectory, -1
+        self.course.trajectory = trajectory
+        self._checked_revision = -1
         self._captures.expect(trajectory, leave_s)
 
     def hold(self, now_s: float, vehicle: VehicleState) -> None:

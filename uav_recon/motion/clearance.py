@@ -13,10 +13,14 @@ from uav_recon.types.maps import VoxelMap
 
 ROOT = np.sqrt(np.arange(256, dtype=np.float64))
 ROOT.setflags(write=False)
-LOOK_M = 0.02  # a sample is checked when the body has moved this far since the last checked one
-LEAVING_M = 0.3  # the first part of the path, checked for LOSS_M only: the body must be able to leave a tight spot ...
-ESCAPE_M = 2.0  # ... and may fly this far through free space below the clearance, until it first reaches it ...
-LOSS_M = 0.03  # ... but its clearance never falls below that at its start minus map noise: the next motion starts there
+CHECK_STEP_M = 0.02  # a sample is checked when the body has moved this far since the last checked one
+EXIT_LENGTH_M = (
+    0.3  # the first part of the path, checked for MAX_CLEARANCE_LOSS_M only: the body must be able to leave a tight spot ...
+)
+MAX_ESCAPE_M = 2.0  # ... and may fly this far through free space below the clearance, until it first reaches it ...
+MAX_CLEARANCE_LOSS_M = (
+    0.03  # ... but its clearance never falls below that at its start minus map noise: the next motion starts there
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,7 +43,9 @@ class ClearanceMap:
 
 
 @kernel
-def room_at(distance2: AnyArray, frame: AnyArray, resolution_m: float, root: AnyArray, x: float, y: float, z: float) -> float:
+def clearance_at(
+    distance2: AnyArray, frame: AnyArray, resolution_m: float, root: AnyArray, x: float, y: float, z: float
+) -> float:
     """Return the clearance of a point: metres to the nearest centre of a voxel not known free.
 
     It is 0 in such a voxel and outside the grid. Near a side of the box to stay in, it is at most the distance to that side
@@ -69,14 +75,16 @@ def room_at(distance2: AnyArray, frame: AnyArray, resolution_m: float, root: Any
 
 
 @kernel
-def rooms(distance2: AnyArray, frame: AnyArray, resolution_m: float, root: AnyArray, points: AnyArray, out: AnyArray) -> None:
-    """Fill ``out`` (N,) with room_at of each of the points (N, 3 or more)."""
+def clearances_at(
+    distance2: AnyArray, frame: AnyArray, resolution_m: float, root: AnyArray, points: AnyArray, out: AnyArray
+) -> None:
+    """Fill ``out`` (N,) with clearance_at of each of the points (N, 3 or more)."""
     for n in range(len(points)):
-        out[n] = room_at(distance2, frame, resolution_m, root, points[n, 0], points[n, 1], points[n, 2])
+        out[n] = clearance_at(distance2, frame, resolution_m, root, points[n, 0], points[n, 1], points[n, 2])
 
 
 @kernel
-def ways_ahead(
+def free_distances(
     distance2: AnyArray, frame: AnyArray, resolution_m: float, root: AnyArray, points: AnyArray, heading: AnyArray,
     min_m: float, way_m: AnyArray,
 ) -> None:  # fmt: skip
@@ -91,7 +99,7 @@ def ways_ahead(
         while flat > 1e-9 and went_m < way_m[n]:
             share = went_m / flat
             x, y, z = points[n, 0] + share * dx, points[n, 1] + share * dy, points[n, 2] + share * dz
-            left_m = room_at(distance2, frame, resolution_m, root, x, y, z) - min_m
+            left_m = clearance_at(distance2, frame, resolution_m, root, x, y, z) - min_m
             if left_m <= 0.0:
                 way_m[n] = went_m
             went_m += max(left_m, 0.5 * resolution_m)
@@ -109,7 +117,7 @@ def _blocked(
     loses clearance on its way; it may brake there.
     """
     reached, begun_m = False, np.inf
-    travelled_m, since_m, found = 0.0, LOOK_M, -1
+    travelled_m, since_m, found = 0.0, CHECK_STEP_M, -1
     for n in range(len(points)):
         if n > 0:
             dx, dy, dz = points[n, 0] - points[n - 1, 0], points[n, 1] - points[n - 1, 1], points[n, 2] - points[n - 1, 2]
@@ -117,17 +125,17 @@ def _blocked(
             since_m += step_m
             if n > first:
                 travelled_m += step_m
-        looks = since_m >= LOOK_M or n == len(points) - 1
+        looks = since_m >= CHECK_STEP_M or n == len(points) - 1
         if looks:
             since_m = 0.0
         if n < first or not looks:
             continue
-        room_m = room_at(distance2, frame, resolution_m, root, points[n, 0], points[n, 1], points[n, 2])
+        room_m = clearance_at(distance2, frame, resolution_m, root, points[n, 0], points[n, 1], points[n, 2])
         begun_m = room_m if begun_m == np.inf else begun_m
         enough = room_m >= min_m
-        reached = reached or enough or travelled_m > ESCAPE_M
-        deeper = room_m < min(begun_m, min_m) - LOSS_M
-        if deeper or (travelled_m > LEAVING_M and (room_m == 0.0 or (reached and not enough))):
+        reached = reached or enough or travelled_m > MAX_ESCAPE_M
+        deeper = room_m < min(begun_m, min_m) - MAX_CLEARANCE_LOSS_M
+        if deeper or (travelled_m > EXIT_LENGTH_M and (room_m == 0.0 or (reached and not enough))):
             out[n] = True
             if found < 0:
                 found = n
@@ -138,7 +146,8 @@ def blocked(space: ClearanceMap, points_m: FloatArray, first: int, min_m: float)
     """Return a mask (N,) of the blocked samples from ``first`` on.
 
     A sample is blocked if it is not known free, or has less clearance than ``min_m`` after an earlier sample had it, or has
-    less clearance than sample ``first``. See LEAVING_M, ESCAPE_M and LOSS_M for what a trajectory out of a tight spot may do.
+    less clearance than sample ``first``. See EXIT_LENGTH_M, MAX_ESCAPE_M and MAX_CLEARANCE_LOSS_M for
+    what a trajectory out of a tight spot may do.
     """
     out = np.zeros(len(points_m), dtype=np.bool_)
     _blocked(space.distance2, space.frame, space.resolution_m, ROOT, points_m, first, min_m, out)

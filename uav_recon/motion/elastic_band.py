@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from uav_recon.geometry.jit import kernel
-from uav_recon.motion.clearance import ROOT, ClearanceMap, room_at
+from uav_recon.motion.clearance import ROOT, ClearanceMap, clearance_at
 from uav_recon.motion.yaw_policy import AT_VIEWS, YawPolicy
 from uav_recon.types.frames import AnyArray, BoolArray, FloatArray, IntArray
 from uav_recon.types.tasks import Viewpoint
@@ -24,10 +24,10 @@ from uav_recon.types.tasks import Viewpoint
 SPAN_M = 0.15  # longest span of the spline in space ...
 SPAN_S = 0.15  # ... and in time, at full speed
 TENSION = 0.2  # weight of length against bending, per span
-CALM = 0.3  # weight of turning at a view against bending
+VIEW_TURN_WEIGHT = 0.3  # weight of turning at a view against bending
 SWEEPS = 40
-AHEAD = 1.6  # over-relaxation factor: overshooting steps converge sooner (Young 1954)
-SETTLED = 5e-4  # largest move of a converged band, metres and radians
+OVER_RELAXATION = 1.6  # over-relaxation factor: overshooting steps converge sooner (Young 1954)
+CONVERGED = 5e-4  # largest move of a converged band, metres and radians
 SAME_M = 1e-6
 
 
@@ -167,14 +167,14 @@ def min_clearance(
         x = (control[j - 1, 0] + 4 * control[j, 0] + control[j + 1, 0]) / 6
         y = (control[j - 1, 1] + 4 * control[j, 1] + control[j + 1, 1]) / 6
         z = (control[j - 1, 2] + 4 * control[j, 2] + control[j + 1, 2]) / 6
-        min_m = min(min_m, room_at(distance2, frame, resolution_m, root, x, y, z))
+        min_m = min(min_m, clearance_at(distance2, frame, resolution_m, root, x, y, z))
         if min_m < enough_m:
             return min_m
     for j in range(max(i - 2, 1), min(i + 1, last - 1) + 1):
         x = (control[j - 1, 0] + 23 * (control[j, 0] + control[j + 1, 0]) + control[j + 2, 0]) / 48
         y = (control[j - 1, 1] + 23 * (control[j, 1] + control[j + 1, 1]) + control[j + 2, 1]) / 48
         z = (control[j - 1, 2] + 23 * (control[j, 2] + control[j + 1, 2]) + control[j + 2, 2]) / 48
-        min_m = min(min_m, room_at(distance2, frame, resolution_m, root, x, y, z))
+        min_m = min(min_m, clearance_at(distance2, frame, resolution_m, root, x, y, z))
         if min_m < enough_m:
             return min_m
     return min_m
@@ -201,12 +201,12 @@ def _wanted_move(control: AnyArray, view: AnyArray, i: int, move: AnyArray) -> N
         pull = before * back - (2 + TENSION) * here + after * on
         stiff = before + 4 + after + 2 * TENSION
         if d > 2 and view[i - 1] >= 0:
-            pull += CALM * (control[i, d] - control[i - 2, d])
-            stiff += CALM
+            pull += VIEW_TURN_WEIGHT * (control[i, d] - control[i - 2, d])
+            stiff += VIEW_TURN_WEIGHT
         if d > 2 and view[i + 1] >= 0:
-            pull += CALM * (control[i, d] - control[i + 2, d])
-            stiff += CALM
-        move[d] = -AHEAD * pull / stiff
+            pull += VIEW_TURN_WEIGHT * (control[i, d] - control[i + 2, d])
+            stiff += VIEW_TURN_WEIGHT
+        move[d] = -OVER_RELAXATION * pull / stiff
 
 
 @kernel
@@ -237,7 +237,7 @@ def _relax(
 ) -> None:  # fmt: skip
     """Minimise the bending energy by Gauss-Seidel iteration.
 
-    Energy: sum |c[j-1] - 2 c[j] + c[j+1]|² + TENSION sum |c[j+1] - c[j]|² + CALM sum of turning² at the views.
+    Energy: sum |c[j-1] - 2 c[j] + c[j+1]|² + TENSION sum |c[j+1] - c[j]|² + VIEW_TURN_WEIGHT sum of turning² at the views.
     A move that would lose clearance or leave a view is tried in part, then axis by axis (walls mostly lie along the axes).
     """
     last = len(control) - 2
@@ -250,7 +250,7 @@ def _relax(
             _wanted_move(control, view, i, move)
             most = max(most, _turn_within(control, view, vertex, i, tolerance_rad, move))
             mirror(control)
-            if move[0] ** 2 + move[1] ** 2 + move[2] ** 2 < (0.1 * SETTLED) ** 2:
+            if move[0] ** 2 + move[1] ** 2 + move[2] ** 2 < (0.1 * CONVERGED) ** 2:
                 continue
             for d in range(3):
                 old[d] = control[i, d]
@@ -281,5 +281,5 @@ def _relax(
                     break
             for d in range(3):
                 most = max(most, abs(control[i, d] - old[d]))
-        if most < SETTLED:
+        if most < CONVERGED:
             break

@@ -30,11 +30,17 @@ from uav_recon.types.trajectory import Setpoint, Trajectory
 TOLERANCE_M = 0.05  # half a voxel: a map change of this size does not stop a motion ...
 PLANNED_M = 0.01  # ... but no motion is planned with less than the clearance minus this
 NEAR_VIEW = (0.10, float(np.radians(2.0)))  # tolerance of the band at a view, m and rad; smoothing and late frames add to it
-MIDDLE_M = 0.1  # kept on a narrow path beyond the usual clearance where there is room: the vehicle's path error reduces it
+NARROW_EXTRA_CLEARANCE_M = (
+    0.1  # kept on a narrow path beyond the usual clearance where there is room: the vehicle's path error reduces it
+)
 NARROW_MPS = 0.2  # speed on a narrow path with only the usual clearance: the faster a vehicle is, the later it follows bends
 BRAKE_SHARE = 0.9  # share of the limits: the rest covers the step of the integration
-OVERRUNS = (0.0, 0.4, 1.0)  # shares of the braking distance flown straight on before the new path; the last ends in a stop
-BACK = -0.5  # cosine of the angle between present and new direction, below which only the stop is tried
+OVERRUN_SHARES = (
+    0.0,
+    0.4,
+    1.0,
+)  # shares of the braking distance flown straight on before the new path; the last ends in a stop
+MIN_FORWARD_COS = -0.5  # cosine of the angle between present and new direction, below which only the stop is tried
 ON_THE_SPOT_M = 0.05
 BACK_STEPS = 5  # samples of a braked path between consecutive waypoints of the path back
 
@@ -63,9 +69,9 @@ class MotionPlanner:
         self._clearance_m = clearance_m
         self._pacer = Pacer.of(config, clearance_m, hull_m, gaze)
         self._hardness = (braking_mps2 or config.acceleration_mps2) / config.acceleration_mps2
-        self._creeper = Pacer.of(config.model_copy(update={"speed_mps": config.tight_speed_mps}), clearance_m, hull_m)
+        self._slow_pacer = Pacer.of(config.model_copy(update={"speed_mps": config.tight_speed_mps}), clearance_m, hull_m)
         narrow_mps = min(NARROW_MPS, config.tight_speed_mps)
-        self._threader = Pacer.of(config.model_copy(update={"tight_speed_mps": narrow_mps}), clearance_m, hull_m, gaze)
+        self._narrow_pacer = Pacer.of(config.model_copy(update={"tight_speed_mps": narrow_mps}), clearance_m, hull_m, gaze)
 
     def through(
         self, path: ViewPath, voxels: VoxelMap, start: Setpoint, start_s: float, views_at_spacing_m: float, identifier: int
@@ -105,13 +111,13 @@ class MotionPlanner:
             course = PathCourse.through(entry.place, _ahead(path, entry, entry.place), path.viewpoints, self._pacer.gaze)
             still = self._clear(course, None, entry, space, views_at_spacing_m, path.clearance_m)
             return still if isinstance(still, Reason) else still.trajectory(start_s, path.map_epoch, identifier, kept_m)
-        for overrun in OVERRUNS if _leads_on(path, entry) else OVERRUNS[-1:]:
+        for overrun in OVERRUN_SHARES if _leads_on(path, entry) else OVERRUN_SHARES[-1:]:
             rolled, begin = self._pacer.begun(entry, overrun)
             course = PathCourse.through(begin, _ahead(path, entry, begin), path.viewpoints, self._pacer.gaze)
             if overrun > 0.0:
                 course = course.after(rolled, overrun >= 1.0)
             flight = self._clear(course, entry.place, entry, space, views_at_spacing_m, path.clearance_m)
-            if isinstance(flight, TrajectoryGenerator) and not self._pacer.gaze.hasty(flight.rows[entry.left :]).any():
+            if isinstance(flight, TrajectoryGenerator) and not self._pacer.gaze.exceeds_limit(flight.rows[entry.left :]).any():
                 return flight.trajectory(start_s, path.map_epoch, identifier, kept_m)
         return self._after_braking(path, voxels, flying, at, views_at_spacing_m, identifier)
 
@@ -135,8 +141,8 @@ class MotionPlanner:
         entry = InitialState.resting(start, self._pacer.box)
         goal = np.asarray(goal_m, dtype=np.float64)
         course = PathCourse.through(entry.place, [goal[None]], [Viewpoint(goal, yaw_rad, start.camera_pitch_down_rad)])
-        band = ElasticBand.along(course, self._creeper.span_rad, None)
-        flown = self._creeper.flown(band, entry, None, np.inf).trajectory(start_s, 0, identifier)
+        band = ElasticBand.along(course, self._slow_pacer.span_rad, None)
+        flown = self._slow_pacer.flown(band, entry, None, np.inf).trajectory(start_s, 0, identifier)
         return dataclasses.replace(flown, views_s=np.zeros(0))
 
     def stop(self, trajectory: Trajectory, now_s: float, identifier: int) -> Trajectory:
@@ -202,7 +208,7 @@ class MotionPlanner:
         stop, min_m = course.stop.copy(), self._asked_m(clearance_m) - PLANNED_M
         pacer, room_m = self._pacer, self._clearance_m
         if clearance_m is not None:
-            pacer, room_m = self._threader, self._clearance_m + MIDDLE_M
+            pacer, room_m = self._narrow_pacer, self._clearance_m + NARROW_EXTRA_CLEARANCE_M
         for attempt in range(3):
             strung = course.with_stops(stop)
             band = ElasticBand.along(strung, self._pacer.span_rad, before)
@@ -263,7 +269,7 @@ def _leads_on(path: ViewPath, entry: InitialState) -> bool:
         return True
     way = first[int(np.argmax((away_m > ON_THE_SPOT_M) & (np.arange(len(first)) > 0)))]
     velocity = entry.velocity[:3]
-    return bool(way @ velocity >= BACK * np.linalg.norm(way) * np.linalg.norm(velocity))
+    return bool(way @ velocity >= MIN_FORWARD_COS * np.linalg.norm(way) * np.linalg.norm(velocity))
 
 
 def _ahead(path: ViewPath, entry: InitialState, begin: FloatArray) -> list[FloatArray]:

@@ -26,7 +26,9 @@ class SpeedLimitedPlanner:
     """
 
     def __init__(self, usual: MotionPlanner, slow: MotionPlanner, usual_mps: float) -> None:
-        self._usual, self._slow, self._usual_mps = usual, slow, usual_mps
+        self._usual = usual
+        self._slow = slow
+        self._usual_mps = usual_mps
         self._max_speed_mps = math.inf
 
     @staticmethod

@@ -17,8 +17,10 @@ from uav_recon.geometry.jit import kernel
 from uav_recon.types.frames import AnyArray, FloatArray
 
 PER_SPAN = 6  # nodes in each span
-FASTEST = 10.0  # spans a second, max. pace: a band that does not move has a finite duration
-PUSHED_ON_S = 0.46  # s, speed that an autopilot gains per acceleration setpoint that it keeps: below 1 / MPC_XY_VEL_P_ACC
+MAX_PACE = 10.0  # spans a second, max. pace: a band that does not move has a finite duration
+FEEDFORWARD_OVERSHOOT_S = (
+    0.46  # s, speed that an autopilot gains per acceleration setpoint that it keeps: below 1 / MPC_XY_VEL_P_ACC
+)
 HALVINGS = 16
 TINY = 1e-12
 
@@ -122,13 +124,13 @@ def _reaches(slope: AnyArray, bend: AnyArray, acceleration: float, spin: float, 
 
 @kernel
 def _gain(slope: AnyArray, bend: AnyArray, max_speed_mps: float, x: float) -> float:
-    """Return the greatest d²s/dt² at which speed + PUSHED_ON_S * dv/dt <= max_speed_mps."""
+    """Return the greatest d²s/dt² at which speed + FEEDFORWARD_OVERSHOOT_S * dv/dt <= max_speed_mps."""
     a = slope[0] ** 2 + slope[1] ** 2 + slope[2] ** 2
     if a < TINY or max_speed_mps == np.inf:
         return 1e9
     b = slope[0] * bend[0] + slope[1] * bend[1] + slope[2] * bend[2]
     flat = math.sqrt(a)
-    gain_mps2 = (max_speed_mps - flat * math.sqrt(x)) / PUSHED_ON_S
+    gain_mps2 = (max_speed_mps - flat * math.sqrt(x)) / FEEDFORWARD_OVERSHOOT_S
     return float((gain_mps2 * flat - b * x) / a)
 
 
@@ -139,8 +141,8 @@ def fastest(
 ) -> bool:  # fmt: skip
     """Fill x (M,), the squared pace at each node: ``first`` at the first, 0 at the last.
 
-    Returns False if ``first`` is too fast. max_speed_mps (M,): limit of the speed plus PUSHED_ON_S times the acceleration.
-    max_acceleration_mps2 (M,): limit of the acceleration.
+    Returns False if ``first`` is too fast. max_speed_mps (M,): limit of the speed plus FEEDFORWARD_OVERSHOOT_S times the
+    acceleration. max_acceleration_mps2 (M,): limit of the acceleration.
     """
     last = len(cap) - 1
     width = 2.0 / PER_SPAN
@@ -168,7 +170,7 @@ def fastest(
 
 
 @kernel
-def instants(x: AnyArray, times: AnyArray) -> None:
+def node_times(x: AnyArray, times: AnyArray) -> None:
     """Fill ``times`` (M,) with the seconds at which each node is reached."""
     times[0] = 0.0
     for n in range(1, len(x)):

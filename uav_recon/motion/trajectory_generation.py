@@ -8,18 +8,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from uav_recon.config import MotionConfig
-from uav_recon.motion.clearance import ROOT, ClearanceMap, rooms, ways_ahead
+from uav_recon.motion.clearance import ROOT, ClearanceMap, clearances_at, free_distances
 from uav_recon.motion.elastic_band import SPAN_M, SPAN_S, ElasticBand
 from uav_recon.motion.initial_state import InitialState
 from uav_recon.motion.speed_limits import node_speed_limits
 from uav_recon.motion.time_parameterization import (
-    FASTEST,
+    FEEDFORWARD_OVERSHOOT_S,
+    MAX_PACE,
     PER_SPAN,
-    PUSHED_ON_S,
     TINY,
     Curve,
     fastest,
-    instants,
+    node_times,
     sampled,
     smoothed,
 )
@@ -146,7 +146,7 @@ class Pacer:
         curve = Curve.of(band.control)
         first = self.entry_pace(entry) ** 2 if entry.is_moving else 0.0
         cap, x, times = np.empty(len(curve.along_m)), np.empty(len(curve.along_m)), np.empty(len(curve.along_m))
-        max_speed_mps = np.full(len(curve.along_m), np.inf) if space is None else self._heeding(curve, space)
+        max_speed_mps = np.full(len(curve.along_m), np.inf) if space is None else self._speed_limits(curve, space)
         leaning_mps2 = self._leaning(curve, entry)
         self._cap(curve, band, entry, space, max_speed_mps, cap)
         share = SHARE
@@ -154,7 +154,7 @@ class Pacer:
             max_acceleration_mps2 = np.minimum(share * self.acceleration, leaning_mps2)
             if not fastest(curve.slope, curve.bend, cap, max_speed_mps, max_acceleration_mps2, share * self.spin, first, x):
                 return TrajectoryGenerator(entry.rows, np.zeros(0), feasible=False)
-            instants(x, times)
+            node_times(x, times)
             flight = self._smoothed(band, entry, curve, x, times, spacing_m)
             _, change = flight.rates()
             new = change[entry.left :]
@@ -178,11 +178,11 @@ class Pacer:
     ) -> None:  # fmt: skip
         room_m = np.full(len(cap), np.inf)
         if space is not None:
-            rooms(space.distance2, space.frame, space.resolution_m, ROOT, curve.place, room_m)
+            clearances_at(space.distance2, space.frame, space.resolution_m, ROOT, curve.place, room_m)
         node_speed_limits(
             curve.slope, curve.along_m, room_m, max_speed_mps, band.view_node, PER_SPAN, self.clearance_m, OPEN_M, self.speed,
             self.tight_speed, self.climb, self.descent, self.rate, self.blur_radps, self.blur_distance_m, SPREAD_M,
-            entry.velocity, BRAKING * self.acceleration, FASTEST, cap,
+            entry.velocity, BRAKING * self.acceleration, MAX_PACE, cap,
         )  # fmt: skip
 
     def _leaning(self, curve: Curve, entry: InitialState) -> FloatArray:
@@ -200,15 +200,15 @@ class Pacer:
         times: (M,) instants at which the nodes are reached.
         """
         hasty = np.zeros(len(flight.rows), dtype=np.bool_)
-        hasty[entry.left + 1 : -1] = self.gaze.hasty(flight.rows[entry.left :])
+        hasty[entry.left + 1 : -1] = self.gaze.exceeds_limit(flight.rows[entry.left :])
         around = np.convolve(hasty, np.ones(2 * self.box + 1), "same") > 0.0
         return np.asarray(around[np.minimum(np.rint(times / STEP_S).astype(np.int64) + len(entry.rows) - 1, len(around) - 1)])
 
-    def _heeding(self, curve: Curve, space: ClearanceMap) -> FloatArray:
+    def _speed_limits(self, curve: Curve, space: ClearanceMap) -> FloatArray:
         """Return the speed limits (M,) from the view direction and from obstacles ahead."""
-        return np.minimum(self.gaze.max_speed_mps(curve.slope, curve.place), self._heeding_silence(curve, space))
+        return np.minimum(self.gaze.max_speed_mps(curve.slope, curve.place), self._silence_speed_limits(curve, space))
 
-    def _heeding_silence(self, curve: Curve, space: ClearanceMap) -> FloatArray:
+    def _silence_speed_limits(self, curve: Curve, space: ClearanceMap) -> FloatArray:
         """Return speeds (M,) at which an autopilot without setpoints stops before any contact.
 
         It flies straight on, or deflected by the lateral acceleration that it keeps, taken at the greatest speed. The
@@ -221,13 +221,13 @@ class Pacer:
         across = bend - np.sum(bend * slope, axis=1, keepdims=True) / flat**2 * slope
         most = np.maximum(np.linalg.norm(bend, axis=1, keepdims=True), TINY)
         fastest_x = np.minimum((self.speed / flat) ** 2, self.acceleration / most)
-        bent = slope + PUSHED_ON_S * np.sqrt(fastest_x) * across
-        far_m = (self.speed + PUSHED_ON_S * self.acceleration) * self.run_on_s
+        bent = slope + FEEDFORWARD_OVERSHOOT_S * np.sqrt(fastest_x) * across
+        far_m = (self.speed + FEEDFORWARD_OVERSHOOT_S * self.acceleration) * self.run_on_s
         min_m = self.hull_m + 0.5 * space.resolution_m  # to the voxel's side
         max_speed_mps = np.full(len(slope), np.inf)
         for heading in (slope, bent):
             way_m = np.full(len(slope), far_m)
-            ways_ahead(space.distance2, space.frame, space.resolution_m, ROOT, curve.place, heading, min_m, way_m)
+            free_distances(space.distance2, space.frame, space.resolution_m, ROOT, curve.place, heading, min_m, way_m)
             faster = np.linalg.norm(heading, axis=1) / flat[:, 0]
             max_speed_mps = np.minimum(max_speed_mps, way_m / (self.run_on_s * np.maximum(faster, 1.0)))
         return np.asarray(np.maximum(max_speed_mps, RUN_ON_MPS))

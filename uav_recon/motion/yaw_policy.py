@@ -59,7 +59,7 @@ class YawPolicy(Protocol):
         """
         ...
 
-    def hasty(self, rows: FloatArray) -> BoolArray:
+    def exceeds_limit(self, rows: FloatArray) -> BoolArray:
         """Return a mask (M - 2,) of the rows at which a motion exceeds its speed limit.
 
         rows: (M, 5) positions of the motion, one each STEP_S; the first and the last are not judged. The body is taken to lean
@@ -89,7 +89,7 @@ class YawAtViews:
         """Return infinity: no limit."""
         return np.full(len(place), np.inf)
 
-    def hasty(self, rows: FloatArray) -> BoolArray:
+    def exceeds_limit(self, rows: FloatArray) -> BoolArray:
         """Return a mask that is False everywhere."""
         return np.zeros(len(rows) - 2, dtype=np.bool_)
 
@@ -140,7 +140,7 @@ class YawAlongPath:
         room_rad = np.maximum(edge_rad - np.abs(np.arctan2(below, ahead)), 0.0)
         return np.where(self.sees(slope[:, :3], place[:, 3], place[:, 4]), GRAVITY_MPS2 * np.tan(room_rad), np.inf)
 
-    def hasty(self, rows: FloatArray) -> BoolArray:
+    def exceeds_limit(self, rows: FloatArray) -> BoolArray:
         """Check against nearly the whole image, and with a small margin of speed."""
         rate, place = (rows[2:, :3] - rows[:-2, :3]) / (2 * STEP_S), rows[1:-1]
         change = (rows[2:, :3] - 2 * rows[1:-1, :3] + rows[:-2, :3]) / STEP_S**2

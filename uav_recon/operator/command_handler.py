@@ -58,8 +58,13 @@ class CommandHandler:
         orders: Channel[GivenCommand],
         clock: Clock,
     ) -> None:
-        self._pilot, self._orders, self._clock = pilot, orders, clock
-        self._vehicle, self._intent, self._progress, self._odom = vehicle, intent, progress, odom
+        self._pilot = pilot
+        self._orders = orders
+        self._clock = clock
+        self._vehicle = vehicle
+        self._intent = intent
+        self._progress = progress
+        self._odom = odom
 
     def serve(self, word: str) -> Answer:
         """Return the answer to a word, which is status or a command.

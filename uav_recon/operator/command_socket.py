@@ -45,7 +45,9 @@ class CommandSocket:
     """
 
     def __init__(self, path: Path, serve: Callable[[str], Answer], clock: Clock) -> None:
-        self._path, self._serve, self._clock = path, serve, clock
+        self._path = path
+        self._serve = serve
+        self._clock = clock
         self._clients: list[_Client] = []
         if len(os.fsencode(path)) > _LONGEST_PATH:
             raise CommandSocketError(f"{path}: longer than the {_LONGEST_PATH} bytes that a socket's path may have")

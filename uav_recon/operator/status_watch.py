@@ -25,11 +25,13 @@ class Page(Protocol):
         ...
 
 
-class Block:
+class TerminalOutput:
     """Display for a terminal: lines that overwrite the previous ones, cut to the width of the terminal."""
 
     def __init__(self, out: TextIO) -> None:
-        self._out, self._height, self._lines = out, 0, list[str]()
+        self._out = out
+        self._height = 0
+        self._lines = list[str]()
 
     def show(self, status: Status) -> None:
         """Overwrite the previous answer."""
@@ -49,11 +51,13 @@ class Block:
         self._height = len(lines)
 
 
-class Lines:
+class LineOutput:
     """Display for a pipe or a file: a plain line per answer; missing answers go to a second stream."""
 
     def __init__(self, out: TextIO, beside: TextIO, text: Callable[[Status], str]) -> None:
-        self._out, self._beside, self._text = out, beside, text
+        self._out = out
+        self._beside = beside
+        self._text = text
 
     def show(self, status: Status) -> None:
         """Write one line and flush."""

@@ -16,7 +16,7 @@ RANGE_SHARE = 0.9  # of the map's range: to which an unknown voxel is expected t
 # order of the numbers in CameraGeometry.lens()
 TAN_H, TAN_V, NEAR, RANGE, CAM_X, CAM_Y, CAM_Z, PITCH_MIN, PITCH_MAX, COS_MIN, SIN_MIN, COS_MAX, SIN_MAX = range(13)
 
-Sight = tuple[float, float, float, float, float, float, float]  # eye x, y, z, cos and sin of yaw, cos and sin of pitch
+LineOfSight = tuple[float, float, float, float, float, float, float]  # eye x, y, z, cos and sin of yaw, cos and sin of pitch
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,7 +95,7 @@ def aim(lens: FloatArray, x: float, y: float, z: float, tx: float, ty: float, tz
 
 
 @kernel
-def sight(lens: FloatArray, place: FloatArray, yaw_rad: float, pitch_down_rad: float) -> Sight:
+def sight(lens: FloatArray, place: FloatArray, yaw_rad: float, pitch_down_rad: float) -> LineOfSight:
     """Return the line of sight of a level body at ``place`` (3,), in voxels.
 
     The line of sight holds the camera position and the cosines and sines of yaw and pitch.
@@ -107,7 +107,7 @@ def sight(lens: FloatArray, place: FloatArray, yaw_rad: float, pitch_down_rad: f
 
 
 @kernel
-def look_at(lens: FloatArray, x: float, y: float, z: float, tx: float, ty: float, tz: float) -> Sight:
+def look_at(lens: FloatArray, x: float, y: float, z: float, tx: float, ty: float, tz: float) -> LineOfSight:
     """Return sight() of a body at (x, y, z) with the angles of aim(), without trigonometry."""
     dx, dy = tx - x, ty - y
     across = np.sqrt(dx * dx + dy * dy)
@@ -124,7 +124,7 @@ def look_at(lens: FloatArray, x: float, y: float, z: float, tx: float, ty: float
 
 
 @kernel
-def in_view(lens: FloatArray, sight: Sight, x: float, y: float, z: float) -> bool:
+def in_view(lens: FloatArray, sight: LineOfSight, x: float, y: float, z: float) -> bool:
     """Return True if a point (voxels) is in front of the camera, in its frustum and in range."""
     eye_x, eye_y, eye_z, cy, sy, cp, sp = sight
     dx, dy, dz = x - eye_x, y - eye_y, z - eye_z

@@ -21,18 +21,18 @@ class CandidateView:
 
     place: (3,) position of the viewpoint, in padded voxel units of the flyable space.
     promised: (M,) flat indices into VoxelMap.state of the frontier cells or surface voxels that the view should settle.
-    squareness: (M,) cosine of the angle between surface normal and direction to the camera; 1 for frontier cells.
+    view_cosine: (M,) cosine of the angle between surface normal and direction to the camera; 1 for frontier cells.
     """
 
     task: Task
     place: FloatArray
     promised: IntArray
-    squareness: FloatArray
+    view_cosine: FloatArray
 
-    def gaining(self, gain: float) -> CandidateView:
+    def with_gain(self, gain: float) -> CandidateView:
         """Return a copy with another gain."""
         task = Task(self.task.kind, self.task.centroid_world, self.task.viewpoint, float(gain))
-        return CandidateView(task, self.place, self.promised, self.squareness)
+        return CandidateView(task, self.place, self.promised, self.view_cosine)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -15,7 +15,7 @@ from uav_recon.planning.frontier.frontier_views import FrontierViews
 from uav_recon.planning.frontier.frontiers import fence_box
 from uav_recon.planning.paths.path_cache import PathCache
 from uav_recon.planning.route_planning import route_to
-from uav_recon.planning.task_generation import places_of
+from uav_recon.planning.task_generation import view_positions
 from uav_recon.planning.view_planner import ViewPlanner
 from uav_recon.types.frames import ByteArray, FloatArray, IntArray
 from uav_recon.types.maps import VoxelMap
@@ -40,19 +40,22 @@ class NarrowPassagePlanner:
         self,
         planner: ViewPlanner,
         clearance_m: float,
-        homeward_m: float,
+        home_clearance_m: float,
         fence_inset_m: float,
         timer: Callable[[], float] = time.perf_counter,
     ) -> None:
         """Store the usual planner and the reduced clearances.
 
         clearance_m: clearance of a narrow path, less than that of ``planner``.
-        homeward_m: minimum clearance on the path home. An occupied voxel near the passage that the vehicle flew through may
-            since have reduced the clearance there.
+        home_clearance_m: minimum clearance on the path home. An occupied voxel near the passage that the vehicle flew through
+            may since have reduced the clearance there.
         fence_inset_m, timer: as for ViewPlanner.
         """
-        self._planner, self._clearance_m, self._homeward_m = planner, clearance_m, homeward_m
-        self._inset_m, self._timer = fence_inset_m, timer
+        self._planner = planner
+        self._clearance_m = clearance_m
+        self._homeward_m = home_clearance_m
+        self._inset_m = fence_inset_m
+        self._timer = timer
         self._offered: tuple[ViewPath, CandidateView] | None = None
         self._squeezing = False
 
@@ -77,16 +80,16 @@ class NarrowPassagePlanner:
         """See interfaces.Planner."""
         self._squeezing = self._offered is not None and self._offered[0] is path
         if self._offered is not None and self._squeezing:
-            self._planner.visited.promise(path, (self._offered[1],))
+            self._planner.view_history.set_expected_views(path, (self._offered[1],))
         else:
             self._planner.accept(path)
 
-    def still_worth(self, voxels: VoxelMap, position_world: FloatArray, yaw_rad: float) -> bool:
+    def next_view_has_gain(self, voxels: VoxelMap, position_world: FloatArray, yaw_rad: float) -> bool:
         """See interfaces.Planner."""
-        return self._planner.still_worth(voxels, position_world, yaw_rad)
+        return self._planner.next_view_has_gain(voxels, position_world, yaw_rad)
 
     def route(self, request: PlanRequest, goal: Viewpoint) -> ViewPath | NothingLeft:
-        """Return the usual planner's path, else a narrow one, else one with ``homeward_m``."""
+        """Return the usual planner's path, else a narrow one, else one with ``home_clearance_m``."""
         start_s = self._timer()
         answer = self._planner.route(request, goal)
         if isinstance(answer, ViewPath):
@@ -114,11 +117,11 @@ class NarrowPassagePlanner:
         if not proposals:
             return None
         ways = PathCache(space)
-        ways.update(exit_cells, request.position_world, places_of(proposals))
+        ways.update(exit_cells, request.position_world, view_positions(proposals))
         nearest = int(np.argmin(ways.lengths_m[0, 1:]))
         path = ViewPath(
             viewpoints=(proposals[nearest].task.viewpoint,),
-            waypoints_world=(ways.way_world(0, nearest + 1),),
+            waypoints_world=(ways.path_world(0, nearest + 1),),
             mode=PlanMode.EXPLORE,
             map_revision=request.voxels.revision,
             map_epoch=request.voxels.map_epoch,
@@ -153,7 +156,7 @@ class NarrowPassagePlanner:
         views = FrontierViews(self._planner.config, self._planner.camera)
         found = views.update(voxels, beyond, frontiers, situation.position_world).proposals
         gains = frontiers.beyond(voxels, [one.promised for one in found])
-        return [one.gaining(gain) for one, gain in zip(found, gains.tolist(), strict=True) if gain >= OPENING]
+        return [one.with_gain(gain) for one, gain in zip(found, gains.tolist(), strict=True) if gain >= OPENING]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

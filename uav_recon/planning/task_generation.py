@@ -71,14 +71,16 @@ class ClusterTasks:
     """
 
     def __init__(self, config: PlannerConfig, variant: Variant, views: FrontierViews, surfaces: SurfaceViews) -> None:
-        self._variant, self._end_factor = variant, config.end_factor
-        self._views, self._surfaces = views, surfaces
+        self._variant = variant
+        self._end_factor = config.end_factor
+        self._views = views
+        self._surfaces = surfaces
 
     def propose(self, question: TaskQuery) -> GeneratedTasks:
         """See TaskSource."""
         situation, ways = question.situation, question.ways
         explore = self._explore(situation, question.frontiers)
-        ways.update(situation.exit_cells, situation.position_world, places_of(explore))
+        ways.update(situation.exit_cells, situation.position_world, view_positions(explore))
         opening = np.array([one.task.gain >= OPENING for one in explore], dtype=np.bool_)
         mode = self._variant.mode.choose(ways.lengths_m[0, 1:], opening)
         spare = question.views_left - len(explore)
@@ -104,10 +106,10 @@ class ClusterTasks:
         found = self._views.update(situation.voxels, situation.space, frontiers, situation.position_world)
         nearest = found.proposals[:MAX_FRONTIERS]
         gains = frontiers.beyond(situation.voxels, [one.promised for one in nearest])
-        return [one.gaining(gain) for one, gain in zip(nearest, gains.tolist(), strict=True)]
+        return [one.with_gain(gain) for one, gain in zip(nearest, gains.tolist(), strict=True)]
 
 
-def places_of(proposals: list[CandidateView]) -> FloatArray:
+def view_positions(proposals: list[CandidateView]) -> FloatArray:
     """Return the positions (N, 3) of the candidate views, in padded voxel units."""
     return np.array([proposal.place for proposal in proposals], dtype=np.float64).reshape(-1, 3)
 
@@ -116,7 +118,8 @@ class GainField:
     """EVPP's task source: views sampled near the vehicle, ranked by an information-gain field."""
 
     def __init__(self, views: FieldViews, reasons: FrontierViews) -> None:
-        self._views, self._reasons = views, reasons
+        self._views = views
+        self._reasons = reasons
 
     def propose(self, question: TaskQuery) -> GeneratedTasks:
         """See TaskSource."""

@@ -11,7 +11,7 @@ from uav_recon.config import PlannerConfig, VariantName
 from uav_recon.planning.camera_frustum import CameraGeometry
 from uav_recon.planning.mode_rules import Adaptive, AlwaysMerged, ExploreOnly, ExploreThenRefine, ModeRule
 from uav_recon.planning.tour.stopping_rule import StoppingRule
-from uav_recon.planning.tour.task_ordering import ByTheWay, Greedy, TaskOrdering, Tour
+from uav_recon.planning.tour.task_ordering import FrontierWithDetours, Greedy, TaskOrdering, Tour
 from uav_recon.types.tasks import TaskKind
 
 BOTH = frozenset(TaskKind)
@@ -51,7 +51,7 @@ def variant(name: VariantName, config: PlannerConfig) -> Variant:
         "explore-yaw": Variant("explore-yaw", explore, ExploreOnly(), Tour(worth), yaw_only),  # V1
         "explore-then-refine": Variant("explore-then-refine", BOTH, ExploreThenRefine(), Tour(worth), as_mounted),
         "evpp": Variant("evpp", BOTH, AlwaysMerged(), Greedy(worth), as_mounted, views="field"),
-        "vpp": Variant("vpp", BOTH, AlwaysMerged(), ByTheWay(worth), as_mounted),
+        "vpp": Variant("vpp", BOTH, AlwaysMerged(), FrontierWithDetours(worth), as_mounted),
     }
     return made[name]
 

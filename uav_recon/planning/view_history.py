@@ -27,16 +27,16 @@ STALLED_PLANS = 3
 class ViewHistory:
     """The views of one flight and their outcomes.
 
-    Only the planner changes it: settle() before a plan, promise() when a path is accepted.
+    Only the planner changes it: evaluate_flown_views() before a plan, set_expected_views() when a path is accepted.
 
     Grids have the shape of the map and are cleared when the map's frame changes (another epoch, origin or shape).
 
-    looks_in_vain: (nx, ny, nz) uint8, number of unsuccessful views of a frontier voxel.
+    failed_views: (nx, ny, nz) uint8, number of unsuccessful views of a frontier voxel.
     exhausted: (nx, ny, nz) uint8, 1 where that number has reached its limit.
     surface_looks: (nx, ny, nz) float32, sum of the cosines under which tasks have seen the surface in a voxel.
     """
 
-    looks_in_vain: ByteArray
+    failed_views: ByteArray
     exhausted: ByteArray
     surface_looks: Float32Array
     _path: ViewPath | None
@@ -45,9 +45,9 @@ class ViewHistory:
     _waiting: list[tuple[int, IntArray]]  # map revision and frontier voxels of views flown and not yet evaluated
 
     def __init__(self) -> None:
-        self._forget((0, 0, 0), ())
+        self._reset_after_reboot((0, 0, 0), ())
 
-    def settle(self, request: PlanRequest) -> IntArray:
+    def evaluate_flown_views(self, request: PlanRequest) -> IntArray:
         """Evaluate the views flown since the last plan against the current map.
 
         Returns the flat indices (N,) of voxels that became exhausted.
@@ -58,7 +58,7 @@ class ViewHistory:
             if proposal.task.kind is TaskKind.EXPLORE:
                 self._waiting.append((voxels.revision, proposal.promised))
             else:
-                self.surface_looks.reshape(-1)[proposal.promised] += proposal.squareness.astype(np.float32)
+                self.surface_looks.reshape(-1)[proposal.promised] += proposal.view_cosine.astype(np.float32)
         # a view is evaluated by a map newer than the arrival, because the image taken there may still be in processing
         due = [promised for revision, promised in self._waiting if revision < voxels.revision]
         self._waiting = [(revision, promised) for revision, promised in self._waiting if revision >= voxels.revision]
@@ -68,16 +68,17 @@ class ViewHistory:
 
     def _in_vain(self, voxels: VoxelMap, promised: IntArray) -> IntArray:
         still = promised[_still_frontier(voxels.state, promised)]
-        looks, exhausted = self.looks_in_vain.reshape(-1), self.exhausted.reshape(-1)
+        looks, exhausted = self.failed_views.reshape(-1), self.exhausted.reshape(-1)
         hopeless = len(still) >= HOPELESS_SHARE * len(promised)
         looks[still] = np.minimum(looks[still], 255 - MAX_LOOKS) + (MAX_LOOKS if hopeless else 1)
         newly: IntArray = still[(looks[still] >= MAX_LOOKS) & (exhausted[still] == 0)]
         exhausted[newly] = 1
         return newly
 
-    def promise(self, path: ViewPath, proposals: tuple[CandidateView, ...]) -> None:
+    def set_expected_views(self, path: ViewPath, proposals: tuple[CandidateView, ...]) -> None:
         """Store what the views of the new path (same order) should settle."""
-        self._path, self._proposals = path, proposals
+        self._path = path
+        self._proposals = proposals
 
     def next_promised(self, position_world: FloatArray, yaw_rad: float) -> CandidateView | None:
         """Return the next view of the promised path, or None if there is none."""
@@ -101,14 +102,17 @@ class ViewHistory:
         grid = request.voxels.grid
         frame = (request.voxels.map_epoch, grid.shape, grid.resolution_m, *grid.origin_world_m.tolist())
         if frame != self._frame:
-            self._forget(grid.shape, frame)
+            self._reset_after_reboot(grid.shape, frame)
 
-    def _forget(self, shape: tuple[int, int, int], frame: tuple[object, ...]) -> None:
+    def _reset_after_reboot(self, shape: tuple[int, int, int], frame: tuple[object, ...]) -> None:
         self._frame = frame
-        self.looks_in_vain, self.exhausted = np.zeros(shape, dtype=np.uint8), np.zeros(shape, dtype=np.uint8)
+        self.failed_views = np.zeros(shape, dtype=np.uint8)
+        self.exhausted = np.zeros(shape, dtype=np.uint8)
         self.surface_looks = np.zeros(shape, dtype=np.float32)
-        self._path, self._proposals = None, ()
-        self._position, self._stalls = np.zeros(3), 0
+        self._path = None
+        self._proposals = ()
+        self._position = np.zeros(3)
+        self._stalls = 0
         self._waiting = []
 
     def _newly_flown(self, request: PlanRequest) -> tuple[CandidateView, ...]:
@@ -118,7 +122,8 @@ class ViewHistory:
         stayed = float(np.linalg.norm(request.position_world - self._position)) < 0.1
         self._stalls = self._stalls + 1 if flown == 0 and stayed else 0
         if self._stalls >= STALLED_PLANS:
-            self._stalls, flown = 0, 1
+            self._stalls = 0
+            flown = 1
         return self._proposals[:flown]
 
 

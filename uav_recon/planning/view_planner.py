@@ -33,7 +33,7 @@ from uav_recon.planning.reconstruction import gain_field
 from uav_recon.planning.reconstruction.gain_field import FieldViews
 from uav_recon.planning.reconstruction.surface_views import SurfaceViews
 from uav_recon.planning.route_planning import route_to
-from uav_recon.planning.task_generation import ClusterTasks, GainField, TaskQuery, TaskSource, places_of
+from uav_recon.planning.task_generation import ClusterTasks, GainField, TaskQuery, TaskSource, view_positions
 from uav_recon.planning.tour import atsp, travel_time
 from uav_recon.planning.tour.travel_time import TravelTimeModel, YawWhileFlying, time_costs
 from uav_recon.planning.variants import Variant, variant
@@ -82,11 +82,13 @@ class ViewPlanner:
         self.fence_m = np.asarray(fence_min_m, dtype=np.float64), np.asarray(fence_max_m, dtype=np.float64)
         self.config = config = derived(config, *self.fence_m, camera)
         self._inset_m = config.clearance_m if fence_inset_m is None else fence_inset_m
-        self._price, self._timer = price, timer
+        self._price = price
+        self._timer = timer
         self._variant = variant(config.variant, config)
         self.camera = self._variant.camera(camera)
         self._source = _source(config, self._variant, self.camera)
-        self.frontiers, self.visited = Frontiers(), ViewHistory()
+        self.frontiers = Frontiers()
+        self.view_history = ViewHistory()
         self._frame: tuple[object, ...] = ()
         self._offered: tuple[ViewPath, tuple[CandidateView, ...]] | None = None
 
@@ -135,10 +137,12 @@ class ViewPlanner:
         if isinstance(situation, Reason):
             return self._nothing(situation, start_s, start_s)
         harvest = self._source.propose(
-            TaskQuery(situation, self.frontiers, self._ways, request.surface, self.visited.surface_looks, request.views_left)
+            TaskQuery(
+                situation, self.frontiers, self._ways, request.surface, self.view_history.surface_looks, request.views_left
+            )
         )
         committed = self._committed(situation, request)
-        tasks = _without_what_they_settle(committed, harvest.proposals)
+        tasks = _drop_duplicate_tasks(committed, harvest.proposals)
         tasks_made_s = self._timer()
         order, dropped = self._order(situation, request, tasks, len(committed))
         if not order:
@@ -163,12 +167,12 @@ class ViewPlanner:
     def accept(self, path: ViewPath) -> None:
         """Store what the views of a path made by plan() should settle."""
         if self._offered is not None and self._offered[0] is path:
-            self.visited.promise(*self._offered)
+            self.view_history.set_expected_views(*self._offered)
 
-    def still_worth(self, voxels: VoxelMap, position_world: FloatArray, yaw_rad: float) -> bool:
+    def next_view_has_gain(self, voxels: VoxelMap, position_world: FloatArray, yaw_rad: float) -> bool:
         """Return True if the next view of the accepted path still has a gain in a newer map."""
-        following = self.visited.next_promised(position_world, yaw_rad)
-        return following is None or self.visited.is_worth(voxels, following)
+        following = self.view_history.next_promised(position_world, yaw_rad)
+        return following is None or self.view_history.is_worth(voxels, following)
 
     def route(self, request: PlanRequest, goal: Viewpoint) -> ViewPath | NothingLeft:
         """Return the shortest path to a position. Its last waypoint is the nearest flyable voxel.
@@ -182,7 +186,7 @@ class ViewPlanner:
         proposal = route_to(situation, goal)
         if proposal is None:
             return self._nothing(Reason(ReasonCode.NO_KNOWN_PATH), start_s, start_s)
-        self._ways.update(situation.exit_cells, request.position_world, places_of([proposal]))
+        self._ways.update(situation.exit_cells, request.position_world, view_positions([proposal]))
         return self._path(request, PlanMode.EXPLORE, [proposal], [1], start_s, start_s)
 
     def _look(self, request: PlanRequest) -> PlanningContext | Reason:
@@ -196,8 +200,8 @@ class ViewPlanner:
             self._frame = frame
             self.space = FlyableSpace(voxels.grid, self.config.clearance_m, *self._box(voxels.grid, self._inset_m))
             self._ways = PathCache(self.space)
-        self.frontiers.touch(self.visited.settle(request))
-        self.frontiers.update(voxels, *self._box(voxels.grid, 0.0), self.visited.exhausted)
+        self.frontiers.touch(self.view_history.evaluate_flown_views(request))
+        self.frontiers.update(voxels, *self._box(voxels.grid, 0.0), self.view_history.exhausted)
         if request.views_left <= 0:
             return Reason(ReasonCode.NO_VIEWS_LEFT)
         self.space.update(voxels)
@@ -211,12 +215,12 @@ class ViewPlanner:
 
         Thus the goal does not change in motion.
         """
-        following = self.visited.next_promised(request.position_world, request.yaw_rad)
+        following = self.view_history.next_promised(request.position_world, request.yaw_rad)
         if (
             following is None
             or not request.velocity_world_mps.any()
             or not situation.holds(following.place)
-            or not self.visited.is_worth(situation.voxels, following)
+            or not self.view_history.is_worth(situation.voxels, following)
         ):
             return []
         return [following]
@@ -228,7 +232,7 @@ class ViewPlanner:
 
         committed: 1 if the first task is committed and stays first, else 0.
         """
-        self._ways.update(situation.exit_cells, request.position_world, places_of(tasks))
+        self._ways.update(situation.exit_cells, request.position_world, view_positions(tasks))
         costs_s = time_costs(self._ways, tasks, request.yaw_rad, request.velocity_world_mps, self._price)
         # the tour begins at the committed view
         kept = self._variant.choice.order([one.task for one in tasks[committed:]], costs_s[committed:, committed:])
@@ -253,7 +257,7 @@ class ViewPlanner:
         chosen = tuple(tasks[node - 1].task for node in nodes)
         return ViewPath(
             viewpoints=tuple(task.viewpoint for task in chosen),
-            waypoints_world=tuple(self._ways.way_world(i, j) for i, j in zip([0, *nodes[:-1]], nodes, strict=True)),
+            waypoints_world=tuple(self._ways.path_world(i, j) for i, j in zip([0, *nodes[:-1]], nodes, strict=True)),
             mode=mode,
             map_revision=request.voxels.revision,
             map_epoch=request.voxels.map_epoch,
@@ -271,7 +275,7 @@ class ViewPlanner:
         """
         counts = {
             **dict(sorted(self._source.reasons(situation, self.frontiers).items())),
-            **count_rejected_frontiers(situation.voxels.state, self.frontiers.faces, self.visited.exhausted),
+            **count_rejected_frontiers(situation.voxels.state, self.frontiers.faces, self.view_history.exhausted),
         }
         total = sum(counts.values())
         details = [Reason(code, (n,)) for code, n in counts.items() if n]
@@ -294,7 +298,7 @@ def _source(config: PlannerConfig, made_of: Variant, camera: CameraGeometry) -> 
     return ClusterTasks(config, made_of, views, SurfaceViews(config, camera))
 
 
-def _without_what_they_settle(committed: list[CandidateView], proposals: list[CandidateView]) -> list[CandidateView]:
+def _drop_duplicate_tasks(committed: list[CandidateView], proposals: list[CandidateView]) -> list[CandidateView]:
     """Return the committed views, then the tasks that these do not settle as well."""
     tasks = list(committed)
     for proposal in proposals:
@@ -339,7 +343,7 @@ def warm_up(name: VariantName) -> None:
             path = planner.plan(PlanRequest(voxels, surface, np.array(position), 0.0, 10, np.full(3, 0.1 * revision)))
             if isinstance(path, ViewPath):
                 planner.accept(path)
-                planner.still_worth(voxels, np.array(position), 0.0)
+                planner.next_view_has_gain(voxels, np.array(position), 0.0)
         planner.route(
             PlanRequest(voxels, None, np.array([1.0, 1.0, 1.0]), 0.0, 1), Viewpoint(np.array([3.0, 2.0, 1.0]), 0.0, 0.0)
         )

@@ -10,7 +10,7 @@ import numpy as np
 from uav_recon.recording.flight_log import Timeline, read_timeline
 from uav_recon.recording.map_file import load_map
 from uav_recon.recording.mesh_file import load_mesh
-from uav_recon.recording.mesh_renders import mesh_pictures
+from uav_recon.recording.mesh_renders import render_mesh_images
 from uav_recon.recording.plots import coverage_over_time, path_over_plan, planning_over_time
 from uav_recon.recording.recall_plot import recall_over_time
 from uav_recon.recording.report import TIMED_RECALLS, MedianP95, ModeTimes, Report, ReportPlanning, ReportSafety, ReportStream
@@ -98,7 +98,7 @@ def _pictures(folder: Path, report: Report) -> list[Picture]:
     if mesh is not None and timeline.views:
         inside = np.median([view.translation_m for view in timeline.views], axis=0)
         said = ("The model in colour.", "The model by uncertainty: blue is well known, red badly.", "The model from above.")
-        pictures += [Picture(path, text) for path, text in zip(mesh_pictures(drawn, mesh, inside), said, strict=False)]
+        pictures += [Picture(path, text) for path, text in zip(render_mesh_images(drawn, mesh, inside), said, strict=False)]
     path_over_plan(drawn / "path.png", timeline, voxels)
     coverage_over_time(drawn / "coverage.png", timeline)
     planning_over_time(drawn / "planning.png", timeline)

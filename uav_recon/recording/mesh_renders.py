@@ -17,7 +17,7 @@ WIDTH, HEIGHT = 1200, 800
 _DPI = 100
 
 
-def mesh_pictures(folder: Path, mesh: TriangleMesh, inside_world: FloatArray) -> list[Path]:
+def render_mesh_images(folder: Path, mesh: TriangleMesh, inside_world: FloatArray) -> list[Path]:
     """Write mesh_colour.png, mesh_uncertainty.png, mesh_top.png (1200x800); returns the paths.
 
     An empty mesh gives none. inside_world (3,): any point in the free space of the room; it determines the front side of the

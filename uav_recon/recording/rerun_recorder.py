@@ -39,7 +39,7 @@ _FRAME_RATE_HZ = 2.0
 _MAP_RATE_HZ = 0.5
 _FLUSH_RATE_HZ = 0.5  # each flush ends a chunk of every entity ...
 _BATCH_S = 60.0  # ... and nothing else does
-_LOUDNESS = "warn,re_log_encoding=error"  # a missing file footer is expected, so it is not reported
+_RUST_LOG_FILTER = "warn,re_log_encoding=error"  # a missing file footer is expected, so it is not reported
 _FLUSH_TIMEOUT_S = 1.0
 _TRAIL_STEP_M = 0.05
 _TRAIL_STRIP_POINTS = 100
@@ -66,7 +66,9 @@ class Inbox(Generic[T]):
     """
 
     def __init__(self, channel: Channel[T]) -> None:
-        self._channel, self._read, self.skipped = channel, 0, 0
+        self._channel = channel
+        self._read = 0
+        self.skipped = 0
 
     def new(self) -> T | None:
         """Return the newest value if it was not returned yet, else None."""
@@ -97,13 +99,20 @@ class Recorder:
         live: bool = False,
         find_viewer: Callable[[], Viewer | None] = open_viewer,
     ) -> None:
-        os.environ.setdefault("RUST_LOG", _LOUDNESS)
+        os.environ.setdefault("RUST_LOG", _RUST_LOG_FILTER)
         import rerun as rr
 
-        self._folder, self._clock, self._start_s = folder, clock, clock.now_s()
-        self._odom, self._frames, self._vehicle = Inbox(channels.odom), Inbox(channels.frames), Inbox(channels.vehicle)
-        self._intent, self._progress, self._plan = Inbox(channels.intent), Inbox(channels.progress), Inbox(channels.plan)
-        self._voxels, self._surface = Inbox(channels.voxels), Inbox(channels.surface)
+        self._folder = folder
+        self._clock = clock
+        self._start_s = clock.now_s()
+        self._odom = Inbox(channels.odom)
+        self._frames = Inbox(channels.frames)
+        self._vehicle = Inbox(channels.vehicle)
+        self._intent = Inbox(channels.intent)
+        self._progress = Inbox(channels.progress)
+        self._plan = Inbox(channels.plan)
+        self._voxels = Inbox(channels.voxels)
+        self._surface = Inbox(channels.surface)
         self._frames_due = RateKeeper(_FRAME_RATE_HZ, self._start_s)
         self._maps_due = RateKeeper(_MAP_RATE_HZ, self._start_s)
         self._flush_due = RateKeeper(_FLUSH_RATE_HZ, self._start_s)
@@ -183,7 +192,8 @@ class Recorder:
             self._trail.append(position)
             self._draw(rerun_archetypes.trail(self._trail_strip, np.array(self._trail)))
         if len(self._trail) >= _TRAIL_STRIP_POINTS:
-            self._trail, self._trail_strip = self._trail[-1:], self._trail_strip + 1
+            self._trail = self._trail[-1:]
+            self._trail_strip = self._trail_strip + 1
 
     def _log_vehicle(self) -> None:
         vehicle = self._vehicle.new()

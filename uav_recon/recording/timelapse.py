@@ -45,11 +45,14 @@ class Timelapse:
     """
 
     def __init__(self, folder: Path, surface: Channel[SurfaceElements], clock: Clock) -> None:
-        self._folder, self._surface, self._clock = folder / SURFACES, surface, clock
+        self._folder = folder / SURFACES
+        self._surface = surface
+        self._clock = clock
         self._folder.mkdir(exist_ok=True)
         self._number = 1 + max((int(path.stem) for path in _files(self._folder)), default=-1)
         self._seen = self._kept = surface.sequence()  # ignore the value that an earlier flight left in the channel
-        self._seen_s, self._due_s = clock.now_s(), -np.inf
+        self._seen_s = clock.now_s()
+        self._due_s = -np.inf
         self._lost = 0
 
     def step(self) -> None:
@@ -59,7 +62,8 @@ class Timelapse:
         """
         now_s, sequence = self._clock.now_s(), self._surface.sequence()
         if sequence != self._seen:
-            self._seen, self._seen_s = sequence, now_s
+            self._seen = sequence
+            self._seen_s = now_s
         if now_s >= self._due_s:
             self._keep(now_s)
 
@@ -72,7 +76,8 @@ class Timelapse:
         elements = self._surface.latest() if self._seen != self._kept else None
         if elements is None:
             return
-        self._kept, self._due_s = self._seen, now_s + PERIOD_S
+        self._kept = self._seen
+        self._due_s = now_s + PERIOD_S
         state = SurfaceState(self._seen_s, elements.revision, elements.position_world, elements.normal_world)
         try:
             _save(self._folder / f"{self._number:05d}.npz", state)

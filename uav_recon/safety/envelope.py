@@ -101,7 +101,7 @@ class Envelope:
             return position_m
         x, y, z = position_m
         inset_m, fence = self.fence.inset_m, self.fence
-        plan = (x, y) if self._in_plan((x, y), (x, y)) else fence.plan.nearest_with_room((x, y), inset_m)
+        plan = (x, y) if self._in_plan((x, y), (x, y)) else fence.plan.nearest_with_clearance((x, y), inset_m)
         height_m = min(max(z, fence.floor_m + inset_m), fence.ceiling_m - inset_m)
         return self.pad_m if plan is None else (plan[0], plan[1], height_m)
 

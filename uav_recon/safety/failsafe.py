@@ -13,7 +13,7 @@ from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
 
 _HEALTH_S = 2.0
-_BARELY_S = 0.2  # a younger retreat has not moved yet: a mission that is back after its five seconds flies on at once
+_RETREAT_BEGUN_S = 0.2  # a younger retreat has not moved yet: a mission that is back after its five seconds flies on at once
 _OUTSIDE_S = 3.0  # after a push over the fence itself the vehicle must be back within this, or the flight ends
 _REFUSALS, _REFUSALS_S = 3, 1.0  # a mission with this many refusals within this time (s) is ignored for a while
 
@@ -68,8 +68,8 @@ class FailsafeInputs:
 class Failsafe:
     """The failsafe of one flight. Call step() once per control step."""
 
-    def __init__(self, patience: FailsafeTimeouts) -> None:
-        self._patience = patience
+    def __init__(self, timeouts: FailsafeTimeouts) -> None:
+        self._patience = timeouts
         self._rung = FailsafeAction.FLY
         self._why: Reason | None = None
         self._healthy_since_s = self._kept_since_s = math.inf
@@ -89,11 +89,12 @@ class Failsafe:
             held = Reason(ReasonCode.HELD_TOO_LONG, (self._patience.intent_land_s,))
             rung, why = FailsafeAction.LAND, held if why is None else why.with_detail(held)
         self._healthy_since_s = min(self._healthy_since_s, health.now_s) if rung is FailsafeAction.FLY else math.inf
-        wait_s = _HEALTH_S if health.now_s - self._retreat_s > _BARELY_S else 0.0
+        wait_s = _HEALTH_S if health.now_s - self._retreat_s > _RETREAT_BEGUN_S else 0.0
         well = rung is FailsafeAction.FLY and health.now_s - self._healthy_since_s >= wait_s
         if rung >= self._rung or self._rung is FailsafeAction.HOLD or (self._rung is FailsafeAction.RETREAT and well):
             self._retreat_s = self._retreat_s if self._rung is FailsafeAction.RETREAT else health.now_s
-            self._rung, self._why = rung, why
+            self._rung = rung
+            self._why = why
         return self._rung, self._why
 
     def _wanted(self, health: FailsafeInputs) -> tuple[FailsafeAction, Reason | None]:
@@ -104,7 +105,7 @@ class Failsafe:
             (ReasonCode.NO_DEPTH, health.depth_age_s, (p.depth_hold_s, p.depth_retreat_s, p.depth_land_s)),
             (ReasonCode.REFUSED_TOO_LONG, health.refused_s, (math.inf, math.inf, p.intent_land_s)),
         )
-        rungs = [_rung_of(age_s, limits_s) for _, age_s, limits_s in silences]
+        rungs = [_action_of(age_s, limits_s) for _, age_s, limits_s in silences]
         if (rung := max(rungs)) < FailsafeAction.LAND and over:
             return FailsafeAction.LAND, over
         if rung > FailsafeAction.FLY:
@@ -119,7 +120,8 @@ class Failsafe:
         return Reason(ReasonCode.OUTSIDE_FENCE_TOO_LONG, (_OUTSIDE_S,)) if too_long else None
 
     def _refused_too_often(self, health: FailsafeInputs) -> bool:
-        before, self._refusals = self._refusals, health.refusals
+        before = self._refusals
+        self._refusals = health.refusals
         if before is not None and health.refusals > before:
             self._refused.append(health.now_s)
         self._refused = [at_s for at_s in self._refused if health.now_s - at_s <= _HEALTH_S]
@@ -127,6 +129,6 @@ class Failsafe:
         return any(last_s - first_s <= _REFUSALS_S for first_s, last_s in dense)
 
 
-def _rung_of(age_s: float, limits_s: tuple[float, float, float]) -> FailsafeAction:
+def _action_of(age_s: float, limits_s: tuple[float, float, float]) -> FailsafeAction:
     """Return the most severe action whose limit an age exceeds; NaN exceeds all."""
     return FailsafeAction(max([rung for rung, limit_s in enumerate(limits_s, 1) if not age_s <= limit_s], default=0))

@@ -22,10 +22,13 @@ class FreeSpaceCheck:
 
     def __init__(self, space: FreeSpace, hull_radius_m: float, hull_height_m: float) -> None:
         self.map_epoch = space.map_epoch
-        self._bits, self._shape, self._step_m = space.bits.tobytes(), space.grid.shape, space.grid.resolution_m
+        self._bits = space.bits.tobytes()
+        self._shape = space.grid.shape
+        self._step_m = space.grid.resolution_m
         x, y, z = space.grid.origin_world_m.tolist()
         self._origin: Vec3 = (x, y, z)
-        self._wide, self._high = hull_radius_m / self._step_m, hull_height_m / 2.0 / self._step_m
+        self._wide = hull_radius_m / self._step_m
+        self._high = hull_height_m / 2.0 / self._step_m
 
     def admits(self, *way_m: Vec3) -> bool:
         """Return True if the hull may move along straight legs through these positions (odom, m).

@@ -81,7 +81,7 @@ class GuardInputs:
 
 
 @dataclass(frozen=True, slots=True)
-class Bounds:
+class GuardBounds:
     """Limits on the age of inputs, and on the speed without sight (SI).
 
     silence_way_m: longest path since the mission's last message, including the braking from here. depth_hold_s: oldest depth in
@@ -101,8 +101,10 @@ class Bounds:
 class Guard:
     """Clears a proposal, or answers with a brake from the last cleared setpoint to rest."""
 
-    def __init__(self, envelope: Envelope, bounds: Bounds, sight: RecentlySeenSpace) -> None:
-        self.envelope, self.bounds, self._sight = envelope, bounds, sight
+    def __init__(self, envelope: Envelope, bounds: GuardBounds, sight: RecentlySeenSpace) -> None:
+        self.envelope = envelope
+        self.bounds = bounds
+        self._sight = sight
         self._last: ClearedMotion | None = None
         self._steps = ContinuityCheck()
         self._rest_until_s = -math.inf
@@ -118,16 +120,18 @@ class Guard:
         fault = None if proposal is None else self._fault(proposal, situation)
         setpoint = self._brake(situation) if proposal is None or fault else proposal.setpoint
         refusal = self._count(proposal, fault, setpoint)
-        before, self._last = self._last, _motion_of(setpoint, situation.now_s)
+        before = self._last
+        self._last = _motion_of(setpoint, situation.now_s)
         self._steps = ContinuityCheck() if before is None else self._steps.after(before, self._last, self.envelope)[0]
         return ClearedSetpoint(setpoint, _MAKER), refusal
 
     def rebase(self, situation: GuardInputs, rest_s: float = 1.0) -> None:
         """Forget the last setpoint and what was seen after a jump of odom, and hold for ``rest_s``."""
-        self._last, self._rest_until_s = None, situation.now_s + rest_s
+        self._last = None
+        self._rest_until_s = situation.now_s + rest_s
         self._sight.forget()
 
-    def fault_of_take_off(self, situation: GuardInputs, height_m: float) -> Reason | None:
+    def takeoff_fault(self, situation: GuardInputs, height_m: float) -> Reason | None:
         """Return why the vehicle may not climb, None if the column is confirmed free that high."""
         here, top = situation.position_m, (situation.position_m[0], situation.position_m[1], height_m)
         if situation.free is None or situation.ahead is None:
@@ -165,7 +169,7 @@ class Guard:
         return (
             self._steps.after(self._last, motion, envelope)[1]
             or self._space_fault(self._last, motion, stop_m, situation)
-            or self._sight_fault(motion, speed_mps, proposal.retreating, situation)
+            or self._depth_fault(motion, speed_mps, proposal.retreating, situation)
         )
 
     def _silent(self, speed_mps: float, intent_age_s: float) -> bool:
@@ -189,7 +193,7 @@ class Guard:
             return Reason(ReasonCode.NOT_KNOWN_FREE, motion.position_m)
         return None
 
-    def _sight_fault(self, motion: ClearedMotion, speed_mps: float, retreating: bool, situation: GuardInputs) -> Reason | None:
+    def _depth_fault(self, motion: ClearedMotion, speed_mps: float, retreating: bool, situation: GuardInputs) -> Reason | None:
         """Check the speed by raw depth: towards near obstacles, and outside the camera's view."""
         ahead, bounds = situation.ahead, self.bounds
         if speed_mps <= _STILL_MPS or (retreating and ahead is None):

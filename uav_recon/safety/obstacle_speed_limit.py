@@ -35,12 +35,13 @@ class ForwardDepth:
 
     def __init__(self, nearby: MinRangeGrid, hull_radius_m: float) -> None:
         self.stamp_s = nearby.stamp_s
-        self._radius_m, self._half_tan = hull_radius_m, nearby.half_tan
+        self._radius_m = hull_radius_m
+        self._half_tan = nearby.half_tan
         self._depth_from_body = nearby.body_from_depth.rotation().T
         self._places = nearby.body_from_depth.apply(nearby.points())
 
     @staticmethod
-    def tells(nearby: MinRangeGrid) -> bool:
+    def has_enough_returns(nearby: MinRangeGrid) -> bool:
         """Return True if a frame has enough returns to be valid."""
         return nearby.share >= _MIN_SHARE
 

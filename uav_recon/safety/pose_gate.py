@@ -40,7 +40,9 @@ class PoseGate:
         self._max_yaw_rate_radps = 2.0 * max_yaw_rate_radps  # turning is checked at the setpoint; here for plausibility only
         self._believed: StampedPose | None = None
         self._track: StampedPose | None = None  # the newest of a track that is not accepted yet
-        self._agreed, self._since_s, self._refused = 0, 0.0, 0
+        self._agreed = 0
+        self._since_s = 0.0
+        self._refused = 0
 
     def judge(self, pose: StampedPose, now_s: float) -> PoseVerdict:
         """Accept a pose, or reject it with a reason."""
@@ -61,16 +63,20 @@ class PoseGate:
 
         It begins or continues another track, which has to last.
         """
-        track, self._track = self._track, pose
+        track = self._track
+        self._track = pose
         if track is None or pose.stamp_s <= track.stamp_s or self._leap(track, pose):
-            self._agreed, self._since_s = 0, pose.stamp_s
+            self._agreed = 0
+            self._since_s = pose.stamp_s
         self._agreed += 1
         if self._agreed >= _PROOF and pose.stamp_s - self._since_s >= _PROOF_S:
             return self._believe(pose, again=True)
         return self._refuse(why)
 
     def _believe(self, pose: StampedPose, again: bool) -> PoseVerdict:
-        self._believed, self._track, self._refused = pose, None, 0
+        self._believed = pose
+        self._track = None
+        self._refused = 0
         return PoseVerdict(True, again)
 
     def _refuse(self, why: Reason) -> PoseVerdict:

@@ -22,11 +22,13 @@ class RecentlySeenSpace:
     """The last views, each with its cells' nearest returns, and the past positions of the hull."""
 
     def __init__(self, memory_s: float, hull_radius_m: float) -> None:
-        self._memory_s, self._radius_m = memory_s, hull_radius_m
+        self._memory_s = memory_s
+        self._radius_m = hull_radius_m
         self.reach_m = hull_radius_m + _BEFORE_M  # from the body's centre to what the hull reaches next
         self._count = 0
         self._stamp_s = np.full(_VIEWS, -math.inf)
-        self._depth_from_odom, self._place_m = np.zeros((_VIEWS, 3, 3)), np.zeros((_VIEWS, 3))
+        self._depth_from_odom = np.zeros((_VIEWS, 3, 3))
+        self._place_m = np.zeros((_VIEWS, 3))
         self._body_m = np.full((_VIEWS, 3), math.inf)
         self._range_m: FloatArray = np.zeros((_VIEWS, 1, 1))
         self._half_tan = np.ones(2)
@@ -38,9 +40,11 @@ class RecentlySeenSpace:
             self._stamp_s[:] = -math.inf
         if nearby.stamp_s - self._stamp_s[self._count % _VIEWS - 1] < self._memory_s / _VIEWS:
             return
-        n, self._count = self._count % _VIEWS, self._count + 1
+        n = self._count % _VIEWS
+        self._count = self._count + 1
         odom_from_depth = odom_from_body @ nearby.body_from_depth
-        self._stamp_s[n], self._half_tan = nearby.stamp_s, np.array(nearby.half_tan)
+        self._stamp_s[n] = nearby.stamp_s
+        self._half_tan = np.array(nearby.half_tan)
         self._depth_from_odom[n], self._place_m[n] = odom_from_depth.rotation().T, odom_from_depth.translation_m
         self._body_m[n], self._range_m[n] = odom_from_body.translation_m, nearby.range_m
 

@@ -17,7 +17,7 @@ from typing import Any, cast
 import numpy as np
 
 from uav_recon.interfaces import Clock
-from uav_recon.sensors.stream_camera import depth_table
+from uav_recon.sensors.stream_camera import depth_lookup_table
 from uav_recon.sensors.stream_format import StreamError
 from uav_recon.types.camera import Frame, ImuSample, Intrinsics
 from uav_recon.types.frames import FloatArray
@@ -43,7 +43,7 @@ def _library() -> Any:
     return pyrealsense2
 
 
-def need_camera(playback: Path | None = None) -> None:
+def check_camera(playback: Path | None = None) -> None:
     """Check that a camera or recording can be opened.
 
     Raises RealSenseError without the library, the camera or the recording.
@@ -68,9 +68,13 @@ class ClockOffset:
         difference_s = arrival_s - stamp_s
         known_s = min(self._older_s, self._newer_s)
         if abs(difference_s - known_s) > self._reset_s or arrival_s < self._since_s:
-            self._older_s, self._newer_s, self._since_s = math.inf, difference_s, arrival_s
+            self._older_s = math.inf
+            self._newer_s = difference_s
+            self._since_s = arrival_s
         elif arrival_s - self._since_s > _WINDOW_S:
-            self._older_s, self._newer_s, self._since_s = self._newer_s, difference_s, arrival_s
+            self._older_s = self._newer_s
+            self._newer_s = difference_s
+            self._since_s = arrival_s
         self._newer_s = min(self._newer_s, difference_s)
         return stamp_s + min(self._older_s, self._newer_s)
 
@@ -100,11 +104,19 @@ class RealSenseCamera:
         wall_s: Callable[[], float] = time.time,
     ) -> None:
         self._rs = _library()
-        self._clock, self._wall_s, self._offset, self._live = clock, wall_s, ClockOffset(), playback is None
+        self._clock = clock
+        self._wall_s = wall_s
+        self._offset = ClockOffset()
+        self._live = playback is None
         self.dropped_frames = 0
-        self._before_s, self._pair_s, self._number = -math.inf, 0.6 / fps, -1
-        self._domain, self._settled_s = cast("Any", None), -math.inf
-        self._silent_s, self._patience_s = math.inf, _FIRST_FRAME_S  # start of the silence (inf: never polled), and its limit
+        self._before_s = -math.inf
+        self._pair_s = 0.6 / fps
+        self._number = -1
+        self._domain = cast("Any", None)
+        self._settled_s = -math.inf
+        # start of the silence (inf: never polled), and its limit
+        self._silent_s = math.inf
+        self._silence_limit_s = _FIRST_FRAME_S
         self._pipeline = self._rs.pipeline()
         settings = _settings(self._rs, serial, playback)
         if playback is None:
@@ -119,13 +131,14 @@ class RealSenseCamera:
             depth = profile.get_stream(self._rs.stream.depth).as_video_stream_profile()
             rgb = profile.get_stream(self._rs.stream.color).as_video_stream_profile()
             self._metres_per_unit = float(profile.get_device().first_depth_sensor().get_depth_scale())
-            self._depth_intrinsics, self._rgb_intrinsics = _intrinsics(depth.intrinsics), _intrinsics(rgb.intrinsics)
+            self._depth_intrinsics = _intrinsics(depth.intrinsics)
+            self._rgb_intrinsics = _intrinsics(rgb.intrinsics)
             self._rgb_from_depth = _pose(depth.get_extrinsics_to(rgb))
         except RuntimeError as error:
             raise RealSenseError(f"RealSense {serial or playback or ''}: {' '.join(str(error).split())}") from None
         if rgb.format() != self._rs.format.rgb8 or depth.format() != self._rs.format.z16:
             raise RealSenseError(f"RealSense {playback}: want z16 and rgb8, it has {depth.format()} and {rgb.format()}")
-        self._table = depth_table(depth_min_m, depth_max_m, self._metres_per_unit)
+        self._table = depth_lookup_table(depth_min_m, depth_max_m, self._metres_per_unit)
         self._imu = None
         gyro = self._gyro(profile)
         if body_from_depth is not None and gyro is not None:
@@ -160,7 +173,8 @@ class RealSenseCamera:
         self._number = int(depth.get_frame_number())
         settled = self._settled(depth.get_frame_timestamp_domain())
         stamp_s = self.stamp_s(depth)
-        before_s, self._before_s = self._before_s, stamp_s
+        before_s = self._before_s
+        self._before_s = stamp_s
         if stamp_s <= before_s or not settled:
             self.dropped_frames += 1
             return None
@@ -198,9 +212,10 @@ class RealSenseCamera:
         """
         now_s = self._clock.now_s()
         if heard:
-            self._silent_s, self._patience_s = now_s, _SILENCE_S
+            self._silent_s = now_s
+            self._silence_limit_s = _SILENCE_S
         self._silent_s = min(self._silent_s, now_s)
-        if now_s - self._silent_s > self._patience_s:
+        if now_s - self._silent_s > self._silence_limit_s:
             raise RealSenseError(f"{self._name}: open, but no frame for {now_s - self._silent_s:.1f} s: plug it in anew")
 
     def _settled(self, domain: Any) -> bool:
@@ -211,7 +226,8 @@ class RealSenseCamera:
         now_s = self._clock.now_s()
         if domain != self._domain:
             self._settled_s = now_s if self._domain is None else now_s + _SETTLES_S
-            self._domain, self._offset = domain, ClockOffset()
+            self._domain = domain
+            self._offset = ClockOffset()
         return now_s >= self._settled_s
 
     def _gyro(self, profile: Any) -> Any:
@@ -228,7 +244,9 @@ class _Imu:
     """
 
     def __init__(self, camera: RealSenseCamera, settings: Any, body_from_imu: FloatArray) -> None:
-        self._camera, self._rs, self._body_from_imu = camera, camera._rs, body_from_imu
+        self._camera = camera
+        self._rs = camera._rs
+        self._body_from_imu = body_from_imu
         self._queue: deque[tuple[bool, float, tuple[float, float, float]]] = deque(maxlen=4096)  # gyro?, stamp, data
         self._force: FloatArray | None = None
         settings.enable_stream(self._rs.stream.accel)

@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 
 from uav_recon.interfaces import Clock
-from uav_recon.sensors.stream_camera import depth_table
+from uav_recon.sensors.stream_camera import depth_lookup_table
 from uav_recon.sensors.stream_format import StreamError
 from uav_recon.types.camera import Frame, ImuSample, Intrinsics
 from uav_recon.types.pose import Pose, StampedPose
@@ -78,8 +78,9 @@ class RecordedCamera:
     """
 
     def __init__(self, folder: Path, clock: Clock, depth_min_m: float = 0.3, depth_max_m: float = 6.0) -> None:
-        self._recording, self._clock = _Recording(folder, clock), clock
-        self._table = depth_table(depth_min_m, depth_max_m)
+        self._recording = _Recording(folder, clock)
+        self._clock = clock
+        self._table = depth_lookup_table(depth_min_m, depth_max_m)
         self._next = 0
         self.missing_images = 0
 
@@ -121,7 +122,8 @@ class RecordedPoses:
     """
 
     def __init__(self, folder: Path, clock: Clock, body_from_depth: Pose) -> None:
-        self._recording, self._clock = _Recording(folder, clock), clock
+        self._recording = _Recording(folder, clock)
+        self._clock = clock
         self._depth_from_body = body_from_depth.inverse()
         first, last = self._recording.frames[0].stamp_s, self._recording.frames[-1].stamp_s
         grid = first + np.arange(math.floor((last - first) * _POSE_RATE_HZ) + 1) / _POSE_RATE_HZ

@@ -18,7 +18,7 @@ from uav_recon.types.camera import Frame, ImuSample, Intrinsics
 from uav_recon.types.frames import Float32Array
 from uav_recon.types.pose import Pose, StampedPose
 
-__all__ = ["StreamCamera", "StreamError", "StreamPoses", "depth_table", "open_stream"]
+__all__ = ["StreamCamera", "StreamError", "StreamPoses", "depth_lookup_table", "open_stream"]
 
 _log = logging.getLogger(__name__)
 _REPEAT_S = 15.0  # between two messages of the same wait
@@ -55,7 +55,7 @@ def open_stream(path: Path, clock: Clock, timeout_s: float, stopped: Callable[[]
         raise StreamError(f"{error}; waited {timeout_s:g} s") from None
 
 
-def depth_table(depth_min_m: float, depth_max_m: float, metres_per_unit: float = 0.001) -> Float32Array:
+def depth_lookup_table(depth_min_m: float, depth_max_m: float, metres_per_unit: float = 0.001) -> Float32Array:
     """Return the metres of every 16-bit depth, (65536,) float32.
 
     NaN for 0 and for depths outside [depth_min_m, depth_max_m].
@@ -91,7 +91,9 @@ class _Stream:
             reader = StreamReader(self._path)
         except (OSError, StreamError):
             return False
-        self._reader, self._inode, self._read = reader, inode, 0
+        self._reader = reader
+        self._inode = inode
+        self._read = 0
         return True
 
     def close(self) -> None:
@@ -108,8 +110,8 @@ class StreamCamera(_Stream):
 
     def __init__(self, path: Path, depth_min_m: float = 0.3, depth_max_m: float = 6.0) -> None:
         super().__init__(path)
-        self._table = depth_table(depth_min_m, depth_max_m)
-        self._optics = _optics(self._reader, path)
+        self._table = depth_lookup_table(depth_min_m, depth_max_m)
+        self._read_intrinsics = _read_intrinsics(self._reader, path)
         self._imu_read = 0
         self._before_s = -math.inf
         self.dropped_frames = 0
@@ -120,10 +122,12 @@ class StreamCamera(_Stream):
         if raw is None:
             if self._follow():
                 self._imu_read = 0
-                self._optics = _optics(self._reader, self._path)
+                self._read_intrinsics = _read_intrinsics(self._reader, self._path)
             return None
-        self._read, self._empty = raw.sequence, 0
-        before_s, self._before_s = self._before_s, raw.stamp_s if math.isfinite(raw.stamp_s) else self._before_s
+        self._read = raw.sequence
+        self._empty = 0
+        before_s = self._before_s
+        self._before_s = raw.stamp_s if math.isfinite(raw.stamp_s) else self._before_s
         if not before_s < raw.stamp_s < math.inf:
             self.dropped_frames += 1
             return None
@@ -138,7 +142,7 @@ class StreamCamera(_Stream):
         return [ImuSample(*row) for row in rows]
 
     def _frame(self, raw: RawFrame) -> Frame:
-        depth, rgb, rgb_from_depth = self._optics
+        depth, rgb, rgb_from_depth = self._read_intrinsics
         return Frame(raw.stamp_s, raw.sequence, self._table[raw.depth_mm], depth, raw.rgb, rgb, rgb_from_depth)
 
 
@@ -173,7 +177,7 @@ class StreamPoses(_Stream):
         return out
 
 
-def _optics(reader: StreamReader, path: Path) -> tuple[Intrinsics, Intrinsics, Pose]:
+def _read_intrinsics(reader: StreamReader, path: Path) -> tuple[Intrinsics, Intrinsics, Pose]:
     header = reader.header
     for name, spec in (("depth", header.depth), ("rgb", header.rgb)):
         if not all(map(math.isfinite, (spec.fx, spec.fy, spec.cx, spec.cy))) or min(spec.fx, spec.fy) <= 0:

@@ -72,7 +72,7 @@ class Polygon:
         min_m = min(_between(start_m, end_m, a, b) for a, b in self.sides())
         return min_m if min_m > 0.0 else -math.inf
 
-    def nearest_with_room(self, point_m: Vec2, room_m: float) -> Vec2 | None:
+    def nearest_with_clearance(self, point_m: Vec2, room_m: float) -> Vec2 | None:
         """Return the nearest point that is ``room_m`` from every side, or None.
 
         Only points beside one side or two are tried; None if none of them fits.

@@ -20,7 +20,7 @@ from sitl.autopilots.pilot_view import PilotView
 from sitl.geometry.quaternion import Vec3
 from sitl.world.gimbal import Gimbal
 from sitl.world.quadrotor import Quadrotor
-from sitl.world.step_sizes import REAL
+from sitl.world.step_sizes import FINE_STEPS
 
 BOOTED_BEFORE_S = 12.5  # time from boot to the first step; the pre-arm checks pass 25 s after boot
 
@@ -29,7 +29,12 @@ class ArduCopter(Autopilot):
     """The simulated ArduCopter. Raises ValueError if a parameter's failsafe is not simulated."""
 
     def __init__(
-        self, vehicle: Quadrotor, link: ByteEnd, parameters: ArduPilotParameters, seed: int, step_s: float = REAL.physics_s
+        self,
+        vehicle: Quadrotor,
+        link: ByteEnd,
+        parameters: ArduPilotParameters,
+        seed: int,
+        step_s: float = FINE_STEPS.physics_s,
     ) -> None:
         """Create the autopilot. step_s: time step of physics, estimator and control, at most 20 ms."""
         self._parameters = parameters
@@ -54,16 +59,16 @@ class ArduCopter(Autopilot):
         """Disarm by the kill switch: the motors stop, even in flight."""
         self._state.commander.request_arming(arm=False, force=True, c=self._state.condition())
 
-    def _forget(self) -> None:
+    def _reset_after_reboot(self) -> None:
         s = self._state
         s.estimator, s.jitter = Estimator(estimator_tuning(self._parameters)), JitterCorrection()
         s.home_follows, s.flight.home = False, None
         s.commander.gcs_received_s = math.inf
         s.commander.takeover(ArduPilotMode.STABILIZE)
 
-    def lose_land_detector(self) -> None:
+    def disable_land_detector(self) -> None:
         """Disable the land detector: no landing is detected any more."""
-        self._state.flight.lose_land_detector()
+        self._state.flight.disable_land_detector()
 
     @property
     def _landed(self) -> bool:
@@ -76,12 +81,12 @@ class ArduCopter(Autopilot):
         s.commander.configure(p)
         s.capacity_mah = p["BATT_CAPACITY"]
 
-    def _think(self, dt_s: float) -> None:
+    def _step_slow_tasks(self, dt_s: float) -> None:
         s = self._state
         self._sense_slowly(dt_s)
         s.settle_home()
         s.commander.step(s.condition())
 
-    def _fly(self, dt_s: float, seen: Estimator | PilotView) -> tuple[Vec3, float]:
+    def _control(self, dt_s: float, seen: Estimator | PilotView) -> tuple[Vec3, float]:
         s = self._state
         return s.flight.step(dt_s, s.commander.armed, s.commander.mode, seen, s.commander.pause_s)

@@ -32,7 +32,9 @@ class InputShaper:
 
     def reset(self, position: Vec3, velocity: Vec3) -> None:
         """Start from a position and a velocity, without acceleration."""
-        self.position, self.velocity, self.acceleration = position, velocity, (0.0, 0.0, 0.0)
+        self.position = position
+        self.velocity = velocity
+        self.acceleration = (0.0, 0.0, 0.0)
 
     def shift(self, delta: Vec3) -> None:
         """Shift the position by a jump of the estimate."""
@@ -50,7 +52,8 @@ class InputShaper:
             self.limits[0], dt_s, position and position[:2], velocity[:2], acceleration[:2], p[:2], v[:2], a[:2]
         )
         down = _shaped(self.limits[1], dt_s, position and position[2:], velocity[2:], acceleration[2:], p[2:], v[2:], a[2:])
-        self.position, self.velocity = p, v
+        self.position = p
+        self.velocity = v
         self.acceleration = (north_east[0], north_east[1], down[0])
 
 

@@ -29,5 +29,6 @@ class JitterCorrection:
         self._min_us = lag_us if self._count == 0 else min(self._min_us, lag_us)
         self._count += 1
         if self._count == _WINDOW:
-            self._offset_us, self._count = self._min_us, 0
+            self._offset_us = self._min_us
+            self._count = 0
         return estimate_us

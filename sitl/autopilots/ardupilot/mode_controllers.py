@@ -56,7 +56,7 @@ class ArduPilotModeControllers:
         self._mode: ArduPilotMode | None = None
         self._target: ControllerTarget | None = None
         self._target_age_s = 0.0
-        self._top: float | None = None  # goal of the current take-off, local down, m
+        self._takeoff_goal_down: float | None = None  # goal of the current take-off, local down, m
         self._hold: Vec3 = _STILL
         self._hold_yaw = 0.0
         self._armed_s = 0.0
@@ -72,13 +72,14 @@ class ArduPilotModeControllers:
         self._shaper.limits = shaping_limits(p)
         self._spool_s = _ARMING_DELAY_S + p["MOT_SPOOL_TIME"]
         self._timeout_s = p["GUID_TIMEOUT"]
-        self._climb, self._brake = p["WP_SPD_UP"], p["WP_ACC"]
+        self._climb = p["WP_SPD_UP"]
+        self._brake = p["WP_ACC"]
         high = p["LAND_SPD_HIGH_MS"] or p["WP_SPD_DN"]
         self._land = (p["LAND_ALT_LOW_M"], high, p["LAND_SPD_MS"])
         avoiding = p.integer("AVOID_ENABLE") & _STOP_AT_FENCE and p.integer("FENCE_ENABLE") and p.integer("FENCE_TYPE") & 2
         self._keep_within_m = p["FENCE_RADIUS"] - p["FENCE_MARGIN"] if avoiding else math.inf
 
-    def lose_land_detector(self) -> None:
+    def disable_land_detector(self) -> None:
         """Disable the land detector: no landing is detected any more."""
         self._ground.blind = True
 
@@ -90,7 +91,7 @@ class ArduPilotModeControllers:
     @property
     def taking_off(self) -> bool:
         """True during a take-off."""
-        return self._top is not None and not self.landed
+        return self._takeoff_goal_down is not None and not self.landed
 
     def estimate_jumped(self, delta: Vec3, turn_rad: float) -> None:
         """Shift held positions and headings by a jump of the estimate; a target is not shifted."""
@@ -99,23 +100,29 @@ class ArduPilotModeControllers:
         self._hold_yaw += turn_rad
         self._shaper.shift(delta)
         self._ground_down += delta[2]
-        if self._top is not None:
-            self._top += delta[2]
+        if self._takeoff_goal_down is not None:
+            self._takeoff_goal_down += delta[2]
 
     def take_off(self, height_m: float) -> None:
         """Climb to a height above home, or above the ground without a home."""
         zero = self._ground_down if self.home is None else self.home[2]
-        self._top, self._target = zero - height_m, None
+        self._takeoff_goal_down = zero - height_m
+        self._target = None
 
     def follow(self, target: ControllerTarget) -> None:
         """Follow a new target in GUIDED; it ends a take-off."""
         if self._target is None:
             self._shaper.reset(*self._motion)
-        self._target, self._target_age_s, self._top = target, 0.0, None
+        self._target = target
+        self._target_age_s = 0.0
+        self._takeoff_goal_down = None
 
     def stop(self, position: Vec3, yaw: float) -> None:
         """Hold the position in GUIDED, after an unusable target."""
-        self._target, self._top, self._hold, self._hold_yaw = None, None, position, yaw
+        self._target = None
+        self._takeoff_goal_down = None
+        self._hold = position
+        self._hold_yaw = yaw
 
     def step(
         self, dt_s: float, armed: bool, mode: ArduPilotMode, estimator: Estimator | PilotView, pause_s: float = 0.0
@@ -132,7 +139,9 @@ class ArduPilotModeControllers:
         self._pause_s -= dt_s
         if not armed:
             self._rest(position)
-            self._target, self._top, self._armed_s = None, None, 0.0
+            self._target = None
+            self._takeoff_goal_down = None
+            self._armed_s = 0.0
             return _STILL, 0.0
         self._armed_s += dt_s
         if self.landed and not self._lifts_off(position):
@@ -146,7 +155,7 @@ class ArduPilotModeControllers:
             a = estimator.acceleration
             force, turn = self._controller.step(dt_s, position, velocity, a, estimator.yaw, setpoint)
         if self._ground.touched_down(dt_s, force, velocity, estimator.horizontal_valid):
-            self._top = None
+            self._takeoff_goal_down = None
         return force, turn
 
     def _begin(self, mode: ArduPilotMode, position: Vec3, velocity: Vec3, yaw: float) -> None:
@@ -156,7 +165,9 @@ class ArduPilotModeControllers:
         """
         if self._target is None:
             self._shaper.reset(position, velocity)
-        self._mode, self._target, self._top = mode, None, None
+        self._mode = mode
+        self._target = None
+        self._takeoff_goal_down = None
         ahead_s = math.hypot(velocity[0], velocity[1]) / (2.0 * self._brake)
         self._hold = (position[0] + velocity[0] * ahead_s, position[1] + velocity[1] * ahead_s, position[2])
         self._hold_yaw = yaw
@@ -165,8 +176,8 @@ class ArduPilotModeControllers:
         x, y, z = self._hold
         if self._mode is ArduPilotMode.LAND:
             return self._landing(dt_s, position)
-        if self._mode is ArduPilotMode.GUIDED and self._top is not None:
-            return self._climbing(self._top, position)
+        if self._mode is ArduPilotMode.GUIDED and self._takeoff_goal_down is not None:
+            return self._climbing(self._takeoff_goal_down, position)
         if self._mode is ArduPilotMode.GUIDED and self._target is not None:
             return self._guided(self._target, dt_s, position)
         return ControlSetpoint((x, y, z), yaw=self._hold_yaw)
@@ -181,7 +192,8 @@ class ArduPilotModeControllers:
     def _climbing(self, top: float, position: Vec3) -> ControlSetpoint:
         x, y, _ = self._hold
         if position[2] - top < _ARRIVED_M:
-            self._hold, self._top = (x, y, top), None
+            self._hold = (x, y, top)
+            self._takeoff_goal_down = None
             return ControlSetpoint(self._hold, yaw=self._hold_yaw)
         climb = max(-self._climb, 1.5 * (top - position[2]) - 0.05)
         return ControlSetpoint((x, y, math.nan), (0.0, 0.0, climb), yaw=self._hold_yaw)
@@ -226,7 +238,7 @@ class ArduPilotModeControllers:
         return high if self._ground_down - down > low_m else slow
 
     def _lifts_off(self, position: Vec3) -> bool:
-        if self._top is None or self._mode is not ArduPilotMode.GUIDED or self._armed_s < self._spool_s:
+        if self._takeoff_goal_down is None or self._mode is not ArduPilotMode.GUIDED or self._armed_s < self._spool_s:
             return False
         if self._ground_down - position[2] > 0.08:
             self._ground.lifted()

@@ -17,8 +17,8 @@ _SETTLED_S = 25.0  # from boot until the pre-arm checks can pass
 _EKF_FAILSAFE_S = 0.8  # from the loss of the flags to LAND
 _PAUSE_S = 4.0  # LAND_WITH_DELAY_MS: time of hover before the descent of a failsafe's LAND
 _BREACH, _SILENT = "Fence breached", "Companion silent"
-_AT_ONCE = (_BREACH, _SILENT)  # failsafes that land without the pause
-_TELL_AGAIN_S = 30.0  # interval at which a failing pre-arm check is reported
+_WITHOUT_PAUSE = (_BREACH, _SILENT)  # failsafes that land without the pause
+_PREARM_REPORT_PERIOD_S = 30.0  # interval at which a failing pre-arm check is reported
 _LAND, _ALWAYS_LAND, _BRAKE_OR_LAND = 1, 2, 4
 _RADIO_LAND, _GCS_LAND = 3, 5
 _ALT_MAX, _CIRCLE = 1, 2  # FENCE_TYPE
@@ -75,7 +75,7 @@ class ArduPilotCommander:
         self.gcs_received_s = math.inf  # inf before the first heartbeat: the failsafe is inactive
         self._invalid_since_s = math.inf
         self._idle_since_s = math.inf
-        self._troubles: set[str] = set()
+        self._active_failsafes: set[str] = set()
         self._told_s = 0.0
         self.configure(parameters)
 
@@ -85,13 +85,17 @@ class ArduPilotCommander:
         self._gcs_system = p.integer("MAV_GCS_SYSID")
         self._own_system = p.integer("MAV_SYSID")
         self._disarm_s = float(p.integer("DISARM_DELAY"))
-        self._gcs_lands, self._gcs_timeout_s = self._lands(p, "FS_GCS_ENABLE", _GCS_LAND), p["FS_GCS_TIMEOUT"]
+        self._gcs_lands = self._lands(p, "FS_GCS_ENABLE", _GCS_LAND)
+        self._gcs_timeout_s = p["FS_GCS_TIMEOUT"]
         self._silence_s = p["UVR_SILENCE_S"] if p.integer("SCR_ENABLE") else math.inf  # script ardupilot_silence.lua
-        self._radio_lands, self._radio_timeout_s = self._lands(p, "FS_THR_ENABLE", _RADIO_LAND), p["RC_FS_TIMEOUT"]
+        self._radio_lands = self._lands(p, "FS_THR_ENABLE", _RADIO_LAND)
+        self._radio_timeout_s = p["RC_FS_TIMEOUT"]
         self._pilots_modes_stay = bool(p.integer("FS_OPTIONS") & _KEEP_PILOTS_MODES)
         self._ekf_lands = self._lands(p, "FS_EKF_ACTION", _LAND)
-        self._low_lands, self._low_mah = self._lands(p, "BATT_FS_LOW_ACT", _LAND), p["BATT_LOW_MAH"]
-        self._critical_lands, self._critical_mah = self._lands(p, "BATT_FS_CRT_ACT", _LAND), p["BATT_CRT_MAH"]
+        self._low_lands = self._lands(p, "BATT_FS_LOW_ACT", _LAND)
+        self._low_mah = p["BATT_LOW_MAH"]
+        self._critical_lands = self._lands(p, "BATT_FS_CRT_ACT", _LAND)
+        self._critical_mah = p["BATT_CRT_MAH"]
         self._arm_mah = p["BATT_ARM_MAH"]
         fenced = p.integer("FENCE_ENABLE") == 1
         self._fence_lands = self._lands(p, "FENCE_ACTION", _ALWAYS_LAND, _BRAKE_OR_LAND) if fenced else False
@@ -121,7 +125,8 @@ class ArduPilotCommander:
             return self._refuse(mode, "init failed")
         if mode in _NEED_POSITION and not c.position_valid:
             return self._refuse(mode, "requires position")
-        self.mode, self.pause_s = mode, 0.0
+        self.mode = mode
+        self.pause_s = 0.0
         return ACCEPTED
 
     def request_arming(self, arm: bool, force: bool, c: ArduPilotCondition) -> int:
@@ -139,9 +144,10 @@ class ArduPilotCommander:
             if reason:
                 self._say(CRITICAL, f"Arm: {reason}")
                 return FAILED
-        self.armed, self.armed_at_s = True, c.now_s
+        self.armed = True
+        self.armed_at_s = c.now_s
         self._idle_since_s = math.inf
-        self._troubles.clear()
+        self._active_failsafes.clear()
         self._say(INFO, "Arming motors")
         return ACCEPTED
 
@@ -180,7 +186,8 @@ class ArduPilotCommander:
 
     def takeover(self, mode: ArduPilotMode) -> None:
         """Enter the mode of a pilot's switch at once."""
-        self.mode, self.pause_s = mode, 0.0
+        self.mode = mode
+        self.pause_s = 0.0
 
     # -- 50 Hz ----------------------------------------------------------------------------------------------------
 
@@ -190,7 +197,7 @@ class ArduPilotCommander:
         if self.armed:
             self._watch(c)
             self._disarm_by_itself(c)
-        elif c.booted_s - self._told_s >= _TELL_AGAIN_S:
+        elif c.booted_s - self._told_s >= _PREARM_REPORT_PERIOD_S:
             self._told_s = c.booted_s
             reason = self.arming_refusal(c)
             if reason:
@@ -200,25 +207,26 @@ class ArduPilotCommander:
         """Check the failsafes; each acts once, when its condition begins."""
         pilots = self.mode in _PILOTS
         blind = self.mode in _NEED_POSITION and c.now_s - self._invalid_since_s >= _EKF_FAILSAFE_S
-        self._judge("EKF Failsafe", blind, self._ekf_lands)
+        self._check_failsafe("EKF Failsafe", blind, self._ekf_lands)
         silent_s = c.now_s - self.gcs_received_s
-        self._judge(_SILENT, silent_s > self._silence_s and self.mode is ArduPilotMode.GUIDED, True)
+        self._check_failsafe(_SILENT, silent_s > self._silence_s and self.mode is ArduPilotMode.GUIDED, True)
         silent = silent_s > self._gcs_timeout_s
-        self._judge("GCS Failsafe", silent and not (pilots and self._pilots_modes_stay), self._gcs_lands)
-        self._judge("Radio Failsafe", c.rc_lost_s > self._radio_timeout_s, self._radio_lands)
-        self._judge("Battery is low", c.battery_mah < self._low_mah, self._low_lands)
-        self._judge("Battery is critical", c.battery_mah < self._critical_mah, self._critical_lands)
-        self._judge(_BREACH, not self.admits(c.distance_from_home_m, c.height_above_home_m), self._fence_lands)
+        self._check_failsafe("GCS Failsafe", silent and not (pilots and self._pilots_modes_stay), self._gcs_lands)
+        self._check_failsafe("Radio Failsafe", c.rc_lost_s > self._radio_timeout_s, self._radio_lands)
+        self._check_failsafe("Battery is low", c.battery_mah < self._low_mah, self._low_lands)
+        self._check_failsafe("Battery is critical", c.battery_mah < self._critical_mah, self._critical_lands)
+        self._check_failsafe(_BREACH, not self.admits(c.distance_from_home_m, c.height_above_home_m), self._fence_lands)
 
-    def _judge(self, trouble: str, present: bool, lands: bool) -> None:
+    def _check_failsafe(self, trouble: str, present: bool, lands: bool) -> None:
         if not present:
-            self._troubles.discard(trouble)
-        elif trouble not in self._troubles:
-            self._troubles.add(trouble)
+            self._active_failsafes.discard(trouble)
+        elif trouble not in self._active_failsafes:
+            self._active_failsafes.add(trouble)
             self._say(CRITICAL, trouble)
             if lands and self.mode is not ArduPilotMode.LAND:
                 self.failsafes.append(f"{trouble}: LAND")
-                self.mode, self.pause_s = ArduPilotMode.LAND, 0.0 if trouble in _AT_ONCE else _PAUSE_S
+                self.mode = ArduPilotMode.LAND
+                self.pause_s = 0.0 if trouble in _WITHOUT_PAUSE else _PAUSE_S
 
     def _disarm_by_itself(self, c: ArduPilotCondition) -> None:
         """Disarm after landing: at once in LAND, after DISARM_DELAY in other modes."""
@@ -232,7 +240,8 @@ class ArduPilotCommander:
     # -- transitions ----------------------------------------------------------------------------------------------
 
     def _disarm(self) -> None:
-        self.armed, self.armed_at_s = False, math.inf
+        self.armed = False
+        self.armed_at_s = math.inf
         self._say(INFO, "Disarming motors")
 
     def _refuse(self, mode: ArduPilotMode, why: str) -> int:

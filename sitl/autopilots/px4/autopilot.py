@@ -20,7 +20,7 @@ from sitl.autopilots.px4.tuning import estimator_tuning
 from sitl.geometry.quaternion import Vec3
 from sitl.world.gimbal import Gimbal
 from sitl.world.quadrotor import Quadrotor
-from sitl.world.step_sizes import REAL
+from sitl.world.step_sizes import FINE_STEPS
 
 __all__ = ["BOOTED_BEFORE_S", "Px4"]
 
@@ -31,7 +31,7 @@ class Px4(Autopilot):
     """The simulated PX4. Raises ValueError if a parameter's failsafe is not simulated."""
 
     def __init__(
-        self, vehicle: Quadrotor, link: ByteEnd, parameters: Px4Parameters, seed: int, step_s: float = REAL.physics_s
+        self, vehicle: Quadrotor, link: ByteEnd, parameters: Px4Parameters, seed: int, step_s: float = FINE_STEPS.physics_s
     ) -> None:
         """Create the autopilot. step_s: time step of physics, estimator and control, at most 20 ms."""
         self._parameters = parameters
@@ -60,9 +60,9 @@ class Px4(Autopilot):
         """Disarm by the kill switch: the motors stop, even in flight."""
         self._state.commander.request_arming(arm=False, force=True, condition=self._state.condition())
 
-    def lose_land_detector(self) -> None:
+    def disable_land_detector(self) -> None:
         """Disable the land detector: no landing is detected any more."""
-        self._state.flight.lose_land_detector()
+        self._state.flight.disable_land_detector()
 
     @property
     def _landed(self) -> bool:
@@ -74,13 +74,13 @@ class Px4(Autopilot):
         s.flight.configure(p)
         s.commander.configure(p)
 
-    def _forget(self) -> None:
+    def _reset_after_reboot(self) -> None:
         s = self._state
         s.estimator, s.timesync = Estimator(estimator_tuning(self._parameters)), Px4Timesync()
         s.commander.origin_at_s, s.commander.heading_known = math.inf, False
         s.commander.takeover(Px4Mode.ALTCTL)
 
-    def _think(self, dt_s: float) -> None:
+    def _step_slow_tasks(self, dt_s: float) -> None:
         s = self._state
         self._sense_slowly(dt_s)
         if s.origin is not None and not s.commander.armed and s.estimator.started:
@@ -89,6 +89,6 @@ class Px4(Autopilot):
         if s.flight.takeoff_complete:
             s.commander.request_mode(Px4Mode.LOITER, s.condition())
 
-    def _fly(self, dt_s: float, seen: Estimator | PilotView) -> tuple[Vec3, float]:
+    def _control(self, dt_s: float, seen: Estimator | PilotView) -> tuple[Vec3, float]:
         s = self._state
         return s.flight.step(dt_s, s.commander.armed, s.commander.mode, seen)

@@ -75,14 +75,16 @@ class OffboardStream:
         return now_s - self.last_s < self.timeout_s and now_s - self._since_s >= _OFFBOARD_PROOF_S
 
 
-class MissionComputer:
+class CompanionMonitor:
     """Monitor of the companion's heartbeats: PX4 reports their loss and does nothing else.
 
     Inactive before the first heartbeat. say: as for Px4Commander.
     """
 
     def __init__(self, say: Callable[[int, str], None]) -> None:
-        self._say, self._received_s, self._lost = say, math.inf, False
+        self._say = say
+        self._received_s = math.inf
+        self._lost = False
         self.timeout_s = 5.0
 
     def heard(self, now_s: float) -> None:
@@ -105,7 +107,8 @@ class Px4Commander:
     def __init__(self, parameters: Px4Parameters, seed: int, say: Callable[[int, str], None]) -> None:
         self._random = random.Random(seed)
         self._say = say
-        self.stream, self.companion = OffboardStream(), MissionComputer(say)
+        self.stream = OffboardStream()
+        self.companion = CompanionMonitor(say)
         self.mode = Px4Mode.LOITER
         self.armed = False
         self.armed_at_s = math.inf
@@ -118,7 +121,7 @@ class Px4Commander:
         self._reaction_s = 0.0
         self._landed_since_s = math.inf
         self._fence_since_s = math.inf
-        self._answered: set[str] = set()
+        self._active_failsafes: set[str] = set()
         self.configure(parameters)
 
     def configure(self, parameters: Px4Parameters) -> None:
@@ -127,13 +130,17 @@ class Px4Commander:
         self.stream.timeout_s, self.companion.timeout_s = p["COM_OF_LOSS_T"], p["COM_OBC_LOSS_T"]
         self._offboard_action = p.integer("COM_OBL_RC_ACT")
         self._act_delay_s = p["COM_FAIL_ACT_T"]
-        self._disarm_land_s, self._disarm_preflight_s = p["COM_DISARM_LAND"], p["COM_DISARM_PRFLT"]
+        self._disarm_land_s = p["COM_DISARM_LAND"]
+        self._disarm_preflight_s = p["COM_DISARM_PRFLT"]
         self._low_battery_action = p.integer("COM_LOW_BAT_ACT")
-        self._battery_low, self._battery_critical = p["BAT_LOW_THR"], p["BAT_CRIT_THR"]
+        self._battery_low = p["BAT_LOW_THR"]
+        self._battery_critical = p["BAT_CRIT_THR"]
         self._fence_action = p.integer("GF_ACTION")
-        self._fence_xy, self._fence_z = p["GF_MAX_HOR_DIST"], p["GF_MAX_VER_DIST"]
+        self._fence_xy = p["GF_MAX_HOR_DIST"]
+        self._fence_z = p["GF_MAX_VER_DIST"]
         self._rc_needed = not p.integer("COM_RCL_EXCEPT") & 4
-        self._rc_loss_s, self._rc_action = p["COM_RC_LOSS_T"], p.integer("NAV_RCL_ACT")
+        self._rc_loss_s = p["COM_RC_LOSS_T"]
+        self._rc_action = p.integer("NAV_RCL_ACT")
         if self._offboard_action not in (0, 4, 5):
             raise ValueError(f"COM_OBL_RC_ACT {self._offboard_action} is not simulated (0 Position, 4 Land, 5 Hold)")
 
@@ -177,7 +184,7 @@ class Px4Commander:
         self.armed = True
         self.armed_at_s = condition.now_s
         self._landed_since_s = math.inf
-        self._answered.clear()
+        self._active_failsafes.clear()
         self._say(INFO, "Armed by external command")
         return ACCEPTED
 
@@ -252,7 +259,7 @@ class Px4Commander:
         out = 0.0 < self._fence_xy < c.distance_from_home_m or 0.0 < self._fence_z < c.height_above_home_m
         if not out or self._fence_action < 2:
             return
-        if "fence" not in self._answered and self._fence_since_s == math.inf:
+        if "fence" not in self._active_failsafes and self._fence_since_s == math.inf:
             self._fence_since_s = c.now_s
             self._fail("fence hold", "geofence breached", Px4Mode.LOITER)
         elif c.now_s - self._fence_since_s >= self._act_delay_s and self._fence_action == 5:
@@ -272,9 +279,9 @@ class Px4Commander:
     # -- transitions ----------------------------------------------------------------------------------------------
 
     def _fail(self, key: str, cause: str, mode: Px4Mode) -> None:
-        if key in self._answered:
+        if key in self._active_failsafes:
             return
-        self._answered.add(key)
+        self._active_failsafes.add(key)
         self._wanted = mode  # latched: leaving this mode needs a new request
         self._enter(mode)
         self.failsafes.append(f"{cause}: {mode.name}")
@@ -284,8 +291,8 @@ class Px4Commander:
         if mode is Px4Mode.LAND and self.mode is not Px4Mode.LAND:
             self._before_land = self.mode
         if mode is not Px4Mode.LAND:
-            self._answered.discard("stream")
-            self._answered.discard("pose")
+            self._active_failsafes.discard("stream")
+            self._active_failsafes.discard("pose")
         self.mode = mode
 
     def _disarm(self, how: str) -> None:

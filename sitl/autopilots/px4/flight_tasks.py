@@ -38,7 +38,8 @@ class Px4FlightTasks:
         self._entry: Vec3 = (0.0, 0.0, 0.0)  # position at which the current mode was entered
         self._course = (0.0, 0.0)  # horizontal unit vector of the velocity on entry; zero at rest
         self._stop_m = 0.0  # distance of the hold position from the entry, along the course
-        self._level, self._down = TrajectorySmoothing(), TrajectorySmoothing()
+        self._level = TrajectorySmoothing()
+        self._down = TrajectorySmoothing()
         self._hold_yaw = 0.0
         self._ramp_s = -1.0  # time since the take-off began, negative before
         self._armed_s = 0.0
@@ -49,8 +50,11 @@ class Px4FlightTasks:
         """Apply changed parameters."""
         p = parameters
         self._controller.configure(control_gains(p))
-        self._spoolup_s, self._ramp_t, self._takeoff_speed = p["COM_SPOOLUP_TIME"], p["MPC_TKO_RAMP_T"], p["MPC_TKO_SPEED"]
-        self._speed_up, self._no_thrust_mps = p["MPC_Z_VEL_MAX_UP"], -GRAVITY_MPS2 / p["MPC_Z_VEL_P_ACC"]
+        self._spoolup_s = p["COM_SPOOLUP_TIME"]
+        self._ramp_t = p["MPC_TKO_RAMP_T"]
+        self._takeoff_speed = p["MPC_TKO_SPEED"]
+        self._speed_up = p["MPC_Z_VEL_MAX_UP"]
+        self._no_thrust_mps = -GRAVITY_MPS2 / p["MPC_Z_VEL_P_ACC"]
         self._takeoff_height = p["MIS_TAKEOFF_ALT"]
         self._land = (p["MPC_LAND_ALT1"], p["MPC_LAND_ALT2"], p["MPC_LAND_SPEED"], p["MPC_Z_V_AUTO_DN"])
         self._limits = smoothing_limits(p)
@@ -64,7 +68,7 @@ class Px4FlightTasks:
         self._hold_yaw += turn_rad
         self._ground_down += delta[2]
 
-    def lose_land_detector(self) -> None:
+    def disable_land_detector(self) -> None:
         """Disable the land detector: no landing is detected any more."""
         self._ground.blind = True
 
@@ -114,8 +118,10 @@ class Px4FlightTasks:
         self._arrived = False
         speed = math.hypot(velocity[0], velocity[1])
         self._course = (velocity[0] / speed, velocity[1] / speed) if speed > 0.0 else (0.0, 0.0)
-        self._entry, self._stop_m = position, self._limits[0].stopping_m(speed)
-        self._level, self._down = TrajectorySmoothing(0.0, speed), TrajectorySmoothing(position[2], velocity[2])
+        self._entry = position
+        self._stop_m = self._limits[0].stopping_m(speed)
+        self._level = TrajectorySmoothing(0.0, speed)
+        self._down = TrajectorySmoothing(position[2], velocity[2])
         self._hold_yaw = yaw
 
     def _wanted(self, mode: Px4Mode, position: Vec3, dt_s: float) -> ControlSetpoint:
@@ -178,5 +184,7 @@ class Px4FlightTasks:
         self._ramp_s = -1.0
         self._ground.rest()
         self._ground_down = position[2]
-        self._entry, self._stop_m = position, 0.0
-        self._level, self._down = TrajectorySmoothing(), TrajectorySmoothing(position[2])
+        self._entry = position
+        self._stop_m = 0.0
+        self._level = TrajectorySmoothing()
+        self._down = TrajectorySmoothing(position[2])

@@ -43,7 +43,10 @@ class Px4Timesync:
         if self.converged and abs(self._offset_us - observed) > _MAX_DEVIATION_US:
             self._deviations += 1
             if self._deviations > _MAX_DEVIATIONS:  # the companion's clock jumped: restart the filter
-                self._sequence, self._offset_us, self._skew_us, self._deviations = 0, 0.0, 0.0, 0
+                self._sequence = 0
+                self._offset_us = 0.0
+                self._skew_us = 0.0
+                self._deviations = 0
             return
         self._deviations = 0
         if self._sequence == 0:

@@ -39,7 +39,9 @@ class TrajectorySmoothing:
     """
 
     def __init__(self, position: float = 0.0, velocity: float = 0.0) -> None:
-        self.position, self.velocity, self.acceleration = position, velocity, 0.0
+        self.position = position
+        self.velocity = velocity
+        self.acceleration = 0.0
 
     def step(self, dt_s: float, wanted: float, limits: SmoothingLimits) -> None:
         """Advance by dt_s towards a wanted speed.

@@ -28,8 +28,8 @@ from uav_recon.errors import UserError
 
 BOTH = "both"
 FIRMWARE_OFFERS = {
-    "px4": Capabilities.PROCESSES | Capabilities.LINE,
-    "ardupilot": Capabilities.PROCESSES | Capabilities.LINE | Capabilities.STICKS,
+    "px4": Capabilities.PROCESSES | Capabilities.SERIAL_LINE,
+    "ardupilot": Capabilities.PROCESSES | Capabilities.SERIAL_LINE | Capabilities.RC_TRANSMITTER,
 }
 
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from sitl.camera.d435i import Model
 from sitl.faults.fault import Fault
-from sitl.faults.fault_director import FaultDirector, alone
+from sitl.faults.fault_director import FaultDirector, never_split
 from sitl.faults.flight_evidence import FlightEvidence
 from sitl.faults.flights.collect_evidence import evidence_of
 from sitl.faults.injectors.operator_silence import TIMEOUT_S
@@ -98,14 +98,16 @@ def fly_together(cases: Sequence[FaultCase]) -> list[FaultRecord]:
     An exception of a flight's program breaks its row, not the campaign, and so does the end of its process.
     """
     with tempfile.TemporaryDirectory(prefix="uav_recon-") as folder, FlightFork[list[FaultRecord]](Path(folder)) as fork:
-        return _Together(cases, Path(folder), fork).records()
+        return _ForkedFlights(cases, Path(folder), fork).records()
 
 
-class _Together:
+class _ForkedFlights:
     """left: the cases that this process flies, by their rows."""
 
     def __init__(self, cases: Sequence[FaultCase], folder: Path, fork: FlightFork[list[FaultRecord]]) -> None:
-        self._left, self._folder, self._fork = {case.row: case for case in cases}, folder, fork
+        self._left = {case.row: case for case in cases}
+        self._folder = folder
+        self._fork = fork
         self._elsewhere: list[FaultRecord] = []
         self._stage = cases[0].stage
 
@@ -124,7 +126,8 @@ class _Together:
 
     def _split(self, row: str) -> bool:
         if self._fork.split():
-            self._left, self._elsewhere = {row: self._left[row]}, []
+            self._left = {row: self._left[row]}
+            self._elsewhere = []
             return True
         case = self._left.pop(row)
         self._elsewhere += self._fork.answer or [broken(case, RuntimeError("the process died"))]
@@ -145,7 +148,7 @@ def broken(case: FaultCase, error: Exception) -> FaultRecord:
     return FaultRecord(case, ScenarioVerdict((float("nan"),) * len(ROWS[case.row].bars), (said,)), trace=trace)
 
 
-def flight(rows: Sequence[Scenario], stage: Stage, folder: Path, split: Callable[[str], bool] = alone) -> FlightEvidence:
+def flight(rows: Sequence[Scenario], stage: Stage, folder: Path, split: Callable[[str], bool] = never_split) -> FlightEvidence:
     """Fly rows' troubles in lockstep, and gather what their judges may look at. folder: for all that the flight writes, the
     product's account in its `flight`. split: of Meddler. Raises whatever the flight raises.
     """
@@ -172,7 +175,13 @@ def flight(rows: Sequence[Scenario], stage: Stage, folder: Path, split: Callable
     config = attended(options.config(scene, folder))
     product_config.save(config, options.out / "config.toml")
     troubles = [
-        Fault(row.id, [*row.injectors(stage.number), *hostile(row.id, config)], row.onset, row.longest_s, row.stands_s)
+        Fault(
+            row.id,
+            [*row.injectors(stage.number), *hostile(row.id, config)],
+            row.onset,
+            row.observe_s,
+            row.observe_after_disarm_s,
+        )
         for row in rows
     ]
     meddler = FaultDirector(troubles, stage.number, split=split)

@@ -31,7 +31,8 @@ class Supervised(SimProcesses):
 
     def __init__(self, commands: dict[str, list[str]], logs: Path, runtime: Path) -> None:
         super().__init__(commands, logs, runtime, Console(quiet=True))
-        self._roster, self._exits = ProcessRegistry(runtime), list[Exit]()
+        self._roster = ProcessRegistry(runtime)
+        self._exits = list[Exit]()
         self._pids: dict[str, int] = {}
         self._due_s: dict[str, float] = {}  # when a process that ended is to be started again
 
@@ -48,7 +49,7 @@ class Supervised(SimProcesses):
                 time.sleep(_LOOK_S)
             world = self._child("world")
             if world.process.returncode != 0:
-                raise UserError(f"world died: {world.last_words()}")
+                raise UserError(f"world died: {world.end_reason()}")
         finally:
             self._end_all()
 
@@ -63,7 +64,7 @@ class Supervised(SimProcesses):
             self._roster.tell(self._pids, self._exits)
 
     def _raise_again(self) -> None:
-        kept_down = self._roster.kept_down() if self._due_s else frozenset[str]()
+        kept_down = self._roster.blocked_restarts() if self._due_s else frozenset[str]()
         for name, due_s in list(self._due_s.items()):
             if name not in kept_down and time.monotonic() >= due_s:
                 del self._due_s[name]
@@ -79,7 +80,7 @@ def flight_in_real_time(
     Raises Failure.
     """
     config, line = options.config(arena(row.arena, options.radius_m), runtime), None
-    if Capabilities.LINE in row.needs(number, live=True):
+    if Capabilities.SERIAL_LINE in row.needs(number, live=True):
         line = str(runtime / "autopilot")
         link = config.link.model_copy(update={"url": f"serial:{line}:921600"})
         config = config.model_copy(update={"link": link})

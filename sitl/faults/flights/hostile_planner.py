@@ -22,8 +22,10 @@ class HostilePlanner(Injector):
     """In the mission's place: a fresh harmful trajectory in every second turn."""
 
     def __init__(self, config: Config) -> None:
-        self._low, self._high = np.array(config.safety.fence_min_m), np.array(config.safety.fence_max_m)
-        self._identifier, self._turns = 1 << 20, 0
+        self._low = np.array(config.safety.fence_min_m)
+        self._high = np.array(config.safety.fence_max_m)
+        self._identifier = 1 << 20
+        self._turns = 0
 
     def stalls(self, since_s: float, stage: str) -> bool:
         """The sane one is silent."""

@@ -13,7 +13,7 @@ import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from sitl.apps.world_process import WorldOptions, binary_of, make_world, make_world_of, run
+from sitl.apps.world_process import WorldOptions, binary_of, make_firmware_world, make_world, run
 from sitl.autopilots.byte_links import UdpPeer
 from sitl.faults.autopilot_side_proxy import AutopilotSideProxy
 from sitl.faults.fault import Fault
@@ -56,14 +56,14 @@ class WorldProcessOptions:
 def fly(order: WorldProcessOptions) -> FlightEvidence:
     """Run until there is nothing left to see. Raises OSError if a port cannot be had, FirmwareError."""
     options, row = WorldOptions.load(Path(order.world)), ROWS[order.row]
-    trouble = Fault(row.id, row.troubles(order.number, live=True), row.onset, row.longest_s, row.stands_s)
+    trouble = Fault(row.id, row.troubles(order.number, live=True), row.onset, row.observe_s, row.observe_after_disarm_s)
     meddler = FaultDirector([trouble], order.number, LONGEST_WAIT_S)
     with contextlib.ExitStack() as ends:
         line = None if order.line is None else SerialLine(Path(order.line))
         end = ends.enter_context(contextlib.closing(line or UdpPeer(remote=("127.0.0.1", options.port))))
-        world, relay = _outside(order, options, meddler.far_link(end), ends)
+        world, relay = _outside(order, options, meddler.autopilot_link(end), ends)
         meddler.enter(world, None, time.monotonic())
-        at = meddler.theatre
+        at = meddler.context
         at.config, at.roster, at.line = Path(order.config), ProcessRegistry(Path(options.stream).parent), line
         _fly(world, relay, meddler)
         world.truth_log.save(Path(options.truth), world)
@@ -79,7 +79,7 @@ def _outside(
         return make_world(options, scene, product, time.monotonic), None
     binary = Path(order.firmware)
     relay = ends.enter_context(contextlib.closing(Relay(product, binary_of(options.autopilot, binary).companion_port)))
-    return make_world_of(binary, options, scene, relay.port, ends), relay
+    return make_firmware_world(binary, options, scene, relay.port, ends), relay
 
 
 def _fly(world: OutsideWorld, relay: Relay | None, meddler: FaultDirector) -> None:

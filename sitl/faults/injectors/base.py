@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from sitl.faults.injectors.obstacle import Obstacle
-from sitl.faults.mavlink_proxy import Late, Tap
+from sitl.faults.mavlink_proxy import DelayedItems, ProxyInterface
 from sitl.faults.process_registry import ProcessRegistry
 from sitl.outside_world import OutsideWorld
 from sitl.runtime.serial_line import SerialLine
@@ -25,9 +25,9 @@ class Capabilities(Flag):
     NOTHING = 0
     STAGES = auto()  # lockstep: the product's stages run in this process
     PROCESSES = auto()  # real time: each stage runs in a separate process
-    INSIDES = auto()  # access to the simulated autopilot and its physics
-    STICKS = auto()  # a pilot's transmitter
-    LINE = auto()  # a serial line to the product
+    SIMULATOR_ACCESS = auto()  # access to the simulated autopilot and its physics
+    RC_TRANSMITTER = auto()  # a pilot's transmitter
+    SERIAL_LINE = auto()  # a serial line to the product
 
 
 @dataclass
@@ -44,7 +44,7 @@ class InjectionContext:
     world: OutsideWorld
     dice: random.Random
     channels: Any = None
-    proxy: Tap | None = None
+    proxy: ProxyInterface | None = None
     now_s: float = 0.0
     hold: bool = False
     abort: bool = False  # the operator has commanded a landing
@@ -74,19 +74,19 @@ class Injector:
     def end(self, at: InjectionContext) -> None:
         """Undo the fault at the end of the flight."""
 
-    def pose(self, since_s: float, record: PoseRecord) -> Late[PoseRecord]:
+    def pose(self, since_s: float, record: PoseRecord) -> DelayedItems[PoseRecord]:
         """Return the result for a pose that the tracker delivers now."""
         return [(0.0, record)]
 
-    def depth(self, since_s: float, frame: Depth) -> Late[Depth]:
+    def depth(self, since_s: float, frame: DepthFrame) -> DelayedItems[DepthFrame]:
         """Return the result for a depth frame."""
         return [(0.0, frame)]
 
-    def to_autopilot(self, since_s: float, frame: bytes) -> Late[bytes]:
+    def to_autopilot(self, since_s: float, frame: bytes) -> DelayedItems[bytes]:
         """Return the result for a MAVLink frame of the product."""
         return [(0.0, frame)]
 
-    def to_product(self, since_s: float, frame: bytes) -> Late[bytes]:
+    def to_product(self, since_s: float, frame: bytes) -> DelayedItems[bytes]:
         """Return the result for a MAVLink frame of the autopilot."""
         return [(0.0, frame)]
 
@@ -100,7 +100,7 @@ class Injector:
 
 
 @dataclass(frozen=True)
-class Depth:
+class DepthFrame:
     """Depth frame in transit: depth_mm (H, W) uint16, 0 = no return; rgb (h, w, 3) uint8."""
 
     stamp_s: float

@@ -16,7 +16,8 @@ class Stall(Injector):
     needs = Capabilities.STAGES
 
     def __init__(self, *stages: str, for_s: float = 1e9) -> None:
-        self._stages, self._for_s = stages, for_s
+        self._stages = stages
+        self._for_s = for_s
 
     def stalls(self, since_s: float, stage: str) -> bool:
         """Return True for the given stages until for_s."""
@@ -29,7 +30,9 @@ class Crash(Injector):
     needs = Capabilities.STAGES
 
     def __init__(self, stage: str, back_s: float) -> None:
-        self._stage, self._back_s, self._restarted = stage, back_s, False
+        self._stage = stage
+        self._back_s = back_s
+        self._restarted = False
 
     def stalls(self, since_s: float, stage: str) -> bool:
         """Return True for the stage until back_s."""
@@ -53,7 +56,7 @@ class Abort(Injector):
         at.abort = True
 
 
-class Madness(Injector):
+class HostilePlannerMarker(Injector):
     """A hostile planner.
 
     This class only marks it: the code that flies the scenario adds the hostile planner.
@@ -62,7 +65,7 @@ class Madness(Injector):
     needs = Capabilities.STAGES
 
 
-class DiskFull(Injector):
+class FileSizeLimit(Injector):
     """Limit on the size of every file that this process writes, in bytes.
 
     Writes fail with an OSError, as on a full disk. Root is not needed.
@@ -71,7 +74,9 @@ class DiskFull(Injector):
     needs = Capabilities.STAGES
 
     def __init__(self, max_bytes: int = 4096, for_s: float = 1e9) -> None:
-        self._max_bytes, self._for_s, self._before = max_bytes, for_s, (-1, -1)
+        self._max_bytes = max_bytes
+        self._for_s = for_s
+        self._before = (-1, -1)
 
     def begin(self, at: InjectionContext) -> None:
         """Set the limit, for this process only."""

@@ -13,12 +13,12 @@ import sys
 from pathlib import Path
 
 from sitl.faults.injectors.base import Capabilities, InjectionContext, Injector
-from sitl.faults.injectors.process_signals import MAPPER, RECORDER, roster_of
+from sitl.faults.injectors.process_signals import MAPPER, RECORDER, processes_of
 from sitl.faults.process_registry import child_of
 from sitl.runtime.die_with_parent import die_with_parent_command
 
 BUSY = "while True: pass"
-THRASHING = """
+DISK_LOAD = """
 import os, sys
 with open(sys.argv[1], "wb", buffering=0) as file:
     while True:
@@ -39,8 +39,10 @@ class BusyProcesses(Injector):
 
         program: Python source; its argument is the path of a file in the flight's folder.
         """
-        self._program, self._count, self._for_s = program, count, for_s
-        self._toiling: list[subprocess.Popen[bytes]] = []
+        self._program = program
+        self._count = count
+        self._for_s = for_s
+        self._processes: list[subprocess.Popen[bytes]] = []
 
     def begin(self, at: InjectionContext) -> None:
         """Start the programs."""
@@ -48,27 +50,27 @@ class BusyProcesses(Injector):
         for k in range(self._count):
             command = [sys.executable, "-c", self._program, str(at.config.with_name(f"toil-{k}"))]
             process = subprocess.Popen(die_with_parent_command(command))  # noqa: S603 - our own programs
-            self._toiling.append(process)
+            self._processes.append(process)
             with contextlib.suppress(PermissionError):  # the world starts them and may itself have a higher priority
                 os.setpriority(os.PRIO_PROCESS, process.pid, 0)
 
     def turn(self, at: InjectionContext, since_s: float) -> None:
         """End the programs after for_s."""
-        if self._toiling and since_s >= self._for_s:
+        if self._processes and since_s >= self._for_s:
             self.end(at)
 
     def end(self, at: InjectionContext) -> None:
         """Kill the programs and remove their files."""
-        for process in self._toiling:
+        for process in self._processes:
             process.kill()
             process.wait()
-        self._toiling.clear()
+        self._processes.clear()
         assert at.config is not None
         for k in range(self._count):
             at.config.with_name(f"toil-{k}").unlink(missing_ok=True)
 
 
-class MemoryPressure(Injector):
+class ProcessUsageMonitor(Injector):
     """Monitor of one process.
 
     It notes the greatest "memory" in MB, and as "writes" the number of writes by the main thread.
@@ -77,7 +79,8 @@ class MemoryPressure(Injector):
     needs = Capabilities.PROCESSES
 
     def __init__(self, name: str) -> None:
-        self._name, self._before = name, 0
+        self._name = name
+        self._before = 0
 
     def begin(self, at: InjectionContext) -> None:
         """Record the number of writes before the fault."""
@@ -85,16 +88,16 @@ class MemoryPressure(Injector):
 
     def turn(self, at: InjectionContext, since_s: float) -> None:
         """Sample ten times a second."""
-        if int(since_s * 60.0) % 6 == 0 and (pid := roster_of(at).pid(self._name)) is not None:
+        if int(since_s * 60.0) % 6 == 0 and (pid := processes_of(at).pid(self._name)) is not None:
             at.notes["memory"] = max(at.notes.get("memory", 0.0), resident_bytes(pid) / _MEGABYTE)
             at.notes["writes"] = float(self._writes(at) - self._before)
 
     def _writes(self, at: InjectionContext) -> int:
-        pid = roster_of(at).pid(self._name)
+        pid = processes_of(at).pid(self._name)
         return 0 if pid is None else writes_of(pid)
 
 
-class NoSpace(Injector):
+class FileSizeLimitOfProcesses(Injector):
     """Limit on the size of every file that the product writes, in bytes.
 
     Writes fail with an OSError, as on a full disk. Root is not needed.
@@ -110,7 +113,7 @@ class NoSpace(Injector):
 
         The channels between the processes are in memory and are not affected.
         """
-        roster = roster_of(at)
+        roster = processes_of(at)
         mission = roster.pid("mission")
         for pid in (mission, roster.pid("pilot"), child_of(mission, MAPPER), child_of(mission, RECORDER)):
             if pid is not None:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from sitl.faults.injectors.base import Depth, InjectionContext, Injector
-from sitl.faults.mavlink_proxy import Late
+from sitl.faults.injectors.base import DepthFrame, InjectionContext, Injector
+from sitl.faults.mavlink_proxy import DelayedItems
 from sitl.world.pose_tracker import PoseRecord
 
 
@@ -15,13 +15,18 @@ class Delayed(Injector):
 
     def __init__(self, trouble: Injector, wait_s: float, name: str) -> None:
         self.needs = trouble.needs
-        self._trouble, self._wait_s, self._name = trouble, wait_s, name
-        self._acts, self._begun_s = Injector(), 0.0
+        self._trouble = trouble
+        self._wait_s = wait_s
+        self._name = name
+        self._acts = Injector()
+        self._begun_s = 0.0
 
     def turn(self, at: InjectionContext, since_s: float) -> None:
         """Begin the fault when it is due, and run its turn."""
         if self._acts is not self._trouble and since_s >= self._wait_s:
-            self._acts, self._begun_s, at.notes[self._name] = self._trouble, since_s, at.now_s
+            self._acts = self._trouble
+            self._begun_s = since_s
+            at.notes[self._name] = at.now_s
             self._trouble.begin(at)
         self._acts.turn(at, since_s - self._begun_s)
 
@@ -29,19 +34,19 @@ class Delayed(Injector):
         """Undo the fault, if it has begun."""
         self._acts.end(at)
 
-    def pose(self, since_s: float, record: PoseRecord) -> Late[PoseRecord]:
+    def pose(self, since_s: float, record: PoseRecord) -> DelayedItems[PoseRecord]:
         """Return the fault's result for a pose."""
         return self._acts.pose(since_s - self._begun_s, record)
 
-    def depth(self, since_s: float, frame: Depth) -> Late[Depth]:
+    def depth(self, since_s: float, frame: DepthFrame) -> DelayedItems[DepthFrame]:
         """Return the fault's result for a depth frame."""
         return self._acts.depth(since_s - self._begun_s, frame)
 
-    def to_autopilot(self, since_s: float, frame: bytes) -> Late[bytes]:
+    def to_autopilot(self, since_s: float, frame: bytes) -> DelayedItems[bytes]:
         """Return the fault's result for a MAVLink frame of the product."""
         return self._acts.to_autopilot(since_s - self._begun_s, frame)
 
-    def to_product(self, since_s: float, frame: bytes) -> Late[bytes]:
+    def to_product(self, since_s: float, frame: bytes) -> DelayedItems[bytes]:
         """Return the fault's result for a MAVLink frame of the autopilot."""
         return self._acts.to_product(since_s - self._begun_s, frame)
 

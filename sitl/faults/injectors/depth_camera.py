@@ -9,22 +9,22 @@ from typing import Any
 
 import numpy as np
 
-from sitl.faults.injectors.base import Capabilities, Depth, InjectionContext, Injector
-from sitl.faults.injectors.obstacle import Furnished, Obstacle
-from sitl.faults.mavlink_proxy import Late
+from sitl.faults.injectors.base import Capabilities, DepthFrame, InjectionContext, Injector
+from sitl.faults.injectors.obstacle import Obstacle, RendererWithObstacle
+from sitl.faults.mavlink_proxy import DelayedItems
 from sitl.geometry.quaternion import yaw_of
 
 Change = Callable[[Any, np.random.Generator], Any]
 HULL_M = 0.20
 
 
-class Dark(Injector):
+class DepthSilence(Injector):
     """No depth frame for a while."""
 
     def __init__(self, for_s: float = 1e9) -> None:
         self._for_s = for_s
 
-    def depth(self, since_s: float, frame: Depth) -> Late[Depth]:
+    def depth(self, since_s: float, frame: DepthFrame) -> DelayedItems[DepthFrame]:
         """Drop the frame until for_s."""
         return [] if since_s < self._for_s else [(0.0, frame)]
 
@@ -33,9 +33,11 @@ class AlteredDepth(Injector):
     """Wrong depth values for a while."""
 
     def __init__(self, change: Change, for_s: float = 1e9) -> None:
-        self._change, self._for_s, self._rng = change, for_s, np.random.default_rng(5)
+        self._change = change
+        self._for_s = for_s
+        self._rng = np.random.default_rng(5)
 
-    def depth(self, since_s: float, frame: Depth) -> Late[Depth]:
+    def depth(self, since_s: float, frame: DepthFrame) -> DelayedItems[DepthFrame]:
         """Change the depth values; time stamp and order stay correct."""
         if since_s >= self._for_s:
             return [(0.0, frame)]
@@ -48,30 +50,31 @@ class LateFrames(Injector):
     def __init__(self, delay_s: float) -> None:
         self._delay_s = delay_s
 
-    def depth(self, since_s: float, frame: Depth) -> Late[Depth]:
+    def depth(self, since_s: float, frame: DepthFrame) -> DelayedItems[DepthFrame]:
         """Delay every frame."""
         return [(self._delay_s, frame)]
 
 
-class Shuffled(Injector):
+class ReorderedFrames(Injector):
     """Every frame twice, and every third one after its successor."""
 
     def __init__(self) -> None:
         self._count = 0
 
-    def depth(self, since_s: float, frame: Depth) -> Late[Depth]:
+    def depth(self, since_s: float, frame: DepthFrame) -> DelayedItems[DepthFrame]:
         """Return the frame again 0.05 s later; delay the first copy of every third one."""
         self._count += 1
         return [(0.35 if self._count % 3 == 0 else 0.0, frame), (0.05, frame)]
 
 
-class Redated(Injector):
+class ShiftedTimestamps(Injector):
     """Time stamps of another clock for a while; images and arrival times are correct."""
 
     def __init__(self, off_s: float, for_s: float = 1e9) -> None:
-        self._off_s, self._for_s = off_s, for_s
+        self._off_s = off_s
+        self._for_s = for_s
 
-    def depth(self, since_s: float, frame: Depth) -> Late[Depth]:
+    def depth(self, since_s: float, frame: DepthFrame) -> DelayedItems[DepthFrame]:
         """Shift the time stamp by off_s."""
         off_s = self._off_s if since_s < self._for_s else 0.0
         return [(0.0, dataclasses.replace(frame, stamp_s=frame.stamp_s + off_s))]
@@ -81,9 +84,9 @@ class FrozenImage(Injector):
     """One image repeated under new time stamps, as a hung sensor sends it."""
 
     def __init__(self) -> None:
-        self._kept: Depth | None = None
+        self._kept: DepthFrame | None = None
 
-    def depth(self, since_s: float, frame: Depth) -> Late[Depth]:
+    def depth(self, since_s: float, frame: DepthFrame) -> DelayedItems[DepthFrame]:
         """Return the first image of the fault with this frame's time stamp."""
         self._kept = self._kept or frame
         return [(0.0, dataclasses.replace(self._kept, stamp_s=frame.stamp_s))]
@@ -118,14 +121,15 @@ def scaled(factor: float) -> Change:
     return lambda depth, _: np.clip(depth * factor, 0, 65535).astype(np.uint16)
 
 
-class Appears(Injector):
+class ObstacleAppears(Injector):
     """A box of a person's size that appears before the hull and stays.
 
     It stands ahead_m from the hull in the direction of travel.
     """
 
     def __init__(self, ahead_m: float, half_m: tuple[float, float, float] = (0.25, 0.35, 1.0)) -> None:
-        self._ahead_m, self._half_m = ahead_m, half_m
+        self._ahead_m = ahead_m
+        self._half_m = half_m
 
     def begin(self, at: InjectionContext) -> None:
         """Add the box where the vehicle is heading now."""
@@ -133,10 +137,10 @@ class Appears(Injector):
         speed = math.hypot(*truth.velocity[:2]) or 1.0
         away = HULL_M + self._ahead_m + self._half_m[0]
         x, y = (truth.position[k] + truth.velocity[k] / speed * away for k in (0, 1))
-        put(at, Obstacle(at.now_s, self._half_m, lambda _: (x, y, self._half_m[2] - 0.1)))
+        add_obstacle(at, Obstacle(at.now_s, self._half_m, lambda _: (x, y, self._half_m[2] - 0.1)))
 
 
-class Approaches(Injector):
+class ObstacleApproaches(Injector):
     """A box that comes towards the hovering vehicle.
 
     The vehicle is commanded to hold. Then the box moves from ahead_m before the camera at speed_mps to the vehicle's position,
@@ -146,7 +150,10 @@ class Approaches(Injector):
     needs = Capabilities.STAGES
 
     def __init__(self, speed_mps: float, ahead_m: float = 3.0, after_s: float = 1.5) -> None:
-        self._speed_mps, self._ahead_m, self._after_s, self._come = speed_mps, ahead_m, after_s, False
+        self._speed_mps = speed_mps
+        self._ahead_m = ahead_m
+        self._after_s = after_s
+        self._come = False
 
     def begin(self, at: InjectionContext) -> None:
         """Command a hold."""
@@ -164,22 +171,23 @@ class Approaches(Injector):
             away = max(self._ahead_m - self._speed_mps * max(now_s - start_s, 0.0), 0.0)
             return px + away * math.cos(yaw), py + away * math.sin(yaw), 0.9
 
-        put(at, Obstacle(start_s, half_m, place))
+        add_obstacle(at, Obstacle(start_s, half_m, place))
 
 
-class Stands(Injector):
+class StaticObstacle(Injector):
     """A box at a fixed position of the world."""
 
     def __init__(self, place: tuple[float, float, float], half_m: tuple[float, float, float]) -> None:
-        self._place, self._half_m = place, half_m
+        self._place = place
+        self._half_m = half_m
 
     def begin(self, at: InjectionContext) -> None:
         """Add the box."""
-        put(at, Obstacle(at.now_s, self._half_m, lambda _: self._place))
+        add_obstacle(at, Obstacle(at.now_s, self._half_m, lambda _: self._place))
 
 
-def put(at: InjectionContext, obstacle: Obstacle) -> None:
+def add_obstacle(at: InjectionContext, obstacle: Obstacle) -> None:
     """Add the obstacle to the camera's view and to the obstacles that the checks measure."""
     camera = at.world.camera
-    camera.renderer = Furnished(camera.renderer, obstacle, lambda: at.now_s)
+    camera.renderer = RendererWithObstacle(camera.renderer, obstacle, lambda: at.now_s)
     at.obstacles.append(obstacle)

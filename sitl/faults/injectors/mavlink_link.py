@@ -9,7 +9,7 @@ from collections.abc import Callable
 from pymavlink.dialects.v20 import common as mavlink
 
 from sitl.faults.injectors.base import Capabilities, InjectionContext, Injector
-from sitl.faults.mavlink_proxy import Late, Tap, frames, message_id
+from sitl.faults.mavlink_proxy import DelayedItems, ProxyInterface, frames, message_id
 
 _COMMAND_LONG, SYS_STATUS = 76, 1
 
@@ -21,18 +21,22 @@ class PacketLoss(Injector):
     """
 
     def __init__(self, way: str, for_s: float = 1e9, share: float = 1.0, seed: int = 0, only: tuple[int, ...] = ()) -> None:
-        self._way, self._for_s, self._share, self._only, self._dice = way, for_s, share, only, random.Random(seed)
+        self._way = way
+        self._for_s = for_s
+        self._share = share
+        self._only = only
+        self._dice = random.Random(seed)
 
-    def _fate(self, way: str, since_s: float, frame: bytes) -> Late[bytes]:
+    def _fate(self, way: str, since_s: float, frame: bytes) -> DelayedItems[bytes]:
         hit = self._way in (way, "both") and since_s < self._for_s
         hit = hit and (not self._only or message_id(frame) in self._only)
         return [] if hit and self._dice.random() < self._share else [(0.0, frame)]
 
-    def to_autopilot(self, since_s: float, frame: bytes) -> Late[bytes]:
+    def to_autopilot(self, since_s: float, frame: bytes) -> DelayedItems[bytes]:
         """Drop the frame with probability share."""
         return self._fate("up", since_s, frame)
 
-    def to_product(self, since_s: float, frame: bytes) -> Late[bytes]:
+    def to_product(self, since_s: float, frame: bytes) -> DelayedItems[bytes]:
         """Drop the frame with probability share."""
         return self._fate("down", since_s, frame)
 
@@ -40,10 +44,11 @@ class PacketLoss(Injector):
 class Unplugged(Injector):
     """A serial line that is unplugged for a while."""
 
-    needs = Capabilities.LINE
+    needs = Capabilities.SERIAL_LINE
 
     def __init__(self, for_s: float) -> None:
-        self._for_s, self._out = for_s, False
+        self._for_s = for_s
+        self._out = False
 
     def begin(self, at: InjectionContext) -> None:
         """Unplug the line."""
@@ -59,13 +64,13 @@ class Unplugged(Injector):
             self._out = False
 
 
-class Refused(Injector):
+class DroppedCommand(Injector):
     """One kind of command that the autopilot never carries out: it is lost on the link."""
 
     def __init__(self, command: int) -> None:
         self._command = command
 
-    def to_autopilot(self, since_s: float, frame: bytes) -> Late[bytes]:
+    def to_autopilot(self, since_s: float, frame: bytes) -> DelayedItems[bytes]:
         """Drop the command.
 
         COMMAND_LONG carries the command number after seven floats.
@@ -78,22 +83,24 @@ class Jitter(Injector):
     """A random delay of every frame for a while, so that some overtake others."""
 
     def __init__(self, max_s: float, for_s: float = 1e9, seed: int = 0) -> None:
-        self._max_s, self._for_s, self._dice = max_s, for_s, random.Random(seed)
+        self._max_s = max_s
+        self._for_s = for_s
+        self._dice = random.Random(seed)
 
-    def to_autopilot(self, since_s: float, frame: bytes) -> Late[bytes]:
+    def to_autopilot(self, since_s: float, frame: bytes) -> DelayedItems[bytes]:
         """Delay the frame by a uniform random time."""
         return [(self._dice.uniform(0.0, self._max_s) if since_s < self._for_s else 0.0, frame)]
 
     to_product = to_autopilot
 
 
-class Repeated(Injector):
+class DuplicatedFrames(Injector):
     """Every frame three times; the copies arrive late, among later frames."""
 
     def __init__(self, late_s: float = 0.5) -> None:
         self._late_s = late_s
 
-    def to_product(self, since_s: float, frame: bytes) -> Late[bytes]:
+    def to_product(self, since_s: float, frame: bytes) -> DelayedItems[bytes]:
         """Return the frame now and twice later."""
         return [(0.0, frame), (0.3 * self._late_s, frame), (self._late_s, frame)]
 
@@ -104,9 +111,10 @@ class Corrupted(Injector):
     """One wrong byte in a share of the frames."""
 
     def __init__(self, share: float, seed: int = 0) -> None:
-        self._share, self._dice = share, random.Random(seed)
+        self._share = share
+        self._dice = random.Random(seed)
 
-    def to_product(self, since_s: float, frame: bytes) -> Late[bytes]:
+    def to_product(self, since_s: float, frame: bytes) -> DelayedItems[bytes]:
         """Change one byte at any position, the start byte included."""
         if self._dice.random() >= self._share:
             return [(0.0, frame)]
@@ -121,24 +129,27 @@ class Garbage(Injector):
     """Random bytes inserted into what the product reads."""
 
     def __init__(self, bytes_per_s: int, for_s: float) -> None:
-        self._per_s, self._for_s, self._before_s = bytes_per_s, for_s, 0.0
+        self._per_s = bytes_per_s
+        self._for_s = for_s
+        self._before_s = 0.0
 
     def turn(self, at: InjectionContext, since_s: float) -> None:
         """Insert the bytes of this turn."""
         if since_s < self._for_s:
             count = int(self._per_s * (since_s - self._before_s))
-            proxy_of(at).forge(at.dice.randbytes(count))
+            proxy_of(at).inject_to_product(at.dice.randbytes(count))
         self._before_s = since_s
 
 
-class Forger(Injector):
+class SpoofedSystem(Injector):
     """A sender on the link that pretends to be a system.
 
     It sends heartbeats in other modes and disarmed, false poses, and commands to the product.
     """
 
     def __init__(self, system: int, component: int = 1, for_s: float = 10.0, version_1: bool = False) -> None:
-        self._for_s, self._voice = for_s, mavlink.MAVLink(None, system, component)
+        self._for_s = for_s
+        self._voice = mavlink.MAVLink(None, system, component)
         self._version_1 = version_1
 
     def turn(self, at: InjectionContext, since_s: float) -> None:
@@ -155,7 +166,7 @@ class Forger(Injector):
             mavlink.MAVLink_command_long_message(245, 191, 185, 0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
             mavlink.MAVLink_sys_status_message(0, 0, 0, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0),
         ):
-            proxy_of(at).forge(bytes(message.pack(self._voice, force_mavlink1=self._version_1)))
+            proxy_of(at).inject_to_product(bytes(message.pack(self._voice, force_mavlink1=self._version_1)))
 
 
 class SecondAutopilot(Injector):
@@ -169,8 +180,12 @@ class SecondAutopilot(Injector):
     OURS, PILOTS, LANDING = (6 << 16, 4), (3 << 16, 5), (6 << 24 | 4 << 16, 9)
 
     def __init__(self, modes: tuple[int, int], armed: bool = True, for_s: float = 10.0, briefly: bool = False) -> None:
-        self._modes, self._armed, self._for_s, self._briefly = modes, armed, for_s, briefly
-        self._voice, self._turns = mavlink.MAVLink(None, 1, 1), 0
+        self._modes = modes
+        self._armed = armed
+        self._for_s = for_s
+        self._briefly = briefly
+        self._voice = mavlink.MAVLink(None, 1, 1)
+        self._turns = 0
         self._heartbeat: mavlink.MAVLink_message | None = None
 
     def begin(self, at: InjectionContext) -> None:
@@ -196,22 +211,23 @@ class SecondAutopilot(Injector):
 
     def _say(self, at: InjectionContext, message: mavlink.MAVLink_message | None) -> None:
         assert message is not None
-        proxy_of(at).forge(bytes(message.pack(self._voice)))
+        proxy_of(at).inject_to_product(bytes(message.pack(self._voice)))
         self._voice.seq = (self._voice.seq + 1) % 256
 
 
-class Rewritten(Injector):
+class RewrittenFrames(Injector):
     """Frames of one kind from the autopilot that a function rewrites."""
 
     def __init__(self, kind: int, change: Callable[[bytes], bytes]) -> None:
-        self._kind, self._change = kind, change
+        self._kind = kind
+        self._change = change
 
-    def to_product(self, since_s: float, frame: bytes) -> Late[bytes]:
+    def to_product(self, since_s: float, frame: bytes) -> DelayedItems[bytes]:
         """Rewrite frames of this kind; return the others unchanged."""
         return [(0.0, self._change(frame) if message_id(frame) == self._kind else frame)]
 
 
-class Gauge(Injector):
+class FalseBatteryCharge(Injector):
     """False battery charge in SYS_STATUS during some intervals.
 
     spells: from and until (s) and the charge, 0 to 1; NaN for unknown.
@@ -220,7 +236,7 @@ class Gauge(Injector):
     def __init__(self, *spells: tuple[float, float, float]) -> None:
         self._spells = spells
 
-    def to_product(self, since_s: float, frame: bytes) -> Late[bytes]:
+    def to_product(self, since_s: float, frame: bytes) -> DelayedItems[bytes]:
         """Change the charge, and keep the sequence number of the frame.
 
         With another number, the frame would be taken for a late one.
@@ -245,7 +261,7 @@ def version(major: int, minor: int, patch: int) -> Callable[[bytes], bytes]:
     return change
 
 
-def proxy_of(at: InjectionContext) -> Tap:
+def proxy_of(at: InjectionContext) -> ProxyInterface:
     """Return the link's proxy, which the fault director keeps in the injection context."""
     assert at.proxy is not None
     return at.proxy

@@ -44,14 +44,16 @@ class Obstacle:
         return np.where(stamps_s >= self.since_s, np.hypot(flat, gap[:, 2]), math.inf)
 
 
-class Furnished:
+class RendererWithObstacle:
     """Renderer of a scene with an obstacle added; it replaces the scene's own renderer."""
 
     def __init__(self, scene: CameraView, obstacle: Obstacle, now_s: Callable[[], float]) -> None:
         low, high = tuple(-h for h in obstacle.half_m), obstacle.half_m
         box = MeshBuilder(fine=False).box((low[0], low[1], low[2]), high, plain((0.7, 0.3, 0.2)))
-        self._scene, self._box = scene, Renderer(box.vertices, box.faces, box.rgb)
-        self._obstacle, self._now_s = obstacle, now_s
+        self._scene = scene
+        self._box = Renderer(box.vertices, box.faces, box.rgb)
+        self._obstacle = obstacle
+        self._now_s = now_s
 
     def render(
         self, world_from_camera: F64, spec: CameraSpec, near_m: float = 0.05, far_m: float = math.inf, colour: bool = True

@@ -47,17 +47,18 @@ class GroundStation(Injector):
     """
 
     def __init__(self, system: int = 255) -> None:
-        self._voice, self._next_s = mavlink.MAVLink(None, system, 190), 0.0
+        self._voice = mavlink.MAVLink(None, system, 190)
+        self._next_s = 0.0
 
     def turn(self, at: InjectionContext, since_s: float) -> None:
         """Send one heartbeat a second, by default from the usual system id of ground stations."""
         if since_s >= self._next_s:
             self._next_s += 1.0
             beat = mavlink.MAVLink_heartbeat_message(mavlink.MAV_TYPE_GCS, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, 4, 3)
-            proxy_of(at).forge(bytes(beat.pack(self._voice)))
+            proxy_of(at).inject_to_product(bytes(beat.pack(self._voice)))
 
 
-def acts_after(e: FlightEvidence) -> float:
+def return_delay(e: FlightEvidence) -> float:
     """Return the seconds from the operator's last query to the return message or to a landing."""
     last_s = e.notes.get(ATTENDED, math.inf)
     said = [stamp_s for stamp_s in e.reported_s((OPERATOR_LOST_RETURNING,)) if stamp_s >= last_s]
@@ -75,7 +76,7 @@ def warnings(e: FlightEvidence) -> float:
     return float(len(e.reported_s(NO_OPERATOR)))
 
 
-def astray(after_s: float) -> Measure:
+def detour_on_return(after_s: float) -> Measure:
     """Return a measure of the detour on the way home.
 
     It is the horizontal distance flown (m) beyond the straight line to the pad, from after_s after the operator's last query

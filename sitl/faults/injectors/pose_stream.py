@@ -9,7 +9,7 @@ from collections.abc import Callable
 import numpy as np
 
 from sitl.faults.injectors.base import Injector
-from sitl.faults.mavlink_proxy import Late
+from sitl.faults.mavlink_proxy import DelayedItems
 from sitl.geometry.quaternion import from_yaw, multiply
 from sitl.world.pose_tracker import PoseRecord
 
@@ -22,7 +22,7 @@ class PoseSilence(Injector):
     def __init__(self, for_s: float = 1e9) -> None:
         self._for_s = for_s
 
-    def pose(self, since_s: float, record: PoseRecord) -> Late[PoseRecord]:
+    def pose(self, since_s: float, record: PoseRecord) -> DelayedItems[PoseRecord]:
         """Drop the pose until for_s."""
         return [] if since_s < self._for_s else [(0.0, record)]
 
@@ -31,9 +31,12 @@ class AlteredPoses(Injector):
     """Wrong poses between two times, up to count of them."""
 
     def __init__(self, change: Change, from_s: float = 0.0, for_s: float = 1e9, count: int = 1 << 30) -> None:
-        self._change, self._from_s, self._until_s, self._left = change, from_s, from_s + for_s, count
+        self._change = change
+        self._from_s = from_s
+        self._until_s = from_s + for_s
+        self._left = count
 
-    def pose(self, since_s: float, record: PoseRecord) -> Late[PoseRecord]:
+    def pose(self, since_s: float, record: PoseRecord) -> DelayedItems[PoseRecord]:
         """Change the pose while the fault lasts."""
         if not self._from_s <= since_s < self._until_s or self._left <= 0:
             return [(0.0, record)]
@@ -45,9 +48,10 @@ class ThinnedPoses(Injector):
     """At most rate_hz poses a second."""
 
     def __init__(self, rate_hz: float) -> None:
-        self._period_s, self._next_s = 1.0 / rate_hz, 0.0
+        self._period_s = 1.0 / rate_hz
+        self._next_s = 0.0
 
-    def pose(self, since_s: float, record: PoseRecord) -> Late[PoseRecord]:
+    def pose(self, since_s: float, record: PoseRecord) -> DelayedItems[PoseRecord]:
         """Drop the poses in between."""
         if since_s < self._next_s:
             return []
@@ -61,7 +65,7 @@ class LatePoses(Injector):
     def __init__(self, delay_s: float) -> None:
         self._delay_s = delay_s
 
-    def pose(self, since_s: float, record: PoseRecord) -> Late[PoseRecord]:
+    def pose(self, since_s: float, record: PoseRecord) -> DelayedItems[PoseRecord]:
         """Delay the pose; its time stamp is correct."""
         return [(self._delay_s, record)]
 
@@ -114,13 +118,13 @@ class FrozenPose(Injector):
     def __init__(self) -> None:
         self._stamp_s = math.nan
 
-    def pose(self, since_s: float, record: PoseRecord) -> Late[PoseRecord]:
+    def pose(self, since_s: float, record: PoseRecord) -> DelayedItems[PoseRecord]:
         """Replace the time stamp; the position is correct."""
         self._stamp_s = record.stamp_s if math.isnan(self._stamp_s) else self._stamp_s
         return [(0.0, dataclasses.replace(record, stamp_s=self._stamp_s))]
 
 
-def spoilt(kind: str) -> Change:
+def invalid(kind: str) -> Change:
     """Return a change that makes a field invalid.
 
     kind: "nan place", "inf place", "nan turn", "zero turn", "long turn", "nan variance" or "nan stamp".

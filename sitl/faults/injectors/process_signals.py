@@ -23,11 +23,13 @@ class ProcessStopped(Injector):
     needs = Capabilities.PROCESSES
 
     def __init__(self, name: str, for_s: float) -> None:
-        self._name, self._for_s, self._stopped = name, for_s, False
+        self._name = name
+        self._for_s = for_s
+        self._stopped = False
 
     def begin(self, at: InjectionContext) -> None:
         """Stop the process."""
-        roster_of(at).send(self._name, signal.SIGSTOP)
+        processes_of(at).send(self._name, signal.SIGSTOP)
         self._stopped = True
 
     def turn(self, at: InjectionContext, since_s: float) -> None:
@@ -38,7 +40,7 @@ class ProcessStopped(Injector):
     def end(self, at: InjectionContext) -> None:
         """Continue the process, if it is still stopped."""
         if self._stopped:
-            roster_of(at).send(self._name, signal.SIGCONT)
+            processes_of(at).send(self._name, signal.SIGCONT)
             self._stopped = False
 
 
@@ -48,19 +50,21 @@ class ProcessKilled(Injector):
     needs = Capabilities.PROCESSES
 
     def __init__(self, *names: str, for_s: float = 1e9) -> None:
-        self._names, self._for_s, self._down = names, for_s, False
+        self._names = names
+        self._for_s = for_s
+        self._down = False
 
     def begin(self, at: InjectionContext) -> None:
         """Kill all of them at once."""
-        roster_of(at).keep_down(self._names)
+        processes_of(at).block_restart(self._names)
         self._down = True
         for name in self._names:
-            roster_of(at).send(name, signal.SIGKILL)
+            processes_of(at).send(name, signal.SIGKILL)
 
     def turn(self, at: InjectionContext, since_s: float) -> None:
         """Allow the supervisor to restart them after for_s."""
         if self._down and since_s >= self._for_s:
-            roster_of(at).keep_down(())
+            processes_of(at).block_restart(())
             self._down = False
 
 
@@ -77,12 +81,12 @@ class ProcessTerminated(Injector):
 
     def begin(self, at: InjectionContext) -> None:
         """Send SIGTERM and prevent a restart."""
-        roster_of(at).keep_down((self._name,))
-        roster_of(at).send(self._name, signal.SIGTERM)
+        processes_of(at).block_restart((self._name,))
+        processes_of(at).send(self._name, signal.SIGTERM)
 
     def turn(self, at: InjectionContext, since_s: float) -> None:
         """Note the exit code, once the process has ended."""
-        for ended in roster_of(at).exits():
+        for ended in processes_of(at).exits():
             if ended.name == self._name and "exit code" not in at.notes:
                 at.notes["exit code"] = float(ended.code)
                 at.notes["ended armed"] = float(at.world.flyer.truth().armed)
@@ -126,18 +130,20 @@ class ChildProcessSignalled(Injector):
 
         word: word in the child's command line.
         """
-        self._word, self._number, self._pid = word, number, cast("int | None", None)
+        self._word = word
+        self._number = number
+        self._pid = cast("int | None", None)
 
     def begin(self, at: InjectionContext) -> None:
         """Send the signal."""
-        self._pid = child_of(roster_of(at).pid("mission"), self._word)
+        self._pid = child_of(processes_of(at).pid("mission"), self._word)
         send(self._pid, self._number)
 
     def turn(self, at: InjectionContext, since_s: float) -> None:
         """Look for a replacement ten times a second."""
         if self._pid is None or "replaced" in at.notes or int(since_s * 60.0) % 6:
             return
-        other = child_of(roster_of(at).pid("mission"), self._word)
+        other = child_of(processes_of(at).pid("mission"), self._word)
         if other not in (None, self._pid):
             at.notes["replaced"] = since_s
 
@@ -146,7 +152,7 @@ class ChildProcessSignalled(Injector):
         send(self._pid, signal.SIGCONT)
 
 
-def roster_of(at: InjectionContext) -> ProcessRegistry:
+def processes_of(at: InjectionContext) -> ProcessRegistry:
     """Return the processes of the flight. Only a real-time flight has them."""
     assert at.roster is not None
     return at.roster

@@ -13,10 +13,11 @@ class Push(Injector):
     The accelerometer measures it.
     """
 
-    needs = Capabilities.INSIDES
+    needs = Capabilities.SIMULATOR_ACCESS
 
     def __init__(self, acceleration_mps2: float, for_s: float) -> None:
-        self._force, self._for_s = acceleration_mps2, for_s
+        self._force = acceleration_mps2
+        self._for_s = for_s
         self._along = (0.0, 0.0)
 
     def begin(self, at: InjectionContext) -> None:
@@ -28,16 +29,16 @@ class Push(Injector):
     def turn(self, at: InjectionContext, since_s: float) -> None:
         """Apply the force until for_s."""
         force = self._force if since_s <= self._for_s else 0.0
-        at.world.autopilot.vehicle.outside_mps2 = (self._along[0] * force, self._along[1] * force, 0.0)
+        at.world.autopilot.vehicle.external_acceleration_mps2 = (self._along[0] * force, self._along[1] * force, 0.0)
 
 
-class Dragged(Injector):
+class SidewaysForce(Injector):
     """A force that moves the vehicle sideways and keeps it there until it is down.
 
     y_m: the y coordinate in the world to which it is moved. The force is as strong as needed, up to _MAX_MPS2 per unit of mass.
     """
 
-    needs = Capabilities.INSIDES
+    needs = Capabilities.SIMULATOR_ACCESS
     _PER_S, _FASTEST_MPS, _STIFF_PER_S, _MAX_MPS2, _DOWN_M = 2.0, 0.8, 25.0, 15.0, 0.2
 
     def __init__(self, y_m: float) -> None:
@@ -49,17 +50,17 @@ class Dragged(Injector):
         wanted_mps = min(max(self._PER_S * (self._y_m - y_m), -self._FASTEST_MPS), self._FASTEST_MPS)
         force = min(max(self._STIFF_PER_S * (wanted_mps - vy_mps), -self._MAX_MPS2), self._MAX_MPS2)
         force = force if z_m > self._DOWN_M else 0.0
-        at.world.autopilot.vehicle.outside_mps2 = (0.0, force, 0.0)
+        at.world.autopilot.vehicle.external_acceleration_mps2 = (0.0, force, 0.0)
 
 
-class HeldDown(Injector):
+class WeakRotors(Injector):
     """Rotors that cannot lift the vehicle: it is three times too heavy."""
 
-    needs = Capabilities.INSIDES
+    needs = Capabilities.SIMULATOR_ACCESS
 
     def begin(self, at: InjectionContext) -> None:
         """Weaken the rotors for the rest of the flight."""
-        at.world.autopilot.vehicle.weaken(1.0 / 3.0)
+        at.world.autopilot.vehicle.set_thrust_ratio(1.0 / 3.0)
 
 
 class Takeover(Injector):
@@ -68,42 +69,45 @@ class Takeover(Injector):
     modes: the name of the same mode in each firmware.
     """
 
-    needs = Capabilities.STICKS
+    needs = Capabilities.RC_TRANSMITTER
 
     def __init__(self, *modes: str, later_s: float = 0.0) -> None:
-        self._modes, self._later_s, self._done = modes, later_s, False
+        self._modes = modes
+        self._later_s = later_s
+        self._done = False
 
     def turn(self, at: InjectionContext, since_s: float) -> None:
         """Switch once."""
         if not self._done and since_s >= self._later_s:
-            self._done, at.notes[TAKEN_OVER] = True, at.now_s
+            self._done = True
+            at.notes[TAKEN_OVER] = at.now_s
             switch(at, self._modes)
 
 
 class Reboot(Injector):
     """A reboot of the autopilot in the air."""
 
-    needs = Capabilities.INSIDES
+    needs = Capabilities.SIMULATOR_ACCESS
 
     def begin(self, at: InjectionContext) -> None:
         """Reboot once."""
         at.world.autopilot.reboot()
 
 
-class Unnoticed(Injector):
+class LandDetectorFailed(Injector):
     """A landing that is not detected: a slope, a rug, a failed land detector."""
 
-    needs = Capabilities.INSIDES
+    needs = Capabilities.SIMULATOR_ACCESS
 
     def begin(self, at: InjectionContext) -> None:
         """Disable the land detector for the rest of the flight."""
-        at.world.autopilot.lose_land_detector()
+        at.world.autopilot.disable_land_detector()
 
 
 class TransmitterLost(Injector):
     """Loss of the pilot's transmitter signal."""
 
-    needs = Capabilities.INSIDES
+    needs = Capabilities.SIMULATOR_ACCESS
 
     def begin(self, at: InjectionContext) -> None:
         """Disable the signal for the rest of the flight."""
@@ -113,10 +117,11 @@ class TransmitterLost(Injector):
 class BatteryDrain(Injector):
     """A charge that falls to a fraction at once, and then by per_s each second."""
 
-    needs = Capabilities.INSIDES
+    needs = Capabilities.SIMULATOR_ACCESS
 
     def __init__(self, fraction: float, per_s: float = 0.0) -> None:
-        self._fraction, self._per_s = fraction, per_s
+        self._fraction = fraction
+        self._per_s = per_s
 
     def turn(self, at: InjectionContext, since_s: float) -> None:
         """Set the charge."""
@@ -129,7 +134,7 @@ class Parameter(Injector):
     values: name and value in each firmware.
     """
 
-    needs = Capabilities.INSIDES
+    needs = Capabilities.SIMULATOR_ACCESS
 
     def __init__(self, *values: tuple[str, float]) -> None:
         self._values = values

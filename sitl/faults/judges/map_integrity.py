@@ -37,7 +37,8 @@ class MapIntegrityCheck(Injector):
         """Without what the last frames of before showed to be free."""
         free = _known_free(at) if since_s >= UNDER_WAY_S and not self._settled else None
         if free is not None and self._walls is not None:
-            self._settled, self._walls = True, self._walls & ~free[: self._walls.size].reshape(self._walls.shape)
+            self._settled = True
+            self._walls = self._walls & ~free[: self._walls.size].reshape(self._walls.shape)
 
     def end(self, at: InjectionContext) -> None:
         """Against what is known now."""
@@ -72,7 +73,8 @@ class Tally(Injector):
     needs = Capabilities.STAGES
 
     def __init__(self) -> None:
-        self._sequence, self._seen = -1, set[bytes]()
+        self._sequence = -1
+        self._seen = set[bytes]()
 
     def begin(self, at: InjectionContext) -> None:
         """None so far."""

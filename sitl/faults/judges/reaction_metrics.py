@@ -262,25 +262,25 @@ def speed_from(late_s: float) -> Measure:
 
 def clearance(e: FlightEvidence) -> float:
     """Least true clearance (m) to the scene and to what appeared in it."""
-    return min(e.clearance_m, e.box_m)
+    return min(e.clearance_m, e.min_obstacle_distance_m)
 
 
 def lands_beside(e: FlightEvidence) -> float:
     """Least metres between the hull and what appeared, while it comes down; -inf for never."""
     down = e.landing & e.armed
-    return float(e.boxes_m[down].min()) if down.any() else -math.inf
+    return float(e.obstacle_distance_m[down].min()) if down.any() else -math.inf
 
 
 def stopped_short(e: FlightEvidence) -> float:
     """Least metres to what appeared until the vehicle first rests after it did; -inf if it never does."""
     rest_s = e.since(np.linalg.norm(e.velocity_mps, axis=1) < _RESTING_MPS, e.onset_s)
     until = (e.stamp_s >= e.onset_s) & (e.stamp_s <= e.onset_s + rest_s)
-    return float(e.boxes_m[until].min(initial=math.inf)) if rest_s < math.inf else -math.inf
+    return float(e.obstacle_distance_m[until].min(initial=math.inf)) if rest_s < math.inf else -math.inf
 
 
 def overshoot(e: FlightEvidence) -> float:
     """Farthest (m) out of the fence, of the vehicle's middle."""
-    airborne = e.position_m[e.armed & e.answered_for]
+    airborne = e.position_m[e.armed & e.product_responsible]
     if not len(airborne):
         return 0.0
     return float(max(np.maximum(e.limits.fence_min_m - airborne, airborne - e.limits.fence_max_m).max(), 0.0))

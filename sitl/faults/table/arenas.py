@@ -12,7 +12,7 @@ import numpy as np
 from sitl.faults.judges.gap_passage import Gap
 from sitl.scene.mesh import Mesh, joined
 from sitl.scene.primitives import MeshBuilder
-from sitl.scene.scene import Scene, place
+from sitl.scene.scene import Scene, scene_from_mesh
 from sitl.scene.texture import plain, wood
 
 LENGTH_M, WIDTH_M, HEIGHT_M = 10.0, 7.0, 2.8
@@ -31,7 +31,7 @@ def arena(name: str, radius_m: float, painted: bool = False) -> Scene:
     pushed. painted: for a camera that sees colour; a second.
     """
     pieces = {"hall": _hall, "pen": _yard, "stage": _stage, "corridor": _corridor, "gallery": _gallery}[name]
-    scene = place(name, joined(pieces(MeshBuilder(fine=False))), START, PEN if name == "pen" else None, radius_m)
+    scene = scene_from_mesh(name, joined(pieces(MeshBuilder(fine=False))), START, PEN if name == "pen" else None, radius_m)
     if not painted:
         return scene
     fine = joined(pieces(MeshBuilder()))

@@ -7,29 +7,29 @@ from signal import SIGSTOP
 
 from sitl.faults import reason_codes as codes
 from sitl.faults.fault import Onset
-from sitl.faults.injectors.companion import Abort, DiskFull, Madness
-from sitl.faults.injectors.cpu_and_disk_load import NoSpace
-from sitl.faults.injectors.depth_camera import Stands
+from sitl.faults.injectors.companion import Abort, FileSizeLimit, HostilePlannerMarker
+from sitl.faults.injectors.cpu_and_disk_load import FileSizeLimitOfProcesses
+from sitl.faults.injectors.depth_camera import StaticObstacle
 from sitl.faults.injectors.mavlink_link import (
     SYS_STATUS,
-    Forger,
-    Gauge,
+    DroppedCommand,
+    FalseBatteryCharge,
     PacketLoss,
-    Refused,
-    Rewritten,
+    RewrittenFrames,
     SecondAutopilot,
+    SpoofedSystem,
     version,
 )
 from sitl.faults.injectors.process_signals import RECORDER, ChildProcessSignalled
 from sitl.faults.injectors.vehicle_and_autopilot import (
     BatteryDrain,
-    Dragged,
-    HeldDown,
+    LandDetectorFailed,
     Parameter,
     Push,
+    SidewaysForce,
     Takeover,
     TransmitterLost,
-    Unnoticed,
+    WeakRotors,
 )
 from sitl.faults.judges import reaction_metrics as m
 from sitl.faults.judges.battery_return import reserve, turned_at
@@ -83,7 +83,7 @@ TABLE_E = (
             Limit("stream ends", m.streams_after, 0.3, "s"),
         ),
         onset=ANY,
-        longest_s=12.0,
+        observe_s=12.0,
         times=3,
     ),
     Scenario(
@@ -97,7 +97,7 @@ TABLE_E = (
             Limit("stream ends", m.streams_after, 0.5, "s"),
         ),
         onset=ANY,
-        longest_s=15.0,
+        observe_s=15.0,
     ),
     Scenario(
         "E2",
@@ -110,7 +110,7 @@ TABLE_E = (
             Limit("turns in another mode", m.mode_lost, 0.0, ""),
         ),
         onset=FAST,
-        longest_s=12.0,
+        observe_s=12.0,
     ),
     Scenario(
         "E3",
@@ -123,9 +123,9 @@ TABLE_E = (
         "E4",
         "forged commands",
         "another system, another component, MAVLink 1: modes, disarm, terminate, positions",
-        lambda n: [Forger(*((42, 1), (1, 77), (245, 191), (1, 1))[n % 4], version_1=n % 4 == 3)],
+        lambda n: [SpoofedSystem(*((42, 1), (1, 77), (245, 191), (1, 1))[n % 4], version_1=n % 4 == 3)],
         (NO_FAILSAFE, COMPLETES, told(*codes.INTRUDERS, within_s=1.0)),
-        longest_s=180.0,
+        observe_s=180.0,
         views=SHORT_VIEWS,
     ),
     Scenario(
@@ -134,7 +134,7 @@ TABLE_E = (
         "another with the vehicle's own name speaks for 10 s: in our mode, with motors and without",
         lambda n: [SecondAutopilot(SecondAutopilot.OURS, armed=n % 2 == 0)],
         (holds(1.0), told(codes.TWO_AUTOPILOTS, within_s=1.0), NO_FAILSAFE, COMPLETES),
-        longest_s=180.0,
+        observe_s=180.0,
         views=SHORT_VIEWS,
     ),
     Scenario(
@@ -143,7 +143,7 @@ TABLE_E = (
         "another with the vehicle's own name says for 10 s, and for 0.1 s, that a pilot flies it",
         lambda n: [SecondAutopilot(SecondAutopilot.PILOTS, briefly=n % 2 == 1)],
         (told(codes.TWO_AUTOPILOTS, codes.MODE_CHANGED, within_s=1.0), lands(5.0), down(30.0)),
-        longest_s=45.0,
+        observe_s=45.0,
     ),
     Scenario(
         "E4d",
@@ -151,7 +151,7 @@ TABLE_E = (
         "another with the vehicle's own name says for 10 s, and for 0.1 s, that it lands",
         lambda n: [SecondAutopilot(SecondAutopilot.LANDING, briefly=n % 2 == 1)],
         (told(codes.TWO_AUTOPILOTS, codes.AUTOPILOT_LANDS, within_s=1.0), holds(1.0), down(120.0)),
-        longest_s=120.0,
+        observe_s=120.0,
         views=SHORT_VIEWS,
     ),
     Scenario(
@@ -165,16 +165,16 @@ TABLE_E = (
             NO_FAILSAFE,
             down(160.0),  # a flight that a single jump rightly does not end takes so long
         ),
-        longest_s=160.0,
+        observe_s=160.0,
         views=SHORT_VIEWS,
     ),
     Scenario(
         "E5b",
         "battery's gauge slips",
         "six times for 2 s it says 20 % less, down to 20 %; nothing; 24 %",
-        lambda n: [Gauge(*((5.0 * k, 5.0 * k + 2.0, (0.20, 0.0, 0.24)[n % 3]) for k in range(6)))],
+        lambda n: [FalseBatteryCharge(*((5.0 * k, 5.0 * k + 2.0, (0.20, 0.0, 0.24)[n % 3]) for k in range(6)))],
         (Limit("ended for the battery", m.ended_for(*codes.BATTERY), 0.0, ""), COMPLETES, NO_FAILSAFE),
-        longest_s=180.0,
+        observe_s=180.0,
         views=SHORT_VIEWS,
     ),
     Scenario(
@@ -182,12 +182,14 @@ TABLE_E = (
         "battery's gauge is lost",
         "it says that it does not know; nothing of it comes; it says full where it was at 60 %",
         lambda n: [
-            (Gauge((0.0, 1e9, math.nan)), PacketLoss("down", only=(SYS_STATUS,)), Gauge((0.0, 5.0, 0.6), (5.0, 1e9, 1.0)))[
-                n % 3
-            ]
+            (
+                FalseBatteryCharge((0.0, 1e9, math.nan)),
+                PacketLoss("down", only=(SYS_STATUS,)),
+                FalseBatteryCharge((0.0, 5.0, 0.6), (5.0, 1e9, 1.0)),
+            )[n % 3]
         ],
         (down(60.0), RETURNS),
-        longest_s=180.0,
+        observe_s=180.0,
     ),
     Scenario(
         "E5d",
@@ -202,7 +204,7 @@ TABLE_E = (
         ),
         onset=AT_BOOT,
         arena="gallery",
-        longest_s=330.0,
+        observe_s=330.0,
         views=120,
         variant="explore",
     ),
@@ -210,7 +212,7 @@ TABLE_E = (
         "E6",
         "arming refused",
         "arm commands have no effect",
-        lambda n: [Refused(_ARM)],
+        lambda n: [DroppedCommand(_ARM)],
         (
             NEVER_ARMED,
             NO_FORCE,
@@ -219,34 +221,34 @@ TABLE_E = (
             Limit("reason told", statustext_after_arming(codes.ARMING_GIVEN_UP), 20.0, "s"),
         ),
         onset=AT_BOOT,
-        longest_s=60.0,
+        observe_s=60.0,
     ),
     Scenario(
         "E7",
         "take-off fails",
         "it cannot lift itself",
-        lambda n: [HeldDown()],
+        lambda n: [WeakRotors()],
         (Limit("motors ran", m.motors_ran, 6.0, "s"), Limit("arm commands", m.arm_tries, 1.0, "")),
         onset=AT_BOOT,
-        longest_s=90.0,
+        observe_s=90.0,
     ),
     Scenario(
         "E8",
         "pad occupied",
         "a box stands on the pad when it comes home",
-        lambda n: [Stands((0.0, 0.0, 0.1), (0.25, 0.25, 0.2))],
+        lambda n: [StaticObstacle((0.0, 0.0, 0.1), (0.25, 0.25, 0.2))],
         (Limit("lands beside the box", m.lands_beside, 0.30, "m", at_least=True), clear(0.10), down(180.0), NO_FAILSAFE),
         onset=Onset(speed_mps=0.0, away_m=2.0),
-        longest_s=180.0,
+        observe_s=180.0,
         views=22,
     ),
     Scenario(
         "E9",
         "landing never noticed",
         "motors do not stop on the floor",
-        lambda n: [Unnoticed(), Abort()],
+        lambda n: [LandDetectorFailed(), Abort()],
         (Limit("alert", statustext_on_floor(codes.LANDING_NOT_ENDING), 15.0, "s"), NO_FORCE),
-        longest_s=25.0,
+        observe_s=25.0,
     ),
     Scenario(
         "E10",
@@ -269,8 +271,8 @@ TABLE_F = (
         "planner gone mad",
         "hostile trajectories at 30 Hz: NaN, far, fast, outside, other epochs, other times",
         bars=(STREAMS, NO_FAILSAFE, clear(0.10), lands(25.0), down(40.0)),
-        longest_s=45.0,
-        injectors=lambda n: [Madness()],
+        observe_s=45.0,
+        injectors=lambda n: [HostilePlannerMarker()],
         times=3,
     ),
     Scenario(
@@ -285,13 +287,13 @@ TABLE_F = (
         ),
         arena="pen",
         onset=FAST,
-        longest_s=15.0,
+        observe_s=15.0,
     ),
     Scenario(
         "F2b",
         "pushed out and kept there",
         "as much as it takes to hold it 0.2 m outside the fence, until it is down, in a pen inside the hall",
-        lambda n: [Dragged(PEN[4] - START[1] + 0.25)],
+        lambda n: [SidewaysForce(PEN[4] - START[1] + 0.25)],
         (
             Limit("landing mode after leaving", m.landing_after_leaving, 3.5, "s"),
             # refused for so long, the mission may ask for it before the fence does
@@ -310,16 +312,16 @@ TABLE_F = (
         lambda n: [PacketLoss("up", only=(_ORIGIN,))],
         (NEVER_ARMED,),
         onset=AT_BOOT,
-        longest_s=20.0,
+        observe_s=20.0,
     ),
     Scenario(
         "F5",
         "way home closed",
         "a wall stands across the hall behind it, and the battery is low",
-        lambda n: [Stands((2.0, 0.0, 1.4), (0.1, 3.5, 1.5)), BatteryDrain(0.24)],
+        lambda n: [StaticObstacle((2.0, 0.0, 1.4), (0.1, 3.5, 1.5)), BatteryDrain(0.24)],
         (clear(0.05), Limit("landing mode after its last stop", m.landing_after_a_stop, 5.0, "s"), down(90.0)),
-        onset=Onset((8.0, 12.0), seeing=True, away_m=4.5),
-        longest_s=100.0,
+        onset=Onset((8.0, 12.0), needs_view_ahead=True, away_m=4.5),
+        observe_s=100.0,
         room=Room(clear_m=0.05),  # no contact; where pictures are not believed at first it feels its way back to 0.09 m
     ),
     Scenario(
@@ -335,7 +337,7 @@ TABLE_F = (
         ),
         arena="corridor",
         onset=AT_BOOT,
-        longest_s=300.0,
+        observe_s=300.0,
         views=46,
         radii_m=(0.25, 0.20),
         variant="explore",  # whose views are not spent on the surface of the first room
@@ -353,18 +355,18 @@ TABLE_G = (
         "G2",
         "disk full",
         "no file grows any more, from the climb on",
-        lambda n: [DiskFull()],
+        lambda n: [FileSizeLimit()],
         (NO_FAILSAFE, STREAMS, COMPLETES),
-        longest_s=180.0,
+        observe_s=180.0,
         views=SHORT_VIEWS,
-        live=lambda n: [NoSpace()],
+        live=lambda n: [FileSizeLimitOfProcesses()],
     ),
     Scenario(
         "G3",
         "viewer slow or dead",
         "SIGSTOP to the recorder, which alone speaks with one",
         bars=(NO_FAILSAFE, STREAMS, STEADY, COMPLETES),
-        longest_s=180.0,
+        observe_s=180.0,
         views=SHORT_VIEWS,
         why="the recorder is a process: flown in real time",
         live=lambda n: [ChildProcessSignalled(RECORDER, SIGSTOP)],
@@ -377,7 +379,7 @@ TABLE_G = (
         lambda n: [Parameter(*PARAMETERS[n % len(PARAMETERS)])],
         (NEVER_ARMED,),
         onset=AT_BOOT,
-        longest_s=20.0,
+        observe_s=20.0,
     ),
     Scenario(
         "G5b",
@@ -391,10 +393,10 @@ TABLE_G = (
         "G6",
         "wrong firmware",
         "AUTOPILOT_VERSION says 1.13.0, 1.15.1, 1.18.0",
-        lambda n: [Rewritten(_VERSION, version(*((1, 13, 0), (1, 15, 1), (1, 18, 0))[n % 3]))],
+        lambda n: [RewrittenFrames(_VERSION, version(*((1, 13, 0), (1, 15, 1), (1, 18, 0))[n % 3]))],
         (NEVER_ARMED,),
         onset=AT_BOOT,
-        longest_s=20.0,
+        observe_s=20.0,
     ),
     Scenario("G7", "power lost", "plug pulled", why="T3; its path is A6"),
     Scenario(
@@ -404,7 +406,7 @@ TABLE_G = (
         lambda n: [],
         (Limit("first arm command", m.first_arm, 60.0, "s"),),
         onset=AT_BOOT,
-        longest_s=25.0,  # one that takes longer never comes
+        observe_s=25.0,  # one that takes longer never comes
     ),
     Scenario("G9", "soak", "two hours in the air", why="run apart: --only G9 --real-time; G9-5min and G9-1min are shorter"),
     Scenario("G10", "combinations", "two of A1 B1 B4 C1 D2 D8 E1 E5 F2 G2 at once", why="45 pairs: --only G10 flies them"),

@@ -9,20 +9,20 @@ from sitl.faults.injectors.base import Injector
 from sitl.faults.injectors.companion import Crash
 from sitl.faults.injectors.depth_camera import (
     AlteredDepth,
-    Appears,
-    Approaches,
-    Dark,
+    DepthSilence,
     FrozenImage,
     LateFrames,
-    Redated,
-    Shuffled,
+    ObstacleAppears,
+    ObstacleApproaches,
+    ReorderedFrames,
+    ShiftedTimestamps,
     bit_errors,
     constant,
     salted,
     scaled,
     shifted,
 )  # fmt: skip
-from sitl.faults.injectors.mavlink_link import Corrupted, Garbage, Jitter, PacketLoss, Repeated, Unplugged
+from sitl.faults.injectors.mavlink_link import Corrupted, DuplicatedFrames, Garbage, Jitter, PacketLoss, Unplugged
 from sitl.faults.injectors.process_signals import ProcessKilled
 from sitl.faults.injectors.vehicle_and_autopilot import Reboot
 from sitl.faults.judges import odometry_metrics
@@ -47,7 +47,7 @@ from sitl.faults.table.acceptance_limits import (
 from sitl.faults.table.scenario import SHORT_VIEWS, Limit, Scenario
 
 FAST = Onset(speed_mps=0.6)
-STILL = Onset(speed_mps=0.0, view_m=3.8)
+STILL = Onset(speed_mps=0.0, min_view_depth_m=3.8)
 ONCE = Limit("frames mapped again", m.noted(AGAIN), 0.0, "")
 
 TABLE_C = (
@@ -55,26 +55,26 @@ TABLE_C = (
         "C1",
         "frames lost for 0.3 s",
         "no frame for 0.3 s",
-        lambda n: [Dark(0.3)],
+        lambda n: [DepthSilence(0.3)],
         (flies_on(2.0, late_s=0.3), STREAMS, NO_FAILSAFE),
         onset=FAST,
-        longest_s=12.0,
+        observe_s=12.0,
     ),
     Scenario(
         "C1b",
         "frames lost for 3 s",
         "no frame for 3 s at speed",
-        lambda n: [Dark(3.0)],
+        lambda n: [DepthSilence(3.0)],
         (holds(0.4), STREAMS, COMPLETES, told(codes.NO_DEPTH, codes.DEPTH_STALE, within_s=1.4)),
         onset=Onset(speed_mps=0.5),
-        longest_s=180.0,
+        observe_s=180.0,
         views=24,
     ),
     Scenario(
         "C1c",
         "frames lost",
         "no frame any more",
-        lambda n: [Dark()],
+        lambda n: [DepthSilence()],
         (holds(0.4), Limit("retreat begun", m.retreat_after, 3.5, "s"), lands(10.5)),
         onset=FAST,
     ),
@@ -125,25 +125,25 @@ TABLE_C = (
         "C7",
         "frames repeated and out of order",
         "each twice, every third behind the next",
-        lambda n: [Shuffled(), Tally()],
+        lambda n: [ReorderedFrames(), Tally()],
         (COMPLETES, ONCE),
-        longest_s=180.0,
+        observe_s=180.0,
         views=SHORT_VIEWS,
     ),
     Scenario(
         "C7b",
         "stamps of another clock for 1 s",
         "an hour ago or ahead, for 1 s at speed",
-        lambda n: [Redated((-3600.0, 3600.0)[n % 2], 1.0), Tally()],
+        lambda n: [ShiftedTimestamps((-3600.0, 3600.0)[n % 2], 1.0), Tally()],
         (holds(0.4), STREAMS, flies_on(2.0, late_s=1.0), ONCE),  # sooner than a way back begins
         onset=FAST,
-        longest_s=15.0,
+        observe_s=15.0,
     ),
     Scenario(
         "C7c",
         "stamps of another clock",
         "an hour ago or ahead, at speed and for good",
-        lambda n: [Redated((-3600.0, 3600.0)[n % 2]), Tally()],
+        lambda n: [ShiftedTimestamps((-3600.0, 3600.0)[n % 2]), Tally()],
         (holds(0.4), Limit("retreat begun", m.retreat_after, 3.5, "s"), lands(10.5), ONCE),
         onset=FAST,
     ),
@@ -151,19 +151,19 @@ TABLE_C = (
         "C8",
         "obstacle appears",
         "a box stands 1.0 m ahead of the hull, at speed",
-        lambda n: [Appears(1.0)],
+        lambda n: [ObstacleAppears(1.0)],
         (holds(0.25), Limit("stops short of it by", m.stopped_short, 0.40, "m", at_least=True), clear(0.10)),
-        onset=Onset(speed_mps=0.6, seeing=True),
-        longest_s=25.0,
+        onset=Onset(speed_mps=0.6, needs_view_ahead=True),
+        observe_s=25.0,
     ),
     Scenario(
         "C9",
         "obstacle approaches",
         "told to stay, and a box comes from 3 m ahead at 0.8 m/s to where it hovers",
-        lambda n: [Approaches(0.8)],
-        (Limit("clearance of it", lambda e: e.box_m, 0.30, "m", at_least=True), clear(0.10)),
+        lambda n: [ObstacleApproaches(0.8)],
+        (Limit("clearance of it", lambda e: e.min_obstacle_distance_m, 0.30, "m", at_least=True), clear(0.10)),
         onset=STILL,
-        longest_s=20.0,
+        observe_s=20.0,
     ),
 )
 
@@ -181,7 +181,7 @@ TABLE_D = (
         lambda n: [PacketLoss("down", 1.0)],
         (holds(0.6), NO_FAILSAFE, STREAMS),
         onset=FAST,
-        longest_s=12.0,
+        observe_s=12.0,
     ),
     Scenario(
         "D1b",
@@ -212,17 +212,17 @@ TABLE_D = (
             COMPLETES,
         ),
         onset=Onset(speed_mps=0.0),
-        longest_s=240.0,
+        observe_s=240.0,
         views=22,
     ),
     Scenario(
         "D4",
         "frames repeated and out of order",
         "each three times, up to 0.5 s late",
-        lambda n: [Repeated(0.5)],
+        lambda n: [DuplicatedFrames(0.5)],
         (Limit("arm commands", m.arm_tries, 1.0, ""), NO_FAILSAFE, RETURNS),
         onset=Onset((0.0, 0.0), at_boot=True),
-        longest_s=240.0,
+        observe_s=240.0,
         views=14,
     ),
     Scenario(
@@ -231,7 +231,7 @@ TABLE_D = (
         "1 MB/s of random bytes for 10 s, then a fifth of the frames spoilt",
         lambda n: [Garbage(1_000_000, 10.0), Corrupted(0.2, n)],
         (NO_FAILSAFE, STEADY, STREAMS, COMPLETES),
-        longest_s=180.0,
+        observe_s=180.0,
         views=SHORT_VIEWS,
     ),
     Scenario(
@@ -244,7 +244,7 @@ TABLE_D = (
             down(120.0),
         ),
         onset=FAST,
-        longest_s=125.0,
+        observe_s=125.0,
         views=SHORT_VIEWS,
         why="needs a serial line, a pseudo terminal: flown in real time",
         live=lambda n: [Unplugged(1.0)],
@@ -260,7 +260,7 @@ TABLE_D = (
             Limit("poses dated wrongly", odometry_metrics.misdated_for, 0.15, "s"),
             Limit("poses dated rightly", odometry_metrics.dated_after, 1.0, "s"),
         ),
-        longest_s=20.0,
+        observe_s=20.0,
     ),
     Scenario(
         "D8",
@@ -269,13 +269,13 @@ TABLE_D = (
         lambda n: [operator_silence.OperatorSilent(), *([operator_silence.GroundStation()] if n % 2 else [])],
         (
             RETURN_ACTS,
-            Limit("returns not before", operator_silence.acts_after, operator_silence.TIMEOUT_S - 1.0, "s", at_least=True),
+            Limit("returns not before", operator_silence.return_delay, operator_silence.TIMEOUT_S - 1.0, "s", at_least=True),
             Limit("warned", operator_silence.warns_after, 6.0, "s"),
-            Limit("way astray", operator_silence.astray(operator_silence.TIMEOUT_S), 3.0, "m"),
+            Limit("way astray", operator_silence.detour_on_return(operator_silence.TIMEOUT_S), 3.0, "m"),
             RETURNS,
             down(120.0),
         ),
-        longest_s=120.0,
+        observe_s=120.0,
     ),
     Scenario(
         "D8b",
@@ -283,7 +283,7 @@ TABLE_D = (
         "asks how it stands once in ten seconds",
         lambda n: [operator_silence.OperatorIntermittent(10.0)],
         (COMPLETES, Limit("warnings", operator_silence.warnings, 1.0, ""), NO_FAILSAFE),
-        longest_s=180.0,
+        observe_s=180.0,
         views=SHORT_VIEWS,
     ),
 )

@@ -49,7 +49,7 @@ def pair(first: Scenario, second: Scenario) -> Scenario:
         (STREAMS, *(_since(worse.id, UNHEARD.get(name, REACTIONS[worse.id])) if worse else ())),
         onset=_stricter(first.onset, second.onset),
         arena=second.arena if first.arena == "hall" else first.arena,
-        longest_s=worse.longest_s if worse else _WATCHED_S,
+        observe_s=worse.observe_s if worse else _WATCHED_S,
         views=min(first.views, second.views),
         room=PUSHED.get(name, USUAL),
     )

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from sitl.camera.d435i import Model
-from sitl.faults.fault import STANDS_S, Onset
+from sitl.faults.fault import AFTER_DISARM_S, Onset
 from sitl.faults.flight_evidence import FlightEvidence
 from sitl.faults.injectors.base import Capabilities, Injector
 from sitl.faults.judges.invariants import USUAL, Room
@@ -56,9 +56,9 @@ class Limit:
 @dataclass(frozen=True)
 class Scenario:
     """injectors: of the n-th flight, so that cases of a row take turns. bars: the figures beside what holds everywhere. why: it
-    cannot be flown in lockstep. live: its injectors in real time, where that is another flight. longest_s: watched so long
-    after the trouble began, and stands_s once the motors stand. times: in lockstep it is flown so many times as often as a row
-    is. radii_m: of the hull, cases take turns. variant: of the planner. camera: fast, or small where colour matters. room: that
+    cannot be flown in lockstep. live: its injectors in real time, where that is another flight. observe_s: observed
+    after the fault began, and observe_after_disarm_s after disarming. times: factor of the number of flights in lockstep.
+    radii_m: of the hull, cases take turns. variant: of the planner. camera: fast, or small where colour matters. room: that
     it keeps. A flight with a real firmware is any whose troubles need nothing but what that firmware has.
     """
 
@@ -69,7 +69,7 @@ class Scenario:
     bars: tuple[Limit, ...] = ()
     onset: Onset = ON_THE_WAY
     arena: Arena = "hall"
-    longest_s: float = 60.0
+    observe_s: float = 60.0
     views: int = 40
     tier: str = "T0"
     why: str = ""
@@ -79,7 +79,7 @@ class Scenario:
     camera: Model = "fast"
     radii_m: tuple[float, ...] = (HULL_RADIUS_M,)
     room: Room = USUAL
-    stands_s: float = STANDS_S
+    observe_after_disarm_s: float = AFTER_DISARM_S
 
     def radius_m(self, number: int) -> float:
         """Of the hull in its n-th flight."""

@@ -8,7 +8,7 @@ from signal import SIGKILL, SIGSTOP
 from sitl.faults import reason_codes as codes
 from sitl.faults.fault import Onset
 from sitl.faults.injectors.companion import Crash, Stall
-from sitl.faults.injectors.cpu_and_disk_load import BUSY, THRASHING, BusyProcesses, MemoryPressure
+from sitl.faults.injectors.cpu_and_disk_load import BUSY, DISK_LOAD, BusyProcesses, ProcessUsageMonitor
 from sitl.faults.injectors.pose_stream import (
     AlteredPoses,
     FrozenPose,
@@ -16,9 +16,9 @@ from sitl.faults.injectors.pose_stream import (
     PoseSilence,
     ThinnedPoses,
     drifting,
+    invalid,
     map_turned,
     moved,
-    spoilt,
     stamped,
     turned,
 )  # fmt: skip
@@ -56,7 +56,9 @@ FAST = Onset(speed_mps=0.6)
 ON_STAGE = Onset(speed_mps=0.6, away_m=4.2)
 GONE_AND_BACK = tuple(((0.5, 2.0, 10.0)[n % 3], (0.0, 0.3, 1.0)[(n + n // 3) % 3]) for n in range(9))
 CLOSURES = (moved(x=0.5), moved(y=2.0), map_turned(10.0))
-SPOILT = tuple(spoilt(k) for k in ("nan place", "inf place", "nan turn", "zero turn", "long turn", "nan variance", "nan stamp"))
+SPOILT = tuple(
+    invalid(k) for k in ("nan place", "inf place", "nan turn", "zero turn", "long turn", "nan variance", "nan stamp")
+)
 # Inertial samples carry a pose on over the 0.33 s that B10 asks for, and pose_lost_s ends that; a pose that stays is none.
 NEVER_REPEATS = (
     Limit("ODOMETRY ends", odometry_metrics.poses_until, 0.5, "s"),
@@ -81,7 +83,7 @@ TABLE_A = (
         ),
         onset=FAST,
         live=lambda n: [ProcessStopped("mission", 5.0)],
-        longest_s=12.0,
+        observe_s=12.0,
         times=3,
     ),
     Scenario(
@@ -107,7 +109,7 @@ TABLE_A = (
         lambda n: [Stall("planner")],
         (lands(40.0), lands_no_sooner(20.0), down(60.0), STREAMS, NO_FAILSAFE, NO_JUMP),
         onset=FAST,
-        longest_s=70.0,
+        observe_s=70.0,
     ),
     Scenario(
         "A3",
@@ -116,7 +118,7 @@ TABLE_A = (
         lambda n: [Crash("mission", back_s=5.0)],
         (holds(0.6), STREAMS, NO_FAILSAFE, down(120.0)),
         onset=FAST,
-        longest_s=125.0,
+        observe_s=125.0,
         live=lambda n: [ProcessKilled("mission", for_s=5.0)],
     ),
     Scenario(
@@ -130,16 +132,16 @@ TABLE_A = (
             NO_FAILSAFE,
             NO_JUMP,
         ),
-        longest_s=30.0,
+        observe_s=30.0,
         why="the mapper is a stand-in inside the mission in lockstep: flown in real time",
-        live=lambda n: [ChildProcessSignalled(MAPPER, SIGKILL), MemoryPressure("pilot")],
+        live=lambda n: [ChildProcessSignalled(MAPPER, SIGKILL), ProcessUsageMonitor("pilot")],
     ),
     Scenario(
         "A5",
         "mapper hangs",
         "SIGSTOP to the mapper, for ever",
         bars=(Limit("another mapper after", m.noted("replaced"), 5.0, "s"), STREAMS, NO_FAILSAFE, NO_JUMP),
-        longest_s=30.0,
+        observe_s=30.0,
         why="the mapper is a stand-in inside the mission in lockstep: flown in real time",
         live=lambda n: [ChildProcessSignalled(MAPPER, SIGSTOP)],
     ),
@@ -168,7 +170,7 @@ TABLE_A = (
         lambda n: [Crash("pilot", back_s=(0.2, 1.0, 3.0)[n % 3])],
         (NO_ORDER, down(60.0)),
         live=lambda n: [ProcessKilled("pilot", for_s=(0.2, 1.0, 3.0)[n % 3])],
-        stands_s=20.0,  # and it does not take off again
+        observe_after_disarm_s=20.0,  # and it does not take off again
     ),
     Scenario(
         "A8",
@@ -181,7 +183,7 @@ TABLE_A = (
             STEADY,
             NO_FAILSAFE,
         ),
-        longest_s=10.0,
+        observe_s=10.0,
         why="needs processes: flown in real time",
         live=lambda n: [SecondPilot()],
     ),
@@ -203,7 +205,7 @@ TABLE_A = (
         "overload",
         "four busy programs for each core, for 30 s",
         bars=(STREAMS, STEADY, NO_FAILSAFE),
-        longest_s=35.0,
+        observe_s=35.0,
         why="needs processes: flown in real time; ten minutes of it are a test of their own",
         live=lambda n: [BusyProcesses(BUSY, 4 * (os.cpu_count() or 1), 30.0)],
     ),
@@ -212,9 +214,9 @@ TABLE_A = (
         "stall by the disk",
         "16 MB written and synced again and again beside the flight's files, for 30 s",
         bars=(Limit("writes by the pilot's loop", m.noted("writes"), 0.0, ""), STREAMS, STEADY, NO_FAILSAFE),
-        longest_s=35.0,
+        observe_s=35.0,
         why="needs processes: flown in real time",
-        live=lambda n: [BusyProcesses(THRASHING, 2, 30.0), MemoryPressure("pilot")],
+        live=lambda n: [BusyProcesses(DISK_LOAD, 2, 30.0), ProcessUsageMonitor("pilot")],
     ),
 )
 
@@ -265,7 +267,7 @@ TABLE_B = (
         "one pose off by 0.5 m",
         lambda n: [AlteredPoses(moved(x=0.5), count=1)],
         (Limit("motion of the error", odometry_metrics.pose_error_step(2.0), 0.05, "m"), NO_FAILSAFE),
-        longest_s=12.0,
+        observe_s=12.0,
     ),
     Scenario(
         "B4",
@@ -277,7 +279,7 @@ TABLE_B = (
             Limit("motion of the error", odometry_metrics.pose_error_step(10.0), 0.10, "m"),
             Limit("reset counter", odometry_metrics.resets, 1.0, ""),
         ),
-        longest_s=16.0,
+        observe_s=16.0,
         times=3,
     ),
     Scenario(
@@ -286,7 +288,7 @@ TABLE_B = (
         "0.05 m/s for a minute along either axis",
         lambda n: [AlteredPoses(drifting(*((0.05, 0.0), (0.0, 0.05), (-0.05, 0.0), (0.0, -0.05))[n % 4]))],
         (clear(0.10), Limit("alarm", statustext_delay(*codes.DRIFT), 10.0, "s")),
-        longest_s=80.0,
+        observe_s=80.0,
         camera="small",
     ),
     Scenario("B6", "height drifts, scale is wrong", "z ramp, scale 0.9 and 1.1", why="waits for perception"),
@@ -309,7 +311,7 @@ TABLE_B = (
             NO_FAILSAFE,
         ),
         onset=FAST,
-        longest_s=15.0,
+        observe_s=15.0,
     ),
     Scenario(
         "B8l",
@@ -334,7 +336,7 @@ TABLE_B = (
             Limit("heading off", odometry_metrics.heading_error_step(2.0), 2.0, "deg"),
             NO_FAILSAFE,
         ),
-        longest_s=12.0,
+        observe_s=12.0,
     ),
     Scenario(
         "B9p",
@@ -352,7 +354,7 @@ TABLE_B = (
             Limit("ODOMETRY in a second", odometry_metrics.pose_rate, 28.0, "1/s", at_least=True),
             Limit("speed 1 s later", m.speed_from(2.0), 0.3, "m/s"),  # later than the second that their number is taken over
         ),
-        longest_s=15.0,
+        observe_s=15.0,
     ),
     Scenario(
         "B10b",
@@ -365,7 +367,7 @@ TABLE_B = (
             Limit("speed from 3 s on", m.speed_from(3.0), 0.02, "m/s"),
         ),
         onset=FAST,
-        longest_s=15.0,
+        observe_s=15.0,
     ),
     Scenario("B11", "nothing to track", "dark, blank wall, blur", why="needs a tracker on pictures: waits for perception"),
     Scenario("B12", "frames mixed up", "axes swapped in the config", why="waits for perception"),

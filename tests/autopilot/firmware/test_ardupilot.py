@@ -59,7 +59,9 @@ class Bench:
     """Steps a take-off at 100 Hz under telemetry that the test sets."""
 
     def __init__(self, **telemetry: Any) -> None:
-        self.t, self.take_off, self.tick = ready(**telemetry), ArduPilotArmingSequence(0.0), 0
+        self.t = ready(**telemetry)
+        self.take_off = ArduPilotArmingSequence(0.0)
+        self.tick = 0
         self.asked: list[tuple[float, int]] = []
         self.outcome = Outcome.PENDING
 

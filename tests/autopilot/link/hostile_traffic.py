@@ -69,10 +69,12 @@ class Wire:
     """A byte link whose other end is this file."""
 
     def __init__(self) -> None:
-        self.inbox, self.sent = b"", b""
+        self.inbox = b""
+        self.sent = b""
 
     def read(self) -> bytes:
-        data, self.inbox = self.inbox, b""
+        data = self.inbox
+        self.inbox = b""
         return data
 
     def write(self, data: bytes) -> None:

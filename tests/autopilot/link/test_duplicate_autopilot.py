@@ -18,7 +18,9 @@ class Voice:
     """One autopilot: positions and attitudes thirty times a second, its mode ten times; booted at boot_s of our clock."""
 
     def __init__(self, boot_s: float, mode: int = OURS) -> None:
-        self.boot_s, self.mode, self._voice = boot_s, mode, wire.MAVLink(None, 1, 1)
+        self.boot_s = boot_s
+        self.mode = mode
+        self._voice = wire.MAVLink(None, 1, 1)
 
     def frames(self, turn: int) -> list[bytes]:
         """Of one of a hundred turns a second."""

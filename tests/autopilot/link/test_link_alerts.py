@@ -27,11 +27,13 @@ class Crowd:
 
     def __init__(self, rig: Rig) -> None:
         self.voices: dict[tuple[int, int], Any] = {}
-        self._waiting, self._inner = b"", rig.tap.read
+        self._waiting = b""
+        self._inner = rig.tap.read
         rig.tap.read = self._read  # type: ignore[method-assign]
 
     def _read(self) -> bytes:
-        data, self._waiting = self._inner() + self._waiting, b""
+        data = self._inner() + self._waiting
+        self._waiting = b""
         return data
 
     def say(self, message: Any, system: int, component: int, old: bool = False) -> None:

@@ -25,14 +25,16 @@ class Wire:
     """A byte link whose other end is the test."""
 
     def __init__(self) -> None:
-        self.inbox, self.error = b"", ""
+        self.inbox = b""
+        self.error = ""
         self.sent: list[Any] = []
         self._voices: dict[tuple[int, int], Any] = {}
 
     def read(self) -> bytes:
         if self.error:
             raise OSError(5, self.error)
-        data, self.inbox = self.inbox, b""
+        data = self.inbox
+        self.inbox = b""
         return data
 
     def write(self, data: bytes) -> None:
@@ -94,10 +96,10 @@ def test_only_the_allowed_autopilot_counts(far: Wire, caplog: pytest.LogCaptureF
     link.receive(0.1)
     assert (system_before, link.telemetry.system) == (0, 7)
     assert (link.telemetry.custom_mode, link.telemetry.armed) == (3 << 16, False)
-    twin_before = link.telemetry.twin_heard
+    twin_before = link.telemetry.own_id_in_use
     far.update(heartbeat(), 245, 191)
     link.receive(0.2)
-    assert (twin_before, link.telemetry.twin_heard) == (False, True)
+    assert (twin_before, link.telemetry.own_id_in_use) == (False, True)
     assert gate.refused == 12
     named = [record.getMessage() for record in caplog.records]
     assert [

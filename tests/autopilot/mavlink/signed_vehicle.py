@@ -22,7 +22,8 @@ class SignedEnd:
     """As ArduPilot: its stamps follow the newest that it has believed. behind: how far (units) its clock is at first."""
 
     def __init__(self, inner: ByteEnd, key: bytes, stamp: int) -> None:
-        self._inner, self._plain = inner, wire.MAVLink(None, 1, 1)
+        self._inner = inner
+        self._plain = wire.MAVLink(None, 1, 1)
         self._plain.robust_parsing = True
         self.voice = signer(key, stamp)
         self.believed: list[str] = []

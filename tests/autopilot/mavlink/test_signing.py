@@ -43,7 +43,8 @@ class Ear:
     """A link that uses a key, and what it makes of frames."""
 
     def __init__(self, folder: Path, wall_s: float = NOW_S) -> None:
-        self.far, self.gate = Wire(), AllowListFilter(seal=signature(folder, wall_s))
+        self.far = Wire()
+        self.gate = AllowListFilter(seal=signature(folder, wall_s))
         self.link = VehicleLink(self.far, NoLog(), 0.0, PX4, self.gate)
 
     def believes(self, *frames: bytes) -> bool:
@@ -86,9 +87,9 @@ def test_what_pymavlink_signs_is_believed_once(tmp_path: Path) -> None:
 @pytest.mark.parametrize("place", [5, 12, -13, -8, -1], ids=["system", "payload", "link", "time", "hash"])
 def test_a_changed_byte_is_not_believed(tmp_path: Path, place: int) -> None:
     seal, frame = signature(tmp_path), bytearray(frame_of(signer(KEY, NOW)))
-    assert seal.trusts(bytes(frame))
+    assert seal.verify(bytes(frame))
     frame[place] ^= 1
-    assert not seal.trusts(bytes(frame))
+    assert not seal.verify(bytes(frame))
 
 
 def test_unsigned_and_wrongly_signed_frames_have_no_effect(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
@@ -150,29 +151,30 @@ def test_our_own_frames_come_back_as_a_twin_and_nothing_else(tmp_path: Path) -> 
     assert Decoder().feed(ear.far.sent)[0].frame[2] == 1
     ear.far.inbox = ear.far.sent
     ear.link.receive(0.1)
-    assert (ear.link.telemetry.twin_heard, ear.link.telemetry.system) == (True, 0)
+    assert (ear.link.telemetry.own_id_in_use, ear.link.telemetry.system) == (True, 0)
 
 
 def test_only_a_signed_heartbeat_greets(tmp_path: Path) -> None:
     gate, there = AllowListFilter(seal=signature(tmp_path)), signer(KEY, NOW)
     signed = frame_of(there)
-    assert not gate.greets(frame_of(wire.MAVLink(None, 1, 1)))
-    assert not gate.greets(frame_of(signer(OTHER_KEY, NOW)))
-    assert gate.greets(signed)
-    assert gate.greets(signed), "to ask uses nothing up"
+    assert not gate.has_heartbeat(frame_of(wire.MAVLink(None, 1, 1)))
+    assert not gate.has_heartbeat(frame_of(signer(OTHER_KEY, NOW)))
+    assert gate.has_heartbeat(signed)
+    assert gate.has_heartbeat(signed), "to ask uses nothing up"
 
 
 class SignedRig(CopterRig):
     """A flight in which both ends use a key."""
 
     def __init__(self, folder: Path, theirs: bytes = KEY) -> None:
-        self._folder, self._their_key = folder, theirs
+        self._folder = folder
+        self._their_key = theirs
         super().__init__()
 
     def gate(self) -> AllowListFilter:
         return AllowListFilter(seal=signature(self._folder))
 
-    def _fly(self, end: ByteEnd, seed: int) -> ArduCopter:
+    def _control(self, end: ByteEnd, seed: int) -> ArduCopter:
         self.end = SignedEnd(end, self._their_key, NOW - 20 * UNITS_PER_S)  # it has no clock of its own
         return ArduCopter(self.vehicle, self.end, ArduPilotParameters.load(), seed)
 
@@ -193,7 +195,8 @@ class WallRig(SignedRig):
     """One whose key and stamps are files, and whose wall clock is set in flight, the whole process's too."""
 
     def __init__(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-        self.wall_s, self.asked_s = NOW_S, list[float]()
+        self.wall_s = NOW_S
+        self.asked_s = list[float]()
         monkeypatch.setattr("time.time", self.wall)
         key = folder / "key"
         key.write_bytes(KEY)

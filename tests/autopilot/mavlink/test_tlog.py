@@ -12,7 +12,9 @@ class StuckFile:
     """A disk that hangs until it is let go, then may fail."""
 
     def __init__(self, error: OSError | None = None) -> None:
-        self.go, self.error, self.parts = threading.Event(), error, list[bytes]()
+        self.go = threading.Event()
+        self.error = error
+        self.parts = list[bytes]()
 
     def write(self, data: bytes) -> None:
         self.go.wait(10.0)

@@ -29,7 +29,8 @@ class Peer:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.bind((host, 0))
         self._socket.settimeout(2.0)
-        self._voice, self._to = wire.MAVLink(None, system, component), ("127.0.0.1", port)
+        self._voice = wire.MAVLink(None, system, component)
+        self._to = ("127.0.0.1", port)
 
     def send(self, data: bytes) -> None:
         self._socket.sendto(data, self._to)
@@ -55,7 +56,9 @@ class Udp:
     """A link, its gate, its clock, and whoever speaks to it."""
 
     def __init__(self, peer_host: str | None = None) -> None:
-        self.port, self.gate, self.clock = free_port(), AllowListFilter(), ManualClock()
+        self.port = free_port()
+        self.gate = AllowListFilter()
+        self.clock = ManualClock()
         self.link = open_link(f"udp:127.0.0.1:{self.port}", self.gate, self.clock, peer_host)
         self._peers: list[Peer] = []
 

@@ -23,7 +23,8 @@ class Far:
     """The other end of a byte link: an autopilot that answers some names."""
 
     def __init__(self, **values: float) -> None:
-        self.values, self.deaf_for = values, Counter[str]()
+        self.values = values
+        self.deaf_for = Counter[str]()
         self.asked: list[str] = []
         self._inbox = b""
         self._voice = wire.MAVLink(None, 1, 1)
@@ -34,7 +35,8 @@ class Far:
         self._voice.seq = (self._voice.seq + 1) % 256
 
     def read(self) -> bytes:
-        data, self._inbox = self._inbox, b""
+        data = self._inbox
+        self._inbox = b""
         return data
 
     def write(self, data: bytes) -> None:

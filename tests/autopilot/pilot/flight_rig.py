@@ -28,7 +28,7 @@ from uav_recon.clock import ManualClock
 from uav_recon.interfaces import ByteLink
 from uav_recon.safety.envelope import Envelope, Fence
 from uav_recon.safety.failsafe import FailsafeTimeouts
-from uav_recon.safety.guard import Bounds, Guard
+from uav_recon.safety.guard import Guard, GuardBounds
 from uav_recon.safety.obstacle_speed_limit import Margins
 from uav_recon.safety.recently_seen_space import RecentlySeenSpace
 from uav_recon.types.camera import body_from_camera
@@ -49,7 +49,7 @@ POSES_DISAGREE = Reason(ReasonCode.POSES_DISAGREE, (0.3,))
 TAKEOFF_LAG_S = 4.0  # PX4 spools up for 1 s and then ramps its take-off speed for 3 s: it arrives behind its setpoint
 ENVELOPE = Envelope(Fence(Polygon.box((-3.0, -3.0), (5.0, 3.0)), -0.2, 2.5, 0.3), 1.0, 2.0, 0.8)
 PATIENCE = FailsafeTimeouts(0.2, 1.0, 0.5, 5.0, 20.0, 0.3, 3.0, 10.0)
-BOUNDS = Bounds(0.2, 0.5, 0.45, 0.3, 0.3, 0.3, Margins(0.1, 0.4))
+BOUNDS = GuardBounds(0.2, 0.5, 0.45, 0.3, 0.3, 0.3, Margins(0.1, 0.4))
 AIRFRAME = HullGeometry(hull_radius_m=0.2, hull_height_m=0.2, hover_height_m=1.1)
 GRID = GridSpec(np.array([-4.0, -4.0, -1.0]), 0.1, (100, 80, 40))
 BODY_FROM_DEPTH = body_from_camera(np.array([0.1, 0.0, 0.0]), 0.26)
@@ -62,14 +62,16 @@ class Tap:
     """Sits between the pilot and the wire and keeps every message the pilot sent, with its time."""
 
     def __init__(self, inner: ByteLink, clock: ManualClock) -> None:
-        self._inner, self._clock = inner, clock
+        self._inner = inner
+        self._clock = clock
         self._parser = mavlink.MAVLink(None)
         self.sent: list[tuple[float, Any]] = []
         self.deaf = self.mute = False
         self.forged = b""  # of somebody else on the line, read once
 
     def read(self) -> bytes:
-        data, self.forged = self._inner.read() + self.forged, b""
+        data = self._inner.read() + self.forged
+        self.forged = b""
         return b"" if self.deaf else data
 
     def write(self, data: bytes) -> None:
@@ -105,7 +107,7 @@ class Rig:
         ours, theirs = pipe()
         self.tap = Tap(ours, self.clock)
         self.vehicle = Quadrotor(seed, 0.1, start)
-        self.autopilot = self._fly(theirs, seed)
+        self.autopilot = self._control(theirs, seed)
         self.channels = PilotChannels(
             MemoryChannel(StampedPose), MemoryChannel(Intent), MemoryChannel(VehicleState), MemoryChannel(FreeSpace),
             MemoryChannel(MinRangeGrid),
@@ -118,11 +120,12 @@ class Rig:
         self.intent: tuple[Goal, Trajectory | None] | None = (Goal.STANDBY, None)
         self.said: Reason | None = None
         self.operator_lost = False
-        self.poses, self.health = True, PoseHealth.GOOD
+        self.poses = True
+        self.health = PoseHealth.GOOD
         self.turn = 0
         self.track: list[tuple[float, FloatArray]] = []
 
-    def _fly(self, end: ByteEnd, seed: int) -> Autopilot:
+    def _control(self, end: ByteEnd, seed: int) -> Autopilot:
         return Px4(self.vehicle, end, Px4Parameters.load(), seed)
 
     @property

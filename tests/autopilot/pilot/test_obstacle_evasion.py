@@ -11,7 +11,7 @@ from uav_recon.autopilot.pilot.obstacle_evasion import IDENTIFIER, ObstacleEvasi
 from uav_recon.autopilot.pilot.sudden_obstacle import SuddenObstacle
 from uav_recon.safety.envelope import Envelope, Fence
 from uav_recon.safety.free_space_check import FreeSpaceCheck
-from uav_recon.safety.guard import Bounds, Guard, GuardInputs
+from uav_recon.safety.guard import Guard, GuardBounds, GuardInputs
 from uav_recon.safety.obstacle_speed_limit import Margins
 from uav_recon.safety.recently_seen_space import RecentlySeenSpace
 from uav_recon.types.frames import BoolArray
@@ -44,49 +44,49 @@ def _seen(stamp_s: float, away_m: float, cells: int = MANY) -> SuddenObstacle:
 def evasion() -> ObstacleEvasion:
     envelope = Envelope(Fence(Polygon.box((-3.0, -3.0), (3.0, 3.0)), -0.2, 2.5, 0.3), 1.0, 2.0, 0.8)
     return ObstacleEvasion(
-        Guard(envelope, Bounds(0.2, 0.5, 0.45, 0.3, 0.3, 0.3, Margins(0.1, 0.4)), RecentlySeenSpace(10.0, 0.2))
+        Guard(envelope, GuardBounds(0.2, 0.5, 0.45, 0.3, 0.3, 0.3, Margins(0.1, 0.4)), RecentlySeenSpace(10.0, 0.2))
     )
 
 
 def test_nothing_stops_a_vehicle_before_which_nothing_came(evasion: ObstacleEvasion) -> None:
     evasion.update(None)
-    assert not evasion.stops(1.0)
+    assert not evasion.must_stop(1.0)
 
 
 def test_much_of_it_stops_at_once_and_little_of_it_at_its_second_sight(evasion: ObstacleEvasion) -> None:
     evasion.update(_seen(1.0, 1.5, FEW))
-    assert not evasion.stops(1.1)
+    assert not evasion.must_stop(1.1)
     evasion.update(_seen(1.17, 1.5, FEW))
-    assert evasion.stops(1.2)
+    assert evasion.must_stop(1.2)
     assert evasion.why() == Reason(ReasonCode.NEW_OBSTACLE, (1.5,))
 
 
 def test_two_sights_far_apart_are_two_first_ones(evasion: ObstacleEvasion) -> None:
     evasion.update(_seen(1.0, 1.5, FEW))
     evasion.update(_seen(1.6, 1.5, FEW))
-    assert not evasion.stops(1.6)
+    assert not evasion.must_stop(1.6)
 
 
 def test_the_same_sight_heard_twice_is_one(evasion: ObstacleEvasion) -> None:
     little = _seen(1.0, 1.5, FEW)
     evasion.update(little)
     evasion.update(little)
-    assert not evasion.stops(1.0)
+    assert not evasion.must_stop(1.0)
 
 
 @pytest.mark.parametrize(("away_m", "stops"), [(1.6, True), (1.61, False)])
 def test_what_stands_stops_within_a_metre_and_a_half(evasion: ObstacleEvasion, away_m: float, stops: bool) -> None:
     evasion.update(_seen(1.0, away_m))
-    assert evasion.stops(1.0) is stops
-    assert evasion.stops(1.5) is stops
-    assert not evasion.stops(1.51), "half a second old"
+    assert evasion.must_stop(1.0) is stops
+    assert evasion.must_stop(1.5) is stops
+    assert not evasion.must_stop(1.51), "half a second old"
 
 
 @pytest.mark.parametrize(("away_m", "mps", "stops"), [(2.5, 0.3, True), (2.51, 0.3, False), (2.4, 0.2, False)])
 def test_what_comes_on_stops_from_farther_off(evasion: ObstacleEvasion, away_m: float, mps: float, stops: bool) -> None:
     evasion.update(_seen(1.0, away_m + 0.2 * mps))
     evasion.update(_seen(1.2, away_m))
-    assert evasion.stops(1.2) is stops
+    assert evasion.must_stop(1.2) is stops
     assert (evasion.step_aside(REST, _situation(1.2)) is not None) is stops
 
 
@@ -148,7 +148,7 @@ def test_what_stands_is_not_given_way_to_while_the_vehicle_still_comes_nearer(ev
     box = np.tile(HERE + np.array([0.9, 0.0, 0.0]), (MANY, 1))
     evasion.update(SuddenObstacle(1.0, box, 1.1))  # seen from 0.2 m before the rest, then from 0.1 m
     evasion.update(SuddenObstacle(1.2, box, 1.0))
-    assert evasion.stops(1.2)
+    assert evasion.must_stop(1.2)
     assert evasion.step_aside(REST, _situation(1.2)) is None
 
 

@@ -202,7 +202,7 @@ def test_sigterm_on_the_ground_begins_no_flight() -> None:
 def test_a_vehicle_that_cannot_lift_itself_is_switched_off_where_it_stands() -> None:
     rig = Rig()
     rig.until(FlightPhase.READY, 20.0)
-    rig.vehicle.weaken(1.0 / 3.0)
+    rig.vehicle.set_thrust_ratio(1.0 / 3.0)
     rig.intent = (Goal.FLY, None)
     rig.until(FlightPhase.FLYING, 8.0)
     begin_s = rig.clock.now_s()

@@ -26,7 +26,7 @@ class CopterRig(Rig):
 
     firmware = ARDUPILOT
 
-    def _fly(self, end: ByteEnd, seed: int) -> ArduCopter:
+    def _control(self, end: ByteEnd, seed: int) -> ArduCopter:
         return ArduCopter(self.vehicle, end, ArduPilotParameters.load(), seed)
 
     def airborne(self) -> None:
@@ -167,7 +167,7 @@ def test_a_silent_autopilot_is_left_to_its_own_failsafe(hovering: CopterRig) -> 
 def test_a_vehicle_that_cannot_lift_itself_is_switched_off_where_it_stands() -> None:
     rig = CopterRig()
     rig.until(FlightPhase.READY, 30.0)
-    rig.vehicle.weaken(1.0 / 3.0)
+    rig.vehicle.set_thrust_ratio(1.0 / 3.0)
     rig.intent = (Goal.FLY, None)
     while not rig.autopilot.truth().armed:
         rig.step()

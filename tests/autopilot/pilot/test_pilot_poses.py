@@ -121,7 +121,8 @@ class Late:
     """A link on which everything comes so late that no round trip tells of the autopilot's clock any more."""
 
     def __init__(self, rig: Rig) -> None:
-        self._clock, self._inner = rig.clock, rig.tap._inner
+        self._clock = rig.clock
+        self._inner = rig.tap._inner
         self._under_way: deque[tuple[float, bytes]] = deque()
 
     def read(self) -> bytes:

@@ -182,7 +182,7 @@ def test_a_person_a_metre_ahead_at_full_speed_is_braked_for_in_time(hovering: Ri
 def test_pushed_off_its_way_it_is_led_no_further_and_flies_on_when_the_push_is_over(hovering: Rig) -> None:
     hovering.run(hovering.fly((2.5, 0.0, 1.1), identifier=2).duration_s / 2)
     pushed_s = hovering.clock.now_s()
-    hovering.vehicle.outside_mps2 = (2.5, 0.0, 0.0)
+    hovering.vehicle.external_acceleration_mps2 = (2.5, 0.0, 0.0)
     hovering.run(1.5)
     assert ReasonCode.OFF_PATH in hovering.note_codes
     times, places = setpoints(hovering, pushed_s)
@@ -191,7 +191,7 @@ def test_pushed_off_its_way_it_is_led_no_further_and_flies_on_when_the_push_is_o
     brakes = int(np.argmax(speed < speed[0] - 0.05))
     assert times[brakes] - pushed_s <= 0.6, "before it is 0.35 m off, which takes 0.7 s"
     assert speed[-3:].max() == 0.0, "braked to rest, though its way goes on"
-    hovering.vehicle.outside_mps2 = (0.0, 0.0, 0.0)
+    hovering.vehicle.external_acceleration_mps2 = (0.0, 0.0, 0.0)
     hovering.run(8.0)
     assert np.linalg.norm(np.array(hovering.px4.truth().position) - places[-1]) < 0.2
     hovering.fly((2.8, 0.0, 1.1), identifier=3)
@@ -202,7 +202,7 @@ def test_pushed_off_its_way_it_is_led_no_further_and_flies_on_when_the_push_is_o
 
 def test_held_back_on_its_way_it_is_late_and_not_off_it(hovering: Rig) -> None:
     hovering.run(hovering.fly((2.5, 0.0, 1.1), identifier=2).duration_s / 3)
-    hovering.vehicle.outside_mps2 = (-2.5, 0.0, 0.0)
+    hovering.vehicle.external_acceleration_mps2 = (-2.5, 0.0, 0.0)
     hovering.run(0.9)
     _, places = setpoints(hovering, hovering.clock.now_s() - 0.1)
     assert places[-1][0] - hovering.px4.truth().position[0] > 0.4

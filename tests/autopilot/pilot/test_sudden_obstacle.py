@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from uav_recon.autopilot.pilot.sudden_obstacle import Neighbourhood, SuddenObstacle
+from uav_recon.autopilot.pilot.sudden_obstacle import SuddenObstacle, SuddenObstacleDetector
 from uav_recon.types.camera import body_from_camera
 from uav_recon.types.min_range_grid import MinRangeGrid
 from uav_recon.types.pose import Pose
@@ -16,7 +16,7 @@ PERIOD_S = 1.0 / 6.0
 
 
 def _look(
-    around: Neighbourhood, n: int, box_m: float = np.nan, wall_m: float = 4.0, here: Pose = HERE
+    around: SuddenObstacleDetector, n: int, box_m: float = np.nan, wall_m: float = 4.0, here: Pose = HERE
 ) -> SuddenObstacle | None:
     range_m = np.full((12, 16), wall_m, np.float32)
     if np.isfinite(box_m):
@@ -25,13 +25,13 @@ def _look(
 
 
 @pytest.fixture
-def around() -> Neighbourhood:
-    made = Neighbourhood()
+def around() -> SuddenObstacleDetector:
+    made = SuddenObstacleDetector()
     assert all(_look(made, n) is None for n in range(6))
     return made
 
 
-def test_what_appears_is_told_of_at_once_and_where(around: Neighbourhood) -> None:
+def test_what_appears_is_told_of_at_once_and_where(around: SuddenObstacleDetector) -> None:
     found = _look(around, 6, box_m=1.2)
     assert found is not None
     assert found.away_m == pytest.approx(1.2, abs=0.05)
@@ -42,26 +42,26 @@ def test_what_appears_is_told_of_at_once_and_where(around: Neighbourhood) -> Non
     assert np.all(np.diff(away) >= 0.0)
 
 
-def test_what_stands_there_for_a_second_is_no_intruder_any_more(around: Neighbourhood) -> None:
+def test_what_stands_there_for_a_second_is_no_intruder_any_more(around: SuddenObstacleDetector) -> None:
     told = [_look(around, 6 + n, box_m=1.2) is not None for n in range(10)]
     assert told[0]
     assert not any(told[6:])
 
 
-def test_what_comes_on_is_told_of_again_and_again(around: Neighbourhood) -> None:
+def test_what_comes_on_is_told_of_again_and_again(around: SuddenObstacleDetector) -> None:
     found = [_look(around, 6 + n, box_m=2.6 - 0.8 * n * PERIOD_S) for n in range(10)]
     assert all(intruder is not None for intruder in found)
 
 
 def test_noise_of_depth_and_pose_is_nothing() -> None:
-    around, dice = Neighbourhood(), np.random.default_rng(2)
+    around, dice = SuddenObstacleDetector(), np.random.default_rng(2)
     for n in range(60):
         off = Pose.from_yaw(0.3 + dice.normal() * 0.005, np.array([1.0, 2.0, 1.2]) + dice.normal(size=3) * 0.014)
         assert _look(around, n, box_m=1.5 + dice.normal() * 0.02, wall_m=2.8 + dice.normal() * 0.04, here=off) is None
 
 
 def test_where_nothing_came_back_nothing_was_seen_free() -> None:
-    around = Neighbourhood()
+    around = SuddenObstacleDetector()
     for n in range(6):
         _look(around, n, wall_m=np.nan)
     assert _look(around, 6, box_m=1.2, wall_m=np.nan) is None
@@ -70,7 +70,7 @@ def test_where_nothing_came_back_nothing_was_seen_free() -> None:
 def test_a_cell_above_one_without_a_return_looked_past_nothing() -> None:
     """Low over the floor: it is too near to be seen, and comes into view as the vehicle climbs."""
     for missing, told in ((9, False), (12, True)):
-        around = Neighbourhood()
+        around = SuddenObstacleDetector()
         for n in range(6):
             range_m = np.full((12, 16), 4.0, np.float32)
             range_m[missing:] = np.nan
@@ -84,7 +84,7 @@ def test_a_cell_above_one_without_a_return_looked_past_nothing() -> None:
 def test_a_cell_most_of_which_is_not_seen_looked_past_nothing() -> None:
     """A table's top at a flat angle: the wall behind its far edge comes back, the top itself does not until one is above it."""
     for unseen, told in (((5, 8), False), ((0, 3), True)):
-        around, full = Neighbourhood(), np.ones((12, 16), dtype=bool)
+        around, full = SuddenObstacleDetector(), np.ones((12, 16), dtype=bool)
         full[unseen[0] : unseen[1]] = False
         range_m = np.full((12, 16), 4.0, np.float32)
         for n in range(6):
@@ -95,22 +95,22 @@ def test_a_cell_most_of_which_is_not_seen_looked_past_nothing() -> None:
         assert (found is not None) is told
 
 
-def test_views_of_another_camera_are_not_asked(around: Neighbourhood) -> None:
+def test_views_of_another_camera_are_not_asked(around: SuddenObstacleDetector) -> None:
     range_m = np.full((6, 8), 1.2, np.float32)
     assert around.look(MinRangeGrid(6 * PERIOD_S, MOUNT, range_m, (0.95, 0.55), 0.9), HERE) is None
 
 
 def test_one_cell_or_one_view_says_nothing() -> None:
-    around = Neighbourhood()
+    around = SuddenObstacleDetector()
     assert _look(around, 0) is None
     assert _look(around, 1, box_m=1.2) is None, "looked past once"
-    around = Neighbourhood()
+    around = SuddenObstacleDetector()
     assert all(_look(around, n) is None for n in range(6))
     range_m = np.full((12, 16), 4.0, np.float32)
     range_m[6, 8] = 1.2
     assert around.look(MinRangeGrid(6 * PERIOD_S, MOUNT, range_m, (0.95, 0.55), 0.9), HERE) is None
 
 
-def test_after_a_jump_of_odom_nothing_is_remembered(around: Neighbourhood) -> None:
+def test_after_a_jump_of_odom_nothing_is_remembered(around: SuddenObstacleDetector) -> None:
     around.forget()
     assert _look(around, 6, box_m=1.2) is None

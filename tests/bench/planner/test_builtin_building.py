@@ -1,7 +1,7 @@
 import numpy as np
 
 from uav_recon.bench.planner import builtin_building
-from uav_recon.bench.planner.stages import Mapped
+from uav_recon.bench.planner.stages import ReplayMap
 from uav_recon.types.maps import FREE, OCCUPIED
 
 
@@ -32,7 +32,7 @@ def test_the_flight_stays_clear_of_everything() -> None:
 
 def test_its_map_is_mostly_known() -> None:
     recording = builtin_building.fly_through()
-    mapped = Mapped(recording, recording.grid, (recording.low_m, recording.high_m))
+    mapped = ReplayMap(recording, recording.grid, (recording.low_m, recording.high_m))
     for posed in recording.frames:
         mapped.voxels.integrate(posed)
     state = mapped.voxels.snapshot().state

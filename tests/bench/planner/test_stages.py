@@ -4,13 +4,22 @@ import numpy as np
 
 from uav_recon.bench.planner import builtin_building
 from uav_recon.bench.planner.stage_timing import Stopwatch
-from uav_recon.bench.planner.stages import STAGES, WHOLE, Mapped, PlannerStages, camera_of, heading_rad, oracle_lens, request_of
+from uav_recon.bench.planner.stages import (
+    STAGES,
+    WHOLE,
+    PlannerStages,
+    ReplayMap,
+    camera_of,
+    heading_rad,
+    oracle_lens,
+    request_of,
+)
 from uav_recon.types.tasks import ViewPath
 
 
 def test_the_timed_stages_give_the_same_result_as_plan() -> None:
     recording = builtin_building.fly_through()
-    mapped = Mapped(recording, recording.grid, (recording.low_m, recording.high_m))
+    mapped = ReplayMap(recording, recording.grid, (recording.low_m, recording.high_m))
     stages, planner = PlannerStages(mapped), mapped.planner()
     mapped.start(recording.frames[0])
     compared = 0

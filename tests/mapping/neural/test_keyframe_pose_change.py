@@ -43,7 +43,7 @@ def test_after_a_repose_a_bent_map_is_as_accurate_as_one_learned_with_correct_po
     trainer.repose(dict(enumerate(RIGHT)), map_epoch=3)
     assert trainer.waiting == len(VIEWS)
     turns = 0
-    while trainer.relearn(2):
+    while trainer.learn_waiting(2):
         turns += 1
     assert turns == len(VIEWS) // 2 - 1
     assert bent > 2.0 * _error_m(right)
@@ -60,10 +60,10 @@ def test_after_a_repose_a_bent_map_is_as_accurate_as_one_learned_with_correct_po
 def test_a_view_added_while_others_wait_is_learned_after_them() -> None:
     trainer = _learn([_bent(n) for n in range(len(VIEWS))])
     trainer.repose(dict(enumerate(RIGHT)), map_epoch=1)
-    trainer.relearn(3)
+    trainer.learn_waiting(3)
     assert trainer.add(PosedFrame(VIEWS[0].frame, RIGHT[0], 1))
     assert trainer.waiting == len(VIEWS) - 3 + 1
-    assert trainer.relearn(100) == 0
+    assert trainer.learn_waiting(100) == 0
     assert trainer.views == len(VIEWS) + 1
 
 
@@ -74,7 +74,7 @@ def test_views_without_a_pose_in_the_new_map_are_dropped_and_counted() -> None:
     trainer.repose(given, map_epoch=2)
     assert trainer.kept == [n for n in range(len(VIEWS)) if n not in (0, 5, 7)]
     assert trainer.refusals.counts == {RejectReason.UNPLACED: 2, RejectReason.OUTSIDE: 1}
-    assert trainer.relearn(100) == 0
+    assert trainer.learn_waiting(100) == 0
     np.testing.assert_allclose(trainer.positions(), [RIGHT[n].translation_m for n in trainer.kept], atol=0.02)
     assert distance_to_walls(trainer.surface().position_world).mean() < 0.012
 
@@ -114,7 +114,7 @@ def test_when_memory_is_full_the_view_is_refused_and_the_map_is_unchanged(place:
         patched.setattr(type(trainer.field), "cover", lambda *_: False)  # every view makes the grid grow
         for view in VIEWS[6:9]:
             assert not trainer.add(view)
-    assert trainer.refusals.counts == {RejectReason.MEMORY: 3}
+    assert trainer.refusals.counts == {RejectReason.VOTE_DECAY: 3}
     assert (trainer.views, trainer.waiting, trainer.field.capacity) == (taken, 0, slots)
     assert trainer.positions().shape == held.shape
     assert len(trainer.corrections()) == len(trainer.log_gains()) == taken
@@ -154,7 +154,7 @@ def test_a_grid_that_grew_only_in_part_when_memory_was_full_grows_later(monkeypa
 def test_when_memory_is_full_during_relearning_only_that_view_is_lost(monkeypatch: pytest.MonkeyPatch) -> None:
     trainer = _learn(RIGHT[:5])
     trainer.repose(dict(enumerate(RIGHT)), map_epoch=1)
-    trainer.relearn(2)
+    trainer.learn_waiting(2)
     cover = NumbaSdfField.cover
 
     def once(field: NumbaSdfField, points: Float32Array) -> bool:
@@ -162,8 +162,8 @@ def test_when_memory_is_full_during_relearning_only_that_view_is_lost(monkeypatc
         raise MemoryError
 
     monkeypatch.setattr(NumbaSdfField, "cover", once)
-    assert trainer.relearn(100) == 0
+    assert trainer.learn_waiting(100) == 0
     assert trainer.kept == [0, 1, 3, 4]
-    assert trainer.refusals.counts == {RejectReason.MEMORY: 1}
+    assert trainer.refusals.counts == {RejectReason.VOTE_DECAY: 1}
     assert len(trainer.corrections()) == 4
     assert distance_to_walls(trainer.surface().position_world).mean() < 0.015

@@ -46,7 +46,7 @@ def test_incremental_updates_are_exact_and_set_the_tile_revisions(
     field, memory = DistanceField(shape, reach), np.zeros(state.size + CHUNK, dtype=np.uint8)
     distance2 = memory[: state.size].reshape(shape)
     dated = np.zeros((-(-shape[0] // TILE), -(-shape[1] // TILE)), dtype=np.int64)
-    field.touch_all()
+    field.invalidate_all()
     field.update(state.reshape(-1), memory, dated, 1)
     for revision in range(2, 7):  # boxes freed, occupied, forgotten, and freed again
         before, picture = state.copy(), distance2.copy()

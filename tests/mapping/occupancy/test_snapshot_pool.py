@@ -21,7 +21,7 @@ class Painter:
 
     def paint(self, i: int, j: int, k: int, value: int) -> None:
         self.revision += 1
-        canvas = self.pictures.paintable(self.dated)
+        canvas = self.pictures.writable_buffer(self.dated)
         for layer, memory in enumerate((canvas.state, canvas.distance2)):
             memory[: self.truth[0].size].reshape(GRID.shape)[i, j, k] = value + layer
             self.truth[layer, i, j, k] = value + layer
@@ -73,7 +73,7 @@ def test_a_slice_of_a_snapshot_holds_it() -> None:
 def test_snapshots_are_read_only_and_made_without_a_copy() -> None:
     painter = Painter()
     painter.paint(0, 0, 0, FREE)
-    canvas, picture = painter.pictures.canvas, painter.show()
+    canvas, picture = painter.pictures.current, painter.show()
     for array in (picture.state, picture.distance2, picture.tile_revision):
         assert not array.flags.writeable and array.flags.c_contiguous
     assert picture.state.ctypes.data == canvas.state.ctypes.data
@@ -87,4 +87,4 @@ def test_a_snapshot_may_be_dropped_in_another_thread() -> None:
     thread = threading.Thread(target=held.clear)
     thread.start()
     thread.join()
-    assert not painter.pictures.canvas.shown
+    assert not painter.pictures.current.shown

@@ -24,7 +24,8 @@ class ChangingMap:
     def __init__(self, shape: tuple[int, int, int]) -> None:
         self.grid = GridSpec(np.array([-1.0, 2.0, 0.0]), RESOLUTION_M, shape)
         self.state = np.zeros(shape, dtype=np.uint8)
-        self.revision, self.epoch = 0, 0
+        self.revision = 0
+        self.epoch = 0
         self._tile_revision = np.zeros((-(-shape[0] // TILE), -(-shape[1] // TILE)), dtype=np.int64)
         self._distance2 = self._field()
 

@@ -63,7 +63,7 @@ def test_random_changes_give_the_components_of_a_labelling_from_scratch(seed: in
             cell = rng.choice(np.argwhere(mask))
         if cell is not None and mask[tuple(cell)]:
             i, j, k = (int(n) for n in cell)
-            regions.hang_on(i, j, k, revision)
+            regions.set_root(i, j, k, revision)
             np.testing.assert_array_equal(regions.reachable, connected(mask, cell))
         flips = rng.random(shape) < rng.choice([0.001, 0.01, 0.1])
         if rng.random() < 0.2:  # add or remove a wall
@@ -82,7 +82,7 @@ def test_a_block_that_only_grows_keeps_all_parents() -> None:
     mask[1:13, 2, 2] = 1
     regions = ReachableSpace((12, 4, 4))
     regions.update(mask, changed_blocks(regions, mask > 0), 1)
-    regions.hang_on(1, 2, 2, 1)
+    regions.set_root(1, 2, 2, 1)
     parents = regions.parent.copy()
     grown = mask.copy()
     grown[5:9, 2:4, 2] = 1

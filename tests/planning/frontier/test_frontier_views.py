@@ -41,7 +41,8 @@ class Follower:
 
     def __post_init__(self) -> None:
         self.views = FrontierViews(PlannerConfig(), self.camera)
-        self.low, self.high = np.ones(3, dtype=np.int64), np.array(self.grid.shape) - 1
+        self.low = np.ones(3, dtype=np.int64)
+        self.high = np.array(self.grid.shape) - 1
         self.space = FlyableSpace(self.grid, 0.35, self.low + 2, self.high - 2)
         self.ignored = np.zeros(self.grid.shape, dtype=np.uint8)
 

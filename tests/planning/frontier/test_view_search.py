@@ -18,7 +18,7 @@ from uav_recon.planning.free_space.subvoxel_clearance import SIDES2
 from uav_recon.planning.frontier.frontiers import Frontiers
 from uav_recon.planning.frontier.view_cache import MAX_BLOCKERS, targets
 from uav_recon.planning.frontier.view_search import ROOM, _ranked, best_view
-from uav_recon.planning.frontier.visibility_bound import BOOK
+from uav_recon.planning.frontier.visibility_bound import HASH_SIZE
 from uav_recon.planning.view_sampling import explore_shell
 from uav_recon.types.maps import FREE, TILE
 
@@ -85,4 +85,4 @@ def test_positions_are_ranked_by_their_bound_and_ties_keep_their_order() -> None
 
 
 def test_the_table_of_blocking_voxels_has_room_for_all_that_are_kept() -> None:
-    assert MAX_BLOCKERS < BOOK
+    assert MAX_BLOCKERS < HASH_SIZE

@@ -26,7 +26,8 @@ class World:
 
     def __init__(self, state: ByteArray) -> None:
         self.grid = GridSpec(np.array([-2.0, 1.0, 0.0]), RESOLUTION_M, (state.shape[0], state.shape[1], state.shape[2]))
-        self.state, self.revision = state, 1
+        self.state = state
+        self.revision = 1
         self._field = self._distance2()
         self._tiles = np.ones((-(-state.shape[0] // TILE), -(-state.shape[1] // TILE)), dtype=np.int64)
 
@@ -98,7 +99,7 @@ def centres(cells: IntArray) -> FloatArray:
 
 
 def check_polyline(space: FlyableSpace, ways: PathCache, i: int, j: int) -> None:
-    way = space.padded(ways.way_world(i, j))
+    way = space.padded(ways.path_world(i, j))
     # conversion to world coordinates and back has a rounding error, so a sample on a border may be in either voxel
     nudges = [np.array(nudge) * 1e-9 for nudge in itertools.product((-1, 1), repeat=3)]
     for a, b in itertools.pairwise(way):
@@ -108,7 +109,7 @@ def check_polyline(space: FlyableSpace, ways: PathCache, i: int, j: int) -> None
             np.testing.assert_allclose(end, ways._places[node - 1], atol=1e-9)
     length_m = float(np.linalg.norm(np.diff(way, axis=0), axis=1).sum()) * RESOLUTION_M
     assert length_m == pytest.approx(ways.lengths_m[i, j], abs=1e-9)
-    np.testing.assert_allclose(ways.way_world(j, i), ways.way_world(i, j)[::-1])
+    np.testing.assert_allclose(ways.path_world(j, i), ways.path_world(i, j)[::-1])
     if len(way) > 1:
         step = way[1] - way[0]
         np.testing.assert_allclose(ways.departures[i, j], step / np.linalg.norm(step), atol=1e-9)
@@ -193,7 +194,7 @@ def test_cached_paths_equal_a_new_search(seed: int) -> None:
         np.testing.assert_array_equal(ways.lengths_m, again.lengths_m)
         np.testing.assert_array_equal(ways.departures, again.departures)
         i, j = rng.integers(0, len(tasks) + 1, 2)
-        np.testing.assert_array_equal(ways.way_world(int(i), int(j)), again.way_world(int(i), int(j)))
+        np.testing.assert_array_equal(ways.path_world(int(i), int(j)), again.path_world(int(i), int(j)))
         remembered += int(before > 0)
     assert remembered > 15
 
@@ -221,7 +222,7 @@ def test_a_path_ends_exactly_at_its_view_anywhere_in_a_voxel(seed: int) -> None:
         for i, j in itertools.combinations(range(5), 2):
             assert np.isfinite(ways.lengths_m[i, j])
             check_polyline(space, ways, i, j)
-            bends += len(ways.way_world(i, j)) > 3
+            bends += len(ways.path_world(i, j)) > 3
             off = sum(float(np.linalg.norm(places[n - 1] - chosen[n - 1] - 0.5)) for n in (i, j) if n)
             excess.append(ways.lengths_m[i, j] / RESOLUTION_M - centred.lengths_m[i, j] / RESOLUTION_M - off)
     assert bends > 100
@@ -266,7 +267,7 @@ def test_nodes_at_the_same_position_have_distance_zero() -> None:
     assert ways.lengths_m[0, 1] == pytest.approx(0.0)
     assert ways.lengths_m[2, 3] == 0.0
     np.testing.assert_array_equal(ways.departures[2, 3], np.zeros(3))
-    assert len(ways.way_world(2, 3)) == len(ways.way_world(0, 1)) == 1
+    assert len(ways.path_world(2, 3)) == len(ways.path_world(0, 1)) == 1
     assert ways.lengths_m[1, 2] == ways.lengths_m[1, 3] == pytest.approx(ways.lengths_m[0, 2])
 
 
@@ -292,7 +293,7 @@ def test_a_vehicle_outside_flyable_space_leaves_by_its_exit_cells_first() -> Non
     assert len(exit_cells) > 1
     ways = PathCache(space)
     ways.update(exit_cells, start, centres(np.array([[12, 9, 7]])))
-    way = ways.way_world(0, 1)
+    way = ways.path_world(0, 1)
     np.testing.assert_allclose(way[0], start)
     np.testing.assert_allclose(way[1 : len(exit_cells)], space.world(space.centre(exit_cells[1:])))
     assert ways.lengths_m[0, 1] == pytest.approx(np.linalg.norm(np.diff(way, axis=0), axis=1).sum())

@@ -79,7 +79,7 @@ def test_in_a_known_room_views_show_surface_until_it_was_looked_at() -> None:
         proposals = views.propose(situation, [], surface, looks)
         if not proposals:
             break
-        looks.ravel()[proposals[0].promised] += proposals[0].squareness.astype(np.float32)
+        looks.ravel()[proposals[0].promised] += proposals[0].view_cosine.astype(np.float32)
     assert not proposals
 
 

@@ -70,7 +70,7 @@ def test_gains_equal_exact_rays_and_the_chosen_view_is_nearly_the_best(camera: C
         assert np.count_nonzero(cosine) >= CONFIG.min_visible
         promised = np.unique(elements.voxel[(cosine > 0) & (elements.voxel >= 0)])
         np.testing.assert_array_equal(proposal.promised, promised)
-        np.testing.assert_allclose(proposal.squareness[5], cosine[elements.voxel == promised[5]].max())
+        np.testing.assert_allclose(proposal.view_cosine[5], cosine[elements.voxel == promised[5]].max())
         assert situation.holds(proposal.place)
         best = 0.0
         for place in np.unique(np.floor((task.centroid_world + 0.1) / 0.1 + offsets), axis=0) + 0.5:
@@ -124,7 +124,7 @@ def test_tasks_run_out_as_they_are_viewed() -> None:
         proposals = views.propose(situation, surface, looks, 3.0)
         gains.append(sum(proposal.task.gain for proposal in proposals))
         for proposal in proposals:
-            looks.ravel()[proposal.promised] += proposal.squareness
+            looks.ravel()[proposal.promised] += proposal.view_cosine
     assert gains[0] > 300
     assert gains[-1] == 0.0
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from uav_recon.planning.tour.stopping_rule import VIEW_S, StoppingRule
-from uav_recon.planning.tour.task_ordering import DETOUR_S, DETOUR_SHARE, ByTheWay, Greedy, TaskOrdering, Tour
+from uav_recon.planning.tour.task_ordering import DETOUR_S, DETOUR_SHARE, FrontierWithDetours, Greedy, TaskOrdering, Tour
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.tasks import Task, TaskKind, Viewpoint
 
@@ -52,7 +52,7 @@ def test_greedy_takes_the_one_view_that_gains_most_per_second() -> None:
 def test_the_nearest_frontier_is_next_and_surface_is_viewed_on_the_path() -> None:
     far, near = (EXPLORE, 30.0, 0.0, 90.0), (EXPLORE, -10.0, 0.0, 9.0)
     beside_the_way, off_the_way = (SURFACE, -5.0, 1.0, 20.0), (SURFACE, 0.0, 8.0, 500.0)
-    assert order(ByTheWay(StoppingRule(0.0)), [far, near, beside_the_way, off_the_way]) == [3, 2]
+    assert order(FrontierWithDetours(StoppingRule(0.0)), [far, near, beside_the_way, off_the_way]) == [3, 2]
 
 
 def test_detours_stay_within_their_allowance() -> None:
@@ -61,7 +61,7 @@ def test_detours_stay_within_their_allowance() -> None:
         places = [(EXPLORE, 8.0, 0.0, 9.0)]
         places += [(SURFACE, float(x), float(y), float(g)) for x, y, g in rng.uniform((-2, -3, 1), (10, 3, 60), (12, 3))]
         tasks, costs_s = case(places)
-        way = ByTheWay(StoppingRule(0.0)).order(tasks, costs_s).order.tolist()
+        way = FrontierWithDetours(StoppingRule(0.0)).order(tasks, costs_s).order.tolist()
         assert way[-1] == 1
         flown_s = sum(costs_s[a, b] for a, b in itertools.pairwise((0, *way))) + VIEW_S * (len(way) - 1)
         allowed_s = max(DETOUR_SHARE * costs_s[0, 1], DETOUR_S)
@@ -71,11 +71,13 @@ def test_detours_stay_within_their_allowance() -> None:
 
 def test_without_a_frontier_surface_is_viewed_nearest_first() -> None:
     places = [(SURFACE, 5.0, 0.0, 50.0), (SURFACE, -1.0, 0.0, 50.0), (SURFACE, 2.0, 0.0, 50.0)]
-    assert order(ByTheWay(StoppingRule(0.0)), places) == [2, 3, 1]
+    assert order(FrontierWithDetours(StoppingRule(0.0)), places) == [2, 3, 1]
 
 
-@pytest.mark.parametrize("kind", [Tour, Greedy, ByTheWay])
-def test_every_choice_ends_when_surface_is_not_worth_its_flight(kind: type[Tour] | type[Greedy] | type[ByTheWay]) -> None:
+@pytest.mark.parametrize("kind", [Tour, Greedy, FrontierWithDetours])
+def test_every_choice_ends_when_surface_is_not_worth_its_flight(
+    kind: type[Tour] | type[Greedy] | type[FrontierWithDetours],
+) -> None:
     choice = kind(StoppingRule(0.5))
     assert order(choice, [(SURFACE, 4.0, 0.0, 100.0)]) == [1]
     tasks, costs_s = case([(SURFACE, 40.0, 0.0, 30.0)])

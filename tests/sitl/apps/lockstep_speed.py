@@ -29,7 +29,8 @@ class Stopwatch(NoHook):
 
     def __init__(self) -> None:
         self.factors: list[float] = []
-        self.took_s, self._next_s = 0.0, 0.0
+        self.took_s = 0.0
+        self._next_s = 0.0
 
     def turn(self, now_s: float) -> None:
         """Calibrate, if it is due."""

@@ -10,7 +10,7 @@ import math
 import numpy as np
 import pytest
 
-from sitl.apps.scene_captures import capture, held_out, seen
+from sitl.apps.scene_captures import capture, held_out_pixels, seen
 from sitl.camera.d435i import stream_header
 from sitl.scene.scene import Scene
 
@@ -88,7 +88,7 @@ def test_held_out_pixels_have_the_colour_of_the_wall_that_their_rays_meet() -> N
     pose = np.eye(4)
     pose[:3, :3] = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])  # looks along x
     spec = stream_header("d435i").rgb
-    pixels = held_out(box(), pose[None], spec, 8)
+    pixels = held_out_pixels(box(), pose[None], spec, 8)
     assert len(pixels.rgb) == math.ceil((spec.width - 4) / 8) * math.ceil((spec.height - 4) / 8)
     reach = np.einsum("nc,nc->n", pixels.point - pixels.origin, pixels.direction)
     assert np.allclose(pixels.origin + reach[:, None] * pixels.direction, pixels.point, atol=1e-5)

@@ -66,14 +66,16 @@ class Flight:
         self.mavsdk = Mavsdk(Configuration.create_manual(245, 191, True))
         self._over = threading.Event()
         self._mocap: Any = None
-        self._thread = threading.Thread(target=self._fly, daemon=True)
+        self._thread = threading.Thread(target=self._control, daemon=True)
         self._thread.start()
         self.mavsdk.add_any_connection(f"udpout://127.0.0.1:{self._end.local_port}")
         system = self.mavsdk.first_autopilot(20.0)
         assert system is not None, "MAVSDK sees no autopilot"
         self.system = system
         system.enable_timesync()
-        self.action, self.offboard, self.telemetry = Action(system), Offboard(system), Telemetry(system)
+        self.action = Action(system)
+        self.offboard = Offboard(system)
+        self.telemetry = Telemetry(system)
         self._mocap = Mocap(system)
 
     def close(self) -> None:
@@ -94,7 +96,7 @@ class Flight:
             assert time.monotonic() < end_s, f"not {what} within {seconds:g} s: {self.autopilot.texts[-5:]}"
             time.sleep(0.05)
 
-    def _fly(self) -> None:
+    def _control(self) -> None:
         next_s, turn = time.monotonic(), 0
         while not self._over.is_set():
             self.autopilot.step(time.monotonic())

@@ -32,7 +32,7 @@ def test_after_a_reboot_poses_are_fused_again_and_the_vehicle_stays_in_place(fly
 @pytest.mark.parametrize(("flying", "land"), [(px4_rig.flying, LAND), (ardupilot_rig.flying, ardupilot_rig.LAND)])
 def test_a_failed_land_detector_leaves_the_motors_on(flying: Any, land: int) -> None:
     c = flying()
-    c.autopilot.lose_land_detector()
+    c.autopilot.disable_land_detector()
     c.set_mode(land)
     c.run(12.0)
     assert c.vehicle.on_ground
@@ -43,7 +43,7 @@ def test_a_failed_land_detector_leaves_the_motors_on(flying: Any, land: int) -> 
 def test_weak_rotors_do_not_lift_the_vehicle_and_affect_no_sensor(share: float) -> None:
     c = px4_rig.companion()
     c.ready()
-    c.vehicle.weaken(share)
+    c.vehicle.set_thrust_ratio(share)
     c.go_to(0.0, 0.0, -1.0)
     c.run(1.5)
     assert c.set_mode(OFFBOARD) == 0

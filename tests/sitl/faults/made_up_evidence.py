@@ -27,7 +27,7 @@ def evidence(**changes: Any) -> FlightEvidence:
     mode = tuple("OFFBOARD" if s < 15.0 else "LAND" for s in t)
     plain = FlightEvidence(
         onset_s=ONSET_S, end_s=END_S, stamp_s=t, position_m=place, velocity_mps=speed, yaw_rad=turning(t), armed=armed,
-        mode=mode, hull_s=t[:400], hull_m=np.full(400, 0.5), boxes_m=np.full(len(t), math.inf),
+        mode=mode, hull_s=t[:400], hull_m=np.full(400, 0.5), obstacle_distance_m=np.full(len(t), math.inf),
         standing_m=np.zeros(len(t)), charge=np.full(len(t), 0.8), failsafes=(), texts=(),
         wire=wire(t[t < 15.0], place[t < 15.0], speed[t < 15.0]), arrived_s=t[t < 15.0],
         heard=tuple((s, 6 << 16, True) for s in t), limits=LIMITS,

@@ -20,7 +20,7 @@ def watched_s(trouble: Fault, lands_s: float, lifts_again_s: float = 1e9) -> tup
     meddler = FaultDirector([trouble], seed=1)
     world = SimpleNamespace(flyer=SimpleNamespace(truth=lambda: None))
     seen: Any = SimpleNamespace(world=world, now_s=0.0, notes={})
-    meddler.theatre = seen
+    meddler.context = seen
     meddler._begun_s = 0.0
     for turn in range(60 * 200):
         now_s = seen.now_s = turn * TURN_S
@@ -40,7 +40,7 @@ def test_a_landed_vehicle_is_watched_for_as_long_as_its_row_says(stands_s: float
 
 
 def test_one_that_starts_its_motors_again_is_seen_to() -> None:
-    trouble = Fault("A7", [Injector()], Onset((1.0, 1.0), speed_mps=0.0), 60.0, ROWS["A7"].stands_s)
+    trouble = Fault("A7", [Injector()], Onset((1.0, 1.0), speed_mps=0.0), 60.0, ROWS["A7"].observe_after_disarm_s)
     end_s, armed = watched_s(trouble, lands_s=12.0, lifts_again_s=17.0)
     assert armed
     assert end_s == pytest.approx(62.0, abs=0.1)

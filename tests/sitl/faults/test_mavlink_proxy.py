@@ -11,9 +11,17 @@ from pymavlink.dialects.v20 import common as mavlink
 from sitl.autopilots.byte_links import PipeEnd, UdpPeer, pipe
 from sitl.faults.autopilot_side_proxy import AutopilotSideProxy
 from sitl.faults.injectors.base import Injector
-from sitl.faults.injectors.mavlink_link import Corrupted, Gauge, Jitter, PacketLoss, Repeated, Rewritten, version
-from sitl.faults.mavlink_proxy import Late, Proxy, frames, message_id
-from sitl.faults.wire_capture import decode, modes_told, setpoints_in
+from sitl.faults.injectors.mavlink_link import (
+    Corrupted,
+    DuplicatedFrames,
+    FalseBatteryCharge,
+    Jitter,
+    PacketLoss,
+    RewrittenFrames,
+    version,
+)
+from sitl.faults.mavlink_proxy import DelayedItems, Proxy, frames, message_id
+from sitl.faults.wire_capture import decode, heartbeats_in, setpoints_in
 
 VOICE = mavlink.MAVLink(None, 245, 191)
 
@@ -33,10 +41,10 @@ def proxied(trouble: Injector) -> tuple[Proxy, list[float], PipeEnd]:
     ours, theirs = pipe()
     clock = [0.0]
 
-    def up(frame: bytes) -> Late[bytes]:
+    def up(frame: bytes) -> DelayedItems[bytes]:
         return trouble.to_autopilot(clock[0], frame)
 
-    def down(frame: bytes) -> Late[bytes]:
+    def down(frame: bytes) -> DelayedItems[bytes]:
         return trouble.to_product(clock[0], frame)
 
     return Proxy(ours, lambda: clock[0], up, down), clock, theirs
@@ -57,7 +65,7 @@ def test_a_clean_proxy_changes_nothing() -> None:
     theirs.write(heartbeat(1) + heartbeat(2))
     clock[0] = 0.1
     assert len(frames(proxy.read())) == 2
-    assert [mode for _, mode, _ in modes_told(proxy.heard)] == [1, 2]
+    assert [mode for _, mode, _ in heartbeats_in(proxy.heard)] == [1, 2]
 
 
 def test_what_is_lost_was_said_all_the_same() -> None:
@@ -79,7 +87,7 @@ def test_a_late_frame_waits_for_its_time() -> None:
 
 
 def test_repeats_and_errors() -> None:
-    proxy, clock, theirs = proxied(Repeated(0.5))
+    proxy, clock, theirs = proxied(DuplicatedFrames(0.5))
     proxy.write(setpoint(1.0))
     clock[0] = 1.0
     proxy.forward()
@@ -90,7 +98,7 @@ def test_repeats_and_errors() -> None:
 
 
 def test_a_gauge_slips_in_its_spells_alone_and_every_frame_keeps_its_number() -> None:
-    proxy, clock, theirs = proxied(Gauge((1.0, 2.0, 0.2), (3.0, 9.0, math.nan)))
+    proxy, clock, theirs = proxied(FalseBatteryCharge((1.0, 2.0, 0.2), (3.0, 9.0, math.nan)))
     voice, told = mavlink.MAVLink(None, 1, 1), []
     for k in range(5):
         voice.seq, clock[0] = 40 + k, float(k)
@@ -103,10 +111,10 @@ def test_a_gauge_slips_in_its_spells_alone_and_every_frame_keeps_its_number() ->
 def test_another_firmware_is_told() -> None:
     told = mavlink.MAVLink_autopilot_version_message(0, 17 << 16, 0, 0, 0, b"\0" * 8, b"\0" * 8, b"\0" * 8, 0, 0, 0)
     frame = bytes(told.pack(mavlink.MAVLink(None, 1, 1)))
-    late = Rewritten(148, version(1, 13, 0)).to_product(0.0, frame)
+    late = RewrittenFrames(148, version(1, 13, 0)).to_product(0.0, frame)
     changed = mavlink.MAVLink(None).decode(bytearray(late[0][1]))
     assert changed.flight_sw_version >> 16 == 1 << 8 | 13
-    assert Rewritten(0, version(1, 13, 0)).to_product(0.0, frame) == [(0.0, frame)]
+    assert RewrittenFrames(0, version(1, 13, 0)).to_product(0.0, frame) == [(0.0, frame)]
 
 
 def test_heartbeats_are_heard_among_anything_else() -> None:
@@ -117,7 +125,7 @@ def test_heartbeats_are_heard_among_anything_else() -> None:
     parser.robust_parsing = True
     plain = [m.custom_mode for data in heard for m in parser.parse_buffer(data) or () if m.get_type() == "HEARTBEAT"]
     assert plain[:3] == [1, 2, 3]
-    assert [mode for _, mode, _ in modes_told(list(enumerate(heard)))] == plain
+    assert [mode for _, mode, _ in heartbeats_in(list(enumerate(heard)))] == plain
 
 
 def test_the_capture_is_in_the_worlds_axes() -> None:
@@ -167,10 +175,10 @@ def test_the_far_proxy_keeps_what_arrives_and_spoils_what_leaves() -> None:
         assert not proxy.heard
         clock[0] = 0.62
         proxy.forward()
-        assert [mode for _, mode, _ in modes_told(proxy.heard)] == [5]
+        assert [mode for _, mode, _ in heartbeats_in(proxy.heard)] == [5]
         product.wait(5.0)
         assert product.read() == heartbeat(5)
-        proxy.forge(b"garbage")
+        proxy.inject_to_product(b"garbage")
         product.wait(5.0)
         assert product.read() == b"garbage"
     finally:

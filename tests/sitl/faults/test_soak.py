@@ -24,7 +24,7 @@ from sitl.faults.injectors.base import InjectionContext
 from sitl.faults.process_registry import ProcessRegistry
 from sitl.faults.report.resource_chart import Track, draw
 from sitl.faults.resource_usage import ResourceUsage, descriptors_of
-from sitl.faults.soak import BREATH_MB, FOR_S, SOAKS, Told, orders, soak
+from sitl.faults.soak import HEAP_FLUCTUATION_MB, RESUME_FOR_S, SOAKS, OperatorCommands, orders, soak
 from sitl.faults.table.all_scenarios import ROWS, TABLE
 from sitl.faults.table.scenario import judge
 
@@ -140,13 +140,13 @@ def test_the_operator_holds_lets_go_a_few_times_and_lands() -> None:
     told = orders(7200.0)
     assert (told[0], told[-1]) == ((0.0, "hold"), (7200.0, "land"))
     assert [word for _, word in told[1:-1]] == ["start", "hold"] * 10
-    assert told[2][0] - told[1][0] == FOR_S
+    assert told[2][0] - told[1][0] == RESUME_FOR_S
     assert [at_s for at_s, _ in told] == sorted(at_s for at_s, _ in told)
     assert orders(60.0) == [(0.0, "hold"), (30.0, "start"), (35.0, "hold"), (60.0, "land")]
 
 
 def test_orders_are_given_once_by_the_command_line_and_nobody_is_left(tmp_path: Path) -> None:
-    at, told = theatre(tmp_path), Told([(0.0, "hold"), (2.0, "land")])
+    at, told = theatre(tmp_path), OperatorCommands([(0.0, "hold"), (2.0, "land")])
     (tmp_path / "config.toml").write_text("[nonsense]\n", encoding="utf-8")
     begun_s = time.monotonic()
     told.turn(at, 0.0)
@@ -184,7 +184,7 @@ def test_a_soak_is_held_to_flat_memory_descriptors_and_its_length() -> None:
 @pytest.mark.parametrize(("row", "for_s"), [("G9-5min", 300.0), ("G9-1min", 60.0)])
 def test_a_breath_is_no_growth_and_a_colour_image_kept_each_second_is(row: str, for_s: float) -> None:
     t, bar = np.arange(for_s), ROWS[row].bars[1]
-    steepest = max(track(np.where(t < at_s, 240.0, 240.0 + BREATH_MB)).mb_per_h() for at_s in t)
+    steepest = max(track(np.where(t < at_s, 240.0, 240.0 + HEAP_FLUCTUATION_MB)).mb_per_h() for at_s in t)
     leaking = track(240.0 + 424 * 240 * 3 / 1e6 * t).mb_per_h()
     assert 0.9 * bar.limit < steepest < bar.limit < 0.5 * leaking
 

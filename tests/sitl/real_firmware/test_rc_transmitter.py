@@ -13,7 +13,7 @@ import pytest
 from sitl.autopilots.base_autopilot import VehicleTruth
 from sitl.autopilots.byte_links import UdpPeer
 from sitl.faults.autopilot_side_proxy import AutopilotSideProxy
-from sitl.faults.mavlink_proxy import Late
+from sitl.faults.mavlink_proxy import DelayedItems
 from sitl.geometry.quaternion import from_yaw
 from sitl.real_firmware.rc_transmitter import RcTransmitter
 from sitl.real_firmware.relay import Relay
@@ -71,7 +71,7 @@ def test_sticks_counteract_the_motion(
 def test_a_relay_forwards_the_frames_that_the_faults_leave() -> None:
     lost = [b""]
 
-    def fate(frame: bytes) -> Late[bytes]:
+    def fate(frame: bytes) -> DelayedItems[bytes]:
         return [] if frame == lost[0] else [(0.0, frame)]
 
     product, firmware = UdpPeer(remote=None), socket.socket(socket.AF_INET, socket.SOCK_DGRAM)

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from sitl.geometry.quaternion import Quat, Vec3
-from sitl.real_firmware.true_trajectory import Grain, Inertial, Reading, TrueTrajectory
+from sitl.real_firmware.true_trajectory import Inertial, PositionResolution, Reading, TrueTrajectory
 
 LEVEL: Quat = (1.0, 0.0, 0.0, 0.0)
-GRAIN = Grain(metres_per_e7=0.011131884502145034, height_step_m=0.01)
+GRAIN = PositionResolution(metres_per_e7=0.011131884502145034, height_step_m=0.01)
 LATITUDE_E7, LONGITUDE_E7, HEIGHT_M = 473977420, 85455940, 500.0
 
 
@@ -86,7 +86,7 @@ def test_pitch_up_and_roll_right_have_the_correct_signs() -> None:
 
 def test_velocity_is_in_world_axes_and_inertial_data_in_body_axes() -> None:
     path = TrueTrajectory(GRAIN, 0.0)  # the firmware's north is the world's x axis
-    path.feel(Inertial((0.1, 0.2, 0.3), (1.0, 2.0, -9.8)))
+    path.set_inertial(Inertial((0.1, 0.2, 0.3), (1.0, 2.0, -9.8)))
     path.take(1.0, reading(ned_mps=(0.6, 0.2, -0.1)))
     motion = path.at(1.0)
     np.testing.assert_allclose(motion.velocity, [0.6, -0.2, 0.1], atol=1e-12)
@@ -117,7 +117,7 @@ def test_the_path_between_coarse_readings_is_smooth() -> None:
 
 def test_the_path_is_extrapolated_for_a_short_time_only() -> None:
     path = TrueTrajectory(GRAIN, math.pi / 2.0)
-    path.feel(Inertial((0.0, 0.0, -1.0), (0.0, 0.0, -9.8)))
+    path.set_inertial(Inertial((0.0, 0.0, -1.0), (0.0, 0.0, -9.8)))
     path.take(1.0, reading(ned_mps=(0.5, 0.0, 0.0)))
     np.testing.assert_allclose(path.at(1.05).position, [0.0, 0.025, 0.0], atol=1e-12)
     np.testing.assert_allclose(forward(path, 1.05), [-math.sin(0.05), math.cos(0.05), 0.0], atol=1e-5)  # turning left

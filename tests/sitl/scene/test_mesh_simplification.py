@@ -11,7 +11,7 @@ from sitl.camera.d435i import FAST_DEPTH_SPEC
 from sitl.geometry.transform import body_from_camera, world_from_body
 from sitl.scene import mesh_simplification as module
 from sitl.scene.builtin_room import built_in_room
-from sitl.scene.mesh_simplification import merged
+from sitl.scene.mesh_simplification import simplified
 from sitl.scene.rasterizer import Renderer
 
 F32 = NDArray[np.float32]
@@ -47,7 +47,7 @@ def picture(vertices: F32, faces: I32, pose: NDArray[np.float64]) -> tuple[F32, 
 def test_a_fraction_of_the_triangles_renders_the_same_images(room: tuple[F32, I32], tmp_path: Path) -> None:
     vertices, faces = room
     assert len(faces) > module.WORTH_FACES
-    fewer, triangles = merged(vertices, faces, tmp_path)
+    fewer, triangles = simplified(vertices, faces, tmp_path)
     assert len(triangles) < len(faces) / 3
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     rng = np.random.default_rng(3)
@@ -62,20 +62,20 @@ def test_a_fraction_of_the_triangles_renders_the_same_images(room: tuple[F32, I3
 
 
 def test_the_simplified_mesh_is_cached(room: tuple[F32, I32], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    first = merged(*room, tmp_path)
+    first = simplified(*room, tmp_path)
 
     def again(*_: object) -> None:
         raise AssertionError("the cache was not used")
 
     monkeypatch.setattr(module, "_collapsed", again)
-    for a, b in zip(first, merged(*room, tmp_path), strict=True):
+    for a, b in zip(first, simplified(*room, tmp_path), strict=True):
         np.testing.assert_array_equal(a, b)
 
 
 def test_a_small_mesh_is_not_simplified() -> None:
     mesh = built_in_room(fine=False)
     few = mesh.faces[:1000]
-    vertices, faces = merged(mesh.vertices, few)
+    vertices, faces = simplified(mesh.vertices, few)
     assert vertices is mesh.vertices and faces is few
 
 
@@ -83,7 +83,7 @@ def test_a_mesh_that_cannot_be_simplified_well_is_rendered_unchanged(
     room: tuple[F32, I32], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setattr(module, "LOST_M", 10.0)  # no lost surface is restored
-    vertices, faces = merged(*room, tmp_path)
+    vertices, faces = simplified(*room, tmp_path)
     np.testing.assert_array_equal(faces, room[1])
     np.testing.assert_array_equal(vertices, room[0])
     assert "drawn as they are" in caplog.text
@@ -95,5 +95,5 @@ def test_a_sliver_that_the_simplification_loses_is_restored(room: tuple[F32, I32
     sliver = middle + np.array([[0, 0, 0], [0, 0, 0.02], [0, 1e-6, 0.01]], np.float32)
     with_sliver = np.concatenate([vertices, sliver.astype(np.float32)])
     more = np.concatenate([faces, np.arange(3, dtype=np.int32)[None] + np.int32(len(vertices))])
-    corners, triangles = merged(with_sliver, more, tmp_path)
+    corners, triangles = simplified(with_sliver, more, tmp_path)
     assert np.isin(triangles, np.flatnonzero(np.linalg.norm(corners - middle, axis=1) < 0.03)).all(axis=1).any()

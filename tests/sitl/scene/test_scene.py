@@ -10,7 +10,7 @@ import pytest
 import trimesh
 
 from sitl.scene.mesh import Mesh, joined
-from sitl.scene.scene import SceneError, load_scene, place
+from sitl.scene.scene import SceneError, load_scene, scene_from_mesh
 
 SHARED = Path(__file__).resolve().parents[4] / "shared" / "scenes"
 START = (2.0, 2.0, 0.5, 90.0)
@@ -29,7 +29,7 @@ def with_obstacle(low: tuple[float, float, float], high: tuple[float, float, flo
 
 
 def test_the_start_becomes_the_origin_ten_centimetres_over_the_floor() -> None:
-    scene = place("box", ROOM, START, None)
+    scene = scene_from_mesh("box", ROOM, START, None)
     np.testing.assert_allclose(scene.scene_from_world_m, (2.0, 2.0, 0.1), atol=1e-6)
     np.testing.assert_allclose(scene.vertices + scene.scene_from_world_m, ROOM.vertices, atol=1e-5)
     np.testing.assert_allclose(scene.fence_min, (-2.0, -2.0, -0.1), atol=1e-6)
@@ -40,12 +40,12 @@ def test_the_start_becomes_the_origin_ten_centimetres_over_the_floor() -> None:
 
 def test_the_floor_is_the_surface_below_the_start() -> None:
     """A platform wider than the hull is the floor."""
-    scene = place("box", with_obstacle((1, 1, 0), (3, 3, 0.2)), START, None)
+    scene = scene_from_mesh("box", with_obstacle((1, 1, 0), (3, 3, 0.2)), START, None)
     assert scene.scene_from_world_m[2] == pytest.approx(0.3, abs=1e-6)
 
 
 def test_a_fence_is_given_in_the_frame_of_the_scene() -> None:
-    scene = place("box", ROOM, START, (1, 1, 0, 4, 3, 2))
+    scene = scene_from_mesh("box", ROOM, START, (1, 1, 0, 4, 3, 2))
     np.testing.assert_allclose(scene.fence_min, (-1, -1, -0.1), atol=1e-6)
     np.testing.assert_allclose(scene.fence_max, (2, 1, 1.9), atol=1e-6)
 
@@ -65,21 +65,21 @@ def test_start_needs_a_free_column(low: tuple[float, float, float], high: tuple[
     mesh = with_obstacle(low, high)
     if blocked:
         with pytest.raises(SceneError, match="start is blocked"):
-            place("box", mesh, START, None)
+            scene_from_mesh("box", mesh, START, None)
     else:
-        place("box", mesh, START, None)
+        scene_from_mesh("box", mesh, START, None)
 
 
 def test_start_close_to_a_wall_is_blocked() -> None:
     with pytest.raises(SceneError, match=r"blocked.*0\.30 m from its axis"):
-        place("box", ROOM, (0.3, 2, 0.5, 0), None)
+        scene_from_mesh("box", ROOM, (0.3, 2, 0.5, 0), None)
 
 
 def test_an_open_scene_needs_a_fence() -> None:
     roofless = Mesh(ROOM.vertices, ROOM.faces[(ROOM.vertices[ROOM.faces][..., 2] < 2.4).any(axis=1)], ROOM.rgb)
     with pytest.raises(SceneError, match=r"open.*--fence"):
-        place("box", roofless, START, None)
-    assert place("box", roofless, START, (0, 0, 0, 5, 4, 2)).fence_max[2] == pytest.approx(1.9, abs=1e-6)
+        scene_from_mesh("box", roofless, START, None)
+    assert scene_from_mesh("box", roofless, START, (0, 0, 0, 5, 4, 2)).fence_max[2] == pytest.approx(1.9, abs=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -115,7 +115,7 @@ def test_invalid_scenes_are_one_line_errors(
     mesh: Mesh, start: tuple[float, ...], fence: tuple[float, ...] | None, message: str
 ) -> None:
     with pytest.raises(SceneError, match=message) as caught:
-        place("box", mesh, start, fence)
+        scene_from_mesh("box", mesh, start, fence)
     assert "\n" not in str(caught.value)
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from sitl.camera.d435i import COLOUR_SPEC, DEPTH_SPEC
 from sitl.scene.mesh import Mesh, joined
-from sitl.scene.scene import Scene, place
+from sitl.scene.scene import Scene, scene_from_mesh
 from sitl.truth import visibility
 from sitl.truth.visibility import VisibleTruth, load_visible_truth, reachable_positions
 
@@ -27,7 +27,7 @@ def scene() -> Scene:
     A box is hidden in the cupboard. The cell beyond the wall at x = 4 is sealed.
     """
     parts = [box((0, 0, 0), (4, 4, 2.5)), box((3, 0.1, 0), (3.9, 1, 1)), box((3.3, 0.4, 0.3), (3.6, 0.7, 0.6))]
-    return place("box", joined([*parts, box((4.2, 0, 0), (8, 4, 2.5))]), (1.5, 2.0, 0.5, 0.0), None)
+    return scene_from_mesh("box", joined([*parts, box((4.2, 0, 0), (8, 4, 2.5))]), (1.5, 2.0, 0.5, 0.0), None)
 
 
 @pytest.fixture(scope="module")

@@ -120,7 +120,7 @@ def test_with_motors_off_it_falls_until_the_floor() -> None:
 
 def test_it_stands_on_the_surface_below_and_falls_off_its_edge() -> None:
     """A table 0.5 m high covers x below 1 m."""
-    vehicle = Quadrotor(0, 0.0, start=(0.0, 0.0, 0.0), standing_m=lambda p: 0.5 if p[0] < 1.0 and p[2] >= 0.5 else 0.0)
+    vehicle = Quadrotor(0, 0.0, start=(0.0, 0.0, 0.0), support_height_m=lambda p: 0.5 if p[0] < 1.0 and p[2] >= 0.5 else 0.0)
     lifted(vehicle, 2.0)
     for _ in range(1000):
         vehicle.step(DT, HOVER, 0.0, False)
@@ -159,7 +159,7 @@ def test_a_push_changes_the_velocity() -> None:
 def test_an_external_force_is_measured_by_the_accelerometer() -> None:
     still, pushed = Quadrotor(1, 0.0), Quadrotor(1, 0.0)
     for n in range(300):
-        pushed.outside_mps2 = (2.0 if n >= 250 else 0.0, 0.0, 0.0)
+        pushed.external_acceleration_mps2 = (2.0 if n >= 250 else 0.0, 0.0, 0.0)
         for vehicle in (still, pushed):
             vehicle.step(0.004, (0.0, 0.0, 12.0), 0.0, motors_on=True)
     assert pushed.velocity[0] - still.velocity[0] == pytest.approx(0.4, abs=0.02)

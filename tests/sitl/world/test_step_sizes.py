@@ -10,7 +10,7 @@ from sitl.autopilots.byte_links import pipe
 from sitl.autopilots.px4.autopilot import Px4
 from sitl.autopilots.px4.parameters import Px4Parameters
 from sitl.world.quadrotor import Quadrotor
-from sitl.world.step_sizes import QUICK, REAL, StepSizes
+from sitl.world.step_sizes import COARSE_STEPS, FINE_STEPS, StepSizes
 from uav_recon.app.processes import MISSION_RATE_HZ
 
 
@@ -45,12 +45,14 @@ def offsets_m(pace: StepSizes) -> np.ndarray[tuple[int, ...], np.dtype[np.float6
 
 
 def test_hover_and_step_are_flown_equally_well() -> None:
-    real, quick = offsets_m(REAL), offsets_m(QUICK)
+    real, quick = offsets_m(FINE_STEPS), offsets_m(COARSE_STEPS)
     assert np.sqrt((quick**2).mean()) == pytest.approx(np.sqrt((real**2).mean()), rel=0.25, abs=0.01)
     assert quick.max() < 1.5 * real.max() + 0.02
 
 
 def test_the_products_rates_divide_the_quick_step_rate() -> None:
-    for rate_hz in (MISSION_RATE_HZ, 30.0, 6.0, 10.0, QUICK.truth_hz):
-        assert (1.0 / QUICK.turn_s) % rate_hz == pytest.approx(0.0, abs=1e-9)
-    assert QUICK.turn_s / QUICK.physics_s == pytest.approx(round(QUICK.turn_s / QUICK.physics_s))
+    for rate_hz in (MISSION_RATE_HZ, 30.0, 6.0, 10.0, COARSE_STEPS.truth_hz):
+        assert (1.0 / COARSE_STEPS.iteration_s) % rate_hz == pytest.approx(0.0, abs=1e-9)
+    assert COARSE_STEPS.iteration_s / COARSE_STEPS.physics_s == pytest.approx(
+        round(COARSE_STEPS.iteration_s / COARSE_STEPS.physics_s)
+    )

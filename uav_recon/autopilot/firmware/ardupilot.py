@@ -97,10 +97,13 @@ class ArduPilotArmingSequence:
         self.streams = False
         self.reason: Reason | None = None
         self._start_s = now_s
-        self._mode, self._arm = Request(FLY, 2.5), Request(ARM, 5.0)
+        self._mode = Request(FLY, 2.5)
+        self._arm = Request(ARM, 5.0)
         self._mode_before: int | None = None
-        self._mode_seen, self._ground_m = False, math.nan
-        self._climb_s, self._lift_off = math.inf, TakeoffMonitor(math.nan)
+        self._mode_seen = False
+        self._ground_m = math.nan
+        self._climb_s = math.inf
+        self._lift_off = TakeoffMonitor(math.nan)
 
     def step(self, now_s: float, t: Telemetry) -> tuple[Outcome, Command | None]:
         """Return the state of the attempt, and the command to send now.
@@ -123,7 +126,9 @@ class ArduPilotArmingSequence:
     def _climb(self, now_s: float, t: Telemetry) -> tuple[Outcome, Command | None]:
         height_m = float(t.position_m[2])
         if self._climb_s == math.inf:
-            self._climb_s, self._ground_m, self._lift_off = now_s, height_m, TakeoffMonitor(height_m, self.LIFT_S)
+            self._climb_s = now_s
+            self._ground_m = height_m
+            self._lift_off = TakeoffMonitor(height_m, self.LIFT_S)
             self._lift_off.begin(now_s)
             return Outcome.PENDING, CLIMB
         fault = self._lift_off.fault(now_s, t)

@@ -83,10 +83,10 @@ def missing_to_follow(
         return Reason(ReasonCode.NO_HEARTBEAT)
     if t.firmware_family != family:
         return Reason(ReasonCode.WRONG_FIRMWARE, (name, t.firmware_family))
-    if t.twin_heard:
+    if t.own_id_in_use:
         return Reason(ReasonCode.OUR_ID_IN_USE)
-    if t.doubled or t.stranger:
-        return t.stranger or TWO
+    if t.duplicate_autopilot or t.identity_fault:
+        return t.identity_fault or TWO
     if t.version is None:
         return Reason(ReasonCode.FIRMWARE_UNKNOWN)
     if t.version < oldest:
@@ -129,5 +129,6 @@ class Request:
             return None, None
         if self.asked >= self.tries:
             return None, Reason(ReasonCode.ARMING_GIVEN_UP, details=(why, *autopilot_text(t.warning)))
-        self.asked, self.asked_s = self.asked + 1, now_s
+        self.asked = self.asked + 1
+        self.asked_s = now_s
         return self.command, None

@@ -101,7 +101,8 @@ class Px4ArmingSequence:
         self.streams = True
         self.reason: Reason | None = None
         self._start_s = now_s
-        self._mode, self._arm = Request(FLY, 2.5), Request(ARM, 5.0)
+        self._mode = Request(FLY, 2.5)
+        self._arm = Request(ARM, 5.0)
         self._mode_before: int | None = None
         self._mode_seen = False
 

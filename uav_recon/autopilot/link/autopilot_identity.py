@@ -21,7 +21,8 @@ class AutopilotIdentity:
     """
 
     def __init__(self, wanted: str = "") -> None:
-        self._wanted, self._uid = wanted, ""
+        self._wanted = wanted
+        self._uid = ""
         self._received_s = self._asked_s = -math.inf
         self._asks = False
         self.fault: Reason | None = None  # why it is not the one that is flown
@@ -40,7 +41,7 @@ class AutopilotIdentity:
         same = int(uid or "0", 16) == int(wanted or "0", 16)
         self.fault = None if same else Reason(code, (uid or "none", wanted))
 
-    def asks(self, now_s: float) -> bool:
+    def request_due(self, now_s: float) -> bool:
         """Return True if the uid should be requested now, and count it as requested."""
         if not self._asks or now_s - self._asked_s < _AGAIN_S:
             return False

@@ -47,9 +47,9 @@ class DuplicateAutopilotDetector:
     def update(self, received: Received, now_s: float) -> None:
         """Check one frame that the gate admitted."""
         if isinstance(received.message, Heartbeat):
-            self._hear_state(received.message, received.frame, now_s)
+            self._check_state(received.message, received.frame, now_s)
         elif kind_of(received.frame) in _STAMPED:
-            self._hear_clock(int.from_bytes(payload_of(received.frame)[:4], "little") / 1000.0 - now_s, now_s)
+            self._check_clock(int.from_bytes(payload_of(received.frame)[:4], "little") / 1000.0 - now_s, now_s)
 
     def detected(self, now_s: float) -> bool:
         """Return True if there are two, now or within the last two seconds."""
@@ -62,7 +62,7 @@ class DuplicateAutopilotDetector:
         """
         return [state for state, at_s in self._told_s.items() if now_s - at_s < _TOLD_S]
 
-    def _hear_clock(self, ahead_s: float, now_s: float) -> None:
+    def _check_clock(self, ahead_s: float, now_s: float) -> None:
         self._clocks = [clock for clock in self._clocks if now_s - clock.received_s <= _SILENT_S]
         mine = [clock for clock in self._clocks if abs(math.remainder(clock.ahead_s - ahead_s, _WRAP_S)) <= _APART_S]
         if mine:
@@ -71,9 +71,10 @@ class DuplicateAutopilotDetector:
             self._clocks.append(_BootClock(ahead_s, now_s, now_s))
         settled = sum(now_s - clock.first_s >= _LIVED_S for clock in self._clocks)
         if settled > 1 or len(self._clocks) > _MAX_CLOCKS:
-            self._clocks, self._seen_s = self._clocks[-_MAX_CLOCKS:], now_s
+            self._clocks = self._clocks[-_MAX_CLOCKS:]
+            self._seen_s = now_s
 
-    def _hear_state(self, message: Heartbeat, frame: bytes, now_s: float) -> None:
+    def _check_state(self, message: Heartbeat, frame: bytes, now_s: float) -> None:
         state = message.armed, message.custom_mode
         self._told_s = {told: self._told_s[told] for told in self.told(now_s)} | {state: now_s}
         self._copies = {old: at_s for old, at_s in self._copies.items() if now_s - at_s <= _AGAIN_S}

@@ -50,7 +50,7 @@ class LinkAlerts:
         elif kind_of(received.frame) in _COMMAND:
             if _COMMAND[kind_of(received.frame)].read(received.frame)[0] in (0, self._own[0]):
                 self.note(Reason(ReasonCode.INTRUDER_COMMANDS, who))
-        elif tells_state(received):
+        elif is_vehicle_state(received):
             self.note(Reason(ReasonCode.INTRUDER_STATE, who))
 
     def note(self, alarm: Reason) -> None:
@@ -71,7 +71,7 @@ class LinkAlerts:
         return news
 
 
-def tells_state(received: Received) -> bool:
+def is_vehicle_state(received: Received) -> bool:
     """Return True if the message reports the state of a vehicle, as an autopilot's does."""
     message = received.message
     return isinstance(message, _TELL_STATE) or (isinstance(message, Heartbeat) and message.autopilot != NOT_AN_AUTOPILOT)

@@ -27,7 +27,8 @@ class TimeSyncFilter:
     """
 
     def __init__(self, samples_needed: int = 10, round_trip_s: float = 0.025, window: int = 64) -> None:
-        self._needed, self._round_trip_ns = samples_needed, int(round_trip_s * _NS)
+        self._needed = samples_needed
+        self._round_trip_ns = int(round_trip_s * _NS)
         self._samples: deque[tuple[int, int]] = deque(maxlen=window)  # (round trip, offset), ns
         self._trips: deque[tuple[int, int]] = deque(maxlen=_LATEST)  # (sent, round trip), ns, of any duration
         self._against: list[tuple[int, int]] = []  # consecutive exchanges that contradict them
@@ -55,7 +56,8 @@ class TimeSyncFilter:
         if self._samples and abs(offset - self._offset_ns) > _CONTRADICTS_NS:
             self._contradict(round_trip, offset, autopilot_ns)
             return
-        self._against, self._newest_ns = [], autopilot_ns
+        self._against = []
+        self._newest_ns = autopilot_ns
         self._samples.append((round_trip, offset))
         self._offset_ns = min(self._samples)[1]
 
@@ -79,7 +81,9 @@ class TimeSyncFilter:
             step_ns = offset - self._offset_ns
             moved = ((trip, before + step_ns) for trip, before in self._samples)
             self._samples = deque((*moved, (round_trip, offset)), self._samples.maxlen)
-        self._against, self._newest_ns, self._offset_ns = [], autopilot_ns, min(self._samples)[1]
+        self._against = []
+        self._newest_ns = autopilot_ns
+        self._offset_ns = min(self._samples)[1]
 
     def autopilot_ns(self, ours_s: float) -> int:
         """Return our instant on the autopilot's clock, never negative.

@@ -67,19 +67,25 @@ class VehicleLink:
         system: int = 245,
         component: int = 191,
     ) -> None:
-        self._bytes, self._log, self._gate = bytes_link, log, gate
+        self._bytes = bytes_link
+        self._log = log
+        self._gate = gate
         self.firmware = firmware
         self.mute = False  # True: send no heartbeats any more
         self._own = (system, component)
-        self._decoder, self._encoder = Decoder(), Encoder(system, component)
-        self._timesync, self._succession, self._double = TimeSyncFilter(), StaleFrameFilter(), DuplicateAutopilotDetector()
+        self._decoder = Decoder()
+        self._encoder = Encoder(system, component)
+        self._timesync = TimeSyncFilter()
+        self._stale_filter = StaleFrameFilter()
+        self._duplicates = DuplicateAutopilotDetector()
         self._identity = AutopilotIdentity(gate.uid)
         self._slow_s = -math.inf
         keepers = (RateKeeper(rate, start_s) for rate in _CHATTER_HZ)
         self._heartbeat, self._sync, self._resync, self._gimbal = keepers
         self._polled = [(identifier, RateKeeper(rate_hz, start_s)) for identifier, rate_hz in firmware.polled_hz]
         self._asked_parameters: set[str] = set()
-        self.telemetry, self.intrusions = Telemetry(), LinkAlerts(self._own)
+        self.telemetry = Telemetry()
+        self.alerts = LinkAlerts(self._own)
 
     @property
     def time_known(self) -> bool:
@@ -97,13 +103,13 @@ class VehicleLink:
         old_frames = self._decoder.mavlink1_frames
         for received in self._decoder.feed(data):
             self._log.record(now_s, received.frame)
-            self._hear(received, now_s)
+            self._on_frame(received, now_s)
         self._notice_slowness(now_s)
-        self.telemetry.doubled = self._double.detected(now_s)
-        if self.telemetry.doubled:
-            self.intrusions.note(TWO)
+        self.telemetry.duplicate_autopilot = self._duplicates.detected(now_s)
+        if self.telemetry.duplicate_autopilot:
+            self.alerts.note(TWO)
         if self._decoder.mavlink1_frames > old_frames:
-            self.intrusions.note(Reason(ReasonCode.INTRUDER_MAVLINK1))
+            self.alerts.note(Reason(ReasonCode.INTRUDER_MAVLINK1))
         self._gate.refuse("MAVLink 1", self._decoder.mavlink1_frames - old_frames)
 
     def _notice_slowness(self, now_s: float) -> None:
@@ -114,7 +120,7 @@ class VehicleLink:
         trip_s = self._timesync.usual_trip_s
         if trip_s > _SLOW_TRIP_S:
             self._slow_s = now_s
-            self.intrusions.note(Reason(ReasonCode.LINK_SLOW, (trip_s,)))
+            self.alerts.note(Reason(ReasonCode.LINK_SLOW, (trip_s,)))
         self.telemetry.slow = now_s - self._slow_s < _SLOW_FOR_S
 
     def keep_alive(self, now_s: float) -> None:
@@ -129,7 +135,7 @@ class VehicleLink:
         if self.telemetry.system and (self._resync if self._timesync.lost else self._sync).due(now_s):
             self._send(self._encoder.timesync(0, int(now_s * _NS)), now_s)
         self.poll(now_s)
-        if self._identity.asks(now_s):
+        if self._identity.request_due(now_s):
             self.command(now_s, _REQUEST_MESSAGE, _AUTOPILOT_VERSION)
 
     def poll(self, now_s: float) -> None:
@@ -147,7 +153,7 @@ class VehicleLink:
 
         Nothing is sent before that clock is known, while it is doubtful, or to another autopilot.
         """
-        if not self.time_known or self.telemetry.stranger:
+        if not self.time_known or self.telemetry.identity_fault:
             return
         time_us = self._timesync.autopilot_ns(pose.stamp_s) // 1000
         self._send(self._encoder.odometry(pose, time_us, self.firmware.pose_frame), now_s)
@@ -209,18 +215,18 @@ class VehicleLink:
             return
         self._log.record(now_s, frame)
 
-    def _hear(self, received: Received, now_s: float) -> None:
+    def _on_frame(self, received: Received, now_s: float) -> None:
         """Process a frame that the gate admits, after the vehicle's first heartbeat.
 
         Of the autopilot's frames, only those are processed that are not stale.
         """
         t, message = self.telemetry, received.message
         if (received.system, received.component) == self._own:
-            t.twin_heard = True
-            self.intrusions.update(received)
+            t.own_id_in_use = True
+            self.alerts.update(received)
             return
         if not self._gate.admits(received):
-            self.intrusions.update(received)
+            self.alerts.update(received)
             return
         from_autopilot = self._gate.is_autopilot(received)
         if isinstance(message, Heartbeat) and from_autopilot and message.autopilot != NOT_AN_AUTOPILOT:
@@ -228,18 +234,20 @@ class VehicleLink:
         if t.system == 0 or message is None:
             return
         if from_autopilot:
-            self._double.update(received, now_s)
+            self._duplicates.update(received, now_s)
             dated = isinstance(message, TimesyncMessage) and message.tc1_ns != 0  # its round trip shows how late it is
-            if not self._succession.is_newest(received.frame, now_s) and not (dated or t.doubled):  # of two, neither is older
+            if not self._stale_filter.is_newest(received.frame, now_s) and not (
+                dated or t.duplicate_autopilot
+            ):  # of two, neither is older
                 t.stale_frames += 1
                 return
             t.received_s = now_s
             self._identity.update(now_s, self._timesync.lost)
-            self._take(message, now_s)
+            self._on_message(message, now_s)
         elif isinstance(message, GimbalAttitude):
             t.camera_pitch_down_rad = message.pitch_down_rad
 
-    def _take(self, message: Message, now_s: float) -> None:
+    def _on_message(self, message: Message, now_s: float) -> None:
         t = self.telemetry
         match message:
             case Heartbeat():
@@ -261,7 +269,7 @@ class VehicleLink:
             case Firmware():
                 t.version = message.version
                 self._identity.told(message.uid)
-                t.stranger = self._identity.fault
+                t.identity_fault = self._identity.fault
             case StatusText():
                 t.warning = message.text if message.severity <= _WARNING else t.warning
             case GimbalAttitude():
@@ -279,13 +287,13 @@ class VehicleLink:
         ours has precedence over ours, so that a human pilot always wins, and ours over a landing, so that no sender can keep us
         from requesting one.
         """
-        t, told = self.telemetry, self._double.told(now_s)
+        t, told = self.telemetry, self._duplicates.told(now_s)
         armed = [mode for runs, mode in told if runs]
         if armed and not message.armed:
             return
         t.heartbeat_s, t.firmware_family = now_s, message.autopilot
         t.armed, t.custom_mode = message.armed, message.custom_mode
-        if t.doubled:
+        if t.duplicate_autopilot:
             rules = self.firmware
             t.custom_mode = min(armed or [t.custom_mode], key=lambda mode: rules.is_ours(mode) + 2 * rules.is_landing(mode))
 
@@ -303,6 +311,7 @@ class VehicleLink:
             return
         self._timesync.observe(message.ts1_ns, message.tc1_ns, int(now_s * _NS))
         if self._timesync.restarts > self.telemetry.reboots:
-            self.telemetry.reboots, self._succession = self._timesync.restarts, StaleFrameFilter()
+            self.telemetry.reboots = self._timesync.restarts
+            self._stale_filter = StaleFrameFilter()
             self.telemetry.origin_known = self.telemetry.estimator_good = self.telemetry.prearm_good = False
             self.telemetry.parameters.clear()

@@ -36,7 +36,8 @@ class AllowListFilter:
     """
 
     def __init__(self, allowed: AllowList | None = None, seal: Signer | None = None) -> None:
-        self._allowed, self.seal = allowed or AllowList(), seal or NullSigner()
+        self._allowed = allowed or AllowList()
+        self.seal = seal or NullSigner()
         self._named: set[str] = set()
         self.refused = 0
 
@@ -45,7 +46,7 @@ class AllowListFilter:
         """Hardware id of the one autopilot that may be flown, '' for any."""
         return self._allowed.uid
 
-    def greets(self, data: bytes) -> bool:
+    def has_heartbeat(self, data: bytes) -> bool:
         """Return True if a datagram holds a heartbeat of the vehicle's autopilot. Changes nothing."""
         return any(self._is_greeting(received) for received in Decoder().feed(data))
 
@@ -82,4 +83,4 @@ class AllowListFilter:
         from_autopilot = (
             isinstance(message, Heartbeat) and message.autopilot != NOT_AN_AUTOPILOT and self.is_autopilot(received)
         )
-        return from_autopilot and self.seal.trusts(received.frame)
+        return from_autopilot and self.seal.verify(received.frame)

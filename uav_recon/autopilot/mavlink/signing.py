@@ -39,7 +39,7 @@ class Signer(Protocol):
         """Return one of our frames as it is sent."""
         ...
 
-    def trusts(self, frame: bytes) -> bool:
+    def verify(self, frame: bytes) -> bool:
         """Return True if a received frame would be accepted. Changes nothing."""
         ...
 
@@ -59,7 +59,7 @@ class NullSigner:
         """Return the frame unsigned."""
         return frame
 
-    def trusts(self, frame: bytes) -> bool:
+    def verify(self, frame: bytes) -> bool:
         """Return True."""
         return True
 
@@ -78,27 +78,29 @@ class Signature:
     """
 
     def __init__(self, key: bytes, link_id: int, stamps: SigningTimestamps) -> None:
-        self._key, self._link_id, self._stamps = key, bytes((link_id,)), stamps
-        self._heard_on: dict[tuple[int, int], int] = {}  # the first link id of each system and component
+        self._key = key
+        self._link_id = bytes((link_id,))
+        self._stamps = stamps
+        self._link_ids: dict[tuple[int, int], int] = {}  # the first link id of each system and component
 
     def put(self, frame: bytes, now_s: float) -> bytes:
         """Return the frame marked as signed, and signed at this instant."""
         stamped = marked_signed(frame) + self._link_id + self._stamps.next(now_s).to_bytes(6, "little")
         return stamped + self._hash(stamped)
 
-    def trusts(self, frame: bytes) -> bool:
+    def verify(self, frame: bytes) -> bool:
         """Return True if the signature is valid, the stamp new, and the link id that of the sender."""
         if not is_signed(frame) or not hmac.compare_digest(frame[-_HASH:], self._hash(frame[:-_HASH])):
             return False
-        if self._heard_on.get(sender_of(frame), frame[-_TAIL]) != frame[-_TAIL]:
+        if self._link_ids.get(sender_of(frame), frame[-_TAIL]) != frame[-_TAIL]:
             return False
         return self._stamps.is_new(self._stream(frame), self._stamp(frame))
 
     def accept(self, frame: bytes) -> bool:
-        """Return the result of trusts(), and record the stamp of an accepted frame."""
-        if not self.trusts(frame):
+        """Return the result of verify(), and record the stamp of an accepted frame."""
+        if not self.verify(frame):
             return False
-        self._heard_on[sender_of(frame)] = frame[-_TAIL]
+        self._link_ids[sender_of(frame)] = frame[-_TAIL]
         self._stamps.note(self._stream(frame), self._stamp(frame))
         return True
 

@@ -41,7 +41,9 @@ class SigningTimestamps:
 
         wall_s: seconds since 1970, used once. Raises SigningTimestampsError if the file cannot be read or written.
         """
-        self._path, self._executor, self._start_s = path, executor, now_s
+        self._path = path
+        self._executor = executor
+        self._start_s = now_s
         stored, self._newest = _read(path)
         self._first = max(int((wall_s - _EPOCH_S) * UNITS_PER_S), stored, 1)
         self._last = self._first - 1

@@ -38,9 +38,9 @@ class Telemetry:
     refused_command: int = 0  # newest command answered with anything but "accepted" or "in progress"
     warning: str = ""  # newest text of severity warning or worse
     pose_fed_s: float = -math.inf
-    twin_heard: bool = False  # another sender uses our own id
-    stranger: Reason | None = None  # why the autopilot that answers is not the one that is flown
-    doubled: bool = False  # two autopilots use its id: their messages cannot be distinguished
+    own_id_in_use: bool = False  # another sender uses our own id
+    identity_fault: Reason | None = None  # why the autopilot that answers is not the one that is flown
+    duplicate_autopilot: bool = False  # two autopilots use its id: their messages cannot be distinguished
     slow: bool = False  # our messages are too late: the lag uses up the clearance of planned paths
     reboots: int = 0
     stale_frames: int = 0  # repeated, or overtaken by newer ones

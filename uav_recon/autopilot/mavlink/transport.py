@@ -52,7 +52,9 @@ class UdpLink:
             raise LinkError(f"link udp:{host}:{port}: a port is 1 to 65535")
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
-        self._gate, self._clock, self._peer_host = gate, clock, peer_host
+        self._gate = gate
+        self._clock = clock
+        self._peer_host = peer_host
         self._peer: Any = None
         self._spoke_s = -math.inf
         self.dropped_writes = 0
@@ -85,7 +87,7 @@ class UdpLink:
             if taken or not self._may_be_peer(sender[0]):
                 self._gate.refuse(f"{sender[0]}:{sender[1]}")
                 return False
-            if not self._gate.greets(data):  # the vehicle's other messages may come before its heartbeat
+            if not self._gate.has_heartbeat(data):  # the vehicle's other messages may come before its heartbeat
                 return False
             self._peer = sender
         self._spoke_s = now_s
@@ -122,8 +124,11 @@ class SerialLink:
         """Open the line. Raises LinkError if it does not exist or is no serial line."""
         if baud not in BAUDS:
             raise LinkError(f"link serial:{device}:{baud}: baud must be one of {', '.join(map(str, BAUDS))}")
-        self._device, self._speed, self._clock = device, getattr(termios, f"B{baud}"), clock
-        self._pending, self._look_s = bytearray(), -math.inf
+        self._device = device
+        self._speed = getattr(termios, f"B{baud}")
+        self._clock = clock
+        self._pending = bytearray()
+        self._look_s = -math.inf
         self.dropped_writes = 0
         try:
             self._file: int | None = _opened(device, self._speed)

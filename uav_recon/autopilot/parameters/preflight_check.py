@@ -21,9 +21,12 @@ class ParameterCheck:
     """
 
     def __init__(self, wanted: tuple[RequiredParameter, ...], form: ParameterEncoding) -> None:
-        self._wanted, self._form = tuple(one for one in wanted if one.reason.refused), form
+        self._wanted = tuple(one for one in wanted if one.reason.refused)
+        self._form = form
         self._inquiry = self._everything()
-        self._read_once, self._read_s, self._reboots = False, math.inf, 0
+        self._read_once = False
+        self._read_s = math.inf
+        self._reboots = 0
         self._heeded: dict[str, ParameterValue] = {}
         self._changed: Reason | None = None
 
@@ -36,7 +39,9 @@ class ParameterCheck:
         if t.system == 0:
             return Reason(ReasonCode.NO_AUTOPILOT_PARAMETERS)
         if t.reboots != self._reboots:
-            self._inquiry, self._read_once, self._reboots = self._everything(), False, t.reboots
+            self._inquiry = self._everything()
+            self._read_once = False
+            self._reboots = t.reboots
         self._inquiry.step(now_s, link)
         if not self._inquiry.done:
             self._read_s = now_s

@@ -26,7 +26,9 @@ class Breadcrumbs:
     """Positions (odom, m) of the vehicle in flight, and the path back along them."""
 
     def __init__(self) -> None:
-        self._places_m, self._count = np.empty((_MAX, 3)), 0  # oldest first
+        # oldest first
+        self._places_m = np.empty((_MAX, 3))
+        self._count = 0
 
     def drop(self, odom_from_body: Pose) -> None:
         """Record the vehicle's position."""

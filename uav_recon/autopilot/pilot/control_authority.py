@@ -27,12 +27,12 @@ _BACK_S = 1.0  # after a mode that was not ours: no human gives the vehicle back
 class ControlLoss:
     """The phase of the flight after an intervention, and the reason.
 
-    abandoned: no one flies the vehicle now, so our heartbeats stop and the autopilot lands by itself.
+    stop_heartbeats: no one flies the vehicle now, so our heartbeats stop and the autopilot lands by itself.
     """
 
     phase: FlightPhase
     why: Reason | None
-    abandoned: bool = False
+    stop_heartbeats: bool = False
 
 
 class ControlAuthority:
@@ -60,20 +60,21 @@ class ControlAuthority:
 
         Motors are ours only in the attempt that requested them.
         """
-        rebooted, self._reboots = t.reboots != self._reboots, t.reboots
+        rebooted = t.reboots != self._reboots
+        self._reboots = t.reboots
         if phase in _IDLE:
             self._idle_s = now_s
         if phase in (*_IDLE, FlightPhase.ARMING) and t.armed and self._arm_asked_s <= self._idle_s:
             ours = self._firmware.is_ours(t.custom_mode)
             if (ours or self._firmware.is_landing(t.custom_mode)) and self.motors_may_start(now_s):
                 return ControlLoss(FlightPhase.LANDING, Reason(ReasonCode.ARMED_LATE))
-            return yielded(Reason(ReasonCode.ARMED_BY_OTHER), abandoned=ours)  # ours: by us, before a restart
-        if t.stranger and phase in (FlightPhase.ARMING, *IN_THE_AIR):
-            return yielded(t.stranger, abandoned=True)
+            return yielded(Reason(ReasonCode.ARMED_BY_OTHER), stop_heartbeats=ours)  # ours: by us, before a restart
+        if t.identity_fault and phase in (FlightPhase.ARMING, *IN_THE_AIR):
+            return yielded(t.identity_fault, stop_heartbeats=True)
         if phase in IN_THE_AIR and rebooted:
             return yielded(Reason(ReasonCode.AUTOPILOT_RESTARTED))
         if phase in IN_THE_AIR and now_s - t.received_s > _LINK_LOST_S:
-            return yielded(Reason(ReasonCode.AUTOPILOT_SILENT), abandoned=True)
+            return yielded(Reason(ReasonCode.AUTOPILOT_SILENT), stop_heartbeats=True)
         if phase is not FlightPhase.FLYING:
             return None
         if not t.armed:
@@ -84,7 +85,7 @@ class ControlAuthority:
             return yielded(Reason(ReasonCode.MODE_CHANGED, (self._firmware.mode_name(t.custom_mode),)))
         return None
 
-    def given_back(self, t: Telemetry, now_s: float) -> Reason | None:
+    def reselected_message(self, t: Telemetry, now_s: float) -> Reason | None:
         """Return a message for a human who selected our mode again, None for nothing.
 
         Control is not taken again.
@@ -98,14 +99,14 @@ class ControlAuthority:
         A mode that a human chose stays without our heartbeats.
         """
         self._yielded_s = min(self._yielded_s, now_s)
-        if t.stranger or t.doubled:
-            return yielded(t.stranger or TWO, Reason(ReasonCode.FAILSAFE_LANDS), abandoned=True)
+        if t.identity_fault or t.duplicate_autopilot:
+            return yielded(t.identity_fault or TWO, Reason(ReasonCode.FAILSAFE_LANDS), stop_heartbeats=True)
         back = t.armed and self._firmware.is_ours(t.custom_mode) and now_s - self._yielded_s <= _BACK_S
         if not back:
             return None
-        return yielded(Reason(ReasonCode.MODE_STILL_OURS), Reason(ReasonCode.FAILSAFE_LANDS), abandoned=True)
+        return yielded(Reason(ReasonCode.MODE_STILL_OURS), Reason(ReasonCode.FAILSAFE_LANDS), stop_heartbeats=True)
 
 
-def yielded(*why: Reason, abandoned: bool = False) -> ControlLoss:
+def yielded(*why: Reason, stop_heartbeats: bool = False) -> ControlLoss:
     """Return the loss of control for the rest of the flight."""
-    return ControlLoss(FlightPhase.YIELDED, Reason(ReasonCode.CONTROL_RELEASED, details=why), abandoned)
+    return ControlLoss(FlightPhase.YIELDED, Reason(ReasonCode.CONTROL_RELEASED, details=why), stop_heartbeats)

@@ -18,8 +18,8 @@ from uav_recon.types.vehicle import FlightPhase
 
 _AGAIN_S = 0.7  # a fifth of all frames may be lost, the answer late; a human's mode is always seen before the next request
 _MODE_FRESH_S, _MODE_WAIT_S = 0.05, 0.1  # an operator who asks to land waits for 0.15 s at most
-_HEARD_S = 0.5  # a human may have taken over unseen in a longer silence
-_IN_VAIN_S = 5.0  # seven requests, and the answer to the last
+_SILENCE_S = 0.5  # a human may have taken over unseen in a longer silence
+_NO_REACTION_S = 5.0  # seven requests, and the answer to the last
 _GROUND_FRESH_S = 0.5
 _STUCK_S, _STILL_M = 10.0, 0.05
 _WANDER_MPS = 0.03  # drift of an estimate at rest; a landing descends ten times as fast
@@ -33,11 +33,14 @@ class Landing:
     """
 
     def __init__(self, seen: bool, lifted: bool = True) -> None:
-        self.seen, self._lifted = seen, lifted
+        self.seen = seen
+        self._lifted = lifted
         self._disarm_asked_s = -math.inf
         self._asked_s = self._deaf_s = -math.inf
         self._wait_s = self._in_vain_s = math.inf
-        self._height_m, self._still_s, self._watched_s = math.nan, math.inf, math.inf
+        self._height_m = math.nan
+        self._still_s = math.inf
+        self._watched_s = math.inf
         self.alert: Reason | None = None
 
     def step(self, link: VehicleLink, now_s: float) -> ControlLoss | None:
@@ -57,14 +60,15 @@ class Landing:
             self._disarm_asked_s = now_s
             link.command(now_s, DISARM[0], *DISARM[1])
         if lands:
-            self.seen, self._in_vain_s = True, math.inf
+            self.seen = True
+            self._in_vain_s = math.inf
             self._watch_descent(float(t.position_m[2]), now_s)
             return None
         self.alert = Reason(ReasonCode.LAND_REQUESTED) if self.seen else self.alert
-        self._in_vain_s = min(self._in_vain_s, now_s + _IN_VAIN_S)
+        self._in_vain_s = min(self._in_vain_s, now_s + _NO_REACTION_S)
         if now_s > self._in_vain_s:
-            ignored = Reason(ReasonCode.LAND_NOT_ACCEPTED, (_IN_VAIN_S,))
-            return yielded(ignored, Reason(ReasonCode.FAILSAFE_LANDS), abandoned=True)
+            ignored = Reason(ReasonCode.LAND_NOT_ACCEPTED, (_NO_REACTION_S,))
+            return yielded(ignored, Reason(ReasonCode.FAILSAFE_LANDS), stop_heartbeats=True)
         if current and now_s - self._asked_s >= _AGAIN_S:
             self._asked_s = now_s
             link.command(now_s, firmware.land[0], *firmware.land[1])
@@ -80,7 +84,8 @@ class Landing:
         if abs(off_m) <= _STILL_M:
             self._height_m += min(max(off_m, -follows_m), follows_m)
         else:
-            self._height_m, self._still_s = height_m, now_s
+            self._height_m = height_m
+            self._still_s = now_s
         if now_s - self._still_s >= _STUCK_S:
             self.alert = Reason(ReasonCode.LANDING_NOT_ENDING)
 
@@ -89,7 +94,7 @@ class Landing:
 
         The mode was reported this instant, or is not reported often; and it was reported after the last silence and request.
         """
-        if now_s - t.received_s > _HEARD_S:
+        if now_s - t.received_s > _SILENCE_S:
             self._deaf_s = now_s
         self._wait_s = min(self._wait_s, now_s)
         waited = now_s - self._wait_s >= _MODE_WAIT_S

@@ -21,7 +21,8 @@ class MissionInput:
     """
 
     def __init__(self, intent: Channel[Intent], fresh_s: float) -> None:
-        self._channel, self._fresh_s = intent, fresh_s
+        self._channel = intent
+        self._fresh_s = fresh_s
         self._intent: Intent | None = None
         self._wanted_s = -math.inf  # stamp of its last request
         self._rejected: Key | None = None  # malformed, rejected, or planned in an earlier odom
@@ -40,7 +41,8 @@ class MissionInput:
         if intent is None or intent is self._intent or not -_FUTURE_S <= now_s - intent.stamp_s <= self._fresh_s:
             return None
         self._intent = intent
-        self.news, self._told = None if intent.note == self._told else intent.note, intent.note
+        self.news = None if intent.note == self._told else intent.note
+        self._told = intent.note
         self._wanted_s = self._wanted_s if intent.goal is Goal.STANDBY else intent.stamp_s
         trajectory = intent.trajectory if intent.goal is Goal.FLY else None
         if trajectory is None:
@@ -57,7 +59,9 @@ class MissionInput:
 
     def reject_trajectory(self) -> None:
         """Stop flying this trajectory: the mission has to propose another one."""
-        self._rejected, self.trajectory = _key(self.trajectory) or self._rejected, None  # a second call keeps the rejection
+        # a second call keeps the rejection
+        self._rejected = _key(self.trajectory) or self._rejected
+        self.trajectory = None
 
     def age_s(self, now_s: float) -> float:
         """Return the seconds since the mission's last request, infinity before the first.

@@ -21,11 +21,15 @@ _FRESH_S = 0.5
 _MANY_CELLS = 8  # with fewer cells it must be seen twice within _FRESH_S: one frame alone may be wrong
 _STOP_M = 1.6  # distance of the body's centre from a sudden obstacle within which the vehicle stops
 _COMING_MPS = 0.25  # min. approach speed
-_HEED_M = 2.5  # an approaching obstacle farther away is ignored
+_EVADE_M = 2.5  # an approaching obstacle farther away is ignored
 _STEP_M, _STEP_MPS = 1.2, 0.5
 _LATE_S = 0.5  # its motion is smoothed, and followed with a lag
 _PASS_M = 0.4  # min. passing distance of the body's centre, which is hull and error: below it a step leads into the obstacle
-_ROOMS_M = ((0.20, 0.10), (0.10, 0.03), (0.0, 0.0))  # clearance beside the hull, inside the inset: plans, paths back, guard
+_CLEARANCES_M = (
+    (0.20, 0.10),
+    (0.10, 0.03),
+    (0.0, 0.0),
+)  # clearance beside the hull, inside the inset: plans, paths back, guard
 _AFTER_S = 1.0  # after the step no trajectory is flown for this time
 _AHEAD_S = np.linspace(0.2, 4.0, 20)
 _WAYS = 16
@@ -44,12 +48,12 @@ class ObstacleEvasion:
         if intruder is not None and not (self._heard and self._heard[-1] is intruder):
             self._heard = [*self._heard[-3:], intruder]
 
-    def stops(self, now_s: float) -> bool:
+    def must_stop(self, now_s: float) -> bool:
         """Return True if something near was not there before, or approaches."""
         if not self._heard or not self._fresh(now_s) or not self._is_sure():
             return False
         away_m = [one.away_m for one in self._heard[-2:]]
-        return away_m[-1] <= _STOP_M or (away_m[-1] <= _HEED_M and self._nearer_mps(away_m, now_s) >= _COMING_MPS)
+        return away_m[-1] <= _STOP_M or (away_m[-1] <= _EVADE_M and self._nearer_mps(away_m, now_s) >= _COMING_MPS)
 
     def why(self) -> Reason:
         """Return the reason why the vehicle stops."""
@@ -65,10 +69,10 @@ class ObstacleEvasion:
         here = rest.position_m
         away_m = [_level_m(one.places_m[0], here) for one in self._heard[-2:]]
         coming_mps = self._nearer_mps(away_m, situation.now_s)
-        if coming_mps < _COMING_MPS or away_m[-1] > _HEED_M:
+        if coming_mps < _COMING_MPS or away_m[-1] > _EVADE_M:
             return None
         ends = _ways_aside(here, self._heard[-1].places_m, coming_mps)
-        for room_m, inside_m in _ROOMS_M:
+        for room_m, inside_m in _CLEARANCES_M:
             for end in ends:
                 if self._may(here, end, room_m, inside_m, situation):
                     way = np.array([here, end])

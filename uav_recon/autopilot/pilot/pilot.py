@@ -87,33 +87,40 @@ class Pilot:
         setpoint_rate_hz: float = 30.0,
         parameters: ParameterCheck | NoParameterCheck | None = None,
     ) -> None:
-        self._link, self._guard, self._patience, self._clock = link, guard, patience, clock
-        self._firmware, self._airframe, self._vehicle = link.firmware, airframe, channels.vehicle
+        self._link = link
+        self._guard = guard
+        self._patience = patience
+        self._clock = clock
+        self._firmware = link.firmware
+        self._airframe = airframe
+        self._vehicle = channels.vehicle
         parameters = parameters or NoParameterCheck()
-        self._briefing = PreflightSetup(link, origin, airframe.gimbal, parameters)
+        self._preflight = PreflightSetup(link, origin, airframe.gimbal, parameters)
         self._tick = RateKeeper(setpoint_rate_hz, clock.now_s())
         self._poses = PoseFeed(channels.odom, link, PoseGate(guard.envelope.max_yaw_rate_radps))
-        self._mandate = MissionInput(channels.intent, patience.intent_hold_s)
+        self._mission_input = MissionInput(channels.intent, patience.intent_hold_s)
         hull = (airframe.hull_radius_m, airframe.hull_height_m)
-        self._lookout = Surroundings(channels.free, channels.nearby, sight, *hull)
-        self._authority, self._steering = (
-            ControlAuthority(link.firmware),
-            SetpointSelector(guard, self._mandate, airframe.hover_height_m),
+        self._surroundings = Surroundings(channels.free, channels.nearby, sight, *hull)
+        self._authority = ControlAuthority(link.firmware)
+        self._selector = SetpointSelector(guard, self._mission_input, airframe.hover_height_m)
+        self._situation = SituationBuilder(
+            link, guard, self._poses, self._mission_input, self._surroundings, self._selector, parameters
         )
-        self._aware = SituationBuilder(link, guard, self._poses, self._mandate, self._lookout, self._steering, parameters)
-        self._in_vain = RefusalTimer(patience.intent_land_s)
-        self._ladder, self._rung = Failsafe(patience), FailsafeAction.FLY
+        self._refusal_timer = RefusalTimer(patience.intent_land_s)
+        self._failsafe = Failsafe(patience)
+        self._action = FailsafeAction.FLY
         self._low: Reason | None = None  # why its action is not FLY
         self.phase = FlightPhase.CONNECTING
         self._note: Reason | None = None
-        self._herald = StatusTextReporter(link)
+        self._reporter = StatusTextReporter(link)
         self._arming: ArmingSequence | None = None
         self._landing: Landing | None = None
         self._lift_off: TakeoffMonitor | None = None
-        self._grounded: Reason | None = None  # why the take-off fails
+        self._takeoff_fault: Reason | None = None  # why the take-off fails
         self._may_arm = True  # a refused arming is not tried again before the mission has withdrawn FLY
         self._land_wanted: Reason | None = None
-        self._held, self._operator_s = False, -math.inf
+        self._held = False
+        self._operator_s = -math.inf
         self._again_s = math.inf  # since when the flight has been in another odom than at its start
 
     def step(self) -> None:
@@ -164,35 +171,38 @@ class Pilot:
     def _listen(self, now_s: float) -> None:
         if self._poses.step(now_s):
             self._note = Reason(ReasonCode.POSE_SOURCE_RESET)
-            self._steering.rebase(self._aware.situation(now_s), _RESET_REST_S)
-            self._lookout.forget()
+            self._selector.rebase(self._situation.situation(now_s), _RESET_REST_S)
+            self._surroundings.forget()
             self._again_s = min(self._again_s, now_s) if self.in_flight else math.inf
-        self._lookout.step(self._poses.pose, now_s)
+        self._surroundings.step(self._poses.pose, now_s)
         if self.phase in IN_THE_AIR:  # while it arms it stands, and does not evade
-            self._steering.evasion.update(self._lookout.intruder)
-        fault = self._mandate.update(now_s)
+            self._selector.evasion.update(self._surroundings.sudden_obstacle)
+        fault = self._mission_input.update(now_s)
         if fault:
             self._note = _refused(fault)
-        self._held = self._held and not self._mandate.operator_lost(now_s)
-        self._may_arm = self._may_arm or self._mandate.goal(now_s) is not Goal.FLY
+        self._held = self._held and not self._mission_input.operator_lost(now_s)
+        self._may_arm = self._may_arm or self._mission_input.goal(now_s) is not Goal.FLY
 
     def _judge(self, now_s: float) -> None:
         loss = self._authority.watch(self.phase, self._link.telemetry, now_s)
         if self.phase is FlightPhase.YIELDED and not self._link.mute:
             loss = self._authority.operator_lost(self._link.telemetry, now_s)
-            self._note = self._authority.given_back(self._link.telemetry, now_s) or self._note
+            self._note = self._authority.reselected_message(self._link.telemetry, now_s) or self._note
         if loss is not None:
             self._lose(loss)
         if self._lift_off is not None and self.phase in (FlightPhase.ARMING, FlightPhase.FLYING):
-            self._grounded = self._lift_off.fault(now_s, self._link.telemetry)
+            self._takeoff_fault = self._lift_off.fault(now_s, self._link.telemetry)
         if self.phase is FlightPhase.FLYING:
-            before, (self._rung, low) = self._rung, self._ladder.step(self._aware.health(now_s, self._in_vain.refused_s))
+            before, (self._action, low) = (
+                self._action,
+                self._failsafe.step(self._situation.health(now_s, self._refusal_timer.refused_s)),
+            )
             if low is not None and not self._link.time_known:
                 low = low.with_detail(Reason(ReasonCode.CLOCK_UNCERTAIN))
             self._low = low
-            self._note = self._low if self._rung > before else self._note
-            if self._poses.pose is not None and self._rung < FailsafeAction.RETREAT:
-                self._steering.was_at(self._poses.pose.odom_from_body)
+            self._note = self._low if self._action > before else self._note
+            if self._poses.pose is not None and self._action < FailsafeAction.RETREAT:
+                self._selector.was_at(self._poses.pose.odom_from_body)
 
     # ---- act --------------------------------------------------------------------------------------------------
 
@@ -201,62 +211,70 @@ class Pilot:
 
         Its reason is sent at once, because a later note may replace it.
         """
-        self.phase, self._note, self._arming = phase, why or self._note, None
+        self.phase = phase
+        self._note = why or self._note
+        self._arming = None
         if why is not None:
-            self._herald.say(why, self._clock.now_s())
+            self._reporter.say(why, self._clock.now_s())
         if phase is FlightPhase.LANDING:
             self._landing = Landing(landing_seen, lifted=self._lift_off is None or self._lift_off.lifted)
         if phase in (FlightPhase.LANDED, FlightPhase.YIELDED):
-            self._mandate.reject_trajectory()
+            self._mission_input.reject_trajectory()
 
     def _lose(self, loss: ControlLoss) -> None:
         self._enter(loss.phase, loss.why, landing_seen=self._firmware.is_landing(self._link.telemetry.custom_mode))
-        if loss.abandoned:
+        if loss.stop_heartbeats:
             self._link.stop_heartbeats()
 
     def _advance(self, now_s: float) -> None:
         """Run one step of the sequence of the present phase."""
         if self.phase is FlightPhase.CONNECTING:
-            missing = self._briefing.missing(now_s)
-            self.phase, self._note = (FlightPhase.CONNECTING if missing else FlightPhase.READY), missing
+            missing = self._preflight.missing(now_s)
+            self.phase = FlightPhase.CONNECTING if missing else FlightPhase.READY
+            self._note = missing
         elif self.phase is FlightPhase.READY:
             self._stand_ready(now_s)
         elif self.phase is FlightPhase.ARMING:
             self._arm(now_s)
         elif self.phase is FlightPhase.FLYING:
-            self._fly(now_s)
+            self._control(now_s)
         elif self.phase is FlightPhase.LANDING:
             self._land(now_s)
 
     def _stand_ready(self, now_s: float) -> None:
-        if self._briefing.missing(now_s):
+        if self._preflight.missing(now_s):
             self.phase = FlightPhase.CONNECTING
-        elif self._mandate.goal(now_s) is Goal.FLY and self._may_arm and not self._land_wanted:
-            here = self._aware.situation(now_s)
-            blocked = self._guard.fault_of_take_off(here, self._airframe.hover_height_m)
+        elif self._mission_input.goal(now_s) is Goal.FLY and self._may_arm and not self._land_wanted:
+            here = self._situation.situation(now_s)
+            blocked = self._guard.takeoff_fault(here, self._airframe.hover_height_m)
             if blocked:
                 self._abandon_arming(Reason(ReasonCode.TAKEOFF_REFUSED, details=(blocked,)))
                 return
             self._again_s = math.inf
-            self._link.intrusions.begin()
-            self.phase, self._note, self._arming = FlightPhase.ARMING, None, self._firmware.arming(now_s)
+            self._link.alerts.begin()
+            self.phase = FlightPhase.ARMING
+            self._note = None
+            self._arming = self._firmware.arming(now_s)
             self._lift_off = TakeoffMonitor(float(self._link.telemetry.position_m[2]))
-            self._ladder, self._rung, self._low = Failsafe(self._patience), FailsafeAction.FLY, None
-            self._in_vain = RefusalTimer(self._patience.intent_land_s, self._aware.refusals)
-            self._steering.rebase(here, rest_s=0.0)
+            self._failsafe = Failsafe(self._patience)
+            self._action = FailsafeAction.FLY
+            self._low = None
+            self._refusal_timer = RefusalTimer(self._patience.intent_land_s, self._situation.refusals)
+            self._selector.rebase(here, rest_s=0.0)
 
     def _arm(self, now_s: float) -> None:
         arming, t = self._arming, self._link.telemetry
-        unfit = self._ladder.step(self._aware.health(now_s, self._in_vain.refused_s))[0] is FailsafeAction.LAND
-        ended = self._land_wanted or (TWO if t.doubled else None)
-        if arming is None or ended or self._mandate.goal(now_s) is not Goal.FLY or unfit:
+        unfit = self._failsafe.step(self._situation.health(now_s, self._refusal_timer.refused_s))[0] is FailsafeAction.LAND
+        ended = self._land_wanted or (TWO if t.duplicate_autopilot else None)
+        if arming is None or ended or self._mission_input.goal(now_s) is not Goal.FLY or unfit:
             self._abandon_arming(ended or Reason(ReasonCode.ARMING_WITHDRAWN))
             return
         outcome, command = arming.step(now_s, t)
         if outcome is Outcome.ARMED:
-            self.phase, self._note = FlightPhase.FLYING, None
+            self.phase = FlightPhase.FLYING
+            self._note = None
             if not arming.streams:
-                self._steering.rebase(self._aware.situation(now_s), rest_s=0.0)
+                self._selector.rebase(self._situation.situation(now_s), rest_s=0.0)
         elif outcome is Outcome.GIVEN_UP:
             self._abandon_arming(arming.reason)
         elif command is not None:
@@ -269,14 +287,14 @@ class Pilot:
         self._may_arm = False
         self._enter(FlightPhase.LANDING if self._link.telemetry.armed else FlightPhase.READY, why)
 
-    def _fly(self, now_s: float) -> None:
-        wanted = Reason(ReasonCode.MISSION_LAND) if self._mandate.goal(now_s) is Goal.LAND else None
+    def _control(self, now_s: float) -> None:
+        wanted = Reason(ReasonCode.MISSION_LAND) if self._mission_input.goal(now_s) is Goal.LAND else None
         wanted = _ANEW if now_s - self._again_s >= _RESET_REST_S else wanted
-        wanted = Reason(ReasonCode.TAKEOFF_GIVEN_UP, details=(self._grounded,)) if self._grounded else wanted
-        blocked = self._steering.blocked
+        wanted = Reason(ReasonCode.TAKEOFF_GIVEN_UP, details=(self._takeoff_fault,)) if self._takeoff_fault else wanted
+        blocked = self._selector.blocked
         blocked = self._low.with_detail(blocked) if self._low is not None and blocked is not None else blocked
-        why = self._land_wanted or (self._low if self._rung is FailsafeAction.LAND else None) or blocked or wanted
-        brakes = self._rung is FailsafeAction.LAND and not self._land_wanted and not self._steering.at_rest
+        why = self._land_wanted or (self._low if self._action is FailsafeAction.LAND else None) or blocked or wanted
+        brakes = self._action is FailsafeAction.LAND and not self._land_wanted and not self._selector.at_rest
         if why and not brakes:  # a firmware that gets LAND in motion chooses its own stopping point, farther on
             self._enter(FlightPhase.LANDING, why)
             self._land(now_s)
@@ -301,8 +319,10 @@ class Pilot:
             return
         linked = now_s - self._link.telemetry.received_s <= _LINK_HOLD_S
         steered = linked and not self._held and self.phase is FlightPhase.FLYING
-        cleared, refusal = self._steering.steer(self._rung if steered else FailsafeAction.HOLD, self._aware.situation(now_s))
-        self._in_vain.update(self._aware.refusals, self._steering.moves, now_s)
+        cleared, refusal = self._selector.select(
+            self._action if steered else FailsafeAction.HOLD, self._situation.situation(now_s)
+        )
+        self._refusal_timer.update(self._situation.refusals, self._selector.moves, now_s)
         if refusal is not None:
             self._note = _refused(refusal.reason)
         if self._lift_off is not None and self.phase is FlightPhase.FLYING and cleared.setpoint.velocity_mps[2] > 0.0:
@@ -313,16 +333,16 @@ class Pilot:
         if self.phase in (FlightPhase.CONNECTING, FlightPhase.READY):
             return
         airborne = self.phase in IN_THE_AIR
-        news = [*self._link.intrusions.news(), *([self._mandate.news] if airborne and self._mandate.news else [])]
+        news = [*self._link.alerts.news(), *([self._mission_input.news] if airborne and self._mission_input.news else [])]
         for reason in news:
-            self._herald.say(reason, now_s)
+            self._reporter.say(reason, now_s)
         if airborne and news:
             self._note = news[-1]
-        self._herald.step(self._note, now_s)
+        self._reporter.step(self._note, now_s)
 
     def _publish(self, now_s: float) -> None:
         gimbal = self._airframe.gimbal
-        self._vehicle.publish(self._aware.state(now_s, self.phase, self._note, self._operator_s, gimbal))
+        self._vehicle.publish(self._situation.state(now_s, self.phase, self._note, self._operator_s, gimbal))
 
 
 def _refused(why: Reason) -> Reason:

@@ -30,11 +30,14 @@ class PoseFeed:
     """
 
     def __init__(self, odom: Channel[StampedPose], link: VehicleLink, gate: PoseGate) -> None:
-        self._odom, self._link, self._gate = odom, link, gate
+        self._odom = odom
+        self._link = link
+        self._gate = gate
         self._heard: StampedPose | None = None
         self._uncounted = 0
         self.pose: StampedPose | None = None
-        self.refused, self.sound_s = 0, -math.inf
+        self.refused = 0
+        self.sound_s = -math.inf
 
     @property
     def lost(self) -> Reason | None:

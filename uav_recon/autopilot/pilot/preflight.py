@@ -25,7 +25,10 @@ class PreflightSetup:
     """Repeats the requests every two seconds while something is missing."""
 
     def __init__(self, link: VehicleLink, origin: Origin, gimbal: bool, parameters: ParameterCheck | NoParameterCheck) -> None:
-        self._link, self._origin, self._gimbal, self._parameters = link, origin, gimbal, parameters
+        self._link = link
+        self._origin = origin
+        self._gimbal = gimbal
+        self._parameters = parameters
         self._asked_s = -math.inf
 
     def missing(self, now_s: float) -> Reason | None:

@@ -17,7 +17,8 @@ class RefusalTimer:
     """
 
     def __init__(self, quiet_s: float, refusals: int = 0) -> None:
-        self._quiet_s, self._refusals = quiet_s, refusals
+        self._quiet_s = quiet_s
+        self._refusals = refusals
         self._moving_since_s = self._first_s = math.inf
         self._last_s = -math.inf
 
@@ -35,5 +36,6 @@ class RefusalTimer:
         if now_s - self._moving_since_s >= _MOTION_S or now_s - self._last_s > self._quiet_s:
             self._first_s = math.inf
         if refusals > self._refusals:
-            self._first_s, self._last_s = min(self._first_s, now_s), now_s
+            self._first_s = min(self._first_s, now_s)
+            self._last_s = now_s
         self._refusals = refusals

@@ -22,10 +22,14 @@ from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.trajectory import Refusal, Setpoint, Trajectory
 
-_WAYS = 3  # paths back that are tried, each from rest: the cause of a refusal may pass, as a late pose or a late step of ours
+_MAX_RETREAT_PATHS = (
+    3  # paths back that are tried, each from rest: the cause of a refusal may pass, as a late pose or a late step of ours
+)
 _SETTLES_S = 1.0  # pause after a refusal, until the vehicle rests too: it follows its setpoints late
 _STANDS_M = 0.3  # an obstacle this close in front of the hull at a refusal is permanent: no other path is tried
-_ASTRAY_M = 0.35  # level deviation beyond or beside the newest setpoint after _SOON_S: a push. Undisturbed: within 0.17 m
+_MAX_DEVIATION_M = (
+    0.35  # level deviation beyond or beside the newest setpoint after _SOON_S: a push. Undisturbed: within 0.17 m
+)
 _SOON_S, _PACED_S, _LED_MPS = 0.3, 0.2, 0.2  # by the trend of the last _PACED_S, while setpoints are faster than _LED_MPS
 _LONGEST_AGE_S = 0.1  # max. age of a setpoint that is extrapolated by its velocity
 _HOVER_SHARE = 0.9  # share of the hover height: the first breadcrumb this high ends the climb
@@ -39,22 +43,26 @@ class SetpointSelector:
     """
 
     def __init__(self, guard: Guard, mandate: MissionInput, hover_height_m: float) -> None:
-        self._guard, self._mandate, self._hover_height_m = guard, mandate, hover_height_m
+        self._guard = guard
+        self._mandate = mandate
+        self._hover_height_m = hover_height_m
         self._crumbs = Breadcrumbs()
         self._flown: Setpoint | None = None  # the newest setpoint that was sent
         self._flown_s = -math.inf
         self._off: deque[tuple[float, float]] = deque()  # (instant, metres) off its path
         self._braking = False  # from a refusal to rest: nothing new is flown in between
         self._way_back: Trajectory | None = None
-        self._refused_ways, self._refused_s = 0, -math.inf
+        self._refused_ways = 0
+        self._refused_s = -math.inf
         self._refused_for: Reason | None = None
-        self._handed: Trajectory | None = None  # the trajectory that the handover leads to
+        self._blended: Trajectory | None = None  # the trajectory that the handover leads to
         self._handover: SetpointBlender | None = None
         self._aside: Trajectory | None = None
         self._giving = False  # evasion is active
         self.evasion = ObstacleEvasion(guard)
         self.blocked: Reason | None = None
-        self.evasions, self.moves = 0, False
+        self.evasions = 0
+        self.moves = False
 
     @property
     def at_rest(self) -> bool:
@@ -73,7 +81,8 @@ class SetpointSelector:
     def was_at(self, odom_from_body: Pose) -> None:
         """Record a position in flight that is not on the path back."""
         self._crumbs.drop(odom_from_body)
-        self._way_back, self._refused_ways = None, 0
+        self._way_back = None
+        self._refused_ways = 0
 
     def rebase(self, situation: GuardInputs, rest_s: float) -> None:
         """Reset after a jump of odom or at the start of a flight: all earlier motion is void."""
@@ -81,36 +90,42 @@ class SetpointSelector:
         self._flown = None
         self._crumbs.forget()
         self._mandate.reject_trajectory()
-        self._way_back, self._refused_ways, self._aside, self.blocked = None, 0, None, None
+        self._way_back = None
+        self._refused_ways = 0
+        self._aside = None
+        self.blocked = None
 
-    def steer(self, rung: FailsafeAction, situation: GuardInputs) -> tuple[ClearedSetpoint, Refusal | None]:
+    def select(self, rung: FailsafeAction, situation: GuardInputs) -> tuple[ClearedSetpoint, Refusal | None]:
         """Return the guard's answer for this instant. A rejected trajectory is not proposed again."""
         self.moves = False
-        before, self._giving = self._giving, rung <= FailsafeAction.HOLD and self._gives_way(situation)
+        before, self._giving = self._giving, rung <= FailsafeAction.HOLD and self._is_evading(situation)
         if self._giving:
             cleared, refusal = self._give_way(situation)
             if not before:
                 self._turn_down()
                 refusal = Refusal(self.evasion.why(), cleared.setpoint)
         elif rung is FailsafeAction.FLY:
-            cleared, refusal = self._fly(situation)
+            cleared, refusal = self._control(situation)
         elif rung is FailsafeAction.RETREAT:
             cleared, refusal = self._retreat(situation)
         else:
             cleared, refusal = self._guard.clear(None, situation)
-        self._flown, self._flown_s, self.moves = cleared.setpoint, situation.now_s, self.moves and refusal is None
+        self._flown = cleared.setpoint
+        self._flown_s = situation.now_s
+        self.moves = self.moves and refusal is None
         return cleared, refusal
 
-    def _fly(self, situation: GuardInputs) -> tuple[ClearedSetpoint, Refusal | None]:
+    def _control(self, situation: GuardInputs) -> tuple[ClearedSetpoint, Refusal | None]:
         trajectory = self._mandate.trajectory
         self._braking = self._braking and not self.at_rest
         if trajectory is None or self._braking:
             return self._guard.clear(None, situation)
         off_m = self._soon_off_its_way_m(situation)
-        astray = off_m > _ASTRAY_M
+        astray = off_m > _MAX_DEVIATION_M
         cleared, refusal = self._guard.clear(None if astray else self._proposal(trajectory, situation.now_s, False), situation)
         if astray:  # pushed and led outwards, it would be over the fence before it stops
-            refusal, self.evasions = Refusal(Reason(ReasonCode.OFF_PATH, (off_m,)), cleared.setpoint), self.evasions + 1
+            refusal = Refusal(Reason(ReasonCode.OFF_PATH, (off_m,)), cleared.setpoint)
+            self.evasions = self.evasions + 1
         if refusal is not None:
             self._braking = True
             self._mandate.reject_trajectory()
@@ -122,7 +137,7 @@ class SetpointSelector:
         It is extrapolated, because setpoints would lead the vehicle on until a push has moved it. At a hold they do not lead
         it, and it swings, so the present deviation is returned.
         """
-        now_s, off_m = situation.now_s, self._off_its_way_m(situation)
+        now_s, off_m = situation.now_s, self._path_deviation_m(situation)
         self._off.append((now_s, off_m))
         while now_s - self._off[0][0] > _PACED_S:
             self._off.popleft()
@@ -132,7 +147,7 @@ class SetpointSelector:
             return off_m
         return off_m + _SOON_S * max((off_m - begun_m) / (now_s - begun_s), 0.0)
 
-    def _off_its_way_m(self, situation: GuardInputs) -> float:
+    def _path_deviation_m(self, situation: GuardInputs) -> float:
         """Return the level deviation (m) beyond or beside the setpoint.
 
         A vehicle behind its setpoints is late, and not pushed.
@@ -147,12 +162,12 @@ class SetpointSelector:
             off_x_m, off_y_m = off_x_m - late_m * ux, off_y_m - late_m * uy
         return math.hypot(off_x_m, off_y_m)
 
-    def _gives_way(self, situation: GuardInputs) -> bool:
+    def _is_evading(self, situation: GuardInputs) -> bool:
         """Return True if evasion is active: for a sudden obstacle, or during a step aside."""
         if self._aside is not None and self.evasion.over(self._aside, situation.now_s):
             self._aside = None
             self._turn_down()
-        return self._aside is not None or self.evasion.stops(situation.now_s)
+        return self._aside is not None or self.evasion.must_stop(situation.now_s)
 
     def _give_way(self, situation: GuardInputs) -> tuple[ClearedSetpoint, Refusal | None]:
         """Stop, and from rest step aside if the obstacle approaches."""
@@ -185,7 +200,7 @@ class SetpointSelector:
             rest = cleared.setpoint
             if np.any(rest.velocity_mps) or now_s - self._refused_s < _SETTLES_S:
                 return cleared, None
-            if self._refused_ways >= _WAYS:
+            if self._refused_ways >= _MAX_RETREAT_PATHS:
                 self.blocked = Reason(ReasonCode.RETREAT_BLOCKED, details=(self._refused_for,) if self._refused_for else ())
                 return cleared, None
             seeing = situation.ahead is not None and now_s - situation.ahead.stamp_s <= self._guard.bounds.depth_hold_s
@@ -195,13 +210,15 @@ class SetpointSelector:
         proposal = self._proposal(way, now_s, True)
         cleared, refusal = self._guard.clear(proposal, situation)
         if refusal is not None:
-            self._way_back, self._refused_for, self._refused_s = None, refusal.reason, now_s
-            self._refused_ways += _WAYS if _stands_before(proposal.setpoint, situation) else 1
+            self._way_back = None
+            self._refused_for = refusal.reason
+            self._refused_s = now_s
+            self._refused_ways += _MAX_RETREAT_PATHS if _stands_before(proposal.setpoint, situation) else 1
         return cleared, refusal
 
     def _proposal(self, trajectory: Trajectory, now_s: float, retreating: bool) -> SetpointProposal:
-        if self._handed is not trajectory:
-            self._handed = trajectory
+        if self._blended is not trajectory:
+            self._blended = trajectory
             age_s = min(now_s - self._flown_s, _LONGEST_AGE_S)
             self._handover = SetpointBlender(self._flown, age_s, trajectory, now_s) if self._flown else None
         sample = trajectory.setpoint_at(now_s)

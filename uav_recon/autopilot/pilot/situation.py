@@ -36,8 +36,13 @@ class SituationBuilder:
         steering: SetpointSelector,
         parameters: ParameterCheck | NoParameterCheck,
     ) -> None:
-        self._link, self._guard, self._poses, self._parameters = link, guard, poses, parameters
-        self._mandate, self._lookout, self._steering = mandate, lookout, steering
+        self._link = link
+        self._guard = guard
+        self._poses = poses
+        self._parameters = parameters
+        self._mandate = mandate
+        self._lookout = lookout
+        self._steering = steering
 
     @property
     def refusals(self) -> int:
@@ -64,7 +69,11 @@ class SituationBuilder:
         """Return the failsafe's inputs. refused_s: duration of refusals without a motion."""
         inside = self._guard.envelope.fence.holds(self._position_m)
         pose_s = min(self._poses.sound_s, self._link.telemetry.pose_fed_s)  # no other poses are used for flight
-        lost = (TWO if self._link.telemetry.doubled else None) or self._parameters.changed(self._link) or self._poses.lost
+        lost = (
+            (TWO if self._link.telemetry.duplicate_autopilot else None)
+            or self._parameters.changed(self._link)
+            or self._poses.lost
+        )
         ages_s = (now_s - pose_s, self._mandate.age_s(now_s), self._lookout.depth_age_s(now_s))
         return FailsafeInputs(now_s, *ages_s, inside, self.refusals, lost, self._poses.wrong, refused_s)
 

@@ -28,5 +28,6 @@ class StatusTextReporter:
 
     def say(self, note: Reason, now_s: float) -> None:
         """Send at once, even if another note follows in the same step; meant for rare messages."""
-        self._said, self._said_s = note, now_s
+        self._said = note
+        self._said_s = now_s
         self._link.say(now_s, note)

@@ -48,7 +48,7 @@ class _View:
     range_m: FloatArray
 
 
-class Neighbourhood:
+class SuddenObstacleDetector:
     """Stores what the camera looked past in the last second, by cells; about 0.2 ms a frame."""
 
     def __init__(self) -> None:

@@ -7,7 +7,7 @@ from collections import deque
 
 from uav_recon.autopilot.pilot.message_validation import is_valid_free_space, is_valid_range_grid
 from uav_recon.autopilot.pilot.pose_feed import newest
-from uav_recon.autopilot.pilot.sudden_obstacle import Neighbourhood, SuddenObstacle
+from uav_recon.autopilot.pilot.sudden_obstacle import SuddenObstacle, SuddenObstacleDetector
 from uav_recon.interfaces import Channel
 from uav_recon.safety.free_space_check import FreeSpaceCheck
 from uav_recon.safety.obstacle_speed_limit import ForwardDepth
@@ -34,15 +34,19 @@ class Surroundings:
         hull_radius_m: float,
         hull_height_m: float,
     ) -> None:
-        self._free, self._nearby, self._sight = free, nearby, sight
-        self._radius_m, self._height_m = hull_radius_m, hull_height_m
+        self._free = free
+        self._nearby = nearby
+        self._sight = sight
+        self._radius_m = hull_radius_m
+        self._height_m = hull_height_m
         self._free_received: FreeSpace | None = None
         self._min_ranges_received: MinRangeGrid | None = None
         self.known_free: FreeSpaceCheck | None = None
         self.ahead: ForwardDepth | None = None
-        self._believed_s, self._neighbourhood = -math.inf, Neighbourhood()
+        self._believed_s = -math.inf
+        self._neighbourhood = SuddenObstacleDetector()
         self._past: deque[StampedPose] = deque()
-        self.intruder: SuddenObstacle | None = None  # in the newest valid frame
+        self.sudden_obstacle: SuddenObstacle | None = None  # in the newest valid frame
 
     def step(self, pose: StampedPose | None, now_s: float) -> None:
         """Read what is new. Raises nothing: an invalid record is ignored.
@@ -62,7 +66,7 @@ class Surroundings:
         self._min_ranges_received = nearby or self._min_ranges_received
         if (
             nearby is None
-            or not (is_valid_range_grid(nearby) and ForwardDepth.tells(nearby))
+            or not (is_valid_range_grid(nearby) and ForwardDepth.has_enough_returns(nearby))
             or not nearby.stamp_s <= now_s + _FUTURE_S
         ):
             return
@@ -72,14 +76,14 @@ class Surroundings:
             then = min(self._past, key=lambda past: abs(past.stamp_s - nearby.stamp_s), default=None)
             if then is not None and abs(then.stamp_s - nearby.stamp_s) <= _BESIDE_S and nearby.believed:
                 self._sight.add(nearby, then.odom_from_body)
-                self.intruder = self._neighbourhood.look(nearby, then.odom_from_body)
+                self.sudden_obstacle = self._neighbourhood.look(nearby, then.odom_from_body)
 
     def forget(self) -> None:
         """Forget everything after a jump of odom: what was seen and mapped before is elsewhere now."""
         self.known_free = None
         self._neighbourhood.forget()
         self._past.clear()
-        self.intruder = None
+        self.sudden_obstacle = None
 
     def depth_age_s(self, now_s: float) -> float:
         """Return the age (s) of the newest valid frame with enough returns, infinity for none."""

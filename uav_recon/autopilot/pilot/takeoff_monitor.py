@@ -24,7 +24,8 @@ class TakeoffMonitor:
     LIFTED_M = 0.2
 
     def __init__(self, ground_m: float, within_s: float = 4.0) -> None:
-        self._ground_m, self._within_s = ground_m, within_s
+        self._ground_m = ground_m
+        self._within_s = within_s
         self._begun_s = math.inf
         self.lifted = False
 

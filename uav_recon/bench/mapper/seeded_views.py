@@ -13,7 +13,7 @@ import numpy as np
 
 from uav_recon.app.option_validation import UsageError
 from uav_recon.evaluation.triangle_surface import TriangleSurface
-from uav_recon.sensors.stream_camera import depth_table
+from uav_recon.sensors.stream_camera import depth_lookup_table
 from uav_recon.types.camera import Frame, Intrinsics, PosedFrame
 from uav_recon.types.frames import BoolArray, ByteArray, Float32Array, FloatArray, IntArray
 from uav_recon.types.pose import Pose
@@ -112,7 +112,7 @@ def load(options: SceneOptions, say: Callable[[str], None] = lambda _: None) -> 
     )  # fmt: skip
     say("finding what they saw")
     samples, normals = area_weighted_samples(scene.vertices, scene.faces, TRUTH_POINTS, TRUTH_SEED)
-    pixels = outside.held_out(scene, cut.views[:HELD_OUT], cut.view_spec, HELD_OUT_STRIDE)
+    pixels = outside.held_out_pixels(scene, cut.views[:HELD_OUT], cut.view_spec, HELD_OUT_STRIDE)
     looks, coloured = outside.seen(
         scene, taken, np.concatenate([samples, pixels.point]), np.concatenate([normals, pixels.normal])
     )
@@ -160,7 +160,7 @@ def _brighter(ev: float) -> ByteArray:
 
 def _keyframes(taken: SceneCaptures, options: SceneOptions) -> tuple[PosedFrame, ...]:
     """Convert the captures to keyframes and add the pose noise."""
-    metres = depth_table(*DEPTH_RANGE_M)
+    metres = depth_lookup_table(*DEPTH_RANGE_M)
     header, rng = taken.header, np.random.default_rng([options.seed, 1])
     depth, rgb = (Intrinsics(c.fx, c.fy, c.cx, c.cy, c.width, c.height) for c in (header.depth, header.rgb))
     mounted = np.array(header.rgb_from_depth)

@@ -122,7 +122,7 @@ def colour_sigmas(scene: MapperScene, steps_per_view: int, seeds: Iterable[int],
     logs = []
     for seed in seeds:
         trainer = learned(scene, steps_per_view, seed, True, tick)
-        points = trainer.whole_room().position_world.astype(np.float32)
+        points = trainer.all_surface_elements().position_world.astype(np.float32)
         logs.append([np.log(np.median(trainer.uncertainties[name].at(points))) for name in COLOUR_SIGMAS])
     means = np.exp(np.mean(logs, axis=0))
     return {name: float(mean) for name, mean in zip(COLOUR_SIGMAS, means, strict=True)}
@@ -141,7 +141,7 @@ def room_extraction(trainer: NeuralMapper) -> TimingSummary:
     took = []
     for _ in range(ROOM_RUNS):
         began = _clocks()
-        trainer.whole_room()
+        trainer.all_surface_elements()
         took.append(_clocks() - began)
     return _spreads(took)[0]
 
@@ -161,7 +161,7 @@ def time_to_recall(scene: MapperScene, seed: int, tick: Tick = lambda: None) -> 
         began = _clocks()
         trainer.train(RECALL_EVERY)
         took_s += float((_clocks() - began)[0]) * 1e-3
-        surface = trainer.whole_room()
+        surface = trainer.all_surface_elements()
         recall = truth.of(surface.position_world, surface.normal_world)
         for name, value in reached.items():
             if value is None and recall >= float(name):

@@ -10,7 +10,7 @@ from collections.abc import Iterable
 from uav_recon.bench.planner import view_oracle
 from uav_recon.bench.planner.recorded_stream import RESOLUTION_M, Recording
 from uav_recon.bench.planner.stage_timing import StageTimings, Stopwatch
-from uav_recon.bench.planner.stages import Mapped, Mount, PlannerStages, oracle_lens, request_of
+from uav_recon.bench.planner.stages import Mount, PlannerStages, ReplayMap, oracle_lens, request_of
 from uav_recon.planning.view_planner import ViewPlanner
 from uav_recon.types.camera import PosedFrame
 
@@ -18,16 +18,17 @@ JUDGED_EVERY = 5  # frames; brute force is slow
 SHELL_M = (0.5, 4.3)  # distances from a frontier at which brute force samples views
 
 
-def mapped_of(recording: Recording, mount: Mount = "gimbal") -> Mapped:
+def mapped_of(recording: Recording, mount: Mount = "gimbal") -> ReplayMap:
     """Return the empty map of the recording's room."""
-    return Mapped(recording, recording.grid, (recording.low_m, recording.high_m), mount)
+    return ReplayMap(recording, recording.grid, (recording.low_m, recording.high_m), mount)
 
 
 class Timed:
     """Lap times of a replay, as wall-clock and processor time."""
 
     def __init__(self) -> None:
-        self.wall, self.cpu = StageTimings(), StageTimings()
+        self.wall = StageTimings()
+        self.cpu = StageTimings()
 
     def add(self, watch: Stopwatch) -> None:
         """Add the laps of a frame."""
@@ -47,7 +48,7 @@ def timed_stages(recording: Recording, frames: Iterable[PosedFrame]) -> Timed:
     return timed
 
 
-def timed_plans(mapped: Mapped, planner: ViewPlanner, frames: Iterable[PosedFrame]) -> Timed:
+def timed_plans(mapped: ReplayMap, planner: ViewPlanner, frames: Iterable[PosedFrame]) -> Timed:
     """Return the lap times of WHOLE. The map may already contain data."""
     timed = Timed()
     for posed in frames:

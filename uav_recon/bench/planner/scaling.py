@@ -18,7 +18,7 @@ from uav_recon.bench.host_info import resident_mb
 from uav_recon.bench.planner.recorded_stream import RESOLUTION_M, Recording
 from uav_recon.bench.planner.replay import timed_plans
 from uav_recon.bench.planner.stage_timing import Stopwatch, TimingSummary
-from uav_recon.bench.planner.stages import WHOLE, Mapped, request_of
+from uav_recon.bench.planner.stages import WHOLE, ReplayMap, request_of
 from uav_recon.types.camera import PosedFrame
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.maps import GridSpec
@@ -62,7 +62,7 @@ def measure(recording: Recording, copies: int, tick: Callable[[int], None]) -> S
     grid = GridSpec.covering(recording.low_m - wall_m, upper_m, RESOLUTION_M)
     gc.collect()
     before_mb = resident_mb()
-    mapped = Mapped(recording, grid, (recording.low_m - wall_m, upper_m))
+    mapped = ReplayMap(recording, grid, (recording.low_m - wall_m, upper_m))
     planner = mapped.planner()
     live = (columns // 2, rows // 2)
     for place in np.ndindex(columns, rows):

@@ -44,14 +44,16 @@ class Stopwatch:
 
     def restart(self) -> None:
         """Start the next lap now."""
-        self._last_s, self._last_cpu_s = time.perf_counter(), time.thread_time()
+        self._last_s = time.perf_counter()
+        self._last_cpu_s = time.thread_time()
 
     def lap(self, stage: str) -> None:
         """Add the time since the last lap or restart to ``stage``."""
         now_s, now_cpu_s = time.perf_counter(), time.thread_time()
         self.ms[stage] = self.ms.get(stage, 0.0) + (now_s - self._last_s) * 1e3
         self.cpu_ms[stage] = self.cpu_ms.get(stage, 0.0) + (now_cpu_s - self._last_cpu_s) * 1e3
-        self._last_s, self._last_cpu_s = now_s, now_cpu_s
+        self._last_s = now_s
+        self._last_cpu_s = now_cpu_s
 
 
 class StageTimings:

@@ -25,7 +25,7 @@ from uav_recon.planning.frontier.frontier_views import FrontierViews
 from uav_recon.planning.frontier.frontiers import Frontiers, fence_box
 from uav_recon.planning.paths.path_cache import PathCache
 from uav_recon.planning.presets import derived
-from uav_recon.planning.task_generation import MAX_FRONTIERS, places_of
+from uav_recon.planning.task_generation import MAX_FRONTIERS, view_positions
 from uav_recon.planning.tour.travel_time import YawWhileFlying, time_costs
 from uav_recon.planning.variants import variant
 from uav_recon.planning.view_planner import ViewPlanner
@@ -118,13 +118,14 @@ def oracle_lens(camera: CameraGeometry, resolution_m: float) -> Lens:
     )
 
 
-class Mapped:
+class ReplayMap:
     """The map of one replay. fence_m: lower and upper corner (3,) in world."""
 
     def __init__(
         self, recording: Recording, grid: GridSpec, fence_m: tuple[FloatArray, FloatArray], mount: Mount = "gimbal"
     ) -> None:
-        self.fence_m, self.fence = fence_m, fence_box(grid, *fence_m)
+        self.fence_m = fence_m
+        self.fence = fence_box(grid, *fence_m)
         self.camera = camera_of(recording.lens, recording.max_range_m, mount)
         self.config = derived(PlannerConfig(variant="explore"), *fence_m, self.camera)
         low, high = (tuple(corner.tolist()) for corner in fence_m)
@@ -156,11 +157,14 @@ class Mapped:
 class PlannerStages:
     """The stages of the planner on a map."""
 
-    def __init__(self, mapped: Mapped) -> None:
-        grid, self._mapped, motion = mapped.voxels.grid, mapped, MotionConfig()
+    def __init__(self, mapped: ReplayMap) -> None:
+        grid = mapped.voxels.grid
+        self._mapped = mapped
+        motion = MotionConfig()
         inset_m = mapped.config.clearance_m
         self._space = FlyableSpace(grid, inset_m, *fence_box(grid, mapped.fence_m[0] + inset_m, mapped.fence_m[1] - inset_m))
-        self._frontiers, self._ways = Frontiers(), PathCache(self._space)
+        self._frontiers = Frontiers()
+        self._ways = PathCache(self._space)
         self._views = FrontierViews(mapped.config, mapped.camera)
         self._choice = variant(mapped.config.variant, mapped.config).choice
         self._none_ignored = np.zeros(grid.shape, dtype=np.uint8)
@@ -179,7 +183,7 @@ class PlannerStages:
             return BenchDecision(voxels, (), NOTHING)
         nearest = self._views.update(voxels, self._space, self._frontiers, place).proposals[:MAX_FRONTIERS]
         gains = self._frontiers.beyond(voxels, [one.promised for one in nearest])
-        tasks = [one.gaining(gain) for one, gain in zip(nearest, gains.tolist(), strict=True)]
+        tasks = [one.with_gain(gain) for one, gain in zip(nearest, gains.tolist(), strict=True)]
         watch.lap("views")
         return BenchDecision(voxels, tuple(tasks), self._tour(exit_cells, posed, tasks, watch))
 
@@ -191,7 +195,7 @@ class PlannerStages:
     def _tour(self, exit_cells: IntArray, posed: PosedFrame, tasks: list[CandidateView], watch: Stopwatch) -> IntArray:
         if not tasks:
             return NOTHING
-        self._ways.update(exit_cells, posed.world_from_depth.translation_m, places_of(tasks))
+        self._ways.update(exit_cells, posed.world_from_depth.translation_m, view_positions(tasks))
         costs_s = time_costs(self._ways, tasks, heading_rad(posed), np.zeros(3), self._price)
         watch.lap("ways")
         order = self._choice.order([one.task for one in tasks], costs_s).order
@@ -225,7 +229,7 @@ def heading_rad(posed: PosedFrame) -> float:
 
 def warm_up(recording: Recording) -> None:
     """Compile every kernel of a replay, then run the first frames on separate objects."""
-    mapped = Mapped(recording, recording.grid, (recording.low_m, recording.high_m))
+    mapped = ReplayMap(recording, recording.grid, (recording.low_m, recording.high_m))
     mapped.voxels.warm_up()
     view_planner.warm_up(mapped.config.variant)
     stages, whole = PlannerStages(mapped), mapped.planner()

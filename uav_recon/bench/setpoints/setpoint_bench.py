@@ -33,7 +33,7 @@ from uav_recon.errors import UserError
 from uav_recon.types.frames import FloatArray
 
 MINUTES = (0.1, 120.0)
-BARS_MS = {"p99": 50.0, "p99.9": 75.0, "max": 250.0}
+LIMITS_MS = {"p99": 50.0, "p99.9": 75.0, "max": 250.0}
 AUTOPILOTS = ("px4", "ardupilot")
 _LOADED_S = 300.0  # compiling may take long
 _MARGIN_S = 240.0  # added to the measured time: boot, parameters, take-off
@@ -55,11 +55,11 @@ class SetpointRegularity:
     @property
     def kept(self) -> bool:
         """Return True if all three limits are met."""
-        return all(told <= bar for told, bar in zip(self.told_ms, BARS_MS.values(), strict=True))
+        return all(told <= bar for told, bar in zip(self.limited_ms, LIMITS_MS.values(), strict=True))
 
     @property
-    def told_ms(self) -> tuple[float, float, float]:
-        """Return the values with a limit, in the order of BARS_MS."""
+    def limited_ms(self) -> tuple[float, float, float]:
+        """Return the values with a limit, in the order of LIMITS_MS."""
         return self.p99_ms, self.p999_ms, self.max_ms
 
 
@@ -94,7 +94,7 @@ def bench_setpoints(minutes: float, negative: bool, autopilot: str, json: Path |
             "machine": host_info.processor(), "commit": host_info.commit(), "calibration_cpu": factor, "minutes": minutes,
             "negative": negative, "autopilot": autopilot,
         }  # fmt: skip
-        result_file.save(json, {**asdict(measured), "bars_ms": BARS_MS, "kept": measured.kept, "about": about})
+        result_file.save(json, {**asdict(measured), "bars_ms": LIMITS_MS, "kept": measured.kept, "about": about})
     return int(measured.kept == negative)
 
 
@@ -194,7 +194,7 @@ def _show(console: Console, told: SetpointRegularity, minutes: float, negative: 
     console.print(f"{who}: {told.setpoints} setpoints in {minutes:g} minutes, {told.rate_hz:.2f} a second", highlight=False)
     table = narrow_table("", "between two", "ms", "bar")
     table.add_row("median", f"{told.median_ms:.1f}", "")
-    for (name, bar_ms), value_ms in zip(BARS_MS.items(), told.told_ms, strict=True):
+    for (name, bar_ms), value_ms in zip(LIMITS_MS.items(), told.limited_ms, strict=True):
         table.add_row(name, f"{value_ms:.1f}", f"{bar_ms:.0f}")
     console.print(table)
     word = "kept" if told.kept else "missed"

@@ -17,7 +17,7 @@ from uav_recon.mapping.neural.keyframes.keyframe_validation import (
     ContradictionVote,
     RejectCounts,
     RejectReason,
-    padded,
+    padded_box,
     pose_reject_reason,
     reject_reason,
 )
@@ -54,7 +54,7 @@ from uav_recon.types.pose import Pose
 from uav_recon.types.rgbd_camera import Camera
 
 ALIGN_AT = (0.0, 0.2, 0.4)  # shares of the polish steps at which the poses are refined
-ALIGN_ROUNDS = 3  # for gathered(), over all views at once
+ALIGN_ROUNDS = 3  # for training_data(), over all views at once
 FINAL_RATE = 0.1  # the learning rate falls to this share during the polish
 
 
@@ -69,15 +69,19 @@ class NeuralMapper:
     def __init__(
         self, config: MapperConfig, box_min_m: FloatArray, box_max_m: FloatArray, depth_noise_px: float, baseline_m: float
     ) -> None:
-        self._config, self._noise_px, self._baseline_m = config, depth_noise_px, baseline_m
-        low, high = padded(box_min_m, box_max_m)
-        self._low, self._high = low.astype(np.float32), high.astype(np.float32)
+        self._config = config
+        self._noise_px = depth_noise_px
+        self._baseline_m = baseline_m
+        low, high = padded_box(box_min_m, box_max_m)
+        self._low = low.astype(np.float32)
+        self._high = high.astype(np.float32)
         self._stream = np.array([config.seed], dtype=np.uint64)
-        self._album = KeyframeBuffer(depth_noise_px, baseline_m, config.prior_model, config.seed)
-        self._replay = self._album.replay
+        self._keyframe_buffer = KeyframeBuffer(depth_noise_px, baseline_m, config.prior_model, config.seed)
+        self._replay = self._keyframe_buffer.replay
         self.align_views = self.learn_gains = True
         self.refusals = RejectCounts()
-        self.steps, self.map_epoch = 0, 0
+        self.steps = 0
+        self.map_epoch = 0
         self._begin(config.uncertainty)
 
     @classmethod
@@ -93,12 +97,15 @@ class NeuralMapper:
     def _begin(self, uncertainty: UncertaintyName) -> None:
         """Start an empty map that contains no view yet."""
         low, high = self._low.astype(np.float64), self._high.astype(np.float64)
-        self._taken, self._doubt = 0, ContradictionVote()
-        self._evidence = MeasuredCells(low, high)
-        self._live = IncrementalSurface(self._evidence, self._config.surface_voxel_m)
+        self._taken = 0
+        self._contradiction = ContradictionVote()
+        self._measured_cells = MeasuredCells(low, high)
+        self._live = IncrementalSurface(self._measured_cells, self._config.surface_voxel_m)
         self._patches = Surfels(low, high)
-        self._alignment, self._exposure = PoseRefinement(self._patches), ExposureCompensation(self._patches)
-        self._information, self._colour_error = DepthInformation(low, high), ColourError(low, high)
+        self._alignment = PoseRefinement(self._patches)
+        self._exposure = ExposureCompensation(self._patches)
+        self._information = DepthInformation(low, high)
+        self._colour_error = ColourError(low, high)
         self._learner = NumbaTrainingStep(self._low, self._high, self._config.seed, self._stream, self._colour_error)
         self._agreement = MeasuredAgreement(low, high)
         self.uncertainties = self._measures()
@@ -124,22 +131,24 @@ class NeuralMapper:
     @property
     def views(self) -> int:
         """Number of keyframes taken."""
-        return self._album.remembered.taken
+        return self._keyframe_buffer.remembered.taken
 
-    def gathered(self) -> TrainingData:
+    def training_data(self) -> TrainingData:
         """Refine all poses again and return the training data for another training.
 
         The data shares its arrays with this mapper and changes with it.
         """
         for _ in range(ALIGN_ROUNDS):
             self._alignment.refine(self._replay)
-        self._album.place_images()
-        return TrainingData(self._low, self._high, self._replay, self._evidence, self._album.images, self.uncertainty)
+        self._keyframe_buffer.sync_image_poses()
+        return TrainingData(
+            self._low, self._high, self._replay, self._measured_cells, self._keyframe_buffer.images, self.uncertainty
+        )
 
     @property
     def kept(self) -> list[int]:
         """Numbers of the views that are still replayed, ascending."""
-        return self._album.remembered.numbers
+        return self._keyframe_buffer.remembered.numbers
 
     @property
     def skipped(self) -> int:
@@ -151,14 +160,14 @@ class NeuralMapper:
 
         A checkpoint stores them separately.
         """
-        return self._album.arrays(index)
+        return self._keyframe_buffer.arrays(index)
 
     def put_back(self, index: int, arrays: dict[str, AnyArray]) -> None:
         """Restore the arrays from view_arrays() after unpickling.
 
         Raises ValueError or KeyError if they do not belong to this view.
         """
-        self._album.put_back(index, arrays)
+        self._keyframe_buffer.put_back(index, arrays)
 
     def add(self, keyframe: PosedFrame, number: int | None = None) -> bool:
         """Add a keyframe; returns False if it is rejected (counted and logged by ``refusals``).
@@ -169,55 +178,57 @@ class NeuralMapper:
         reason = reject_reason(keyframe, self._low, self._high)
         if reason is None:
             try:
-                reason = self._learn_of(keyframe, self.views if number is None else number)
+                reason = self._add_view(keyframe, self.views if number is None else number)
             except MemoryError:
-                reason = RejectReason.MEMORY
+                reason = RejectReason.VOTE_DECAY
         if reason is not None:
             self.refusals.note(reason)
         return reason is None
 
-    def _learn_of(self, keyframe: PosedFrame, number: int) -> RejectReason | None:
+    def _add_view(self, keyframe: PosedFrame, number: int) -> RejectReason | None:
         """Add a view unless it contradicts the others; returns the reason of a rejection.
 
         A MemoryError leaves the map unchanged.
         """
         if self._replay.count and keyframe.map_epoch != self.map_epoch:
             return RejectReason.EPOCH
-        view = self._album.develop(keyframe)
+        view = self._keyframe_buffer.develop(keyframe)
         if view is None:
             return RejectReason.EMPTY
-        if self.views >= FEWEST_VIEWS and self._doubt.rises(keyframe.frame.depth_intrinsics, self._album.votes(view)):
+        if self.views >= FEWEST_VIEWS and self._contradiction.is_contradiction(
+            keyframe.frame.depth_intrinsics, self._keyframe_buffer.votes(view)
+        ):
             return RejectReason.DISAGREES
-        if self._album.full:
-            self._keep(self._album.most_useful())
+        if self._keyframe_buffer.full:
+            self._keep(self._keyframe_buffer.most_useful())
         taken, kept = self.views, np.ones(self._replay.count, dtype=np.bool_)
         try:
-            self._album.add(view, number)
+            self._keyframe_buffer.add(view, number)
             if self.waiting == 1:  # no older view is waiting
                 self._take()
         except MemoryError:
             self._keep(kept)
-            self._album.remembered.taken = taken
+            self._keyframe_buffer.remembered.taken = taken
             raise
         self.map_epoch = keyframe.map_epoch
         return None
 
     @property
     def waiting(self) -> int:
-        """Number of kept views that are not part of the map yet: after repose(), until relearn()."""
+        """Number of kept views that are not part of the map yet: after repose(), until learn_waiting()."""
         return self._replay.count - self._taken
 
     def repose(self, world_from_depth: Mapping[int, Pose], map_epoch: int) -> None:
         """Start a new map with new poses of the views, given by number.
 
         Views without a pose, or with a pose outside the box, are dropped and counted by ``refusals``. This is cheap:
-        relearn() does the work, a few views per call. Views that are added in between wait for their turn.
+        learn_waiting() does the work, a few views per call. Views that are added in between wait for their turn.
         """
         self.map_epoch = map_epoch
         self._begin(self._chosen())
         self._keep(np.array([self._placed(world_from_depth.get(number)) for number in self.kept], dtype=np.bool_))
         for view, number in enumerate(self.kept):
-            self._album.place(view, world_from_depth[number].rotation(), world_from_depth[number].translation_m)
+            self._keyframe_buffer.place(view, world_from_depth[number].rotation(), world_from_depth[number].translation_m)
 
     def _placed(self, world_from_depth: Pose | None) -> bool:
         """Return True if the pose of a view in the new map is valid; else count the reason."""
@@ -228,7 +239,7 @@ class NeuralMapper:
             self.refusals.note(reason)
         return reason is None
 
-    def relearn(self, views: int) -> int:
+    def learn_waiting(self, views: int) -> int:
         """Add at most ``views`` waiting views with their training steps; returns the number left.
 
         Each view gets the steps that it gets in flight.
@@ -238,7 +249,7 @@ class NeuralMapper:
                 self._take()
                 self.train(self._config.steps_per_view)
             except MemoryError:
-                self.refusals.note(RejectReason.MEMORY)
+                self.refusals.note(RejectReason.VOTE_DECAY)
                 self._keep(np.arange(self._replay.count) != self._taken - 1)
         return self.waiting
 
@@ -257,9 +268,9 @@ class NeuralMapper:
             self._learner.cover(points)
         self._information.add(view.points[0], view.cosine, view.sigma_m)
         self._agreement.add(view.points[0], view.normal, view.sigma_m)
-        footprint_m = self._album.footprint_m(number, view.sigma_m)
+        footprint_m = self._keyframe_buffer.footprint_m(number, view.sigma_m)
         position = replay.pose(number)[1]
-        self._evidence.add(position, view.points[0], view.normal, view.sigma_m, footprint_m)
+        self._measured_cells.add(position, view.points[0], view.normal, view.sigma_m, footprint_m)
         self._live.touch(view.points[0])
 
     def train(self, steps: int, rate: float = 1.0) -> float:
@@ -290,7 +301,7 @@ class NeuralMapper:
         The falling rate averages out the remaining noise. The pose refinement at ALIGN_AT removes most of the effect of pose
         errors.
         """
-        self.relearn(self.waiting)
+        self.learn_waiting(self.waiting)
         aligned_at = {int(steps * share) for share in ALIGN_AT}
         for n in range(steps if self.views else 0):
             if self.align_views and n in aligned_at:
@@ -310,17 +321,17 @@ class NeuralMapper:
         self._live.refresh(self.field, self.uncertainty)
         return self._live.elements(self.views, self.map_epoch)
 
-    def whole_room(self) -> SurfaceElements:
+    def all_surface_elements(self) -> SurfaceElements:
         """Return the elements of the whole surface, extracted from the current field."""
         voxel_m = self._config.surface_voxel_m
-        return surface_elements(self.field, self._evidence, self.uncertainty, voxel_m, self.views, self.map_epoch)
+        return surface_elements(self.field, self._measured_cells, self.uncertainty, voxel_m, self.views, self.map_epoch)
 
     def whole_surface(self, voxel_m: float) -> WholeSurface:
         """Return all zero crossings of the field, also where nothing was measured.
 
         Used to evaluate an uncertainty measure.
         """
-        return whole_surface(self.field, self._evidence, voxel_m)
+        return whole_surface(self.field, self._measured_cells, voxel_m)
 
     def mesh(self, voxel_m: float | None = None) -> TriangleMesh:
         """Return the triangles of the surface, extracted from the current field.
@@ -328,8 +339,10 @@ class NeuralMapper:
         voxel_m: edge of the extraction grid; by default config.mesh_voxel_m, 2 cm.
         """
         voxel_m = self._config.mesh_voxel_m if voxel_m is None else voxel_m
-        self._album.place_images()
-        return triangle_mesh(self.field, self._evidence, self.uncertainty, voxel_m, self._album.images, self.painted())
+        self._keyframe_buffer.sync_image_poses()
+        return triangle_mesh(
+            self.field, self._measured_cells, self.uncertainty, voxel_m, self._keyframe_buffer.images, self.painted()
+        )
 
     def painted(self) -> ColourFusedField:
         """Return the field with colours fused from the replayed views.
@@ -343,7 +356,7 @@ class NeuralMapper:
 
         origin (N, 3) in world; direction (N, 3): unit vectors. field: the learned field or painted().
         """
-        return render_rays(field, self._evidence.holding(), origin, direction)[0]
+        return render_rays(field, self._measured_cells.holding(), origin, direction)[0]
 
     def positions(self) -> FloatArray:
         """Return the current depth camera positions of the views in world, (V, 3)."""
@@ -370,15 +383,16 @@ class NeuralMapper:
         small.surface()
         small.mesh(0.05)
         small.painted().rgb(np.full((2, 3), 0.5, dtype=np.float32))  # the mesh may be empty
-        small._keep(small._album.most_useful())
+        small._keep(small._keyframe_buffer.most_useful())
 
     def _keep(self, which: BoolArray) -> None:
         """Drop all views except those selected by a mask (V,).
 
         The field keeps what was learned from the dropped views.
         """
-        self._album.keep(which)
-        taken, self._taken = which[: self._taken], int(which[: self._taken].sum())
+        self._keyframe_buffer.keep(which)
+        taken = which[: self._taken]
+        self._taken = int(which[: self._taken].sum())
         for part in (self._alignment, self._exposure, self._patches):
             part.keep(taken)
 

@@ -22,7 +22,10 @@ class NumbaTrainingStep:
     def __init__(
         self, low_m: Float32Array, high_m: Float32Array, seed: int, stream: AnyArray, colour_error: ColourError
     ) -> None:
-        self._low, self._high, self._stream, self._colour_error = low_m, high_m, stream, colour_error
+        self._low = low_m
+        self._high = high_m
+        self._stream = stream
+        self._colour_error = colour_error
         self.field = NumbaSdfField(low_m.astype(np.float64), high_m.astype(np.float64), seed)
         self._optimiser = NumbaAdam(self.field)
         self._batch = make_batch()

@@ -8,7 +8,7 @@ from uav_recon.geometry.jit import kernel
 from uav_recon.mapping.occupancy.depth_min_pooling import CELL, LEVELS, STRIP, min_pool
 from uav_recon.mapping.occupancy.free_space_carving import carve_free, view_box
 from uav_recon.mapping.occupancy.hit_integration import count_hits, mark_occupied
-from uav_recon.mapping.occupancy.log_odds import doubtful_look
+from uav_recon.mapping.occupancy.log_odds import weak_observation_steps
 from uav_recon.types.frames import AnyArray, IntArray
 from uav_recon.types.maps import GridSpec
 
@@ -39,7 +39,8 @@ class FrameScratch:
     def list(self, flat: IntArray) -> None:
         """Set the list of voxels to ``flat``, replacing its content."""
         if flat.size > self.listed.size:
-            self.listed, self.found = np.zeros(flat.size, dtype=np.int64), np.zeros(flat.size, dtype=np.uint8)
+            self.listed = np.zeros(flat.size, dtype=np.int64)
+            self.found = np.zeros(flat.size, dtype=np.uint8)
         self.listed[: flat.size] = flat
 
 
@@ -59,7 +60,7 @@ def fuse(
     pixels = depth_m.shape
     view_box(camera, rotation, origin, far_m / resolution_m, pixels, shape, box)
     min_pool(depth_m, near_m, lowest_m, farthest_m, valid)
-    doubtful = doubtful_look(noise_per_m, far_m, resolution_m)
+    doubtful = weak_observation_steps(noise_per_m, far_m, resolution_m)
     number = count_hits(depth_m, camera, rotation, origin, near_m, far_m, resolution_m, box, hits, touched)
     listing = carve_free(
         lowest_m, farthest_m, valid, camera, rotation, origin, pixels, far_m, noise_per_m, doubtful, resolution_m, box, shape,

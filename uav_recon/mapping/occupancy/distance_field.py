@@ -27,7 +27,8 @@ class DistanceField:
         """
         if not 0 < reach <= LARGEST_DISTANCE_VOXELS:
             raise ValueError(f"reach {reach}: want 1 to {LARGEST_DISTANCE_VOXELS} voxels")
-        self._shape, self._reach = shape, reach
+        self._shape = shape
+        self._reach = reach
         nx, ny, nz = shape
         self._planes = np.zeros(nx * ny * nz + CHUNK, dtype=np.uint8)  # squared distance within each plane of constant x
         self._scratch = np.zeros((3, (ny + 2 * LARGEST_DISTANCE_VOXELS) * nz + 3 * CHUNK), dtype=np.uint8)
@@ -38,7 +39,7 @@ class DistanceField:
         self.first = np.full(nx, ny, dtype=np.int64)
         self.last = np.zeros(nx, dtype=np.int64)
 
-    def touch_all(self) -> None:
+    def invalidate_all(self) -> None:
         """Mark the whole grid as changed."""
         self.first[:], self.last[:] = 0, self._shape[1]
 
@@ -63,7 +64,7 @@ def distance2_to_not_free(state: ByteArray, reach: int) -> ByteArray:
     """
     nx, ny, nz = state.shape
     field, distance2 = DistanceField((nx, ny, nz), reach), np.zeros(state.size + CHUNK, dtype=np.uint8)
-    field.touch_all()
+    field.invalidate_all()
     tiles = np.zeros((-(-nx // TILE), -(-ny // TILE)), dtype=np.int64)
     field.update(np.ascontiguousarray(state).reshape(-1), distance2, tiles, 1)
     return distance2[: state.size].reshape(state.shape)

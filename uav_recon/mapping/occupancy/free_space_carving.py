@@ -6,7 +6,7 @@ import numpy as np
 
 from uav_recon.geometry.jit import kernel
 from uav_recon.mapping.occupancy.depth_min_pooling import CELL, LARGEST_WINDOW, STRIP
-from uav_recon.mapping.occupancy.log_odds import CLEAR, LOWEST, NOISE_SIGMAS, add_log_odds
+from uav_recon.mapping.occupancy.log_odds import CLEAR_STEPS, MIN_LOG_ODDS, NOISE_SIGMAS, add_log_odds
 from uav_recon.types.frames import AnyArray
 
 VALID_SHARE = 0.75  # minimum share of the footprint with returns for a voxel to be freed
@@ -87,7 +87,7 @@ def _spans(
 
 
 @kernel
-def _hidden(
+def _no_return_behind(
     camera: AnyArray, step: Axes, start: Axes, count: int, farthest_m: AnyArray, edge_m: np.float32, extent_m: np.float32
 ) -> bool:
     """Return True if a run of voxels has no return behind any of its voxels.
@@ -125,7 +125,7 @@ def _project(camera: AnyArray, step: Axes, start: Axes, depth: AnyArray, right: 
 
 
 @kernel
-def _sift(
+def _select_candidates(
     run: AnyArray, held: AnyArray, index: int, depth: AnyArray, right: AnyArray, down: AnyArray, finest: AnyArray,
     edge_m: np.float32, extent_m: np.float32, kept: AnyArray, kept_at: AnyArray, number: int,
 ) -> int:  # fmt: skip
@@ -142,7 +142,7 @@ def _sift(
         i, j = max(min(i, last_row), np.int32(0)), max(min(j, last_column), np.int32(0))
         kept[number], kept_depth[number], kept_right[number], kept_down[number] = index + n, z, u, v
         behind_m = finest[i, j] - z * edge_m
-        number += int((run[n] != LOWEST) & (held[n] == 0) & (behind_m > extent_m))
+        number += int((run[n] != MIN_LOG_ODDS) & (held[n] == 0) & (behind_m > extent_m))
     return number
 
 
@@ -177,7 +177,7 @@ def _windows(
 
 
 @kernel
-def _share_seen(valid: AnyArray, window: int, right: int, down: int) -> float:
+def _valid_share(valid: AnyArray, window: int, right: int, down: int) -> float:
     """Return the share of the pixels of a window (see _windows) that have a return."""
     rows, columns = valid.shape[0] - 1, valid.shape[1] - 1
     row = window // columns
@@ -229,7 +229,7 @@ def carve_free(
             run = odds[index : index + count]
             settled = True
             for n in range(count):
-                settled &= run[n] == LOWEST
+                settled &= run[n] == MIN_LOG_ODDS
             if settled:
                 continue
             y, z = dy + j, dz + begin
@@ -238,11 +238,11 @@ def carve_free(
                 np.float32(rotation[0, 1] * dx + rotation[1, 1] * y + rotation[2, 1] * z),
                 np.float32(rotation[0, 2] * dx + rotation[1, 2] * y + rotation[2, 2] * z),
             )
-            if _hidden(camera, step, start, count, farthest_m, edge_m, extent_m):
+            if _no_return_behind(camera, step, start, count, farthest_m, edge_m, extent_m):
                 continue
             depth, right, down = run_at[0, :count], run_at[1, :count], run_at[2, :count]
             _project(camera, step, start, depth, right, down)
-            some = _sift(
+            some = _select_candidates(
                 run, hits[(i * ny + j) * nz + begin :], index, depth, right, down, lowest_m[0], edge_m, extent_m,
                 kept, kept_at, some,
             )  # fmt: skip
@@ -258,10 +258,10 @@ def carve_free(
             reach, doubt = gap * (np.float32(1.0) + noise * behind), noise * behind * behind
             if not reach > doubt:
                 continue
-            if holes and _share_seen(valid, a, right_by, down_by) < VALID_SHARE:
+            if holes and _valid_share(valid, a, right_by, down_by) < VALID_SHARE:
                 continue
             sure = (gap > two * extent_m) & (reach > two * doubt)
-            if add_log_odds(odds, kept[n], -CLEAR if sure else -doubtful):
+            if add_log_odds(odds, kept[n], -CLEAR_STEPS if sure else -doubtful):
                 listed[number] = kept[n]
                 number += 1
     return number

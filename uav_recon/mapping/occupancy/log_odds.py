@@ -12,26 +12,26 @@ from uav_recon.types.maps import FREE, OCCUPIED, TILE, UNKNOWN
 # either kind if the noise of the sensor is negligible against a voxel). One solid hit at close range marks a voxel occupied,
 # a thin or distant one needs two frames. The clamps bound how long a change takes.
 FREE_AT, OCCUPIED_AT = -4, 2
-CLEAR = 2
-LOWEST, HIGHEST = -10, 12
+CLEAR_STEPS = 2
+MIN_LOG_ODDS, MAX_LOG_ODDS = -10, 12
 NOISE_SIGMAS = 2.5  # a surface may be nearer than its measured depth by up to this many sigmas
 EXACT_SHARE = 0.1  # a sensor is exact if its noise (NOISE_SIGMAS, at the largest range) is below this share of a voxel
 
 
 @kernel
-def doubtful_look(noise_per_m: float, far_m: float, resolution_m: float) -> int:
+def weak_observation_steps(noise_per_m: float, far_m: float, resolution_m: float) -> int:
     """Return the steps towards free of an observation with less than twice its margin.
 
     The depth noise (one sigma) is noise_per_m * depth².
     """
-    return CLEAR if NOISE_SIGMAS * noise_per_m * far_m**2 <= EXACT_SHARE * resolution_m else CLEAR // 2
+    return CLEAR_STEPS if NOISE_SIGMAS * noise_per_m * far_m**2 <= EXACT_SHARE * resolution_m else CLEAR_STEPS // 2
 
 
 @kernel
 def add_log_odds(odds: AnyArray, index: int, evidence: int) -> bool:
     """Add evidence to a voxel; returns True if the state of the voxel may have changed."""
     before = np.int32(odds[index])
-    after = min(max(before + np.int32(evidence), np.int32(LOWEST)), np.int32(HIGHEST))
+    after = min(max(before + np.int32(evidence), np.int32(MIN_LOG_ODDS)), np.int32(MAX_LOG_ODDS))
     odds[index] = np.int8(after)
     return bool(((before <= FREE_AT) != (after <= FREE_AT)) | ((before >= OCCUPIED_AT) != (after >= OCCUPIED_AT)))
 

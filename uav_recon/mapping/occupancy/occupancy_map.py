@@ -18,7 +18,7 @@ import numpy as np
 
 from uav_recon.mapping.occupancy.depth_fusion import FrameScratch, fuse
 from uav_recon.mapping.occupancy.distance_field import DistanceField
-from uav_recon.mapping.occupancy.log_odds import FREE_AT, LOWEST, copy_changed, new_states
+from uav_recon.mapping.occupancy.log_odds import FREE_AT, MIN_LOG_ODDS, copy_changed, new_states
 from uav_recon.mapping.occupancy.occlusion_reset import reset_behind_new_obstacles
 from uav_recon.mapping.occupancy.snapshot_pool import SnapshotPool
 from uav_recon.types.camera import Frame, Intrinsics, PosedFrame
@@ -26,7 +26,7 @@ from uav_recon.types.frames import FloatArray
 from uav_recon.types.maps import LARGEST_DISTANCE_VOXELS, TILE, GridSpec, VoxelMap
 from uav_recon.types.pose import Pose
 
-_SHADOW_M = 0.6  # depth reset behind a new obstacle: that of a person or a chair
+_OCCLUSION_RESET_DEPTH_M = 0.6  # depth reset behind a new obstacle: that of a person or a chair
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +64,9 @@ class OccupancyMap:
         every pixel_stride-th row and column of the depth.
         """
         self.grid = grid
-        self._sensor, self._max_range_m, self._pixel_stride = sensor, float(max_range_m), pixel_stride
+        self._sensor = sensor
+        self._max_range_m = float(max_range_m)
+        self._pixel_stride = pixel_stride
         self._reach = min(int(np.ceil(distance_cap_m / grid.resolution_m)), LARGEST_DISTANCE_VOXELS)
         bounds = (np.array([fence_min_m, fence_max_m]) - grid.origin_world_m) / grid.resolution_m
         self._fence = np.clip(np.ceil(bounds - 0.5 - 1e-9), 0, np.array(grid.shape)).astype(np.int64)
@@ -75,12 +77,13 @@ class OccupancyMap:
     def reset(self, map_epoch: int) -> None:
         """Clear the map for a new epoch, whose poses do not fit the old map."""
         self._revision += 1
-        self._map_epoch, self._known = map_epoch, 0
+        self._map_epoch = map_epoch
+        self._known = 0
         self._odds = np.zeros(int(np.prod(self.grid.shape)), dtype=np.int8)
         self._tile_revision = np.full([-(-n // TILE) for n in self.grid.shape[:2]], self._revision, dtype=np.int64)
         self._distance = DistanceField(self.grid.shape, self._reach)
-        self._pictures = SnapshotPool(self.grid, self._revision)
-        self._picture: VoxelMap | None = None
+        self._snapshots = SnapshotPool(self.grid, self._revision)
+        self._snapshot: VoxelMap | None = None
 
     @property
     def revision(self) -> int:
@@ -108,10 +111,10 @@ class OccupancyMap:
             float(self._sensor.depth_min_m), self._max_range_m, noise_per_m, resolution_m, self.grid.shape,
             scratch.lowest_m, scratch.farthest_m, scratch.valid, scratch.hits, scratch.touched, self._odds, scratch.listed,
         )  # fmt: skip
-        known = self._pictures.canvas.state
-        return self._settle(
+        known = self._snapshots.current.state
+        return self._apply_state_changes(
             reset_behind_new_obstacles(
-                scratch.listed, number, self._odds, known, self.grid.shape, origin, _SHADOW_M / resolution_m
+                scratch.listed, number, self._odds, known, self.grid.shape, origin, _OCCLUSION_RESET_DEPTH_M / resolution_m
             )
         )
 
@@ -132,20 +135,20 @@ class OccupancyMap:
         inside &= (centres[:, 2] >= z_min_m) & (centres[:, 2] <= z_max_m)
         flat = np.ravel_multi_index(tuple(index[inside].T), self.grid.shape)
         changing = flat[self._odds[flat] > FREE_AT]
-        self._odds[flat] = LOWEST
+        self._odds[flat] = MIN_LOG_ODDS
         self._scratch.list(changing)
-        self._settle(changing.size)
+        self._apply_state_changes(changing.size)
 
     def snapshot(self) -> VoxelMap:
         """Return an immutable snapshot with its distance field.
 
         About 0.1 ms after a frame. Returns the same object if nothing changed.
         """
-        if self._picture is None:
-            canvas, revision = self._pictures.canvas, self._revision
+        if self._snapshot is None:
+            canvas, revision = self._snapshots.current, self._revision
             self._distance.update(canvas.state, canvas.distance2, self._tile_revision, revision)
-            self._picture = self._pictures.show(self._tile_revision, revision, self._map_epoch)
-        return self._picture
+            self._snapshot = self._snapshots.show(self._tile_revision, revision, self._map_epoch)
+        return self._snapshot
 
     def explored_m3(self) -> float:
         """Return the volume inside the fence that is known (free or occupied), in cubic metres."""
@@ -165,16 +168,16 @@ class OccupancyMap:
             held.append(small.snapshot())
             small.declare_free(np.ones(3), 0.5 * len(held), 0.0, 2.0)
 
-    def _settle(self, number: int) -> int:
+    def _apply_state_changes(self, number: int) -> int:
         """Update the listed voxels whose state changed; returns their number."""
         shape, scratch = self.grid.shape, self._scratch
         number = new_states(
-            scratch.listed, number, self._odds, shape, self._fence, self._pictures.canvas.state, scratch.found
+            scratch.listed, number, self._odds, shape, self._fence, self._snapshots.current.state, scratch.found
         )  # fmt: skip
         if number:
             self._revision += 1
-            self._picture = None
-            canvas = self._pictures.paintable(self._tile_revision)
+            self._snapshot = None
+            canvas = self._snapshots.writable_buffer(self._tile_revision)
             self._known += copy_changed(
                 scratch.listed, scratch.found, number, shape, self._fence, self._revision, canvas.state,
                 self._tile_revision, self._distance.first, self._distance.last,

@@ -35,31 +35,32 @@ class SnapshotPool:
 
     def __init__(self, grid: GridSpec, revision: int) -> None:
         """Start with one buffer, all unknown, at a revision."""
-        self._grid, self._blank_revision = grid, revision
+        self._grid = grid
+        self._blank_revision = revision
         self._size = int(np.prod(grid.shape))
-        self.canvas = SnapshotBuffer(self._size, revision)
-        self._canvases = [self.canvas]
+        self.current = SnapshotBuffer(self._size, revision)
+        self._canvases = [self.current]
 
-    def paintable(self, tile_revision: IntArray) -> SnapshotBuffer:
+    def writable_buffer(self, tile_revision: IntArray) -> SnapshotBuffer:
         """Return the buffer to write to, with the current content.
 
         If the current buffer has a snapshot in use, this is another buffer with the same content. tile_revision: that of the
         current buffer. Only the tiles that changed since the other buffer was last written are copied.
         """
-        if self.canvas.shown:
-            shown, self.canvas = self.canvas, self._free()
-            _catch_up(shown.memory, self._grid.shape, tile_revision, self.canvas.revision, self.canvas.memory)
-            self.canvas.revision = shown.revision
-        return self.canvas
+        if self.current.shown:
+            shown, self.current = self.current, self._free()
+            _copy_changed_tiles(shown.memory, self._grid.shape, tile_revision, self.current.revision, self.current.memory)
+            self.current.revision = shown.revision
+        return self.current
 
     def show(self, tile_revision: IntArray, revision: int, map_epoch: int) -> VoxelMap:
         """Return a snapshot of the current buffer.
 
         The buffer is not written while any array of the snapshot is referenced.
         """
-        canvas = self.canvas
+        canvas = self.current
         canvas.revision, canvas.shown = revision, True
-        view = np.asarray(_Lease(canvas, (2, *self._grid.shape)))
+        view = np.asarray(_BufferOwner(canvas, (2, *self._grid.shape)))
         dated = tile_revision.copy()
         dated.setflags(write=False)
         return VoxelMap(self._grid, view[0], view[1], dated, revision, map_epoch)
@@ -75,7 +76,7 @@ class SnapshotPool:
         return chosen
 
 
-class _Lease:
+class _BufferOwner:
     """Owner of the arrays of a snapshot.
 
     numpy keeps it alive as the base of the arrays, also of views of views. Its finalizer releases the buffer.
@@ -92,7 +93,9 @@ def _take_back(canvas: SnapshotBuffer) -> None:
 
 
 @kernel
-def _catch_up(source: AnyArray, shape: tuple[int, int, int], tile_revision: AnyArray, revision: int, target: AnyArray) -> None:
+def _copy_changed_tiles(
+    source: AnyArray, shape: tuple[int, int, int], tile_revision: AnyArray, revision: int, target: AnyArray
+) -> None:
     """Copy both layers of the tiles that changed after a revision."""
     nx, ny, nz = shape
     for a in range(tile_revision.shape[0]):

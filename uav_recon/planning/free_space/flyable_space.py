@@ -56,7 +56,8 @@ class FlyableSpace:
     def _start(self) -> None:
         nx, ny, nz = self.grid.shape
         self.mask = np.zeros((nx + 2, ny + 2, nz + 2), dtype=np.uint8)
-        self.free, self.leap = np.zeros_like(self.mask), np.zeros_like(self.mask)
+        self.free = np.zeros_like(self.mask)
+        self.leap = np.zeros_like(self.mask)
         self.regions = ReachableSpace(self.grid.shape)
         self.reachable: ByteArray = self.regions.reachable
         self.reachable_revision: IntArray = self.regions.tile_revision
@@ -107,7 +108,7 @@ class FlyableSpace:
         i, j, k = (int(n) for n in np.unravel_index(int(cells[-1]), self.mask.shape))
         if not self.reachable[i, j, k]:
             self.revision += 1
-            self.regions.hang_on(i, j, k, self.revision)
+            self.regions.set_root(i, j, k, self.revision)
         return cells
 
     def padded(self, points_world: FloatArray) -> FloatArray:

@@ -68,7 +68,7 @@ class ReachableSpace:
         self._grow(queued, revision)
         _show(changed, self.blocks, self.parent, self._shown, self.reachable, self.tile_revision, revision)
 
-    def hang_on(self, i: int, j: int, k: int, revision: int) -> None:
+    def set_root(self, i: int, j: int, k: int, revision: int) -> None:
         """Set the root to a PADDED flyable voxel, so that ``reachable`` is what is connected to it.
 
         Returns at once if the voxel is reachable already. Otherwise the cost is proportional to the parts detached and
@@ -81,7 +81,9 @@ class ReachableSpace:
             return
         if self._root >= 0:
             self._show_queued(int(_detach(self.blocks, self.parent, self._queue, self._root)), revision)
-        self._root, self.parent[part], self._queue[0] = part, part + 1, part
+        self._root = part
+        self.parent[part] = part + 1
+        self._queue[0] = part
         self._grow(1, revision)
 
     def _grow(self, queued: int, revision: int) -> None:

@@ -97,7 +97,8 @@ class ClusterTable:
         left = int(self.fill[SPARE])
         spare[:left] = self.spare[:left]
         spare[left : left + new - old] = np.arange(new - 1, old - 1, -1)
-        self.spare, self.fill[SPARE] = spare, left + new - old
+        self.spare = spare
+        self.fill[SPARE] = left + new - old
 
     def _more_pool(self, wanted: int) -> None:
         """Compact the pool; leave room for the same amount again and for ``wanted`` entries."""

@@ -121,7 +121,8 @@ class Frontiers:
 
         Sets faces, (nx, ny, nz) uint8 as Frontier.faces, and closed, (tiles), see clustering.scan().
         """
-        self._low, self._high = np.array(low, dtype=np.int64), np.array(high, dtype=np.int64)
+        self._low = np.array(low, dtype=np.int64)
+        self._high = np.array(high, dtype=np.int64)
         self._revision = -1
         self._known = np.zeros((shape[0] + 2) * shape[1] * shape[2], dtype=np.uint8)
         self.faces = np.zeros(shape, dtype=np.uint8)

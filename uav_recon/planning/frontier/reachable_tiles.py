@@ -41,7 +41,8 @@ class ReachableTiles:
     def update(self, space: Reach) -> None:
         """Update the tiles to a space; a different space is read from the beginning."""
         if space is not self._space or space.revision < self._seen:
-            self._space, self._seen = space, -1
+            self._space = space
+            self._seen = -1
             self._tiles = np.zeros(space.reachable_revision.shape, dtype=np.bool_)
         _renew(space.reachable, space.reachable_revision, self._seen, self._tiles)
         self._seen = space.revision

@@ -6,7 +6,7 @@ import numpy as np
 
 from uav_recon.geometry.jit import kernel
 from uav_recon.geometry.traversal import first_obstacle
-from uav_recon.planning.camera_frustum import Sight, in_view, sight
+from uav_recon.planning.camera_frustum import LineOfSight, in_view, sight
 from uav_recon.planning.frontier.view_search import ROOM, best_view
 from uav_recon.planning.frontier.visibility_bound import Int32Array
 from uav_recon.planning.view_sampling import ViewShell
@@ -73,7 +73,8 @@ class ViewCache:
         """
         while self.used[self._next] == plan:
             self._next = (self._next + 1) % ROWS
-        row, self._next = self._next, (self._next + 1) % ROWS
+        row = self._next
+        self._next = (self._next + 1) % ROWS
         if self.row_of.get(self.key[row]) == row:
             del self.row_of[self.key[row]]
         self.promised[row] = _answer(
@@ -274,7 +275,7 @@ def _shows(
     distance2: ByteArray,
     shape: tuple[int, int, int],
     lens: FloatArray,
-    line: Sight,
+    line: LineOfSight,
     points: FloatArray,
     a: int,
     b: int,

@@ -15,9 +15,9 @@ from uav_recon.geometry.jit import kernel
 from uav_recon.planning.camera_frustum import CAM_X, CAM_Y, aim, look_at, sight
 from uav_recon.planning.free_space.subvoxel_clearance import CLEAR, SIDES2, blocking_voxel
 from uav_recon.planning.frontier.camera_aiming import aimed, framed
-from uav_recon.planning.frontier.visibility_bound import BOOK, Int32Array, Targets, cells_with, distinct, visibility_bound
+from uav_recon.planning.frontier.visibility_bound import HASH_SIZE, Int32Array, Targets, cells_with, distinct, visibility_bound
 from uav_recon.planning.frontier.visibility_rays import (
-    Notes,
+    Blockers,
     Scene,
     candidate_rays,
     confirm_visible,
@@ -46,8 +46,8 @@ _WAYS = np.array(
 )
 Cluster = tuple[FloatArray, IntArray, Targets, FloatArray]  # points, first: see view_cache.targets(); targets; centre
 # work arrays for facing, found (U,), order (N,) and directions (3, N)
-Desk = tuple[Int32Array, ByteArray, IntArray, Float32Array]
-Record = tuple[Int32Array, FloatArray, Notes]  # asked, extents and notes: the dependencies of the result
+WorkArrays = tuple[Int32Array, ByteArray, IntArray, Float32Array]
+Dependencies = tuple[Int32Array, FloatArray, Blockers]  # asked, extents and notes: the dependencies of the result
 
 
 @kernel
@@ -58,8 +58,8 @@ def _widen(extent: FloatArray, x: float, y: float) -> None:
 
 
 @kernel
-def _ask(
-    reachable: ByteArray, shape: tuple[int, int, int], x: float, y: float, z: float, record: Record, asks: int
+def _test_reachable(
+    reachable: ByteArray, shape: tuple[int, int, int], x: float, y: float, z: float, record: Dependencies, asks: int
 ) -> tuple[bool, int]:
     """Return whether a position is in the map and reachable, and the number of positions tested.
 
@@ -82,8 +82,8 @@ def _look(
     place: FloatArray,
     best: int,
     beat: int,
-    desk: Desk,
-    record: Record,
+    desk: WorkArrays,
+    record: Dependencies,
     view: FloatArray,
     count: int,
 ) -> tuple[int, int, int]:
@@ -148,8 +148,8 @@ def _survey(
     ends: IntArray,
     quotas: IntArray,
     cluster: Cluster,
-    desk: Desk,
-    record: Record,
+    desk: WorkArrays,
+    record: Dependencies,
     places: FloatArray,
     promises: IntArray,
     view: FloatArray,
@@ -172,7 +172,7 @@ def _survey(
             continue
         x, y, z = centre[0] + offsets[p, 0], centre[1] + offsets[p, 1], centre[2] + offsets[p, 2]
         p += 1
-        within, asks = _ask(reachable, shape, x, y, z, record, asks)
+        within, asks = _test_reachable(reachable, shape, x, y, z, record, asks)
         if not within:
             continue
         left -= 1
@@ -235,8 +235,8 @@ def _climb(
     reachable: ByteArray,
     berth: FloatArray,
     cluster: Cluster,
-    desk: Desk,
-    record: Record,
+    desk: WorkArrays,
+    record: Dependencies,
     view: FloatArray,
     total: int,
     asks: int,
@@ -257,7 +257,7 @@ def _climb(
         place = view[:3] + HOPS[hop] * _WAYS[way]
         x, y, z = place
         way += 1
-        within, asks = _ask(reachable, shape, x, y, z, record, asks)
+        within, asks = _test_reachable(reachable, shape, x, y, z, record, asks)
         if not within:
             continue
         if HOPS[hop] < FROM_CENTRE_TO_CENTRE:
@@ -309,7 +309,7 @@ def best_view(
     positions.
     """
     cells = len(first) - 1
-    scene, notes = (distance2, shape, lens), (np.zeros(BOOK, dtype=np.int32), blockers)
+    scene, notes = (distance2, shape, lens), (np.zeros(HASH_SIZE, dtype=np.int32), blockers)
     targets = distinct(distance2, shape, points, first)
     cluster = (points, first, targets, centre)
     many = len(targets[1])

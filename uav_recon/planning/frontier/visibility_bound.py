@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uav_recon.geometry.jit import kernel
-from uav_recon.planning.camera_frustum import NEAR, PITCH_MAX, PITCH_MIN, RANGE, TAN_H, TAN_V, Sight
+from uav_recon.planning.camera_frustum import NEAR, PITCH_MAX, PITCH_MIN, RANGE, TAN_H, TAN_V, LineOfSight
 from uav_recon.types.frames import ByteArray, Float32Array, FloatArray, IntArray
 
 Int32Array = NDArray[np.int32]
@@ -22,17 +22,17 @@ Targets = tuple[Float32Array, Int32Array, IntArray, IntArray]
 # bits of a target as seen from an eye. TURNED: an open side faces the eye, in range. FITTING: also visible at some heading.
 # FRAMED: also in the image
 FITTING, FRAMED, TURNED = 1, 2, 4
-BOOK = 4096  # size of a hash table, a power of two
+HASH_SIZE = 4096  # size of a hash table, a power of two
 
 
 @kernel
 def distinct(distance2: ByteArray, shape: tuple[int, int, int], points: FloatArray, first: IntArray) -> Targets:
     """Return each unknown neighbour once.
 
-    distance2: raveled. points, first: see view_cache.targets(); fewer points than BOOK.
+    distance2: raveled. points, first: see view_cache.targets(); fewer points than HASH_SIZE.
     """
     nx, ny, nz = shape
-    book = np.zeros(BOOK, dtype=np.int32)
+    book = np.zeros(HASH_SIZE, dtype=np.int32)
     links = np.empty(len(points), dtype=np.int64)
     centres = np.empty((3, len(points)), dtype=np.float32)
     sides = np.zeros(len(points), dtype=np.int32)
@@ -40,12 +40,12 @@ def distinct(distance2: ByteArray, shape: tuple[int, int, int], points: FloatArr
     for m in range(len(points)):
         i, j, k = int(points[m, 0]), int(points[m, 1]), int(points[m, 2])
         flat = (i * ny + j) * nz + k
-        at = (flat * 2654435761 >> 16) & (BOOK - 1)
+        at = (flat * 2654435761 >> 16) & (HASH_SIZE - 1)
         while book[at] != 0:
             u = book[at] - 1
             if centres[0, u] == points[m, 0] and centres[1, u] == points[m, 1] and centres[2, u] == points[m, 2]:
                 break
-            at = (at + 1) & (BOOK - 1)
+            at = (at + 1) & (HASH_SIZE - 1)
         if book[at] == 0:
             sides[count] = (
                 (i > 0 and distance2[flat - ny * nz] != 0)
@@ -64,7 +64,7 @@ def distinct(distance2: ByteArray, shape: tuple[int, int, int], points: FloatArr
 
 
 @kernel
-def visibility_bound(targets: Targets, lens: FloatArray, line: Sight, facing: Int32Array) -> tuple[int, int]:
+def visibility_bound(targets: Targets, lens: FloatArray, line: LineOfSight, facing: Int32Array) -> tuple[int, int]:
     """Fill facing (U,) with the bits of each target; return how many are TURNED and FRAMED.
 
     FITTING is exact for a mount that tilts by at most half the image. With a free pitch it equals TURNED. The loop is in

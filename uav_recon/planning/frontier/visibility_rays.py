@@ -11,27 +11,27 @@ import numpy as np
 
 from uav_recon.geometry.jit import kernel
 from uav_recon.geometry.traversal import first_obstacle
-from uav_recon.planning.camera_frustum import Sight, in_view, sight
-from uav_recon.planning.frontier.visibility_bound import BOOK, FITTING, Int32Array, Targets
+from uav_recon.planning.camera_frustum import LineOfSight, in_view, sight
+from uav_recon.planning.frontier.visibility_bound import FITTING, HASH_SIZE, Int32Array, Targets
 from uav_recon.types.frames import BoolArray, ByteArray, Float32Array, FloatArray, IntArray
 
 Scene = tuple[ByteArray, tuple[int, int, int], FloatArray]  # distance2 raveled, its shape, the lens
-Notes = tuple[Int32Array, Int32Array]  # blockers: a hash table of them, and the list in order
+Blockers = tuple[Int32Array, Int32Array]  # blockers: a hash table of them, and the list in order
 UNASKED, CLEAR, HIDDEN = 0, 1, 2  # result of the ray to a target
 
 
 @kernel
-def record_blocker(voxel: int, notes: Notes, count: int) -> int:
+def record_blocker(voxel: int, notes: Blockers, count: int) -> int:
     """Append a voxel to ``blockers`` if it is not in the list; return the number of blockers.
 
     ``book`` is a hash table of the list.
     """
     book, blockers = notes
-    at = (voxel * 2654435761 >> 16) & (BOOK - 1)
+    at = (voxel * 2654435761 >> 16) & (HASH_SIZE - 1)
     while book[np.uint64(at)] != 0:
         if book[np.uint64(at)] == voxel + 1:
             return count
-        at = (at + 1) & (BOOK - 1)
+        at = (at + 1) & (HASH_SIZE - 1)
     if count < len(blockers):
         book[np.uint64(at)] = voxel + 1
         blockers[count] = voxel
@@ -39,7 +39,7 @@ def record_blocker(voxel: int, notes: Notes, count: int) -> int:
 
 
 @kernel
-def note_sides(shape: tuple[int, int, int], targets: Targets, notes: Notes, count: int) -> int:
+def note_sides(shape: tuple[int, int, int], targets: Targets, notes: Blockers, count: int) -> int:
     """Append the voxels that close the sides of the targets; return the number of blockers."""
     nx, ny, nz = shape
     centres, sides, _, _ = targets
@@ -63,13 +63,13 @@ def note_sides(shape: tuple[int, int, int], targets: Targets, notes: Notes, coun
 
 
 @kernel
-def inside(shape: tuple[int, int, int], line: Sight) -> bool:
+def inside(shape: tuple[int, int, int], line: LineOfSight) -> bool:
     """Return True if an eye is inside the map."""
     return 0.0 <= line[0] < shape[0] and 0.0 <= line[1] < shape[1] and 0.0 <= line[2] < shape[2]
 
 
 @kernel
-def candidate_rays(targets: Targets, line: Sight, facing: Int32Array, ways: Float32Array) -> int:
+def candidate_rays(targets: Targets, line: LineOfSight, facing: Int32Array, ways: Float32Array) -> int:
     """Fill ways (3, N) with the direction to the first FITTING target of each cell; return N.
 
     Cells without such a target are skipped.
@@ -91,14 +91,14 @@ def candidate_rays(targets: Targets, line: Sight, facing: Int32Array, ways: Floa
 def visible_cells(
     scene: Scene,
     targets: Targets,
-    line: Sight,
+    line: LineOfSight,
     facing: Int32Array,
     hoped: int,
     beat: int,
     order: IntArray,
     found: ByteArray,
     ways: Float32Array,
-    notes: Notes,
+    notes: Blockers,
     count: int,
 ) -> tuple[int, int]:
     """Fill ways (3, N) with a direction to each cell visible at any heading.
@@ -144,7 +144,7 @@ def visible_cells(
 
 @kernel
 def confirm_visible(
-    scene: Scene, view: FloatArray, points: FloatArray, first: IntArray, notes: Notes, count: int
+    scene: Scene, view: FloatArray, points: FloatArray, first: IntArray, notes: Blockers, count: int
 ) -> tuple[BoolArray, int]:
     """Return a mask of the cells that a view shows, and the number of blockers.
 

@@ -11,7 +11,7 @@ from uav_recon.planning.free_space.flyable_space import FlyableSpace
 from uav_recon.planning.free_space.voxel_blocks import EDGE, VoxelBlocks, corner_of, part_at
 from uav_recon.planning.paths.segments import departure, distance, length_of, segment_is_open
 from uav_recon.planning.paths.string_pulling import pull_taut
-from uav_recon.planning.paths.theta_star import Memory, find_bends, memory_for
+from uav_recon.planning.paths.theta_star import Memory, memory_for, search_polyline
 from uav_recon.types.frames import BoolArray, ByteArray, FloatArray, IntArray
 from uav_recon.types.maps import TILE
 
@@ -29,7 +29,7 @@ class CachedPaths(NamedTuple):
     used: (P,) number of the plan that last requested the position.
     kept: (P, P) True = the entry is valid.
     length: (P, P) in voxels.
-    span: (P, P), see ``find_bends``.
+    span: (P, P), see ``search_polyline``.
     number: (P, P) number of points.
     points: (P, P, MAX_POINTS, 3).
     leaves: (P, P, 2, 3) unit directions in which the path leaves a, and leaves b.
@@ -58,7 +58,8 @@ class PathCache:
     def __init__(self, space: FlyableSpace) -> None:
         self._space = space
         self._plan = 0
-        self.lengths_m, self.departures = np.zeros((1, 1)), np.zeros((1, 1, 3))
+        self.lengths_m = np.zeros((1, 1))
+        self.departures = np.zeros((1, 1, 3))
         self._start(PLACES)
 
     def _start(self, places: int) -> None:
@@ -91,15 +92,15 @@ class PathCache:
             _forget(self._known, space.leap, blocks, space.mask_revision, space.block_revision, self._seen)
             self._seen = space.revision
         self._places = np.ascontiguousarray(places, dtype=np.float64)
-        self._seats = _seat(self._known, self._places, self._plan)
+        self._cache_slots = _cache_slot(self._known, self._places, self._plan)
         self._head = space.centre(exit_cells)
         self._head[0] = space.padded(position_world)
         lengths, self.departures = _connect(
-            self._known, blocks, space.leap, self._memory, self._seats, self._head, self._buffer
+            self._known, blocks, space.leap, self._memory, self._cache_slots, self._head, self._buffer
         )
         self.lengths_m = lengths * space.grid.resolution_m
 
-    def way_world(self, i: int, j: int) -> FloatArray:
+    def path_world(self, i: int, j: int) -> FloatArray:
         """Return the polyline (M, 3) in world from node i to node j, both ends included.
 
         It is one point if both nodes have the same position.
@@ -112,7 +113,7 @@ class PathCache:
         if i == j:
             return self._head[:1] if i == 0 else self._places[i - 1 : i]
         if i > 0 and j > 0:
-            a, b = int(self._seats[i - 1]), int(self._seats[j - 1])
+            a, b = int(self._cache_slots[i - 1]), int(self._cache_slots[j - 1])
             if a == b:
                 return self._places[i - 1 : i]
             if _comes_first(self._known.place, b, a):
@@ -194,7 +195,7 @@ def _seat_of(known: CachedPaths, place: FloatArray) -> int:
 
 
 @kernel
-def _seat(known: CachedPaths, places: FloatArray, plan: int) -> IntArray:
+def _cache_slot(known: CachedPaths, places: FloatArray, plan: int) -> IntArray:
     """Assign an entry (N,) to each position (N, 3).
 
     A cached position keeps its entry. A new one takes the entry that was unused for the longest time.
@@ -233,7 +234,7 @@ def _way_between(
         ends[n] = part_at(blocks, int(places[n, 0]), int(places[n, 1]), int(places[n, 2]))
         if ends[n] < 0:
             return 0, np.inf, np.inf
-    count, span = find_bends(blocks, leap, memory, ends, places, points)
+    count, span = search_polyline(blocks, leap, memory, ends, places, points)
     if count == 0:
         return 0, np.inf, np.inf
     count = pull_taut(leap, points, count)

@@ -18,7 +18,7 @@ from uav_recon.planning.paths.segments import distance, length_of, segment_is_op
 from uav_recon.types.frames import ByteArray, FloatArray, IntArray
 
 # weight of the heuristic: about half as many parts are expanded, and string pulling removes the difference in length
-EAGERNESS = 1.1
+HEURISTIC_WEIGHT = 1.1
 DETOUR = 6.0  # voxels; max. extra length of a bend between neighbouring parts without a line of sight
 _PUSHES = 32  # heap capacity per block; a part is pushed again whenever a shorter path leads to it
 
@@ -155,7 +155,9 @@ def _search(blocks: VoxelBlocks, leap: ByteArray, memory: Memory, ends: IntArray
                 reached = length[origin] + distance(ox, oy, oz, qx, qy, qz)
                 if opened[other] != now or reached < length[other]:
                     opened[other], length[other], before[other] = now, reached, origin
-                    size = _push(heap_cost, heap_part, size, reached + EAGERNESS * distance(gx, gy, gz, qx, qy, qz), other)
+                    size = _push(
+                        heap_cost, heap_part, size, reached + HEURISTIC_WEIGHT * distance(gx, gy, gz, qx, qy, qz), other
+                    )
     stands[start], stands[goal] = start_stood, goal_stood
     return closed[goal] == now, greatest
 
@@ -229,7 +231,7 @@ def _voxel_by_voxel(blocks: VoxelBlocks, a: FloatArray, part_a: int, b: FloatArr
 
 
 @kernel
-def find_bends(
+def search_polyline(
     blocks: VoxelBlocks, leap: ByteArray, memory: Memory, ends: IntArray, places: FloatArray, points: FloatArray
 ) -> tuple[int, float]:
     """Write an open polyline into ``points`` (M, 3); return its number of points and its span.

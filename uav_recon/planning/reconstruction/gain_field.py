@@ -14,10 +14,10 @@ import numpy as np
 from uav_recon.config import PlannerConfig
 from uav_recon.geometry.jit import kernel
 from uav_recon.geometry.traversal import is_visible
-from uav_recon.planning.camera_frustum import CAM_Z, NEAR, RANGE, CameraGeometry, Sight, in_view, sight
+from uav_recon.planning.camera_frustum import CAM_Z, NEAR, RANGE, CameraGeometry, LineOfSight, in_view, sight
 from uav_recon.planning.candidate_view import MIN_SEEN, CandidateView, PlanningContext
 from uav_recon.planning.frontier.frontiers import FACES, Frontier
-from uav_recon.planning.reconstruction.surface_elements import CELL, Elements, KeptElements, squarest, weigh, within
+from uav_recon.planning.reconstruction.surface_elements import CELL, Elements, KeptElements, max_cosine_per_voxel, weigh, within
 from uav_recon.planning.reconstruction.surface_views import LOOK_DISCOUNT
 from uav_recon.planning.reconstruction.view_gain import TAIL, patches_near, seen
 from uav_recon.types.frames import BoolArray, ByteArray, Float32Array, FloatArray, IntArray
@@ -128,7 +128,7 @@ class FieldViews:
             return None
         task = Task(TaskKind.RECONSTRUCT, view.position_world, view, unknown_gain + surface_gain)
         settled = np.flatnonzero(cosine)
-        return CandidateView(task, place + 1.0, *squarest(elements.voxel[settled], cosine[settled]))
+        return CandidateView(task, place + 1.0, *max_cosine_per_voxel(elements.voxel[settled], cosine[settled]))
 
 
 def sampled_places(situation: PlanningContext, here: FloatArray, radius: float) -> FloatArray:
@@ -223,7 +223,7 @@ def field_gains(
 
 
 @kernel
-def rows_in_view(state: ByteArray, lens: FloatArray, line: Sight, rows: FloatArray) -> BoolArray:
+def rows_in_view(state: ByteArray, lens: FloatArray, line: LineOfSight, rows: FloatArray) -> BoolArray:
     """Return a mask (M,) of the rows that are visible along a line of sight."""
     out = np.zeros(len(rows), dtype=np.bool_)
     for m in range(len(rows)):

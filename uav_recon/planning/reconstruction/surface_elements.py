@@ -110,7 +110,7 @@ def within(elements: Elements, centre: FloatArray, radius: float) -> IntArray:
     return inside
 
 
-def squarest(voxel: IntArray, cosine: FloatArray) -> tuple[IntArray, FloatArray]:
+def max_cosine_per_voxel(voxel: IntArray, cosine: FloatArray) -> tuple[IntArray, FloatArray]:
     """Return each voxel (>= 0) once, with the largest cosine of its elements."""
     order = np.lexsort((-cosine, voxel))
     order = order[voxel[order] >= 0]

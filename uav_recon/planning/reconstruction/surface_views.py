@@ -15,7 +15,7 @@ from uav_recon.geometry.jit import kernel
 from uav_recon.planning.camera_frustum import RANGE, CameraGeometry
 from uav_recon.planning.candidate_view import CandidateView, PlanningContext
 from uav_recon.planning.reconstruction.geodesic_neighbourhood import seen_from_near, wave
-from uav_recon.planning.reconstruction.surface_elements import Elements, KeptElements, squarest, weigh, within
+from uav_recon.planning.reconstruction.surface_elements import Elements, KeptElements, max_cosine_per_voxel, weigh, within
 from uav_recon.planning.reconstruction.unmodelled_surface import unmodelled_surface
 from uav_recon.planning.reconstruction.view_gain import best_view, patches_near, promising
 from uav_recon.planning.view_sampling import shell
@@ -105,7 +105,7 @@ class SurfaceViews:
         grid = situation.voxels.grid
         viewpoint = Viewpoint(grid.origin_world_m + hopeful[best] * grid.resolution_m, yaw, pitch)
         task = Task(TaskKind.RECONSTRUCT, grid.origin_world_m + centre * grid.resolution_m, viewpoint, gain)
-        return CandidateView(task, hopeful[best] + 1.0, *squarest(elements.voxel[seen], cosine[seen]))
+        return CandidateView(task, hopeful[best] + 1.0, *max_cosine_per_voxel(elements.voxel[seen], cosine[seen]))
 
 
 def _and_bare(elements: Elements, situation: PlanningContext, start: IntArray, reach: float) -> Elements:

@@ -12,7 +12,7 @@ import numpy as np
 
 from uav_recon.geometry.jit import kernel
 from uav_recon.geometry.traversal import is_visible
-from uav_recon.planning.camera_frustum import RANGE, TAN_H, TAN_V, Sight, aim, in_view, sight
+from uav_recon.planning.camera_frustum import RANGE, TAN_H, TAN_V, LineOfSight, aim, in_view, sight
 from uav_recon.types.frames import ByteArray, FloatArray, IntArray
 
 TAIL = 1.5  # voxels in front of an element that may be occupied or unknown, because they belong to the element's own wall
@@ -21,7 +21,7 @@ _CELL_WIDTH = 5.2  # voxels; the diagonal of a cell, the max. distance of an ele
 
 
 @kernel
-def _facing(line: Sight, x: float, y: float, z: float, nx: float, ny: float, nz: float) -> float:
+def _facing(line: LineOfSight, x: float, y: float, z: float, nx: float, ny: float, nz: float) -> float:
     """Return n.v, the cosine between an outward normal and the direction to the eye.
 
     It is negative for an element seen from behind.
@@ -134,7 +134,7 @@ def promising(
 def seen(
     state: ByteArray,
     lens: FloatArray,
-    line: Sight,
+    line: LineOfSight,
     position: FloatArray,
     normal: FloatArray,
     weight: FloatArray,

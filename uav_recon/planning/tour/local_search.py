@@ -171,7 +171,7 @@ def _better_turn(
 
 
 @kernel
-def _wake(queue: NodeArray, waiting: BoolArray, size: int, node: int) -> int:
+def _enqueue(queue: NodeArray, waiting: BoolArray, size: int, node: int) -> int:
     if not waiting[node]:
         waiting[node] = True
         queue[size] = node
@@ -201,16 +201,16 @@ def _settle(
         a, b, c = _better_exchange(costs, order, place, ahead, near, near_before, node)
         if a >= 0:
             for cut in (a, b, c):
-                size = _wake(queue, waiting, size, order[cut])
-                size = _wake(queue, waiting, size, order[cut + 1])
+                size = _enqueue(queue, waiting, size, order[cut])
+                size = _enqueue(queue, waiting, size, order[cut + 1])
             _exchange(order, spare, a + 1, b + 1, c + 1)
             _note(costs, order, place, ahead, back, a + 1)
             continue
         first, last = _better_turn(costs, order, place, ahead, back, near, near_before, node)
         if first >= 0:
             for cut in (first - 1, last):
-                size = _wake(queue, waiting, size, order[cut])
-                size = _wake(queue, waiting, size, order[cut + 1])
+                size = _enqueue(queue, waiting, size, order[cut])
+                size = _enqueue(queue, waiting, size, order[cut + 1])
             changed = first
             while first < last:
                 order[first], order[last] = order[last], order[first]
@@ -252,8 +252,8 @@ def search_tour(given: FloatArray, rounds: int, seed: int) -> IntArray:
         second, third, end = first + length1, first + length1 + length2, first + length1 + length2 + length3
         size = 0
         for cut in (first, second, third, end):
-            size = _wake(queue, waiting, size, order[cut - 1])
-            size = _wake(queue, waiting, size, order[cut])
+            size = _enqueue(queue, waiting, size, order[cut - 1])
+            size = _enqueue(queue, waiting, size, order[cut])
         _exchange(order, spare, first, third, end)
         _exchange(order, spare, first + length3, first + length3 + length1, end)
         _note(costs, order, place, ahead, back, first)

@@ -69,7 +69,7 @@ class Greedy:
         return self._worth.keep(tasks, costs_s, np.atleast_1d(best).astype(np.int64))
 
 
-class ByTheWay:
+class FrontierWithDetours:
     """VPP's ordering: the nearest frontier, with views of uncertain surface on the path to it.
 
     Without a frontier, surface is viewed nearest first.

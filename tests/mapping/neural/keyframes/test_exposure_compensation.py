@@ -28,7 +28,7 @@ def _learn(factor: FloatArray, steps: int = 0) -> NeuralMapper:
 
 
 def _sigma(trainer: NeuralMapper) -> FloatArray:
-    points = trainer.whole_room().position_world.astype(np.float32)
+    points = trainer.all_surface_elements().position_world.astype(np.float32)
     return np.array([np.median(trainer.uncertainties[name].at(points)) for name in ("colour", "paper")])
 
 

@@ -14,7 +14,7 @@ from uav_recon.mapping.neural.keyframes.keyframe_validation import (
     ContradictionVote,
     RejectCounts,
     RejectReason,
-    padded,
+    padded_box,
     reject_reason,
 )
 from uav_recon.mapping.neural.neural_mapper import NeuralMapper
@@ -23,7 +23,7 @@ from uav_recon.types.frames import Float32Array
 from uav_recon.types.pose import Pose
 
 GOOD = look((1.5, 1.2, 1.0), 0.0)
-PADDED = padded(LOW, HIGH)
+PADDED = padded_box(LOW, HIGH)
 STRANGE = [np.nan, np.inf, -np.inf, 0.0, -1.0, 1e-40, 1e-3, 0.15, 1.0, 8.0, 65.0, 3e38]
 
 
@@ -146,14 +146,14 @@ def test_a_contradiction_needs_votes_and_the_lens_is_remembered() -> None:
         Intrinsics(50.0, 50.0, 10.0, 10.0, 20, 20),
         Intrinsics(60.0, 50.0, 10.0, 10.0, 20, 20),
     )
-    assert not doubt.rises(lens, _votes(20, 60))  # too few votes
+    assert not doubt.is_contradiction(lens, _votes(20, 60))  # too few votes
     doubt = ContradictionVote()
-    assert not doubt.rises(lens, _votes(400, 20))
-    assert doubt.rises(lens, _votes(400, 101))  # one bad view: the pose is blamed
-    assert not doubt.rises(lens, _votes(400, 0))
-    assert doubt.rises(other, _votes(200, 200))
-    assert doubt.rises(other, _votes(5, 0))  # a new position, with a lens that is known to be wrong
-    assert not doubt.rises(lens, _votes(5, 0))
+    assert not doubt.is_contradiction(lens, _votes(400, 20))
+    assert doubt.is_contradiction(lens, _votes(400, 101))  # one bad view: the pose is blamed
+    assert not doubt.is_contradiction(lens, _votes(400, 0))
+    assert doubt.is_contradiction(other, _votes(200, 200))
+    assert doubt.is_contradiction(other, _votes(5, 0))  # a new position, with a lens that is known to be wrong
+    assert not doubt.is_contradiction(lens, _votes(5, 0))
 
 
 _NUMBER = st.one_of(st.sampled_from(STRANGE), st.floats(width=32))
@@ -196,11 +196,13 @@ def test_a_depth_that_overflows_in_millimetres_is_no_return() -> None:
     depth[::2, ::2] = 3e38
     mapper = _trainer()
     assert mapper.add(_with_depth(GOOD, depth))
-    assert not mapper.gathered().images.image(0).any()
+    assert not mapper.training_data().images.image(0).any()
 
 
 @settings(max_examples=150, deadline=None, suppress_health_check=list(HealthCheck))
-@given(lens=_LENS, colour=_LENS, depth=_DEPTH, pose=_POSE, beside=_POSE, steps=st.integers(0, 3), poison=st.booleans())
+@given(
+    lens=_LENS, colour=_LENS, depth=_DEPTH, pose=_POSE, overlapping_views=_POSE, steps=st.integers(0, 3), poison=st.booleans()
+)
 def test_the_field_stays_finite_for_any_input(
     lens: Intrinsics, colour: Intrinsics, depth: Float32Array, pose: Pose, beside: Pose, steps: int, poison: bool
 ) -> None:

@@ -27,7 +27,7 @@ def gathered() -> TrainingData:
     trainer = NeuralMapper(MapperConfig(), LOW, HIGH, NOISE_PX, BASELINE_M)
     for view in tour(8):
         assert trainer.add(view)
-    return trainer.gathered()
+    return trainer.training_data()
 
 
 def refiner(device: str = "cpu", plan: RefinePlan = PLAN) -> Refiner:

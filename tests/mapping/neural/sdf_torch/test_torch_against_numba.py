@@ -17,7 +17,7 @@ from uav_recon.mapping.neural.sdf_numba.losses import TETRAHEDRON, fit_colour, f
 from uav_recon.mapping.neural.sdf_numba.sdf_field import NumbaSdfField
 from uav_recon.mapping.neural.sdf_torch.adam import TorchAdam
 from uav_recon.mapping.neural.sdf_torch.feature_grid import GridError, lay_out
-from uav_recon.mapping.neural.sdf_torch.ray_sampling import Replayed, TorchBatch, draw, state_before
+from uav_recon.mapping.neural.sdf_torch.ray_sampling import DeviceViews, TorchBatch, draw, state_before
 from uav_recon.mapping.neural.sdf_torch.sdf_field import TorchSdfField
 from uav_recon.types.frames import Float32Array
 
@@ -78,7 +78,7 @@ def drawn_by_kernels(draws: int) -> tuple[ray_sampling.NumbaBatch, int]:
 def drawn(draws: int, device: torch.device = CPU) -> TorchBatch:
     state = torch.tensor(state_before(5, draws - 1, ray_sampling.RAYS), device=device)
     low, high = (torch.tensor(c, dtype=torch.float32, device=device) for c in (LOW, HIGH))
-    return draw(state, Replayed.of(views(), 3, device), low, high, ray_sampling.RAYS, ray_sampling.RECENT_SHARE)
+    return draw(state, DeviceViews.of(views(), 3, device), low, high, ray_sampling.RAYS, ray_sampling.RECENT_SHARE)
 
 
 def gradients_of_kernels(field: NumbaSdfField, batch: ray_sampling.NumbaBatch, coloured: int) -> tuple[NumbaAdam, float]:

@@ -10,7 +10,7 @@ from uav_recon.mapping.neural.keyframes.ray_buffer import RayBuffer
 from uav_recon.mapping.neural.keyframes.ray_records import BEARING_UNIT, COLUMNS, DEPTH_UNIT_M
 from uav_recon.mapping.neural.keyframes.ray_sampling import TOE
 from uav_recon.mapping.neural.surface import colour_fusion
-from uav_recon.mapping.neural.surface.colour_fusion import CELL_M, FIELD_WORTH, ColourFusedField
+from uav_recon.mapping.neural.surface.colour_fusion import CELL_M, FIELD_WEIGHT_RAYS, ColourFusedField
 from uav_recon.types.frames import AnyArray, Float32Array, FloatArray
 
 LOW, HIGH = np.array([-1.0, -1.0, 0.0], dtype=np.float32), np.array([1.0, 1.0, 2.5], dtype=np.float32)
@@ -67,7 +67,7 @@ PLACE = centre(np.array([0.1, 0.2, 1.0])).astype(np.float64)
 
 def test_a_cell_has_the_mean_colour_of_the_images_and_a_small_share_of_the_field() -> None:
     found = paint(seen(rays(PLACE[None], [RED]), rays(PLACE[None], [BLUE]))).rgb(centre(PLACE)[None])[0]
-    mean = (np.array([200, 0, 200]) / 255.0 + FIELD_WORTH * 0.5) / (2.0 + FIELD_WORTH)
+    mean = (np.array([200, 0, 200]) / 255.0 + FIELD_WEIGHT_RAYS * 0.5) / (2.0 + FIELD_WEIGHT_RAYS)
     assert found == pytest.approx(mean, abs=1e-3)
 
 
@@ -94,7 +94,11 @@ def test_colours_are_means_over_cells_with_linear_interpolation(monkeypatch: pyt
     np.add.at(count, tuple(cell.T), 1.0)
     asked = rng.uniform([-0.19, -0.19, 1.01], [0.19, 0.19, 1.09], (500, 3)).astype(np.float32)
     place = (asked - LOW) / CELL_M - 0.5
-    low, total, weight = np.floor(place).astype(int), np.full((500, 3), FIELD_WORTH * 0.5), np.full(500, FIELD_WORTH)
+    low, total, weight = (
+        np.floor(place).astype(int),
+        np.full((500, 3), FIELD_WEIGHT_RAYS * 0.5),
+        np.full(500, FIELD_WEIGHT_RAYS),
+    )
     for corner in np.ndindex(2, 2, 2):
         share = np.abs(1 - np.array(corner) - (place - low)).prod(axis=1)
         at = tuple((low + corner).T)
@@ -107,7 +111,7 @@ def test_images_are_fused_at_the_mean_exposure() -> None:
     replay = seen(rays(PLACE[None], [(100, 100, 100)]))
     replay.views.gain[0] = 1.5
     found = paint(replay).rgb(centre(PLACE)[None])[0]
-    mean = ((100 / 255.0 + TOE) * 1.5 - TOE + FIELD_WORTH * 0.5) / (1.0 + FIELD_WORTH)
+    mean = ((100 / 255.0 + TOE) * 1.5 - TOE + FIELD_WEIGHT_RAYS * 0.5) / (1.0 + FIELD_WEIGHT_RAYS)
     assert found == pytest.approx([mean] * 3, abs=1e-3)
 
 

@@ -28,10 +28,10 @@ def test_incremental_updates_of_an_unchanged_field_equal_the_whole_surface(voxel
         trainer.add(view)
     trainer.train(40)
     first = trainer.surface()
-    assert np.array_equal(_sorted(first), _sorted(trainer.whole_room()))
+    assert np.array_equal(_sorted(first), _sorted(trainer.all_surface_elements()))
     for n in range(3):  # more evidence, the same field
         trainer.add(look((1.2, 1.0, 1.0), 70.0 * n, 10 + n))
-        assert np.array_equal(_sorted(trainer.surface()), _sorted(trainer.whole_room()))
+        assert np.array_equal(_sorted(trainer.surface()), _sorted(trainer.all_surface_elements()))
 
 
 def test_a_view_updates_the_surface_it_saw_and_leaves_the_far_side() -> None:
@@ -58,7 +58,7 @@ def test_training_without_new_views_updates_all_of_the_surface() -> None:
     for _ in range(25):
         after = trainer.surface()
     assert not before & {tuple(p) for p in after.position_world}
-    assert np.array_equal(_sorted(after), _sorted(trainer.whole_room()))
+    assert np.array_equal(_sorted(after), _sorted(trainer.all_surface_elements()))
 
 
 def test_both_sides_of_a_thin_plate_are_surface() -> None:

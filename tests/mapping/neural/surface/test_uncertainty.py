@@ -5,7 +5,7 @@ import pytest
 
 from uav_recon.mapping.neural.sdf_numba.losses import UNKNOWN
 from uav_recon.mapping.neural.surface.uncertainty import (
-    MAX_PAST_M,
+    MAX_OFFSET_M,
     MIN_PAST_M,
     PRIOR_COLOUR_SIGMA,
     PRIOR_SIGMA_M,
@@ -65,7 +65,7 @@ def test_agreement_falls_with_the_root_of_the_count() -> None:
     once.add(node, up, SHARP)
     for _ in range(100):
         often.add(node, up, SHARP)
-    on_the_plane = (MIN_PAST_M / MAX_PAST_M) ** 2
+    on_the_plane = (MIN_PAST_M / MAX_OFFSET_M) ** 2
     assert once.at(node)[0] == pytest.approx(on_the_plane * 0.05 / np.sqrt(1.1), rel=1e-2)
     assert often.at(node)[0] == pytest.approx(on_the_plane * 0.05 / np.sqrt(100.1), rel=1e-2)
 
@@ -104,7 +104,7 @@ def test_a_corner_is_less_certain_than_a_wall_and_unmeasured_space_least_certain
     for normal in np.eye(3, dtype=np.float32):
         measure.add(wall, np.eye(3, dtype=np.float32)[:1], SHARP)
         measure.add(corner, normal[None], SHARP)
-    on_the_plane = (MIN_PAST_M / MAX_PAST_M) ** 2
+    on_the_plane = (MIN_PAST_M / MAX_OFFSET_M) ** 2
     assert measure.at(corner)[0] == pytest.approx(on_the_plane * (1.05 - 1 / np.sqrt(3)) / np.sqrt(3.1), rel=2e-2)
     assert 0 < measure.at(wall)[0] < measure.at(corner)[0] < measure.at(nowhere)[0]
     assert measure.at(nowhere)[0] == pytest.approx(1.05 / np.sqrt(0.1), rel=1e-2)

@@ -37,7 +37,7 @@ def gathered() -> TrainingData:
     trainer = NeuralMapper(MapperConfig(), LOW, HIGH, NOISE_PX, BASELINE_M)
     for view in tour(12):
         assert trainer.add(view)
-    return trainer.gathered()
+    return trainer.training_data()
 
 
 @pytest.fixture(scope="module")

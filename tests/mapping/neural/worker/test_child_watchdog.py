@@ -8,9 +8,9 @@ from __future__ import annotations
 import os
 
 from uav_recon.mapping.neural.worker.child_watchdog import (
-    ASLEEP_S,
-    LOOK_S,
-    SILENT_S,
+    CHECK_PERIOD_S,
+    IDLE_TIMEOUT_S,
+    RESPONSE_TIMEOUT_S,
     ChildWatchdog,
     ProcessActivity,
     activity_of,
@@ -24,9 +24,9 @@ def given_up_after_s(
     vigil, now_s = ChildWatchdog(), 0.0
     vigil.asked(now_s)
     while now_s < longest_s:
-        now_s += LOOK_S
+        now_s += CHECK_PERIOD_S
         used_s = pulse.processor_s + (now_s if grows else 0.0)
-        if vigil.hung(now_s, ProcessActivity(used_s, pulse.at_rest), patient):
+        if vigil.is_hung(now_s, ProcessActivity(used_s, pulse.at_rest), patient):
             return now_s
     return None
 
@@ -34,7 +34,7 @@ def given_up_after_s(
 def test_a_sleeping_child_with_a_pending_request_is_given_up_soon() -> None:
     after_s = given_up_after_s(ProcessActivity(7.0, at_rest=True))
     assert after_s is not None
-    assert ASLEEP_S < after_s <= ASLEEP_S + 2 * LOOK_S
+    assert IDLE_TIMEOUT_S < after_s <= IDLE_TIMEOUT_S + 2 * CHECK_PERIOD_S
 
 
 def test_a_computing_or_starving_child_has_a_minute() -> None:
@@ -43,7 +43,7 @@ def test_a_computing_or_starving_child_has_a_minute() -> None:
         given_up_after_s(ProcessActivity(7.0, at_rest=False)),
     ):
         assert working is not None
-        assert SILENT_S < working <= SILENT_S + LOOK_S
+        assert RESPONSE_TIMEOUT_S < working <= RESPONSE_TIMEOUT_S + CHECK_PERIOD_S
 
 
 def test_a_compiling_child_is_waited_for_unless_it_sleeps() -> None:
@@ -53,16 +53,16 @@ def test_a_compiling_child_is_waited_for_unless_it_sleeps() -> None:
 
 def test_a_child_without_a_pending_request_may_sleep() -> None:
     vigil = ChildWatchdog()
-    assert not vigil.hung(100.0, ProcessActivity(1.0, at_rest=True), patient=False)
+    assert not vigil.is_hung(100.0, ProcessActivity(1.0, at_rest=True), patient=False)
     vigil.asked(100.0)
     vigil.answered()
-    assert not vigil.hung(300.0, ProcessActivity(1.0, at_rest=True), patient=False)
+    assert not vigil.is_hung(300.0, ProcessActivity(1.0, at_rest=True), patient=False)
 
 
 def test_an_ended_process_is_not_reported_as_hung() -> None:
     vigil = ChildWatchdog()
     vigil.asked(0.0)
-    assert not vigil.hung(1000.0, None, patient=False)
+    assert not vigil.is_hung(1000.0, None, patient=False)
     assert activity_of(2**22 + 1) is None
 
 

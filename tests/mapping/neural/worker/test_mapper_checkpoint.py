@@ -30,7 +30,8 @@ class Flight:
     """
 
     def __init__(self, folder: Path) -> None:
-        self.folder, self.path = folder, folder / "checkpoint"
+        self.folder = folder
+        self.path = folder / "checkpoint"
         self.keyframes = KeyframeFolder(folder / "keyframes")
         for view in tour(VIEWS, NOISE_PX):
             self.keyframes.save(view)
@@ -57,7 +58,7 @@ def flight(tmp_path_factory: pytest.TempPathFactory) -> Flight:
 
 
 def _assert_equal(a: NeuralMapper, b: NeuralMapper) -> None:
-    for first, second in ((a.surface(), b.surface()), (a.whole_room(), b.whole_room())):
+    for first, second in ((a.surface(), b.surface()), (a.all_surface_elements(), b.all_surface_elements())):
         assert len(first.position_world) > 1000
         assert np.array_equal(first.position_world, second.position_world)
         assert np.array_equal(first.normal_world, second.normal_world)
@@ -67,7 +68,7 @@ def _assert_equal(a: NeuralMapper, b: NeuralMapper) -> None:
     assert np.array_equal(a.field.grid.features, b.field.grid.features)
     assert a.steps == b.steps
     for name, measure in a.uncertainties.items():
-        points = a.whole_room().position_world[::50].astype(np.float32)
+        points = a.all_surface_elements().position_world[::50].astype(np.float32)
         assert np.array_equal(measure.at(points), b.uncertainties[name].at(points)), name
 
 

@@ -20,9 +20,9 @@ from uav_recon.config import MapperConfig
 from uav_recon.mapping.keyframe_store import KeyframeFolder
 from uav_recon.mapping.neural.keyframes.keyframe_validation import RejectReason
 from uav_recon.mapping.neural.worker.checkpoint import EVERY_VIEWS
-from uav_recon.mapping.neural.worker.child_watchdog import ASLEEP_S, LOOK_S
+from uav_recon.mapping.neural.worker.child_watchdog import CHECK_PERIOD_S, IDLE_TIMEOUT_S
 from uav_recon.mapping.neural.worker.mapper_client import RESTARTS, ProcessMapper
-from uav_recon.mapping.neural.worker.mapper_process import CHECKPOINT, FIRST_TO_GO, LOG_FILE, NICENESS
+from uav_recon.mapping.neural.worker.mapper_process import CHECKPOINT, LOG_FILE, NICENESS, OOM_SCORE_ADJ
 
 CONFIG = MapperConfig(steps_per_view=10, idle_steps_hz=5.0, polish_steps=20, mesh_voxel_m=0.05)
 PATIENCE_S = 120.0
@@ -55,7 +55,9 @@ def test_a_child_that_hangs_is_replaced_while_views_keep_coming(mapper: ProcessM
     _wait(mapper.ready, "ready")
     hung, another = mapper.pid, tour(6)[4]
     os.kill(hung, signal.SIGSTOP)
-    _wait(lambda: mapper.add(another) and mapper.pid != hung, "another child", ASLEEP_S + 20.0, every_s=0.6 * LOOK_S)
+    _wait(
+        lambda: mapper.add(another) and mapper.pid != hung, "another child", IDLE_TIMEOUT_S + 20.0, every_s=0.6 * CHECK_PERIOD_S
+    )
     _wait(mapper.ready, "the second child")
     before = _revision(mapper)
     assert mapper.add(tour(6)[5])
@@ -74,7 +76,7 @@ def test_the_process_learns_survives_a_kill_and_meshes(mapper: ProcessMapper, tm
     assert os.getpriority(os.PRIO_PROCESS, first) == min(os.getpriority(os.PRIO_PROCESS, 0) + NICENESS, 19)
     group = Path(f"/proc/{first}/autogroup")
     assert not group.exists() or group.read_text().endswith(f"nice {NICENESS}\n")
-    assert int(Path(f"/proc/{first}/oom_score_adj").read_text()) == FIRST_TO_GO, "the kernel takes it before its mission"
+    assert int(Path(f"/proc/{first}/oom_score_adj").read_text()) == OOM_SCORE_ADJ, "the kernel takes it before its mission"
     os.kill(first, signal.SIGKILL)
     _wait(lambda: not mapper.alive(), "noticing the death")
     assert mapper.surface() is not None

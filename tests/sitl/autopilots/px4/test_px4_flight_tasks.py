@@ -13,7 +13,7 @@ from scripted_companion import LAND, Companion
 from sitl.autopilots.px4.autopilot import Px4
 from sitl.autopilots.px4.parameters import Px4Parameters
 from sitl.world.quadrotor import Quadrotor
-from sitl.world.step_sizes import REAL
+from sitl.world.step_sizes import FINE_STEPS
 
 
 def square(start_s: float, side: float, speed: float) -> tuple[Any, float]:
@@ -107,7 +107,7 @@ def test_physics_runs_in_fixed_steps_independent_of_the_callers_rate() -> None:
     for i in range(1, 1001):
         b.px4.step(500.0 + i * 0.001)
     assert a.px4.truth() == b.px4.truth()
-    assert a.px4.truth().stamp_s == pytest.approx(501.0, abs=REAL.physics_s)
+    assert a.px4.truth().stamp_s == pytest.approx(501.0, abs=FINE_STEPS.physics_s)
 
 
 class LateReader:
@@ -134,7 +134,7 @@ def test_a_late_call_processes_messages_at_their_arrival_times() -> None:
     px4.step(501.0)
     heard = mavlink.MAVLink(None, 1, 1).parse_buffer(link.written)
     answer = next(m for m in heard if m.get_type() == "TIMESYNC" and m.ts1 == 77)
-    assert answer.tc1 * 1e-9 == pytest.approx(37.5 + 0.6, abs=2 * REAL.physics_s)
+    assert answer.tc1 * 1e-9 == pytest.approx(37.5 + 0.6, abs=2 * FINE_STEPS.physics_s)
 
 
 def test_the_camera_tilts_with_the_body() -> None:

@@ -135,10 +135,10 @@ def test_in_offboard_a_push_is_countered_beyond_the_acceleration_limit() -> None
     c = flying()
     c.go_to(0.0, 0.0, -1.2)
     c.run(1.0)
-    c.vehicle.outside_mps2 = (2.5, 0.0, 0.0)
+    c.vehicle.external_acceleration_mps2 = (2.5, 0.0, 0.0)
     c.run(2.0)
     pushed = c.away_from(0.0, 0.0, -1.2)
-    c.vehicle.outside_mps2 = (0.0, 0.0, 0.0)
+    c.vehicle.external_acceleration_mps2 = (0.0, 0.0, 0.0)
     assert pushed < 1.3  # at most 2.5 / (P of position * P of velocity) = 1.46
     assert math.hypot(*c.vehicle.velocity[:2]) < 0.5
     c.run(12.0)

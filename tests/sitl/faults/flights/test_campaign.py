@@ -140,7 +140,7 @@ def test_a_flight_is_held_to_its_bars() -> None:
     verdict = judge(ROW, evidence(), [])
     assert verdict.passed(ROW, "px4")
     assert not verdict.passed(ROW, "ardupilot"), "whose bar is higher"
-    assert not judge(ROW, evidence(boxes_m=np.full(600, 0.3)), []).passed(ROW, "px4")
+    assert not judge(ROW, evidence(obstacle_distance_m=np.full(600, 0.3)), []).passed(ROW, "px4")
     assert not judge(ROW, evidence(), ["contact"]).passed(ROW, "px4")
     assert not judge(ROW, evidence(onset_s=math.inf), []).passed(ROW, "px4"), "a trouble that never came proves nothing"
 
@@ -229,7 +229,7 @@ def test_what_missed_is_flown_again_the_same_way(live: bool, firmware: Path | No
 
 
 def test_the_summary_counts_flights_that_touched_something() -> None:
-    touched = tuple(violations(evidence(boxes_m=np.zeros(600))))
+    touched = tuple(violations(evidence(obstacle_distance_m=np.zeros(600))))
     assert any(words.startswith("contact") for words in touched)
     verdicts = [ScenarioVerdict((0.03, 0.5), ()), ScenarioVerdict((0.03, 0.5), touched)]
     told = summary([result_of(ROW, "px4", verdicts), result_of(ROW, "ardupilot", [])])

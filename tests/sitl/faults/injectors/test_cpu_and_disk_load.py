@@ -15,7 +15,13 @@ from typing import Any
 import pytest
 
 from sitl.faults.injectors.base import InjectionContext
-from sitl.faults.injectors.cpu_and_disk_load import BusyProcesses, MemoryPressure, NoSpace, resident_bytes, writes_of
+from sitl.faults.injectors.cpu_and_disk_load import (
+    BusyProcesses,
+    FileSizeLimitOfProcesses,
+    ProcessUsageMonitor,
+    resident_bytes,
+    writes_of,
+)
 from sitl.faults.process_registry import ProcessRegistry
 
 PATIENCE_S = 20.0
@@ -75,14 +81,14 @@ def test_who_toils_is_gone_with_its_file_when_the_time_is_over(tmp_path: Path) -
 def test_no_file_of_the_product_grows_beyond_the_limit(tmp_path: Path, writer: subprocess.Popen[str]) -> None:
     assert written(writer, 5000) == "done"
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    NoSpace(4096).begin(theatre(tmp_path))
+    FileSizeLimitOfProcesses(4096).begin(theatre(tmp_path))
     assert written(writer, 1) == "File too large"
     assert (tmp_path / "written").stat().st_size == 5000
     assert resource.getrlimit(resource.RLIMIT_FSIZE) == before, "of the referee, who must write too"
 
 
 def test_what_a_process_takes_is_noted(tmp_path: Path, writer: subprocess.Popen[str]) -> None:
-    at, weighed = theatre(tmp_path), MemoryPressure("pilot")
+    at, weighed = theatre(tmp_path), ProcessUsageMonitor("pilot")
     assert written(writer, 10) == "done"
     weighed.begin(at)
     weighed.turn(at, 0.0)

@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 
 from sitl.apps.direct_channels import DirectChannel
-from sitl.apps.lockstep import Calls, NoHook
+from sitl.apps.lockstep import HookedExecutor, NoHook
 from sitl.camera.d435i import FAST_DEPTH_SPEC
 from sitl.faults.fault_director import off_nose_rad
 from sitl.faults.injectors import depth_camera, pose_stream
-from sitl.faults.injectors.base import Depth, InjectionContext, Injector
+from sitl.faults.injectors.base import DepthFrame, InjectionContext, Injector
 from sitl.faults.injectors.companion import Crash, Stall
-from sitl.faults.injectors.obstacle import Furnished, Obstacle
+from sitl.faults.injectors.obstacle import Obstacle, RendererWithObstacle
 from sitl.faults.judges.map_integrity import AGAIN, CLAIMED, FREED, SETTLED_S, UNDER_WAY_S, Claims, MapIntegrityCheck, Tally
 from sitl.faults.table.all_scenarios import ROWS, TABLE
 from sitl.geometry.quaternion import yaw_of
@@ -35,8 +35,8 @@ def record(stamp_s: float = 10.0) -> PoseRecord:
     return PoseRecord(stamp_s, np.array([1.0, 2.0, 1.0]), np.array([1.0, 0.0, 0.0, 0.0]), np.full(6, 1e-4), 100, 0)
 
 
-def frame(stamp_s: float = 10.0) -> Depth:
-    return Depth(stamp_s, np.full((4, 6), 2000, np.uint16), np.zeros((2, 3, 3), np.uint8))
+def frame(stamp_s: float = 10.0) -> DepthFrame:
+    return DepthFrame(stamp_s, np.full((4, 6), 2000, np.uint16), np.zeros((2, 3, 3), np.uint8))
 
 
 def one(trouble: Injector, since_s: float = 0.0) -> PoseRecord:
@@ -72,7 +72,7 @@ def test_a_heading_flips() -> None:
 
 @pytest.mark.parametrize("kind", ["nan place", "inf place", "nan turn", "zero turn", "long turn", "nan variance", "nan stamp"])
 def test_what_makes_no_sense_makes_none(kind: str) -> None:
-    bad = one(pose_stream.AlteredPoses(pose_stream.spoilt(kind)))
+    bad = one(pose_stream.AlteredPoses(pose_stream.invalid(kind)))
     numbers = np.concatenate([[bad.stamp_s], bad.position_m, bad.quat_wxyz, bad.variance])
     assert not np.isfinite(numbers).all() or abs(np.linalg.norm(bad.quat_wxyz) - 1.0) > 0.5
 
@@ -87,14 +87,14 @@ def test_stamps_and_rates() -> None:
 
 
 def test_frames_are_lost_repeated_and_late() -> None:
-    assert depth_camera.Dark(0.3).depth(0.2, frame()) == []
+    assert depth_camera.DepthSilence(0.3).depth(0.2, frame()) == []
     assert depth_camera.LateFrames(0.5).depth(0.0, frame())[0][0] == 0.5
-    assert len(depth_camera.Shuffled().depth(0.0, frame())) == 2
-    redated = depth_camera.Redated(-3600.0, 1.0)
+    assert len(depth_camera.ReorderedFrames().depth(0.0, frame())) == 2
+    redated = depth_camera.ShiftedTimestamps(-3600.0, 1.0)
     assert [redated.depth(since_s, frame(5000.0))[0][1].stamp_s for since_s in (0.0, 0.9, 1.0)] == [1400.0, 1400.0, 5000.0]
     hung = depth_camera.FrozenImage()
     first = hung.depth(0.0, frame(1.0))[0][1]
-    later = Depth(2.0, np.full((4, 6), 500, np.uint16), first.rgb)
+    later = DepthFrame(2.0, np.full((4, 6), 500, np.uint16), first.rgb)
     assert (hung.depth(0.1, later)[0][1].depth_mm == first.depth_mm).all()
     assert hung.depth(0.2, later)[0][1].stamp_s == 2.0
 
@@ -184,7 +184,7 @@ def test_a_flight_that_never_settled_claims_nothing_and_so_holds_no_bar() -> Non
 )
 def test_pictures_are_spoilt(change: depth_camera.Change) -> None:
     depth = np.arange(400, 400 + 24 * 50, 50).reshape(4, 6).astype(np.uint16)
-    changed = depth_camera.AlteredDepth(change).depth(0.0, Depth(0.0, depth, None))[0][1].depth_mm
+    changed = depth_camera.AlteredDepth(change).depth(0.0, DepthFrame(0.0, depth, None))[0][1].depth_mm
     assert changed.dtype == np.uint16
     assert changed.shape == depth.shape
     assert (changed != depth).any()
@@ -208,7 +208,7 @@ def test_a_call_of_the_planner_hangs_while_the_mission_runs() -> None:
         def runs(self, stage: str) -> bool:
             return not hung.stalls(clock.now_s(), stage)
 
-    free, stuck = (Calls(InlineExecutor(clock), meddler).submit(lambda: 7, 0.1) for meddler in (NoHook(), Hung()))
+    free, stuck = (HookedExecutor(InlineExecutor(clock), meddler).submit(lambda: 7, 0.1) for meddler in (NoHook(), Hung()))
     assert not free.done()
     clock.advance_to(1.0)
     assert free.done() and free.result() == 7
@@ -223,7 +223,7 @@ def test_an_obstacle_is_seen_and_felt() -> None:
     box = Obstacle(3.0, (0.5, 0.5, 0.5), lambda now_s: (2.5, 0.0, 0.0))
     pose = body_from_camera((0.0, 0.0, 0.0), 0.0)
     v, u = FAST_DEPTH_SPEC.height // 2, FAST_DEPTH_SPEC.width // 2
-    both = Furnished(scene, box, lambda: 5.0).render(pose, FAST_DEPTH_SPEC, colour=False).depth_m
+    both = RendererWithObstacle(scene, box, lambda: 5.0).render(pose, FAST_DEPTH_SPEC, colour=False).depth_m
     assert scene.render(pose, FAST_DEPTH_SPEC, colour=False).depth_m[v, u] == pytest.approx(4.0, abs=0.01)
     assert both[v, u] == pytest.approx(2.0, abs=0.01)
     assert both[v, 2] == pytest.approx(4.0, abs=0.01)
@@ -246,4 +246,4 @@ def test_what_appears_ahead_appears_where_the_camera_looks() -> None:
     assert off_nose_rad((0.0, 1.0, 0.0), (half, 0.0, 0.0, half)) == pytest.approx(0.0)
     assert off_nose_rad((1.0, 0.0, 0.0), (half, 0.0, 0.0, half)) == pytest.approx(math.pi / 2)
     assert off_nose_rad((-1.0, 0.0, 0.3), (1.0, 0.0, 0.0, 0.0)) == pytest.approx(math.pi)
-    assert ROWS["C8"].onset.seeing
+    assert ROWS["C8"].onset.needs_view_ahead

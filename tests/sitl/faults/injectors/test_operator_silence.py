@@ -21,8 +21,8 @@ from sitl.faults.injectors.operator_silence import (
     GroundStation,
     OperatorIntermittent,
     OperatorSilent,
-    acts_after,
-    astray,
+    detour_on_return,
+    return_delay,
     warnings,
     warns_after,
 )
@@ -38,7 +38,7 @@ class Line:
     def __init__(self) -> None:
         self.forged: list[bytes] = []
 
-    def forge(self, data: bytes) -> None:
+    def inject_to_product(self, data: bytes) -> None:
         self.forged.append(data)
 
 
@@ -50,7 +50,7 @@ def theatre() -> InjectionContext:
 
 def test_who_has_gone_asks_no_more_and_his_last_question_is_noted() -> None:
     meddler = FaultDirector([Fault("D8", [OperatorSilent()])], 0)
-    at = meddler.theatre = theatre()
+    at = meddler.context = theatre()
     at.now_s = 7.0
     assert meddler.attends()
     OperatorSilent().begin(at)
@@ -81,21 +81,21 @@ def test_a_forged_ground_station_is_heard_once_a_second_and_looks_like_one() -> 
 def test_the_answer_counts_from_the_last_sign_of_life() -> None:
     e = evidence(notes={ATTENDED: 4.0}, reported=((3.0, RETURNS), (6.0, ()), (9.2, WARNED), (12.5, RETURNS)))
     assert warns_after(e) == pytest.approx(5.2)
-    assert acts_after(e) == pytest.approx(8.5)
+    assert return_delay(e) == pytest.approx(8.5)
     assert warnings(e) == 3.0
     untold = evidence(notes={ATTENDED: 4.0}, reported=())
-    assert acts_after(untold) == pytest.approx(11.0, abs=0.05), "a landing is an answer too"
-    assert warns_after(untold) == acts_after(evidence(mode=("OFFBOARD",) * 600)) == math.inf
+    assert return_delay(untold) == pytest.approx(11.0, abs=0.05), "a landing is an answer too"
+    assert warns_after(untold) == return_delay(evidence(mode=("OFFBOARD",) * 600)) == math.inf
 
 
 def test_a_way_that_leads_elsewhere_is_astray() -> None:
     """It flies 4 m along x until 10.5 s and lands there."""
     e = evidence(notes={ATTENDED: 4.0})
-    assert astray(0.0)(e) == pytest.approx(4.0 - 0.5 * 2.75 - 0.5 * 2.75, abs=0.2)
+    assert detour_on_return(0.0)(e) == pytest.approx(4.0 - 0.5 * 2.75 - 0.5 * 2.75, abs=0.2)
     home = np.interp(e.stamp_s, [0.0, 5.0, 12.0], [3.0, 3.0, 0.0])
     straight = evidence(notes={ATTENDED: 4.0}, position_m=np.stack([home, 0.0 * home, 0.0 * home + 1.0], axis=1))
-    assert astray(0.0)(straight) == pytest.approx(0.0, abs=1e-6)
-    assert astray(0.0)(evidence()) == math.inf, "nobody ever attended"
+    assert detour_on_return(0.0)(straight) == pytest.approx(0.0, abs=1e-6)
+    assert detour_on_return(0.0)(evidence()) == math.inf, "nobody ever attended"
 
 
 def test_every_flight_in_lockstep_has_somebody_who_has_to_attend() -> None:

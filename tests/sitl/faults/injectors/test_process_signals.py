@@ -57,12 +57,12 @@ def test_the_roster_is_empty_at_first_and_repeats_what_it_was_told(tmp_path: Pat
     roster = ProcessRegistry(tmp_path)
     assert roster.pid("pilot") is None
     assert roster.exits() == []
-    assert roster.kept_down() == frozenset()
+    assert roster.blocked_restarts() == frozenset()
     roster.tell({"pilot": 12}, [Exit("mission", -9, 3.5)])
-    roster.keep_down(("mission",))
+    roster.block_restart(("mission",))
     assert ProcessRegistry(tmp_path).pid("pilot") == 12
     assert ProcessRegistry(tmp_path).exits() == [Exit("mission", -9, 3.5)]
-    assert ProcessRegistry(tmp_path).kept_down() == {"mission"}
+    assert ProcessRegistry(tmp_path).blocked_restarts() == {"mission"}
 
 
 def test_a_stopped_process_goes_on_after_its_time(tmp_path: Path, sleeper: subprocess.Popen[bytes]) -> None:
@@ -84,9 +84,9 @@ def test_a_killed_process_is_kept_down_for_its_time(tmp_path: Path, sleeper: sub
     trouble.begin(at)
     assert sleeper.wait(PATIENCE_S) == -signal.SIGKILL
     trouble.turn(at, 1.9)
-    assert roster.kept_down() == {"mission", "pilot"}
+    assert roster.blocked_restarts() == {"mission", "pilot"}
     trouble.turn(at, 2.0)
-    assert roster.kept_down() == frozenset()
+    assert roster.blocked_restarts() == frozenset()
 
 
 def test_how_a_process_ends_that_was_asked_to_is_noted(tmp_path: Path, sleeper: subprocess.Popen[bytes]) -> None:

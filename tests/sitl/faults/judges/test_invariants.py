@@ -36,7 +36,8 @@ def hovering(e: FlightEvidence, mode: str = "OFFBOARD", **changes: Any) -> Fligh
     place = np.tile([1.0, 0.0, 1.0], (len(t), 1))
     return dataclasses.replace(
         e, stamp_s=t, position_m=place, velocity_mps=np.zeros_like(place), yaw_rad=np.zeros(len(t)),
-        armed=np.ones(len(t), bool), mode=(mode,) * len(t), boxes_m=np.full(len(t), np.inf), standing_m=np.zeros(len(t)),
+        armed=np.ones(len(t), bool), mode=(mode,) * len(t), obstacle_distance_m=np.full(len(t), np.inf),
+        standing_m=np.zeros(len(t)),
         end_s=90.0, **changes,
     )  # fmt: skip
 
@@ -60,9 +61,9 @@ def taken(e: FlightEvidence, said: tuple[float, str] | None, mode: str = "POSCTL
 
 SPOILS: dict[str, Spoil] = {
     "contact": lambda e: dataclasses.replace(e, hull_m=spoilt(e.hull_m, 200, 0.0)),
-    "contact: clearance": lambda e: dataclasses.replace(e, boxes_m=np.zeros(len(e.stamp_s))),
+    "contact: clearance": lambda e: dataclasses.replace(e, obstacle_distance_m=np.zeros(len(e.stamp_s))),
     "clearance 0.090 m": lambda e: dataclasses.replace(e, hull_m=spoilt(e.hull_m, 200, 0.09)),
-    "clearance 0.080 m": lambda e: dataclasses.replace(e, boxes_m=np.full(len(e.stamp_s), 0.08)),
+    "clearance 0.080 m": lambda e: dataclasses.replace(e, obstacle_distance_m=np.full(len(e.stamp_s), 0.08)),
     "fence overshot": lambda e: dataclasses.replace(e, position_m=spoilt(e.position_m, (200, 1), 3.4)),
     "NaN": lambda e: rewired(e, not_finite=1),
     "m/s²": lambda e: rewired(e, acceleration_mps2=spoilt(e.wire.acceleration_mps2, (100, 0), 2.1)),

@@ -165,7 +165,7 @@ def test_speed_clearance_and_fence() -> None:
     assert m.speed_from(1.0)(e) == pytest.approx(0.5)
     assert m.speed_from(5.5)(e) == 0.0
     assert m.clearance(e) == 0.5
-    assert m.clearance(dataclasses.replace(e, boxes_m=np.full(len(e.stamp_s), 0.2))) == pytest.approx(0.2)
+    assert m.clearance(dataclasses.replace(e, obstacle_distance_m=np.full(len(e.stamp_s), 0.2))) == pytest.approx(0.2)
     assert m.overshoot(e) == 0.0
     assert m.overshoot(dataclasses.replace(e, position_m=spoilt(e.position_m, (200, 0), 8.4))) == pytest.approx(0.4)
     out = np.where((e.stamp_s > 6.0) & (e.stamp_s < 8.0), 2.9, 0.0)
@@ -178,10 +178,10 @@ def test_speed_clearance_and_fence() -> None:
 def test_how_far_from_what_appeared_it_comes_down() -> None:
     e = evidence()
     first_s = e.stamp_s[e.landing][0]
-    past = dataclasses.replace(e, boxes_m=np.where(e.stamp_s < first_s, 0.2, 0.5))
+    past = dataclasses.replace(e, obstacle_distance_m=np.where(e.stamp_s < first_s, 0.2, 0.5))
     assert m.lands_beside(past) == 0.5, "how near it flies by is its clearance"
     assert m.clearance(past) == 0.2
-    assert m.lands_beside(dataclasses.replace(past, boxes_m=0.7 - past.boxes_m)) == pytest.approx(0.2)
+    assert m.lands_beside(dataclasses.replace(past, obstacle_distance_m=0.7 - past.obstacle_distance_m)) == pytest.approx(0.2)
     assert m.lands_beside(dataclasses.replace(past, mode=("OFFBOARD",) * len(e.stamp_s))) == -math.inf
 
 
@@ -191,7 +191,7 @@ def test_where_a_vehicle_drifts_that_a_pilot_took_is_not_answered_for() -> None:
         e,
         mode=tuple("OFFBOARD" if s < 6.0 else "ALTCTL" for s in e.stamp_s),
         hull_m=np.where(e.hull_s < 9.1, 0.5, 0.0),
-        boxes_m=np.where(e.stamp_s < 9.1, 0.4, 0.0),
+        obstacle_distance_m=np.where(e.stamp_s < 9.1, 0.4, 0.0),
         position_m=e.position_m + np.where(e.stamp_s < 9.1, 0.0, 9.0)[:, None],
     )
     assert m.clearance(near) == 0.0, "no pilot took it: the autopilot did that by itself"
@@ -289,6 +289,6 @@ def test_the_mode_stays_the_pilots_but_for_a_landing_that_nobody_could_know_bett
 def test_stopping_short_of_what_appears_is_measured_until_the_vehicle_rests() -> None:
     plain = evidence()
     gaps = np.where(plain.stamp_s < 11.0, 0.5, 0.1)  # it rests at 10.5 s, and goes nearer after that
-    assert m.stopped_short(dataclasses.replace(plain, onset_s=8.0, boxes_m=gaps)) == pytest.approx(0.5)
-    moving = dataclasses.replace(plain, onset_s=8.0, boxes_m=gaps, velocity_mps=np.ones_like(plain.velocity_mps))
+    assert m.stopped_short(dataclasses.replace(plain, onset_s=8.0, obstacle_distance_m=gaps)) == pytest.approx(0.5)
+    moving = dataclasses.replace(plain, onset_s=8.0, obstacle_distance_m=gaps, velocity_mps=np.ones_like(plain.velocity_mps))
     assert m.stopped_short(moving) == -math.inf

@@ -13,7 +13,7 @@ from made_up_evidence import ONSET_S, evidence
 
 from sitl.apps.sim_options import UsageError
 from sitl.faults.flights.campaign import FaultOptions
-from sitl.faults.injectors.base import Capabilities, Depth, InjectionContext
+from sitl.faults.injectors.base import Capabilities, DepthFrame, InjectionContext
 from sitl.faults.injectors.companion import Crash, Stall
 from sitl.faults.injectors.delayed import Delayed
 from sitl.faults.injectors.mavlink_link import PacketLoss
@@ -25,7 +25,7 @@ from sitl.faults.table.scenario import Scenario, judge
 from sitl.world.pose_tracker import PoseRecord
 
 POSE = PoseRecord(10.0, np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]), np.full(6, 1e-4), 100, 0)
-PICTURE = Depth(10.0, np.zeros((4, 6), np.uint16), None)
+PICTURE = DepthFrame(10.0, np.zeros((4, 6), np.uint16), None)
 
 
 def theatre() -> InjectionContext:
@@ -101,7 +101,7 @@ def test_a_pair_takes_the_stricter_moment_and_the_place_that_either_needs() -> N
     assert (ROWS["B4+E1"].onset.after_s, ROWS["B4+E1"].onset.speed_mps) == ((2.0, 15.0), 0.4)
     assert ROWS["A1+E5"].onset.speed_mps == 0.6
     assert (ROWS["F2+G2"].arena, ROWS["A1+F2"].arena, ROWS["A1+B1"].arena) == ("pen", "pen", "hall")
-    assert (ROWS["E1+E5"].longest_s, ROWS["A1+E5"].longest_s, ROWS["B1+E5"].longest_s) == (12.0, 160.0, 60.0)
+    assert (ROWS["E1+E5"].observe_s, ROWS["A1+E5"].observe_s, ROWS["B1+E5"].observe_s) == (12.0, 160.0, 60.0)
 
 
 def test_a_pair_flies_no_longer_than_the_shorter_of_its_flights() -> None:

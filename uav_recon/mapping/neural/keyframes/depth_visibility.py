@@ -13,8 +13,8 @@ import numpy as np
 from uav_recon.geometry.jit import kernel
 from uav_recon.types.frames import AnyArray, BoolArray, Float32Array, FloatArray
 
-SAW_SIGMAS, SAW_M = 2.0, 0.02  # a depth image sees a point within SAW_SIGMAS * sigma_z + SAW_M ...
-SAW_COSINE = 0.15  # ... of a surface that faces it
+SEEN_SIGMAS, SEEN_MARGIN_M = 2.0, 0.02  # a depth image sees a point within SEEN_SIGMAS * sigma_z + SEEN_MARGIN_M ...
+SEEN_MIN_COSINE = 0.15  # ... of a surface that faces it
 
 
 DepthImage = tuple[Float32Array, FloatArray, FloatArray, FloatArray, float]  # arguments of DepthVisibility.add()
@@ -114,7 +114,7 @@ def _look_through(
         v = int(np.floor((y / z * lens[1] + lens[3]) * 0.5 + 0.5))
         if u < 0 or v < 0 or u >= width or v >= height:
             continue
-        through[n] = 0.001 * image[v, u] > z + margin_m + SAW_SIGMAS * inverse_sigma * z * z
+        through[n] = 0.001 * image[v, u] > z + margin_m + SEEN_SIGMAS * inverse_sigma * z * z
 
 
 @kernel
@@ -134,13 +134,13 @@ def _vote(
         v = int(np.floor((y / z * lens[1] + lens[3]) * 0.5 + 0.5))
         if u < 1 or v < 1 or u >= width - 1 or v >= height - 1:
             continue
-        gate = SAW_SIGMAS * inverse_sigma * z * z + SAW_M
+        gate = SEEN_SIGMAS * inverse_sigma * z * z + SEEN_MARGIN_M
         facing = -(
             (rotation[0, 0] * normals[n, 0] + rotation[0, 1] * normals[n, 1] + rotation[0, 2] * normals[n, 2]) * x
             + (rotation[1, 0] * normals[n, 0] + rotation[1, 1] * normals[n, 1] + rotation[1, 2] * normals[n, 2]) * y
             + (rotation[2, 0] * normals[n, 0] + rotation[2, 1] * normals[n, 1] + rotation[2, 2] * normals[n, 2]) * z
         ) / np.sqrt(x * x + y * y + z * z)
-        slope = gate / max(facing, SAW_COSINE) if facing > 0.0 else gate
+        slope = gate / max(facing, SEEN_MIN_COSINE) if facing > 0.0 else gate
         measured, through = 0, 0
         for near in range(5):  # the pixel and its four neighbours: poses can be off by a pixel, and depth edges are ragged
             depth = 0.001 * image[v + (near == 1) - (near == 2), u + (near == 3) - (near == 4)]

@@ -51,7 +51,8 @@ class EvictionPolicy:
 
     def keep(self, which: BoolArray) -> None:
         """Drop all views except those selected by a mask (V,)."""
-        self.numbers, self._cells = list(compress(self.numbers, which)), list(compress(self._cells, which))
+        self.numbers = list(compress(self.numbers, which))
+        self._cells = list(compress(self._cells, which))
 
 
 @kernel

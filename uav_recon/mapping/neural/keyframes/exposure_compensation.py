@@ -46,14 +46,15 @@ class ExposureCompensation:
 
         Views beyond the end of the mask are dropped too.
         """
-        self.log_gain, self._turn = self.log_gain[np.flatnonzero(which)], 0
+        self.log_gain = self.log_gain[np.flatnonzero(which)]
+        self._turn = 0
 
     def _learn(self, view: int) -> None:
         """Estimate the log gain of a view from the brightness of its cells in other views.
 
         The estimate has a prior of zero.
         """
-        beside, _ = self._patches.beside(view)
+        beside, _ = self._patches.overlapping_views(view)
         cell, whose, row = self._patches.of(beside[:1], beside)
         coloured = row[:, COLOURED] > FEWEST_RAYS
         cell, whose, row = cell[coloured], whose[coloured], row[coloured]

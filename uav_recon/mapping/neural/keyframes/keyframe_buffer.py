@@ -20,7 +20,11 @@ from uav_recon.types.frames import AnyArray, BoolArray, Float32Array, FloatArray
 
 KEPT_VIEWS = MAX_VIEWS * 3 // 4  # number of views kept when memory is full
 SOME_RAYS = 6500  # rays of a view that are used to determine what it shows
-ASKED_VIEWS, ASKED_POINTS, ASKED_RAYS = 64, 600, 40  # validation of a view: other views, points of it, rays of each other view
+VALIDATION_VIEWS, VALIDATION_POINTS, VALIDATION_RAYS = (
+    64,
+    600,
+    40,
+)  # validation of a view: other views, points of it, rays of each other view
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,10 +49,14 @@ class KeyframeBuffer:
     """
 
     def __init__(self, depth_noise_px: float, baseline_m: float, prior_model: Path | None, seed: int) -> None:
-        self._noise_px, self._baseline_m, self._prior_model = depth_noise_px, baseline_m, prior_model
+        self._noise_px = depth_noise_px
+        self._baseline_m = baseline_m
+        self._prior_model = prior_model
         self._random = np.random.default_rng(seed)
         self._prior = open_prior(prior_model)
-        self.replay, self.images, self.remembered = RayBuffer(), DepthVisibility(), EvictionPolicy()
+        self.replay = RayBuffer()
+        self.images = DepthVisibility()
+        self.remembered = EvictionPolicy()
         self._ray_rad: list[float] = []
 
     def __getstate__(self) -> dict[str, Any]:
@@ -101,11 +109,11 @@ class KeyframeBuffer:
         Takes about 1 ms. See DepthVisibility.votes().
         """
         ends = view.ends
-        some = np.flatnonzero(ends.cosine >= 0.0)[:ASKED_POINTS]  # those with a normal; rays are in random order
-        others = self.images.votes(ends.points[0, some], ends.normal[some], ASKED_VIEWS)
+        some = np.flatnonzero(ends.cosine >= 0.0)[:VALIDATION_POINTS]  # those with a normal; rays are in random order
+        others = self.images.votes(ends.points[0, some], ends.normal[some], VALIDATION_VIEWS)
         itself = DepthVisibility()
         itself.add(*view.image)
-        return np.concatenate([others, itself.votes(*self.replay.some_points(ASKED_VIEWS, ASKED_RAYS))])
+        return np.concatenate([others, itself.votes(*self.replay.some_points(VALIDATION_VIEWS, VALIDATION_RAYS))])
 
     def add(self, view: View, number: int) -> None:
         """Add a view with a number greater than all before. Raises IndexError if full."""
@@ -120,7 +128,7 @@ class KeyframeBuffer:
         self.replay.place(index, rotation, position)
         self.images.place(index, rotation, position)
 
-    def place_images(self) -> None:
+    def sync_image_poses(self) -> None:
         """Set the poses of the depth images to the refined poses of the rays."""
         for index in range(self.replay.count):
             self.images.place(index, *self.replay.pose(index))

@@ -38,7 +38,7 @@ class RejectReason(Enum):
     ELSEWHERE = "what it shows lies outside the box"
     EPOCH = "taken on a map that is no more"
     UNPLACED = "the new map does not say where it was taken"
-    MEMORY = "memory is full"
+    VOTE_DECAY = "memory is full"
     DISAGREES = "earlier views look through what it shows: wrong intrinsics or a wrong pose"
 
 
@@ -60,12 +60,12 @@ class RejectCounts:
         return sum(self.counts.values())
 
 
-def in_words(counts: Mapping[RejectReason, int]) -> dict[str, int]:
+def counts_as_text(counts: Mapping[RejectReason, int]) -> dict[str, int]:
     """Return the counts with the reasons as text."""
     return {reason.value: count for reason, count in counts.items()}
 
 
-def padded(box_min_m: FloatArray, box_max_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+def padded_box(box_min_m: FloatArray, box_max_m: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the mapped box: the room plus PADDING_M. Raises ValueError for an invalid box."""
     low = np.asarray(box_min_m, dtype=np.float64) - PADDING_M
     high = np.asarray(box_max_m, dtype=np.float64) + PADDING_M
@@ -124,18 +124,22 @@ class ContradictionVote:
 
     def __init__(self) -> None:
         self._lens: Intrinsics | None = None
-        self._judged, self._refuted = 0.0, 0.0
+        self._judged = 0.0
+        self._refuted = 0.0
 
-    def rises(self, lens: Intrinsics, votes: Float32Array) -> bool:
+    def is_contradiction(self, lens: Intrinsics, votes: Float32Array) -> bool:
         """Return True if the view must be rejected.
 
         votes (N,): votes of other views on its points and of this view on theirs; see DepthVisibility.votes(). lens: depth
         intrinsics of the view.
         """
         if lens != self._lens:
-            self._lens, self._judged, self._refuted = lens, 0.0, 0.0
+            self._lens = lens
+            self._judged = 0.0
+            self._refuted = 0.0
         judged, refuted = int(np.count_nonzero(votes)), int(np.count_nonzero(votes < 0.0))
-        self._judged, self._refuted = MEMORY * self._judged + judged, MEMORY * self._refuted + refuted
+        self._judged = MEMORY * self._judged + judged
+        self._refuted = MEMORY * self._refuted + refuted
         lately = self._judged >= FEWEST_VOTES and self._refuted >= LENS_SHARE * self._judged
         return lately or (judged >= FEWEST_VOTES and refuted >= VIEW_SHARE * judged)
 

@@ -19,15 +19,15 @@ from uav_recon.types.frames import BoolArray, FloatArray, IntArray
 from uav_recon.types.pose import Pose
 
 GIVEN_SIGMA_M, GIVEN_SIGMA_RAD = 0.012, np.deg2rad(0.5)  # prior sigma of given poses ...
-BELIEF_VIEWS = 3.0  # ... and the weight of this prior in views
+PRIOR_WEIGHT_VIEWS = 3.0  # ... and the weight of this prior in views
 MIN_SIGMA_M, MIN_SIGMA_RAD = 0.002, np.deg2rad(0.06)
 MAX_M, MAX_RAD = 0.10, np.deg2rad(5.0)  # a view that needs a larger correction is not moved
 PATCH_SIGMA_M = 0.01  # sigma of a surfel across its plane: surfaces are not planar, and errors of neighbours are correlated
 DEPTH_SHARE = 0.1  # share of the depth variance that remains after smoothing
 SCALES_M = (0.08, 0.04, 0.02)  # distances with half weight, one per iteration
 FULL_RAYS = 4.0  # a surfel does not improve with more rays
-ALIKE = 0.9  # minimum cosine between the normals of a surfel and its cell
-TOGETHER = 8  # views refined together
+MIN_NORMAL_COSINE = 0.9  # minimum cosine between the normals of a surfel and its cell
+JOINT_VIEWS = 8  # views refined together
 FEWEST_SHARED = 20  # minimum number of shared cells for views refined together
 MIN_STEP_M, MIN_STEP_RAD = 0.0003, np.deg2rad(0.01)  # smaller steps do not justify recomputing a view's surfels
 COMMON_M = 0.001  # drift of the whole map above which it is removed
@@ -61,9 +61,11 @@ class PoseRefinement:
 
         Views beyond the end of the mask are dropped too.
         """
-        self._rotation, self._position = list(compress(self._rotation, which)), list(compress(self._position, which))
+        self._rotation = list(compress(self._rotation, which))
+        self._position = list(compress(self._position, which))
         kept = np.flatnonzero(which)
-        self._square, self.correction = self._square[kept], self.correction[kept]
+        self._square = self._square[kept]
+        self.correction = self.correction[kept]
         self._turn = 0
 
     @property
@@ -71,7 +73,7 @@ class PoseRefinement:
         """Standard deviation (2,) of the given poses per axis, in metres and radians."""
         known = self._square[self._square[:, 0] > 0.0]
         believed = np.array([GIVEN_SIGMA_M, GIVEN_SIGMA_RAD])
-        variance = (BELIEF_VIEWS * believed**2 + known.sum(axis=0) / 3.0) / (BELIEF_VIEWS + len(known))
+        variance = (PRIOR_WEIGHT_VIEWS * believed**2 + known.sum(axis=0) / 3.0) / (PRIOR_WEIGHT_VIEWS + len(known))
         found: FloatArray = np.maximum(np.sqrt(variance), [MIN_SIGMA_M, MIN_SIGMA_RAD])
         return found
 
@@ -80,18 +82,18 @@ class PoseRefinement:
         newest = len(self._rotation) - 1
         self._turn = self._turn + 1 if self._turn + 1 < newest else 0
         self._align_about(newest, 1, replay)
-        self._align_about(newest, TOGETHER, replay)
-        self._align_about(self._turn, TOGETHER, replay)
+        self._align_about(newest, JOINT_VIEWS, replay)
+        self._align_about(self._turn, JOINT_VIEWS, replay)
         self._settle(replay)
 
     def refine(self, replay: RayBuffer) -> None:
         """Refine all views. About 10 ms per view."""
         for centre in range(len(self._rotation)):
-            self._align_about(centre, TOGETHER, replay)
+            self._align_about(centre, JOINT_VIEWS, replay)
         self._settle(replay)
 
     def _align_about(self, centre: int, together: int, replay: RayBuffer) -> None:
-        beside, shared = self._patches.beside(centre)
+        beside, shared = self._patches.overlapping_views(centre)
         if len(beside) > 1:
             self._align(beside[:together][shared[:together] >= FEWEST_SHARED], beside, replay)
 
@@ -106,7 +108,7 @@ class PoseRefinement:
             cell, whose, row = self._patches.of(views, beside)
             centre = replay.views.position[whose].astype(np.float64)
             normal, right = np.zeros((6 * len(views), 6 * len(views))), np.zeros(6 * len(views))
-            gather_planes(cell, active[whose], row, centre, scale_m, normal, right)
+            accumulate_normal_equations(cell, active[whose], row, centre, scale_m, normal, right)
             normal[np.diag_indices(len(normal))] += precision
             step = np.linalg.solve(normal, right + precision * self.correction[views].ravel()).reshape(-1, 6)
             wanted = self.correction[views] - step
@@ -156,7 +158,7 @@ class PoseRefinement:
 
 
 @kernel
-def gather_planes(
+def accumulate_normal_equations(
     cell: IntArray, active: IntArray, row: FloatArray, centre: FloatArray, scale_m: float, normal: FloatArray, right: FloatArray
 ) -> None:
     """Add the normal equations of surfels (N, COLUMNS), sorted by cell (N,).
@@ -218,7 +220,7 @@ def _compare(
             distance[n] += plane[i] * row[n, POINT.start + i]
             facing += plane[i] * row[n, NORMAL.start + i]
         variance = PATCH_SIGMA_M**2 + DEPTH_SHARE * row[n, VARIANCE]
-        weight[n] = min(row[n, WEIGHT] / FULL_RAYS, 1.0) / variance if facing > ALIKE else 0.0
+        weight[n] = min(row[n, WEIGHT] / FULL_RAYS, 1.0) / variance if facing > MIN_NORMAL_COSINE else 0.0
     offset, total = float(np.median(distance)), 0.0
     for turn in range(2):
         centre, offset, total = offset, 0.0, 1e-9

@@ -39,7 +39,8 @@ class RayBuffer:
     """Owner of the arrays of Views."""
 
     def __init__(self) -> None:
-        self.count, self._share = 0, 1
+        self.count = 0
+        self._share = 1
         self.views = _empty()
 
     def __getstate__(self) -> dict[str, Any]:
@@ -51,7 +52,9 @@ class RayBuffer:
         return {"count": self.count, "share": self._share, "first": self.views.first[: self.count + 1], "used": used}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        self.count, self._share, self.views = state["count"], state["share"], _empty()
+        self.count = state["count"]
+        self._share = state["share"]
+        self.views = _empty()
         self.views.first[: self.count + 1] = state["first"]
         for name, values in state["used"].items():
             getattr(self.views, name)[: self.count] = values

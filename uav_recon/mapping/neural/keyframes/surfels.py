@@ -18,7 +18,7 @@ from uav_recon.types.frames import AnyArray, BoolArray, FloatArray, IntArray
 
 CELL_M, DEEP_M = 0.20, 0.25
 RAYS_USED = 2500
-BESIDE = 40  # maximum number of views that a view is compared with
+MAX_OVERLAPPING_VIEWS = 40  # maximum number of views that a view is compared with
 FEWEST_RAYS = 1.5  # minimum weight of a surfel
 
 LOG_LEVEL = np.log(np.arange(256) / 255.0 + float(TOE))  # of the 256 levels of a channel
@@ -72,15 +72,16 @@ class Surfels:
 
     def keep(self, which: BoolArray) -> None:
         """Drop all views except those selected by a mask (V,)."""
-        self._key, self._row = list(compress(self._key, which)), list(compress(self._row, which))
+        self._key = list(compress(self._key, which))
+        self._row = list(compress(self._row, which))
 
-    def beside(self, view: int) -> tuple[IntArray, IntArray]:
+    def overlapping_views(self, view: int) -> tuple[IntArray, IntArray]:
         """Return the views (M,) that share most cells with a view, itself first, and counts (M,)."""
         mark = np.zeros(self.cells, dtype=np.int64)
         mark[self._key[view]] = 1
         shared = np.array([int(mark[key].sum()) for key in self._key])
         shared[view] += 1  # sort it before a view that shares all its cells
-        most = np.argsort(-shared, kind="stable")[:BESIDE]
+        most = np.argsort(-shared, kind="stable")[:MAX_OVERLAPPING_VIEWS]
         return most, shared[most]
 
     def of(self, views: IntArray, beside: IntArray) -> tuple[IntArray, IntArray, FloatArray]:

@@ -16,7 +16,7 @@ BETA_1, BETA_2 = np.float32(0.9), np.float32(0.99)
 EPSILON = np.float32(1e-15)  # for the grid, whose gradients are tiny
 WEIGHT_EPSILON = np.float32(1e-8)
 GRID_RATE, WEIGHT_RATE = 2e-2, 4e-3
-AHEAD = 64  # slots fetched together: they fit into the first-level cache
+PREFETCH_SLOTS = 64  # slots fetched together: they fit into the first-level cache
 
 _ONE = np.float32(1.0)
 
@@ -28,7 +28,8 @@ class NumbaAdam:
     """
 
     def __init__(self, field: NumbaSdfField) -> None:
-        self._step, self.skipped = 0, 0
+        self._step = 0
+        self.skipped = 0
         self._allocate(field)
 
     def _allocate(self, field: NumbaSdfField) -> None:
@@ -51,7 +52,9 @@ class NumbaAdam:
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self._allocate(state["field"])
-        self._weight_moments, self._step, self.skipped = state["weight_moments"], state["step"], state["skipped"]
+        self._weight_moments = state["weight_moments"]
+        self._step = state["step"]
+        self.skipped = state["skipped"]
         self._slot_moments[: self._field.slots] = state["slot_moments"]
 
     def grow(self, slots: int) -> None:
@@ -65,7 +68,8 @@ class NumbaAdam:
             return
         moments = _slot_moments(slots)
         moments[:held] = self._slot_moments
-        self.gradient, self._slot_moments = make_gradient(slots), moments
+        self.gradient = make_gradient(slots)
+        self._slot_moments = moments
 
     def step(self, rate_factor: float = 1.0) -> bool:
         """Apply and clear the gradients; returns False if one was not finite.
@@ -132,8 +136,8 @@ def step_slots(value: Float32Array, gradient: Gradient, moments: Float32Array, r
     """
     scale = _corrected(rate, step)
     read, rows = np.float32(0.0), gradient.rows[0]
-    for start in range(0, rows, AHEAD):
-        end = min(start + AHEAD, rows)
+    for start in range(0, rows, PREFETCH_SLOTS):
+        end = min(start + PREFETCH_SLOTS, rows)
         for n in range(start, end):
             slot = np.uint64(gradient.touched[n])
             read += value[slot, 0] + moments[slot, 0, 0] + moments[slot, 1, 0]

@@ -16,11 +16,11 @@ from uav_recon.types.frames import BoolArray, Float32Array
 
 NEAREST_M, FARTHEST_M = 0.10, 12.0
 EDGE_M = 0.008
-SURE = 2.5  # deviations beyond which the opacity is zero
+EDGE_SIGMAS = 2.5  # deviations beyond which the opacity is zero
 SHORTEST_STEP_M, LONGEST_STEP_M = 0.01, 0.25
-CAUTION = 0.8  # step as a share of the distance: a learned field is not an exact distance
+STEP_FRACTION = 0.8  # step as a share of the distance: a learned field is not an exact distance
 MIN_SHARE = 0.01  # minimum share of a ray for a colour sample
-OPAQUE, FOUND = 0.02, 0.02  # remaining share at which a ray ends; minimum opacity for a hit
+MIN_TRANSMITTANCE, MIN_HIT_OPACITY = 0.02, 0.02  # remaining share at which a ray ends; minimum opacity for a hit
 
 Solid = Callable[[Float32Array], BoolArray]
 
@@ -42,7 +42,7 @@ def render_rays(
         points = origin[walking] + at[walking, None] * direction[walking]
         distance = field.distance_m(points)
         opening = np.ones(len(walking), dtype=np.float32)
-        near = np.flatnonzero(distance < SURE * EDGE_M)
+        near = np.flatnonzero(distance < EDGE_SIGMAS * EDGE_M)
         near = near[solid(points[near])]
         opening[near] = _open(distance[near])
         met = np.clip(1.0 - opening / np.maximum(open_before[walking], 1e-5), 0.0, 1.0).astype(np.float32)
@@ -53,10 +53,10 @@ def render_rays(
         reach[ray] += share * middle
         left[ray] -= share
         open_before[walking], before[walking] = opening, at[walking]
-        clear = np.abs(distance) - np.float32(SURE * EDGE_M)
-        at[walking] += np.clip(CAUTION * clear, SHORTEST_STEP_M, LONGEST_STEP_M)
-        walking = walking[(left[walking] > OPAQUE) & (at[walking] < FARTHEST_M)]
-    found = left < 1.0 - FOUND
+        clear = np.abs(distance) - np.float32(EDGE_SIGMAS * EDGE_M)
+        at[walking] += np.clip(STEP_FRACTION * clear, SHORTEST_STEP_M, LONGEST_STEP_M)
+        walking = walking[(left[walking] > MIN_TRANSMITTANCE) & (at[walking] < FARTHEST_M)]
+    found = left < 1.0 - MIN_HIT_OPACITY
     whole = np.where(found, 1.0 - left, 1.0).astype(np.float32)
     return (
         np.where(found[:, None], rgb / whole[:, None], np.float32(0.0)),

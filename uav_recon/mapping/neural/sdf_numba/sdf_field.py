@@ -58,7 +58,8 @@ class NumbaSdfField:
         features = np.zeros((capacity, self.grid.features.shape[1]), dtype=np.float32)
         features[: self.slots] = self.grid.features
         self.grid = self.grid._replace(features=features)
-        self.network, self.scratch = views(self.parameters), make_scratch()
+        self.network = views(self.parameters)
+        self.scratch = make_scratch()
 
     @property
     def capacity(self) -> int:

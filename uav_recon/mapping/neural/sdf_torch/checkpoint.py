@@ -29,7 +29,8 @@ class RefineCheckpoints:
     """The checkpoints in one folder of the run that ``identity`` describes."""
 
     def __init__(self, folder: Path, identity: Identity) -> None:
-        self._folder, self._identity = folder, identity
+        self._folder = folder
+        self._identity = identity
 
     def save(self, state: State) -> None:
         """Write a checkpoint; the last one becomes the one before.

@@ -41,7 +41,8 @@ class ProcessGroup:
     """
 
     def __init__(self, kind: str) -> None:
-        self.rank, self.size = int(os.environ.get("RANK", "0")), int(os.environ.get("WORLD_SIZE", "1"))
+        self.rank = int(os.environ.get("RANK", "0"))
+        self.size = int(os.environ.get("WORLD_SIZE", "1"))
         local = int(os.environ.get("LOCAL_RANK", "0"))
         self.device = torch.device(kind, local) if kind == "cuda" else torch.device("cpu")
         if kind == "cuda":
@@ -50,7 +51,7 @@ class ProcessGroup:
             distributed.init_process_group("nccl" if kind == "cuda" else "gloo")
 
     @property
-    def leads(self) -> bool:
+    def is_main(self) -> bool:
         """True if this process logs and writes for the group."""
         return self.rank == 0
 
@@ -68,7 +69,7 @@ class ProcessGroup:
         distributed.all_reduce(votes, distributed.ReduceOp.MAX)
         return bool(votes > 0)
 
-    def leave(self) -> None:
+    def shutdown(self) -> None:
         """Leave the group, once all processes have reached this call."""
         if self.size > 1:
             distributed.barrier()

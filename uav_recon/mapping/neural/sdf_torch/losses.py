@@ -22,7 +22,7 @@ def tetrahedron(device: torch.device) -> Tensor:
     return torch.tensor(TETRAHEDRON, device=device)
 
 
-def around(points: Tensor, stencil: Tensor) -> Tensor:
+def stencil_points(points: Tensor, stencil: Tensor) -> Tensor:
     """Return the tetrahedron corners (4 N, 3) about points (N, 3)."""
     return (points[:, None] + float(STENCIL_M) * stencil).view(-1, 3)
 
@@ -40,7 +40,7 @@ def distance_loss(distance_m: Tensor, target_m: Tensor, weight: Tensor, at_least
 def shape_loss(corner_m: Tensor, stencil: Tensor, normal: Tensor, eikonal_weight: Tensor, normal_weight: Tensor) -> Tensor:
     """Return the sum of eikonal_weight * (|g| - 1)² + normal_weight * |g/|g| - n|².
 
-    g is computed from corner_m (4 N,), the distances at the points of around().
+    g is computed from corner_m (4 N,), the distances at the points of stencil_points().
     """
     gradient = corner_m.view(-1, 4) @ stencil / (4.0 * float(STENCIL_M))
     # outside the box the gradient is zero, where the square root has no derivative

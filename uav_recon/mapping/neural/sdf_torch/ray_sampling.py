@@ -21,7 +21,7 @@ NUMBERS = 4 + NEAR + FREE  # random numbers per ray: two for the view, one for t
 SHAPE_SHARE = ray_sampling.SURFACE_POINTS / ray_sampling.RAYS  # share of the rays that also train gradient and normal
 
 
-class Replayed(NamedTuple):
+class DeviceViews(NamedTuple):
     """keyframes.ray_sampling.Views on a device.
 
     records (M, 10) i16, first (V + 1,) i64, rotation (V, 3, 3), position (V, 3), inverse_depth_sigma (V,), gain (V, 3).
@@ -35,12 +35,12 @@ class Replayed(NamedTuple):
     gain: Tensor
 
     @staticmethod
-    def of(views: Views, count: int, device: torch.device) -> Replayed:
+    def of(views: Views, count: int, device: torch.device) -> DeviceViews:
         """Return the first ``count`` views on a device."""
         records = views.records[: views.first[count]]
         whole = (views.rotation, views.position, views.inverse_depth_sigma, views.gain)
         parts = (records, views.first[: count + 1], *(part[:count] for part in whole))
-        return Replayed(*(torch.tensor(part, device=device) for part in parts))
+        return DeviceViews(*(torch.tensor(part, device=device) for part in parts))
 
 
 class TorchBatch(NamedTuple):
@@ -80,7 +80,7 @@ def state_before(seed: int, draws: int, rays: int) -> int:
     return _signed((seed + draws * rays * NUMBERS * 0x9E3779B97F4A7C15) % (1 << 64))
 
 
-def draw(state: Tensor, views: Replayed, low: Tensor, high: Tensor, rays: int, recent_share: float) -> TorchBatch:
+def draw(state: Tensor, views: DeviceViews, low: Tensor, high: Tensor, rays: int, recent_share: float) -> TorchBatch:
     """Return a batch of random rays.
 
     low, high (3,): the box. recent_share of the rays come from the last views.
@@ -136,7 +136,7 @@ def draw(state: Tensor, views: Replayed, low: Tensor, high: Tensor, rays: int, r
     )
 
 
-def _choose(number: Tensor, views: Replayed, recent_share: float) -> tuple[Tensor, Tensor]:
+def _choose(number: Tensor, views: DeviceViews, recent_share: float) -> tuple[Tensor, Tensor]:
     count = len(views.rotation)
     pick = number[:, 1].double()
     late = count - 1 - (pick * min(ray_sampling.RECENT_VIEWS, count)).long()

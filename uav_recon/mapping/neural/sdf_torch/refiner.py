@@ -12,7 +12,7 @@ from uav_recon.mapping.neural.keyframes.ray_buffer import OFFSETS_M
 from uav_recon.mapping.neural.sdf_torch.checkpoint import Identity
 from uav_recon.mapping.neural.sdf_torch.distributed import ProcessGroup
 from uav_recon.mapping.neural.sdf_torch.feature_grid import FeatureBlocks, lay_out
-from uav_recon.mapping.neural.sdf_torch.ray_sampling import Replayed
+from uav_recon.mapping.neural.sdf_torch.ray_sampling import DeviceViews
 from uav_recon.mapping.neural.sdf_torch.sdf_field import TorchSdfField
 from uav_recon.mapping.neural.sdf_torch.training_step import Sampling, TorchTrainingStep
 from uav_recon.mapping.neural.training_data import TrainingData
@@ -38,17 +38,17 @@ class RefinePlan:
 class Refiner:
     """A refinement run: call advance() until done."""
 
-    def __init__(self, gathered: TrainingData, plan: RefinePlan, team: ProcessGroup) -> None:
+    def __init__(self, gathered: TrainingData, plan: RefinePlan, process_group: ProcessGroup) -> None:
         """Prepare the run. Raises GridError if the box is too large for the voxel."""
         self._plan = plan
         layout = lay_out(gathered.low_m.astype(np.float64), gathered.high_m.astype(np.float64), CELL_VOXELS * plan.voxel_m)
         blocks = FeatureBlocks(layout)
         for points, direction in _rays(gathered):
             blocks.cover(points, direction)
-        self.field = TorchSdfField(layout, *blocks.slots(), plan.seed, team.device)
-        views = Replayed.of(gathered.replay.views, gathered.replay.count, team.device)
+        self.field = TorchSdfField(layout, *blocks.slots(), plan.seed, process_group.device)
+        views = DeviceViews.of(gathered.replay.views, gathered.replay.count, process_group.device)
         sampling = Sampling(plan.rays, plan.seed, recent_share=0.0)
-        self._learner = TorchTrainingStep(self.field, views, gathered.low_m, gathered.high_m, sampling, team)
+        self._learner = TorchTrainingStep(self.field, views, gathered.low_m, gathered.high_m, sampling, process_group)
 
     @property
     def steps(self) -> int:

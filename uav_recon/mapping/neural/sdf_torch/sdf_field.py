@@ -10,7 +10,7 @@ from torch import Tensor, nn
 
 from uav_recon.mapping.neural.sdf_numba.sdf_field import INITIAL_FEATURE
 from uav_recon.mapping.neural.sdf_torch.feature_grid import IN_BLOCK, GridLayout, encode, locate
-from uav_recon.mapping.neural.sdf_torch.losses import around, colour_loss, distance_loss, shape_loss, tetrahedron
+from uav_recon.mapping.neural.sdf_torch.losses import colour_loss, distance_loss, shape_loss, stencil_points, tetrahedron
 from uav_recon.mapping.neural.sdf_torch.network import Heads, initial_weights
 from uav_recon.mapping.neural.sdf_torch.ray_sampling import TorchBatch
 from uav_recon.types.frames import Float32Array
@@ -27,7 +27,8 @@ class TorchSdfField(nn.Module):
     def __init__(self, layout: GridLayout, slot: Tensor, slots: int, seed: int, device: torch.device) -> None:
         super().__init__()
         random = np.random.default_rng(seed)
-        self._layout, self._slot = layout.to(device), slot.to(device)
+        self._layout = layout.to(device)
+        self._slot = slot.to(device)
         self._stencil = tetrahedron(device)
         self.weights = nn.Parameter(torch.tensor(initial_weights(layout.levels, random), device=device))
         features = random.uniform(-INITIAL_FEATURE, INITIAL_FEATURE, (slots, IN_BLOCK)).astype(np.float32)
@@ -36,7 +37,7 @@ class TorchSdfField(nn.Module):
 
     def forward(self, batch: TorchBatch) -> Tensor:
         """Return the loss () of a batch."""
-        every = torch.cat([batch.points, around(batch.surface, self._stencil), batch.coloured])
+        every = torch.cat([batch.points, stencil_points(batch.surface, self._stencil), batch.coloured])
         sizes = [len(batch.points), 4 * len(batch.surface), len(batch.coloured)]
         heads = Heads(self.weights, self._layout.levels)
         free, corners, coloured = torch.split(self._encode(every), sizes)

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from uav_recon.mapping.neural.sdf_torch.adam import TorchAdam
 from uav_recon.mapping.neural.sdf_torch.distributed import ProcessGroup
-from uav_recon.mapping.neural.sdf_torch.ray_sampling import Replayed, draw, state_before
+from uav_recon.mapping.neural.sdf_torch.ray_sampling import DeviceViews, draw, state_before
 from uav_recon.mapping.neural.sdf_torch.sdf_field import TorchSdfField
 from uav_recon.types.frames import Float32Array
 
@@ -31,14 +31,18 @@ class TorchTrainingStep:
     def __init__(
         self,
         field: TorchSdfField,
-        views: Replayed,
+        views: DeviceViews,
         low_m: Float32Array,
         high_m: Float32Array,
         sampling: Sampling,
         team: ProcessGroup,
     ) -> None:
-        self._field, self._views, self._sampling, self._team = field, views, sampling, team
-        self._module, self._adam = team.parallel(field), TorchAdam(field.features, field.weights)
+        self._field = field
+        self._views = views
+        self._sampling = sampling
+        self._team = team
+        self._module = team.parallel(field)
+        self._adam = TorchAdam(field.features, field.weights)
         device = team.device
         self._low, self._high = (torch.tensor(corner, device=device) for corner in (low_m, high_m))
         self._stream = torch.tensor(0, device=device)  # the bits of the random state

@@ -15,8 +15,8 @@ from uav_recon.mapping.neural.sdf_interface import SdfField
 from uav_recon.types.frames import AnyArray, Float32Array
 
 CELL_M, EDGE = 0.02, 4  # cells are stored in blocks of EDGE³, allocated where something was observed
-FIELD_WORTH = 0.3  # weight of the field's colour, in rays
-VAGUEST_M = 0.03  # maximum depth sigma of a colour sample: beyond it a colour may belong elsewhere
+FIELD_WEIGHT_RAYS = 0.3  # weight of the field's colour, in rays
+MAX_DEPTH_SIGMA_M = 0.03  # maximum depth sigma of a colour sample: beyond it a colour may belong elsewhere
 BLOCKS = 4096  # initial capacity
 
 _ON_THE_RAY = np.zeros(1, dtype=np.float32)
@@ -29,10 +29,12 @@ class ColourFusedField:
     """
 
     def __init__(self, field: SdfField, replay: RayBuffer, low_m: Float32Array, high_m: Float32Array) -> None:
-        self._field, self._low = field, low_m
+        self._field = field
+        self._low = low_m
         blocks = np.ceil((high_m - low_m) / np.float32(CELL_M * EDGE)).astype(np.int64) + 1
         self._block = np.full(tuple(int(n) for n in blocks), -1, dtype=np.int32)
-        self._sums, self._used = _sums(BLOCKS), 0
+        self._sums = _sums(BLOCKS)
+        self._used = 0
         for view in range(replay.count):
             self._see(replay, view)
 
@@ -52,7 +54,7 @@ class ColourFusedField:
         points, normal = np.empty((1, count, 3), dtype=np.float32), np.empty((count, 3), dtype=np.float32)
         cosine, sigma_m = np.empty(count, dtype=np.float32), np.empty(count, dtype=np.float32)
         ray_points(replay.views, view, _ON_THE_RAY, points, cosine, sigma_m, normal)
-        use = (records[:, 9] == 1) & (sigma_m < VAGUEST_M)
+        use = (records[:, 9] == 1) & (sigma_m < MAX_DEPTH_SIGMA_M)
         where = points[0, use]
         self._add(where, self._shown(records[use, 6:9], replay.views.gain[view], where))
 
@@ -127,7 +129,7 @@ def _mix(block: AnyArray, sums: Float32Array, low: Float32Array, points: Float32
             continue
         i, j, k = int(x), int(y), int(z)
         u, v, w = x - np.float32(i), y - np.float32(j), z - np.float32(k)
-        total = np.float32(FIELD_WORTH)
+        total = np.float32(FIELD_WEIGHT_RAYS)
         red, green, blue = total * rgb[n, 0], total * rgb[n, 1], total * rgb[n, 2]
         for corner in range(8):
             a, b, c = corner >> 2, (corner >> 1) & 1, corner & 1

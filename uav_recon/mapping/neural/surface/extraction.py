@@ -25,9 +25,9 @@ from uav_recon.types.maps import SurfaceElements, TriangleMesh
 EVIDENCE_CELL_M = 0.05
 FILL_M = 0.15  # maximum distance of filled surface from a measured point
 EVIDENCE_SIGMA_M = 0.15  # a measurement with a larger sigma does not locate the surface
-FEWEST_ENDS = 2  # minimum number of end points of a surface cell
+MIN_END_POINTS = 2  # minimum number of end points of a surface cell
 MIN_SUPPORT = 0.1  # minimum ratio of measured normals for a surface to those against it
-SHEET_M = 0.006  # a vertex with a larger distance belongs to the border of the band, not to the surface
+MAX_VERTEX_DISTANCE_M = 0.006  # a vertex with a larger distance belongs to the border of the band, not to the surface
 
 
 class MeasuredCells:
@@ -69,7 +69,7 @@ class MeasuredCells:
         _spread(self.count, least, cells, out)
         return out
 
-    def counted(self, points: Float32Array) -> BoolArray:
+    def contains_end_point(self, points: Float32Array) -> BoolArray:
         """Return True (N,) for points (N, 3) whose cell contains an end point."""
         return _within(self.count > 0, self.origin_m, points)
 
@@ -78,7 +78,7 @@ class MeasuredCells:
 
         It uses the current counts.
         """
-        near = self.near(FEWEST_ENDS)
+        near = self.near(MIN_END_POINTS)
 
         def holds(points: Float32Array) -> BoolArray:
             return _within(near, self.origin_m, points)
@@ -115,7 +115,7 @@ def confirmed_by_depth(
     through it; an equal number is enough where an end point lies in its cell.
     """
     seen = images.votes(points, normal)
-    borne: BoolArray = (seen > 0.0) | ((seen == 0.0) & evidence.counted(points))
+    borne: BoolArray = (seen > 0.0) | ((seen == 0.0) & evidence.contains_end_point(points))
     return borne & ~evidence.contradicts(points, normal)
 
 
@@ -131,7 +131,7 @@ def surface_elements(
 
     voxel_m: spacing of the lattice.
     """
-    vertices, normals = extract(field, evidence, evidence.near(FEWEST_ENDS), voxel_m)
+    vertices, normals = extract(field, evidence, evidence.near(MIN_END_POINTS), voxel_m)
     keep = ~evidence.contradicts(vertices, normals)
     vertices, normals = vertices[keep], normals[keep]
     return SurfaceElements(
@@ -155,11 +155,11 @@ def triangle_mesh(
 
     painted: field that gives the colours.
     """
-    vertices, normals, quads = _extract(field, evidence, evidence.near(FEWEST_ENDS), voxel_m)
+    vertices, normals, quads = _extract(field, evidence, evidence.near(MIN_END_POINTS), voxel_m)
     for _ in range(2):  # surface nets round corners by a fraction of a voxel: move the vertices back onto the level set
         slip = np.clip(field.distance_m(vertices), -0.5 * voxel_m, 0.5 * voxel_m)
         vertices = (vertices - slip[:, None] * normals).astype(np.float32)
-    keep = np.abs(field.distance_m(vertices)) < SHEET_M
+    keep = np.abs(field.distance_m(vertices)) < MAX_VERTEX_DISTANCE_M
     keep &= confirmed_by_depth(evidence, images, vertices, normals)
     quads = quads[keep[quads].all(axis=1)]
     quads = quads[_in_large_parts(quads, len(vertices))]

@@ -10,7 +10,7 @@ import numpy as np
 
 from uav_recon.geometry.jit import kernel
 from uav_recon.mapping.neural.sdf_numba.sdf_field import NumbaSdfField
-from uav_recon.mapping.neural.surface.extraction import EVIDENCE_CELL_M, FEWEST_ENDS, FILL_M, MeasuredCells, extract
+from uav_recon.mapping.neural.surface.extraction import EVIDENCE_CELL_M, FILL_M, MIN_END_POINTS, MeasuredCells, extract
 from uav_recon.mapping.neural.surface.uncertainty import SurfaceUncertainty
 from uav_recon.types.frames import AnyArray, BoolArray, Float32Array, FloatArray, IntArray
 from uav_recon.types.maps import SurfaceElements
@@ -24,12 +24,14 @@ class IncrementalSurface:
     """Surface elements by tile. voxel_m: distance between the elements."""
 
     def __init__(self, evidence: MeasuredCells, voxel_m: float) -> None:
-        self._evidence, self._voxel_m = evidence, voxel_m
+        self._evidence = evidence
+        self._voxel_m = voxel_m
         self._tiles = tuple(-(-n // TILE) for n in evidence.count.shape)
         self._stale = np.zeros(self._tiles, dtype=np.bool_)
         self._done = np.zeros(self._tiles, dtype=np.int64)  # refresh at which a tile was last extracted, 0 = never
         self._refreshes = 0
-        self._position, self._normal = np.zeros((0, 3), dtype=np.float32), np.zeros((0, 3), dtype=np.float32)
+        self._position = np.zeros((0, 3), dtype=np.float32)
+        self._normal = np.zeros((0, 3), dtype=np.float32)
         self._uncertainty = np.zeros(0, dtype=np.float32)
 
     def touch(self, points: Float32Array) -> None:
@@ -40,7 +42,7 @@ class IncrementalSurface:
         """Extract the stale tiles and the oldest of the others."""
         self._refreshes += 1
         stale = self._stale | self._oldest()
-        near = self._evidence.near_in(FEWEST_ENDS, _cells_of(stale, self._evidence.count.shape, self._halo_cells()))
+        near = self._evidence.near_in(MIN_END_POINTS, _cells_of(stale, self._evidence.count.shape, self._halo_cells()))
         position, normal = extract(field, self._evidence, near, self._voxel_m)
         fresh = stale[self._tile_of(position)]
         position, normal = position[fresh], normal[fresh]

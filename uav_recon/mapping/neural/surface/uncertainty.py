@@ -19,8 +19,8 @@ from uav_recon.types.frames import AnyArray, Float32Array, FloatArray
 INFORMATION_CELL_M, COLOUR_CELL_M = 0.08, 0.10
 END_CELL_M, PLANE_CELL_M, ROUND_CELL_M = 0.05, 0.10, 0.10  # at most half of the margin of IncrementalSurface
 ROUND_STRIDE = 4  # every ROUND_STRIDE-th measurement enters the wider mean: many fall into one cell
-COUNT_BELIEF, MIN_DISAGREEMENT = 0.1, 0.05  # added to the number of measurements; disagreement of equal normals
-MIN_PAST_M, MAX_PAST_M = 0.001, 0.10  # distance of a surface from its measurements: resolution; value without measurements
+COUNT_OFFSET, MIN_DISAGREEMENT = 0.1, 0.05  # added to the number of measurements; disagreement of equal normals
+MIN_PAST_M, MAX_OFFSET_M = 0.001, 0.10  # distance of a surface from its measurements: resolution; value without measurements
 MIN_COUNT = 0.05  # number of measurements below which there are none
 SHARP_SIGMA_M = 0.015  # a measurement with this depth sigma has half the weight of an exact one
 PRIOR_SIGMA_M = 1.0  # sigma of a surface that was never measured
@@ -168,7 +168,8 @@ class ProductUncertainty:
     """The product of two measures."""
 
     def __init__(self, first: SurfaceUncertainty, second: SurfaceUncertainty) -> None:
-        self._first, self._second = first, second
+        self._first = first
+        self._second = second
 
     def at(self, points: Float32Array) -> Float32Array:
         """Return positive numbers (N,)."""
@@ -251,18 +252,18 @@ def _disagree(ends: Float32Array, farther: Float32Array, planes: Float32Array, p
         x, y, z = place[n, 0], place[n, 1], place[n, 2]
         nx, ny, nz, count = planes[n, 0], planes[n, 1], planes[n, 2], planes[n, 4]
         length = np.sqrt(nx * nx + ny * ny + nz * nz)
-        together, past_each = 0.0, MAX_PAST_M
+        together, past_each = 0.0, MAX_OFFSET_M
         if count > MIN_COUNT:
             together = length / count
-            past_each = min(abs(nx * x + ny * y + nz * z - planes[n, 3]) / count, MAX_PAST_M)
-        near = _past_mean(ends[n, 0], ends[n, 1], ends[n, 2], ends[n, 3], x, y, z, nx, ny, nz, length)
-        far = _past_mean(farther[n, 0], farther[n, 1], farther[n, 2], farther[n, 3], x, y, z, nx, ny, nz, length)
+            past_each = min(abs(nx * x + ny * y + nz * z - planes[n, 3]) / count, MAX_OFFSET_M)
+        near = _offset_from_mean(ends[n, 0], ends[n, 1], ends[n, 2], ends[n, 3], x, y, z, nx, ny, nz, length)
+        far = _offset_from_mean(farther[n, 0], farther[n, 1], farther[n, 2], farther[n, 3], x, y, z, nx, ny, nz, length)
         past = np.cbrt((past_each**2 + MIN_PAST_M**2) * (near**2 + MIN_PAST_M**2) * (far**2 + MIN_PAST_M**2))
-        out[n] = past / MAX_PAST_M**2 * (1.0 + MIN_DISAGREEMENT - together) / np.sqrt(ends[n, 3] + COUNT_BELIEF)
+        out[n] = past / MAX_OFFSET_M**2 * (1.0 + MIN_DISAGREEMENT - together) / np.sqrt(ends[n, 3] + COUNT_OFFSET)
 
 
 @fast_kernel
-def _past_mean(
+def _offset_from_mean(
     sum_x: float, sum_y: float, sum_z: float, known: float,
     x: float, y: float, z: float, nx: float, ny: float, nz: float, length: float,
 ) -> float:  # fmt: skip
@@ -271,9 +272,9 @@ def _past_mean(
     length: that of the normal. known: number of end points; sum_x, sum_y, sum_z: their sum.
     """
     if known <= MIN_COUNT or length <= 0.0:
-        return MAX_PAST_M
+        return MAX_OFFSET_M
     along = nx * (x - sum_x / known) + ny * (y - sum_y / known) + nz * (z - sum_z / known)
-    return min(abs(along) / length, MAX_PAST_M)
+    return min(abs(along) / length, MAX_OFFSET_M)
 
 
 @fast_kernel

@@ -13,7 +13,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from uav_recon.mapping.neural.sdf_interface import SdfField
-from uav_recon.mapping.neural.surface.extraction import EVIDENCE_CELL_M, FEWEST_ENDS, SHEET_M, confirmed_by_depth
+from uav_recon.mapping.neural.surface.extraction import (
+    EVIDENCE_CELL_M,
+    MAX_VERTEX_DISTANCE_M,
+    MIN_END_POINTS,
+    confirmed_by_depth,
+)
 from uav_recon.mapping.neural.surface.surface_nets import ABSENT, EDGE, node_points, wanted_nodes
 from uav_recon.mapping.neural.training_data import TrainingData
 from uav_recon.types.frames import AnyArray, BoolArray, ByteArray, Float32Array, FloatArray, IntArray
@@ -74,7 +79,7 @@ def closed_mesh(field: SdfField, gathered: TrainingData, voxel_m: float) -> Clos
     vertices, faces = _level_set(values, gathered.evidence.origin_m, voxel_m)
     normals = vertex_normals(vertices, faces)
     at, facing = vertices.astype(np.float32), normals.astype(np.float32)
-    seen: BoolArray = np.abs(field.distance_m(at)) < SHEET_M
+    seen: BoolArray = np.abs(field.distance_m(at)) < MAX_VERTEX_DISTANCE_M
     seen &= gathered.evidence.holding()(at) & confirmed_by_depth(gathered.evidence, gathered.images, at, facing)
     return ClosedMesh(
         vertices,
@@ -103,7 +108,7 @@ def _lattice(field: SdfField, gathered: TrainingData, voxel_m: float) -> Float32
     Node (i, j, k) lies at origin + voxel * (i - 1, j - 1, k - 1).
     """
     check_size(gathered, voxel_m)
-    near = gathered.evidence.near(FEWEST_ENDS)
+    near = gathered.evidence.near(MIN_END_POINTS)
     nodes = wanted_nodes(near, gathered.evidence.origin_m, EVIDENCE_CELL_M, voxel_m)
     shape = [int(n) * EDGE for n in nodes.slot.shape]
     points, mask = node_points(nodes)

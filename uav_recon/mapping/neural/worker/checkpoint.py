@@ -67,10 +67,13 @@ class MapperCheckpoints:
 
     def __init__(self, folder: Path, order: dict[str, Any]) -> None:
         self._folder = folder
-        self._order, self._code = hashlib.sha256(json.dumps(order, sort_keys=True).encode()).hexdigest(), _code()
+        self._order = hashlib.sha256(json.dumps(order, sort_keys=True).encode()).hexdigest()
+        self._code = _code()
         self._writer = threading.Thread()
         self._sums: dict[int, int] = {}  # CRC-32 of each view on disk
-        self._learned, self._steps = 0, 0  # of the newest checkpoint
+        # of the newest checkpoint
+        self._learned = 0
+        self._steps = 0
 
     def load(self, keyframes: KeyframeFolder) -> tuple[NeuralMapper, int] | None:
         """Return the mapper and the number of keyframes it processed; None without a checkpoint.
@@ -93,7 +96,8 @@ class MapperCheckpoints:
         except (OSError, ValueError, TypeError, KeyError, EOFError, pickle.UnpicklingError) as error:
             raise CheckpointError(f"{path}: damaged ({error})") from None
         self._sums = dict(header.views)
-        self._learned, self._steps = header.learned, trainer.steps
+        self._learned = header.learned
+        self._steps = trainer.steps
         return trainer, header.learned
 
     def save_if_due(self, trainer: NeuralMapper, learned: int, stamp_s: float) -> bool:
@@ -108,7 +112,8 @@ class MapperCheckpoints:
         header = _Header(self._order, self._code, learned, stamp_s, [(number, 0) for number in trainer.kept])
         fresh = {n: trainer.view_arrays(i) for i, n in enumerate(trainer.kept) if n not in self._sums}
         arguments = (header, pickle.dumps(trainer, protocol=5), fresh)
-        self._learned, self._steps = learned, trainer.steps
+        self._learned = learned
+        self._steps = trainer.steps
         self._writer = threading.Thread(target=self._write, args=arguments, name="checkpoint", daemon=True)
         self._writer.start()
         return True

@@ -6,9 +6,9 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
-LOOK_S = 0.5
-ASLEEP_S = 3.0  # timeout of an unanswered request while the child sleeps and uses no processor time
-SILENT_S = 60.0  # timeout of an unanswered request in any state
+CHECK_PERIOD_S = 0.5
+IDLE_TIMEOUT_S = 3.0  # timeout of an unanswered request while the child sleeps and uses no processor time
+RESPONSE_TIMEOUT_S = 60.0  # timeout of an unanswered request in any state
 _TICK_S = 1.0 / os.sysconf("SC_CLK_TCK")
 _AT_REST = "STt"  # sleeping or stopped, see proc_pid_stat(5); a starved process is in state R, one waiting for a disk in D
 
@@ -33,15 +33,16 @@ def activity_of(pid: int) -> ProcessActivity | None:
 class ChildWatchdog:
     """Watchdog of one child.
 
-    Call asked() and answered() on each request and answer, and hung() periodically. Times in seconds of any one clock.
+    Call asked() and answered() on each request and answer, and is_hung() periodically. Times in seconds of any one clock.
     """
 
     def __init__(self) -> None:
         self._asked_s: float | None = None
-        self._used_s, self._awake_s = -1.0, 0.0
+        self._used_s = -1.0
+        self._awake_s = 0.0
 
     @property
-    def owes(self) -> bool:
+    def answer_pending(self) -> bool:
         """True while an answer is outstanding."""
         return self._asked_s is not None
 
@@ -53,7 +54,7 @@ class ChildWatchdog:
         """Record that the child answered."""
         self._asked_s = None
 
-    def hung(self, now_s: float, pulse: ProcessActivity | None, patient: bool) -> bool:
+    def is_hung(self, now_s: float, pulse: ProcessActivity | None, patient: bool) -> bool:
         """Return True if the child hangs.
 
         patient: the child compiles or learns a whole flight, so a missing answer alone is no sign of a hang.
@@ -63,4 +64,4 @@ class ChildWatchdog:
         if not pulse.at_rest or pulse.processor_s > self._used_s:
             self._awake_s = now_s
         self._used_s = pulse.processor_s
-        return now_s - self._awake_s > ASLEEP_S or (not patient and now_s - self._asked_s > SILENT_S)
+        return now_s - self._awake_s > IDLE_TIMEOUT_S or (not patient and now_s - self._asked_s > RESPONSE_TIMEOUT_S)

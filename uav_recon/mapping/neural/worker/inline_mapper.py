@@ -7,7 +7,7 @@ from pathlib import Path
 
 from uav_recon.config import MapperConfig
 from uav_recon.mapping.keyframe_store import KeyframeFolder
-from uav_recon.mapping.neural.keyframes.keyframe_validation import RejectReason, in_words
+from uav_recon.mapping.neural.keyframes.keyframe_validation import RejectReason, counts_as_text
 from uav_recon.mapping.neural.neural_mapper import NeuralMapper
 from uav_recon.mapping.neural.surface.ply_writer import write_ply
 from uav_recon.mapping.neural.worker.mapper_process import MESH_FILE
@@ -20,7 +20,9 @@ class InlineMapper:
     """Mapper whose add() trains immediately and whose surface() extracts on request."""
 
     def __init__(self, trainer: NeuralMapper, config: MapperConfig, keyframes: KeyframeFolder | None = None) -> None:
-        self._trainer, self._config, self._keyframes = trainer, config, keyframes
+        self._trainer = trainer
+        self._config = config
+        self._keyframes = keyframes
         self._surface: SurfaceElements | None = None
         self._stale = False
         self._numbers: dict[float, int] = {}  # numbers of the views taken, by stamp
@@ -49,7 +51,7 @@ class InlineMapper:
             self._keyframes.repose(correction)
         placed = {self._numbers[stamp_s]: pose for stamp_s, pose in correction.poses() if stamp_s in self._numbers}
         self._trainer.repose(placed, correction.map_epoch)
-        self._trainer.relearn(self._trainer.waiting)
+        self._trainer.learn_waiting(self._trainer.waiting)
         self._stale = True
 
     def refusals(self) -> Counter[RejectReason]:
@@ -58,12 +60,13 @@ class InlineMapper:
 
     def refused(self) -> dict[str, int]:
         """Return the number of rejected views by reason, as text."""
-        return in_words(self.refusals())
+        return counts_as_text(self.refusals())
 
     def surface(self) -> SurfaceElements | None:
         """Return the surface after the last view."""
         if self._stale:
-            self._surface, self._stale = self._trainer.surface(), False
+            self._surface = self._trainer.surface()
+            self._stale = False
         return self._surface
 
     def alive(self) -> bool:

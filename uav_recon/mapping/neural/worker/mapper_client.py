@@ -18,9 +18,15 @@ from uav_recon.channels import FileChannel
 from uav_recon.clock import RateKeeper
 from uav_recon.config import MapperConfig
 from uav_recon.mapping.keyframe_store import KeyframeFolder
-from uav_recon.mapping.neural.keyframes.keyframe_validation import RejectCounts, RejectReason, in_words, padded, reject_reason
+from uav_recon.mapping.neural.keyframes.keyframe_validation import (
+    RejectCounts,
+    RejectReason,
+    counts_as_text,
+    padded_box,
+    reject_reason,
+)
 from uav_recon.mapping.neural.keyframes.normal_prior import open_prior
-from uav_recon.mapping.neural.worker.child_watchdog import LOOK_S, ChildWatchdog, activity_of
+from uav_recon.mapping.neural.worker.child_watchdog import CHECK_PERIOD_S, ChildWatchdog, activity_of
 from uav_recon.mapping.neural.worker.mapper_process import (
     CHECKPOINT,
     KEYFRAMES,
@@ -63,8 +69,9 @@ class ProcessMapper:
         folder: Path,
     ) -> None:
         open_prior(config.prior_model)  # raises here, where the caller can report it
-        self._config, self._folder = config, folder
-        self._low, self._high = padded(box_min_m, box_max_m)
+        self._config = config
+        self._folder = folder
+        self._low, self._high = padded_box(box_min_m, box_max_m)
         self._order = {
             "config": config.model_dump(mode="json"),
             "box_min_m": [float(x) for x in box_min_m],
@@ -77,9 +84,12 @@ class ProcessMapper:
         self._channel = FileChannel(folder / SURFACE_FILE, SurfaceElements, SURFACE_BYTES)
         self._notes: queue.Queue[PosedFrame | MapCorrection | Path | Message] = queue.Queue()
         self._epoch: int | None = None  # map epoch, once there is one
-        self._ready, self._over = threading.Event(), threading.Event()
-        self._losses, self._finishing = 0, False
-        self._refusals, self._childs_refusals = RejectCounts(), Counter[RejectReason]()
+        self._ready = threading.Event()
+        self._over = threading.Event()
+        self._losses = 0
+        self._finishing = False
+        self._refusals = RejectCounts()
+        self._childs_refusals = Counter[RejectReason]()
         self._mesh_folder: Path | None = None
         self._child = self._start()
         self._owner = threading.Thread(target=self._serve, name="mapper-owner", daemon=True)
@@ -123,7 +133,7 @@ class ProcessMapper:
 
     def refused(self) -> dict[str, int]:
         """Return the number of rejected views by reason, as text."""
-        return in_words(self.refusals())
+        return counts_as_text(self.refusals())
 
     def surface(self) -> SurfaceElements | None:
         """Return the newest surface of this map epoch, or None. Does not wait for the child.
@@ -167,14 +177,14 @@ class ProcessMapper:
 
     def _start(self) -> ChildProcess:
         self._ready.clear()
-        self._vigil = ChildWatchdog()
+        self._watchdog = ChildWatchdog()
         return ChildProcess(self._order, self._folder / LOG_FILE, self._notes.put)
 
     def _serve(self) -> None:
-        looks = RateKeeper(1.0 / LOOK_S, time.monotonic())
+        looks = RateKeeper(1.0 / CHECK_PERIOD_S, time.monotonic())
         while True:
             if looks.due(time.monotonic()):
-                self._look_after_child()
+                self._check_child()
             try:
                 note = self._notes.get(timeout=max(0.0, looks.next_s() - time.monotonic()))
             except queue.Empty:
@@ -192,21 +202,21 @@ class ProcessMapper:
             else:
                 self._hear(note)
 
-    def _look_after_child(self) -> None:
+    def _check_child(self) -> None:
         now_s = time.monotonic()
-        if not self._vigil.owes:
+        if not self._watchdog.answer_pending:
             self._child.send({"answer": True})
-            self._vigil.asked(now_s)
-        elif self._vigil.hung(now_s, activity_of(self._child.pid), patient=self._finishing or not self._ready.is_set()):
+            self._watchdog.asked(now_s)
+        elif self._watchdog.is_hung(now_s, activity_of(self._child.pid), patient=self._finishing or not self._ready.is_set()):
             LOG.error("the mapper hangs and is killed")
-            self._vigil.answered()
+            self._watchdog.answered()
             self._child.kill()
 
     def _hear(self, message: Message) -> None:
         if message["event"] == "ready":
             self._ready.set()
         elif message["event"] == "answer":
-            self._vigil.answered()
+            self._watchdog.answered()
         elif message["event"] == "finished":
             self._over.set()
         elif message["event"] == "refused":

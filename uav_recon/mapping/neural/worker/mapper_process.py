@@ -37,7 +37,7 @@ LOG = logging.getLogger(__name__)
 CHECKPOINT = ".mapper_checkpoint"
 KEYFRAMES, SURFACE_FILE, LOG_FILE, MESH_FILE = "keyframes", ".mapper_surface", "mapper.log", "mesh.ply"
 SURFACE_BYTES = 48 << 20  # a sparse file: a room of 30 m² needs 3 MB
-NICENESS, FIRST_TO_GO = 10, 1000
+NICENESS, OOM_SCORE_ADJ = 10, 1000
 IDLE_SURFACE_STEPS = 60  # idle steps between two surfaces
 
 Message = dict[str, Any]
@@ -120,7 +120,7 @@ class ChildProcess:
 def main() -> None:
     """Serve one parent until its pipe closes."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    _step_back()
+    _lower_priority()
     replies = os.fdopen(os.dup(1), "wb", buffering=0)
     os.dup2(2, 1)  # a stray print must not break the protocol
     logging.basicConfig(format="%(asctime)s %(levelname)s %(message)s")
@@ -131,14 +131,14 @@ def main() -> None:
     _Session(order, messages, replies, asked).run()
 
 
-def _step_back() -> None:
+def _lower_priority() -> None:
     """Lower the processor priority and make this process the first to kill if memory is short.
 
     The autogroup value is needed where the kernel schedules sessions instead of processes: sched(7). Without oom_score_adj
     the kernel would kill the mission, the parent: it is larger, and the flight needs it.
     """
     os.nice(NICENESS)
-    for name, value in (("autogroup", NICENESS), ("oom_score_adj", FIRST_TO_GO)):
+    for name, value in (("autogroup", NICENESS), ("oom_score_adj", OOM_SCORE_ADJ)):
         with contextlib.suppress(OSError):  # not supported by this kernel
             Path("/proc/self", name).write_text(str(value), encoding="ascii")
 
@@ -157,7 +157,9 @@ class _Session:
         self, order: Message, messages: queue.Queue[Message], replies: IO[bytes], asked: threading.Event
     ) -> None:  # fmt: skip
         self._config = MapperConfig.model_validate(order["config"])
-        self._messages, self._replies, self._asked = messages, replies, asked
+        self._messages = messages
+        self._replies = replies
+        self._asked = asked
         folder = Path(order["folder"])
         self._keyframes = KeyframeFolder(folder / KEYFRAMES)
         self._channel = FileChannel(folder / SURFACE_FILE, SurfaceElements, SURFACE_BYTES)
@@ -167,7 +169,9 @@ class _Session:
             folder / CHECKPOINT, {name: value for name, value in order.items() if name != "folder"}
         )
         self._revision = self._channel.sequence()
-        self._learned, self._unseen = 0, False  # keyframes learned; True while the published surface lacks some
+        # keyframes learned; True while the published surface lacks some
+        self._learned = 0
+        self._unseen = False
         self._refused = 0  # total count last reported to the parent
 
     def run(self) -> None:
@@ -175,7 +179,7 @@ class _Session:
         self._restore()
         self._look_on_disk()
         self._learn_to(len(self._keyframes))
-        self._tell_refusals()
+        self._send_reject_counts()
         self._show()
         self._say("ready")
         idle_s = 1.0 / self._config.idle_steps_hz if self._config.idle_steps_hz > 0 else None
@@ -186,8 +190,8 @@ class _Session:
                 message = self._messages.get(timeout=patience_s if self._trainer.views else None)
             except queue.Empty:
                 if self._trainer.waiting:
-                    self._unseen |= self._trainer.relearn(1) == 0
-                    self._tell_refusals()
+                    self._unseen |= self._trainer.learn_waiting(1) == 0
+                    self._send_reject_counts()
                     self._show()
                     continue
                 self._trainer.train(1)
@@ -203,7 +207,7 @@ class _Session:
                 self._finish(Path(message["finish"]))
             elif "repose" in message:
                 self._look_on_disk()
-                self._tell_refusals()
+                self._send_reject_counts()
             else:
                 self._learn_to(int(message["keyframe"]) + 1)
                 self._show()
@@ -235,7 +239,7 @@ class _Session:
             self._learned = number + 1
             self._save()
         self._unseen = True
-        self._tell_refusals()
+        self._send_reject_counts()
 
     def _look_on_disk(self) -> None:
         """Read what the parent wrote; if the views moved to a new map epoch, start the new map."""
@@ -262,7 +266,7 @@ class _Session:
     def _save(self) -> None:
         self._checkpoints.save_if_due(self._trainer, self._learned, self._keyframes.stamp_s(self._learned - 1))
 
-    def _tell_refusals(self) -> None:
+    def _send_reject_counts(self) -> None:
         refusals = self._trainer.refusals
         if refusals.total() != self._refused:
             self._refused = refusals.total()
