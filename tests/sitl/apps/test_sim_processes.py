@@ -47,8 +47,8 @@ LAUNCHER = """
     from pathlib import Path
     from rich.console import Console
     from sitl.apps import sim_processes
-    from sitl.runtime.die_with_parent import leashed
-    from uav_recon.errors import Failure
+    from sitl.runtime.die_with_parent import die_with_parent_command
+    from uav_recon.errors import UserError
 
     def through(command):  # the launcher keeps no pipe open but these programs tell us of themselves
         return ["/bin/sh", "-c", 'exec "$@" ' + sys.argv[2] + '> ' + sys.argv[3], "sh", *command, sys.argv[2]]
@@ -58,8 +58,8 @@ LAUNCHER = """
     commands["mission"] = through([sys.executable, "-c", orderly])
     sim_processes.GRACE_S = dict.fromkeys(sim_processes.GRACE_S, 0.2)
     try:
-        fault = sim_processes.Children(commands, folder, folder, Console()).fly()
-    except Failure as failure:
+        fault = sim_processes.SimProcesses(commands, folder, folder, Console()).fly()
+    except UserError as failure:
         print(failure)
         sys.exit(failure.code)
     print(f"fault: {fault}")
