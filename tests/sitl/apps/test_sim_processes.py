@@ -157,7 +157,7 @@ def test_in_flight_a_signal_lands_and_then_ends_everything(
     flight = launch()
     flight.process.send_signal(number)
     said = flight.end()
-    assert "landing; press Ctrl-C again" in said
+    assert "landing, then writing the report; press Ctrl-C again" in said
     assert said.splitlines()[-1] == "fault: None"
     assert flight.lines(5)[4] == "landed"
     assert flight.left() == set()
