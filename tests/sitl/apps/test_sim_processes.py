@@ -61,7 +61,7 @@ LAUNCHER = """
     commands["mission"] = through([sys.executable, "-c", orderly])
     sim_processes.GRACE_S = dict.fromkeys(sim_processes.GRACE_S, 0.2)
     try:
-        fault = sim_processes.Children(commands, folder, folder, Console()).fly()
+        fault = sim_processes.SimProcesses(commands, folder, folder, Console()).fly()
     except UserError as failure:
         print(failure)
         sys.exit(failure.code)
@@ -160,7 +160,7 @@ def test_in_flight_a_signal_lands_and_then_ends_everything(
     flight = launch()
     flight.process.send_signal(number)
     said = flight.end()
-    assert "landing; press Ctrl-C again" in said
+    assert "landing, then writing the report; press Ctrl-C again" in said
     assert said.splitlines()[-1] == "fault: None"
     assert flight.lines(5)[4] == "landed"
     assert flight.left() == set()
