@@ -26,6 +26,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from uav_recon.motion.time_scaling import BRAKE_RISE_S, KEPT_S
+from uav_recon.types.reason import Reason
+from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.tasks import ViewPath
 from uav_recon.types.trajectory import Trajectory
 
@@ -144,5 +146,7 @@ def test_what_is_impossible_is_refused_in_words() -> None:
     here = flying.setpoint_at(7.0).position_m
     walled = room(wall([1.6, -5, 0], [1.8, 5, 3]))
     path = path_of([np.array([here, [3, 0, 1.5]])], [1.0])
-    assert "not clear" in str(MOTION.onward(path, walled, flying, 7.0, np.inf, 9))
-    assert "epoch" in str(MOTION.onward(path, room(epoch=1), flying, 7.0, np.inf, 9))
+    blocked = MOTION.onward(path, walled, flying, 7.0, np.inf, 9)
+    assert isinstance(blocked, Reason)
+    assert blocked.code is ReasonCode.PATH_CLEARANCE
+    assert MOTION.onward(path, room(epoch=1), flying, 7.0, np.inf, 9) == Reason(ReasonCode.PATH_MAP_EPOCH, (0, 1))

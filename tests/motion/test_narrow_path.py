@@ -11,6 +11,7 @@ from hall import MOTION, room, room_around, straight, wall
 from uav_recon.motion.motion_planner import NARROW_MPS
 from uav_recon.motion.time_scaling import joined
 from uav_recon.types.reason import Reason
+from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.tasks import ViewPath
 from uav_recon.types.trajectory import Setpoint, Trajectory
 
@@ -41,7 +42,9 @@ def test_a_gap_is_passed_by_who_asks_for_no_more_and_by_nobody_else() -> None:
     assert trajectory.clearance_m == ROOM_M
     assert room_around(trajectory.position_m, GAP).min() >= ROOM_M - 0.011
     for clearance_m in (None, ROOM_M + 0.05):
-        assert "not clear" in str(MOTION.through(narrow(clearance_m), GAP, at(-1.0), 5.0, np.inf, 1))
+        blocked = MOTION.through(narrow(clearance_m), GAP, at(-1.0), 5.0, np.inf, 1)
+        assert isinstance(blocked, Reason)
+        assert blocked.code is ReasonCode.PATH_CLEARANCE
 
 
 def test_it_stays_clear_by_its_own_measure_until_the_map_takes_that_away() -> None:
