@@ -1,14 +1,23 @@
-# Short names for the commands of every day; the README and .ci/run do not need them.
 PYTHON ?= .venv/bin/python
 
-.PHONY: install test lint safety hostile soak sim results measure measure-long clean
+.PHONY: install test nightly nightly-lockstep nightly-real-time lint safety hostile soak sim results measure measure-long clean
 
 install:
-	python3 -m venv .venv
-	.venv/bin/pip install -q -e '.[dev]'
+	./install.sh dev
 
+# The gate, as .ci/run runs it: fast tests, one mission in lockstep, then one short flight in real time.
 test:
+	$(PYTHON) -m pytest -n 2 --dist loadfile -m 'not nightly and not real_time'
+	$(PYTHON) -m pytest -m 'real_time and not nightly'
+
+# Everything: all fault scenarios of the tests, 1,000 maps, real time, mutants of the guard, hostile input, a soak of five minutes.
+nightly: nightly-lockstep nightly-real-time safety hostile
+	$(MAKE) soak SOAK=G9-5min
+
+nightly-lockstep:
 	$(PYTHON) -m pytest -n 2 --dist loadfile -m 'not real_time'
+
+nightly-real-time:
 	$(PYTHON) -m pytest -m real_time
 
 lint:

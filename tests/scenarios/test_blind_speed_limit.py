@@ -12,7 +12,7 @@ from sitl.apps.sim import SimOptions, simulate
 from uav_recon.recording.report import Report
 from uav_recon.types.frames import FloatArray
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.nightly]
 VIEWS = 20
 COLUMN_M = 0.3
 FAST_MPS = 0.45  # 0.30, and what a vehicle is faster than its setpoints

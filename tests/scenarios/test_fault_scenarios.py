@@ -19,7 +19,7 @@ from sitl.faults.judges.invariants import violations
 from sitl.faults.table.all_scenarios import ROWS
 from sitl.faults.table.scenario import Scenario, judge
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
+pytestmark = [pytest.mark.slow, pytest.mark.nightly, pytest.mark.timeout(900)]
 PROMISES = {
     "A7": "a pilot restarted in the air commands nothing",
     "D2": "a dead uplink ends in the firmware's landing, and nobody takes it back",

@@ -35,7 +35,7 @@ MORE_M = 0.45
 VARIANTS = typing.get_args(PlannerConfig.model_fields["variant"].annotation)
 
 
-@pytest.mark.parametrize("block", range(BLOCKS))
+@pytest.mark.parametrize("block", [0, *(pytest.param(block, marks=pytest.mark.nightly) for block in range(1, BLOCKS))])
 def test_every_plan_is_a_valid_path_or_a_stated_reason(block: int) -> None:
     outcomes: Counter[str] = Counter()
     for seed in range(block, MAPS, BLOCKS):
@@ -43,6 +43,7 @@ def test_every_plan_is_a_valid_path_or_a_stated_reason(block: int) -> None:
     assert outcomes["maps"] == MAPS // BLOCKS
 
 
+@pytest.mark.nightly
 def test_the_thousand_maps_hold_both_answers() -> None:
     outcomes: Counter[str] = sum((fly_through(seed) for seed in range(60)), Counter())
     assert outcomes["path"] >= 30
@@ -52,6 +53,7 @@ def test_the_thousand_maps_hold_both_answers() -> None:
     assert outcomes["narrow way"] == 0
 
 
+@pytest.mark.nightly
 def test_narrow_ways_are_valid_ones_too() -> None:
     """Of a planner that asks for a lot of room, and for less where that leads nowhere: ways home, mostly."""
     outcomes: Counter[str] = sum((fly_through(seed, usual_m=MORE_M) for seed in range(MAPS, MAPS + 200)), Counter())

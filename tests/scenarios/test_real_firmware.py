@@ -22,7 +22,7 @@ from sitl.faults.table.all_scenarios import ROWS
 from sitl.real_firmware.px4 import COMPANION_PORT
 from uav_recon.recording.report import Report
 
-pytestmark = [pytest.mark.slow, pytest.mark.real_time, pytest.mark.timeout(1800)]
+pytestmark = [pytest.mark.slow, pytest.mark.nightly, pytest.mark.real_time, pytest.mark.timeout(1800)]
 STAND_IN = Path(__file__).with_name("simulated_firmware_program.py")
 ALWAYS_FLOWN = ("A1", "A6", "B1", "B4", "E1")
 BINARIES = {"ardupilot": "UAV_RECON_ARDUCOPTER", "px4": "UAV_RECON_PX4"}

@@ -85,6 +85,20 @@ def all_gone(pids: set[int], within_s: float) -> bool:
     return False
 
 
+def test_a_short_flight_is_completed(tmp_path: Path) -> None:
+    """The gate's one real-time flight: it asserts no rate, because the machine may be busy."""
+    sim = Sim(tmp_path / "f", views=6)
+    said = sim.end(400.0)
+    assert sim.process.returncode == 0, said
+    assert "Traceback" not in said
+    report = Report.load(tmp_path / "f" / "report.json")
+    assert report.outcome == "completed"
+    assert report.safety.contacts == 0
+    for name in ("report.html", "mesh.ply", "flight.rrd", "flight.tlog", "config.toml", "keyframes/poses.json"):
+        assert (tmp_path / "f" / name).stat().st_size > 0, name
+
+
+@pytest.mark.nightly
 def test_a_short_flight_in_real_time_keeps_its_stream(tmp_path: Path) -> None:
     sim = Sim(tmp_path / "f", views=12)
     said = sim.end(400.0)
@@ -105,6 +119,7 @@ def test_a_short_flight_in_real_time_keeps_its_stream(tmp_path: Path) -> None:
         assert (tmp_path / "f" / name).stat().st_size > 0, name
 
 
+@pytest.mark.nightly
 def test_ctrl_c_lands_and_still_writes_the_report(tmp_path: Path) -> None:
     sim = Sim(tmp_path / "f", views=60)
     sim.wait_for("^survey")
@@ -121,18 +136,20 @@ def test_ctrl_c_lands_and_still_writes_the_report(tmp_path: Path) -> None:
     assert all_gone(pids, 2.0)
 
 
+@pytest.mark.nightly
 def test_a_second_ctrl_c_ends_everything_at_once(tmp_path: Path) -> None:
     sim = Sim(tmp_path / "f", views=60)
     sim.wait_for("^survey")
     pids = descendants(sim.process.pid)
     sim.process.send_signal(signal.SIGINT)
-    sim.wait_for("landing; press Ctrl-C again")
+    sim.wait_for("press Ctrl-C again")
     sim.process.send_signal(signal.SIGINT)
     sim.end(20.0)
     assert sim.process.returncode == 130
     assert all_gone(pids, 2.0)
 
 
+@pytest.mark.nightly
 def test_a_process_that_dies_is_named_and_nothing_is_left(tmp_path: Path) -> None:
     sim = Sim(tmp_path / "f", views=60)
     sim.wait_for("^survey")

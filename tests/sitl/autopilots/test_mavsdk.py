@@ -42,7 +42,7 @@ from mavsdk.plugins.mocap import (
 from mavsdk.plugins.offboard import Offboard, PositionNedYaw
 from mavsdk.plugins.telemetry import FlightMode, LandedState, Telemetry
 
-pytestmark = [pytest.mark.slow, pytest.mark.real_time, pytest.mark.filterwarnings("ignore")]
+pytestmark = [pytest.mark.slow, pytest.mark.nightly, pytest.mark.real_time, pytest.mark.filterwarnings("ignore")]
 
 STEP_S, SYS_STATUS = 0.004, 1
 ORIGIN = (47.3977, 8.5456, 488.0)
