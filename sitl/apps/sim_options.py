@@ -60,7 +60,7 @@ class SimOptions:
     port: int
     uncertainty: str
     firmware: Path | None  # binary of a real firmware, in place of the simulated autopilot
-    blind_mps: float
+    blind_speed_mps: float
 
     @staticmethod
     def parse(
@@ -105,7 +105,7 @@ class SimOptions:
             seed=seed, out=folder.absolute(), autopilot=autopilot, variant=variant, mount=mount,
             mount_pitch_down_deg=mount_pitch_deg(mount), depth_noise=depth_noise, camera=chosen, mapper=mapper,
             radius_m=radius, lockstep=lockstep, live=live, port=port, uncertainty=uncertainty,
-            firmware=None if firmware is None else firmware.absolute(), blind_mps=blind_speed,
+            firmware=None if firmware is None else firmware.absolute(), blind_speed_mps=blind_speed,
         )  # fmt: skip
 
     def check_folder(self) -> None:
@@ -158,7 +158,7 @@ class SimOptions:
                 "vehicle_height_m": HULL_HEIGHT_M,
                 "stop_clearance_m": 0.1,
                 "fast_clearance_m": 0.4,
-                "blind_speed_mps": self.blind_mps,
+                "blind_speed_mps": self.blind_speed_mps,
                 "blind_memory_s": BLIND_MEMORY_S,
                 "retreat_speed_mps": 0.3,
                 "silence_way_m": 0.45,

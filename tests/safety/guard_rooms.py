@@ -21,8 +21,21 @@ from uav_recon.types.trajectory import Setpoint
 
 DT = 1 / 30
 HULL_RADIUS_M, HULL_HEIGHT_M = 0.2, 0.2
-ENVELOPE = Envelope(Fence(Polygon.box((-1.0, -2.0), (5.0, 2.0)), -0.1, 2.4, 0.3), 1.0, 2.0, 0.8)
-BOUNDS = GuardBounds(0.2, 0.5, 0.5, 0.3, 1.0, 0.3, Margins(0.1, 0.4))
+ENVELOPE = Envelope(
+    fence=Fence(plan=Polygon.box((-1.0, -2.0), (5.0, 2.0)), floor_m=-0.1, ceiling_m=2.4, inset_m=0.3),
+    max_speed_mps=1.0,
+    max_acceleration_mps2=2.0,
+    max_yaw_rate_radps=0.8,
+)
+BOUNDS = GuardBounds(
+    pose_timeout_s=0.2,
+    intent_timeout_s=0.5,
+    silence_way_m=0.5,
+    depth_timeout_s=0.3,
+    blind_speed_mps=1.0,
+    retreat_speed_mps=0.3,
+    margins=Margins(stop_clearance_m=0.1, fast_clearance_m=0.4),
+)
 GRID = GridSpec(np.array([-2.0, -3.0, -1.0]), 0.1, (80, 60, 45))
 MOUNT = body_from_camera(np.array([0.1, 0.0, 0.0]), 0.0)
 
@@ -67,4 +80,4 @@ def may_stand(envelope: Envelope, place_m: Vec3) -> bool:
 
 
 def guard_of(envelope: Envelope = ENVELOPE, bounds: GuardBounds = BOUNDS, sight: RecentlySeenSpace | None = None) -> Guard:
-    return Guard(envelope, bounds, sight or RecentlySeenSpace(10.0, HULL_RADIUS_M))
+    return Guard(envelope, bounds, sight or RecentlySeenSpace(blind_memory_s=10.0, vehicle_radius_m=HULL_RADIUS_M))

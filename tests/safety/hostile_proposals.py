@@ -115,8 +115,8 @@ def attack(count: int, seed: int) -> tuple[Counter[str], list[str]]:
         place = (float(start[0]), float(start[1]), float(start[2]))
         if any(space._touched(space._in_voxels(place), space._in_voxels(place))):
             continue
-        sight = RecentlySeenSpace(10.0, HULL_RADIUS_M)
-        guard = guard_of(bounds=dataclasses.replace(BOUNDS, blind_mps=0.3 if rng.random() < 0.5 else 1.0), sight=sight)
+        sight = RecentlySeenSpace(blind_memory_s=10.0, vehicle_radius_m=HULL_RADIUS_M)
+        guard = guard_of(bounds=dataclasses.replace(BOUNDS, blind_speed_mps=0.3 if rng.random() < 0.5 else 1.0), sight=sight)
         now = rng.uniform(0.0, 1e5)
         usual = situation(now, free=space, position_m=place)
         last = guard.clear(None, usual)[0].setpoint

@@ -13,7 +13,12 @@ from uav_recon.safety.envelope import Envelope, Fence, Vec3
 from uav_recon.types.polygon import Polygon
 
 ELL = Polygon(((-2.0, -2.0), (4.0, -2.0), (4.0, 1.0), (1.0, 1.0), (1.0, 5.0), (-2.0, 5.0)))
-IN_ELL = Envelope(Fence(ELL, -0.2, 2.5, 0.3), 1.0, 2.0, 0.8)
+IN_ELL = Envelope(
+    fence=Fence(plan=ELL, floor_m=-0.2, ceiling_m=2.5, inset_m=0.3),
+    max_speed_mps=1.0,
+    max_acceleration_mps2=2.0,
+    max_yaw_rate_radps=0.8,
+)
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
@@ -180,7 +185,7 @@ def test_limits_that_are_none_are_refused(changes: dict[str, Any], words: str) -
 )
 def test_a_fence_without_height_is_refused(floor: float, ceiling: float, inset: float) -> None:
     with pytest.raises(ValueError, match="floor"):
-        Fence(ELL, floor, ceiling, inset)
-    assert Fence(ELL, 0.0, 0.61, 0.3).inset_m == 0.3
-    assert Fence(ELL, 0.0, 0.61, 0.0).inset_m == 0.0
-    assert Fence(ELL, 3.0, 3.61, 0.3).floor_m == 3.0
+        Fence(plan=ELL, floor_m=floor, ceiling_m=ceiling, inset_m=inset)
+    assert Fence(plan=ELL, floor_m=0.0, ceiling_m=0.61, inset_m=0.3).inset_m == 0.3
+    assert Fence(plan=ELL, floor_m=0.0, ceiling_m=0.61, inset_m=0.0).inset_m == 0.0
+    assert Fence(plan=ELL, floor_m=3.0, ceiling_m=3.61, inset_m=0.3).floor_m == 3.0

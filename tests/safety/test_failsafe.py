@@ -12,7 +12,16 @@ from uav_recon.safety.failsafe import Failsafe, FailsafeAction, FailsafeInputs, 
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode, Value
 
-PATIENCE = FailsafeTimeouts(0.2, 1.0, 0.5, 5.0, 20.0, 0.3, 3.0, 10.0)
+PATIENCE = FailsafeTimeouts(
+    pose_timeout_s=0.2,
+    pose_land_s=1.0,
+    intent_timeout_s=0.5,
+    retreat_timeout_s=5.0,
+    land_timeout_s=20.0,
+    depth_timeout_s=0.3,
+    depth_retreat_s=3.0,
+    depth_land_s=10.0,
+)
 
 
 def because(code: ReasonCode, *values: Value) -> Reason:

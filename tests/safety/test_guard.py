@@ -118,7 +118,7 @@ def test_each_fault_is_refused_by_name(bad: SetpointProposal, reason: ReasonCode
 @pytest.mark.parametrize(("speed_mps", "passes"), [(0.3, True), (0.31, False)])
 def test_with_a_degraded_pose_only_what_is_slow_passes(speed_mps: float, passes: bool) -> None:
     guard, now, place = moving(speed_mps)
-    guard.bounds = dataclasses.replace(guard.bounds, retreat_mps=0.3)
+    guard.bounds = dataclasses.replace(guard.bounds, retreat_speed_mps=0.3)
     wanted = proposal(place + along(speed_mps * DT), (speed_mps, 0.0, 0.0))
     assert (guard.clear(wanted, situation(now + DT, slow=True))[1] is None) is passes
 
@@ -143,9 +143,9 @@ def test_a_refusal_brakes_within_the_limit_from_where_it_was_told_to_be() -> Non
 
 def test_speed_towards_the_fence_must_leave_room_to_stop() -> None:
     """Tried at every millimetre about the last point from which 1 m/s can be stopped inside."""
-    stop_m = 1.0 / 4.0
+    stop_clearance_m = 1.0 / 4.0
     for millimetres in range(-10, 11):
-        start = 4.7 - stop_m + millimetres * 1e-3
+        start = 4.7 - stop_clearance_m + millimetres * 1e-3
         guard, now, place = moving(1.0, start=(start - 1.0, 0.0, 1.0))
         while place[0] + DT < start:
             now, place = now + DT, place + along(DT)
@@ -319,8 +319,8 @@ def test_a_retreat_is_slow_and_still_sees() -> None:
 
 
 def test_where_the_camera_does_not_look_only_what_was_seen_lately_is_entered_and_slowly() -> None:
-    sight = RecentlySeenSpace(10.0, HULL_RADIUS_M)
-    guard = guard_of(bounds=dataclasses.replace(BOUNDS, blind_mps=0.3), sight=sight)
+    sight = RecentlySeenSpace(blind_memory_s=10.0, vehicle_radius_m=HULL_RADIUS_M)
+    guard = guard_of(bounds=dataclasses.replace(BOUNDS, blind_speed_mps=0.3), sight=sight)
     start = (1.0, 0.0, 1.0)
     guard.clear(None, situation(0.0, position_m=start))
     back = proposal((0.99, 0, 1.0), (-0.1, 0, 0))
@@ -343,15 +343,15 @@ def test_where_the_camera_does_not_look_only_what_was_seen_lately_is_entered_and
 
 
 def test_who_allows_the_full_speed_everywhere_does_not_ask_what_was_seen() -> None:
-    for blind_mps, cleared in ((1.0, True), (0.999, False)):
-        guard = guard_of(bounds=dataclasses.replace(BOUNDS, blind_mps=blind_mps))
+    for blind_speed_mps, cleared in ((1.0, True), (0.999, False)):
+        guard = guard_of(bounds=dataclasses.replace(BOUNDS, blind_speed_mps=blind_speed_mps))
         guard.clear(None, situation(0.0, position_m=(-0.6, 0.0, 1.0)))
         refusal = guard.clear(proposal((-0.61, 0, 1.0), (-0.1, 0, 0)), situation(0.05))[1]
         assert (refusal is None) is cleared
 
 
 def test_over_the_pad_the_declared_column_may_be_climbed_unseen() -> None:
-    guard = guard_of(bounds=dataclasses.replace(BOUNDS, blind_mps=0.3))
+    guard = guard_of(bounds=dataclasses.replace(BOUNDS, blind_speed_mps=0.3))
     guard.clear(None, situation(0.0))
     assert guard.clear(proposal((0, 0, 1.01), (0, 0, 0.4)), situation(0.2))[1] is None
 

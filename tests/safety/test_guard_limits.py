@@ -103,7 +103,7 @@ def test_the_limits_themselves_are_flown_and_no_more(changes: dict[str, float], 
 
 @pytest.mark.parametrize(
     ("evading", "slow", "most"),
-    [(False, False, BOUNDS.retreat_mps), (True, False, BOUNDS.margins.slow_mps), (True, True, BOUNDS.margins.slow_mps)],
+    [(False, False, BOUNDS.retreat_speed_mps), (True, False, BOUNDS.margins.slow_mps), (True, True, BOUNDS.margins.slow_mps)],
 )
 def test_out_of_the_way_of_what_comes_on_is_flown_faster_than_back(evading: bool, slow: bool, most: float) -> None:
     for factor, may in ((1.0, True), (1.0 + NEAR, False)):
@@ -135,7 +135,7 @@ def test_how_old_a_word_may_be_and_of_which_map(changes: dict[str, Any], reason:
 
 def test_depth_may_be_as_old_as_agreed_and_a_little_ahead_of_the_clock() -> None:
     for age_s, may in ((0.25, True), (0.2501, False), (-0.09, True), (-0.11, False)):
-        guard = guard_of(bounds=dataclasses.replace(BOUNDS, depth_hold_s=0.25))
+        guard = guard_of(bounds=dataclasses.replace(BOUNDS, depth_timeout_s=0.25))
         guard.clear(None, situation(10.0, position_m=tuple(HERE.tolist())))
         ahead = ForwardDepth(frame(stamp_s=10.5 - age_s), HULL_RADIUS_M)
         assert (refusal(guard, proposal(HERE, (0.3, 0.0, 0.0)), 10.5, ahead=ahead) is None) is may, age_s
@@ -281,8 +281,8 @@ def test_where_the_camera_does_not_look_turns_with_the_nose_and_is_not_asked_of_
     """The nose to +y in odom: there it looks, along -x it does not."""
     nose: dict[str, Any] = {"body_from_odom": np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])}
 
-    def blind(velocity: tuple[float, float, float], blind_mps: float = 0.3, **changes: Any) -> Reason | None:
-        guard = guard_of(bounds=dataclasses.replace(BOUNDS, blind_mps=blind_mps))
+    def blind(velocity: tuple[float, float, float], blind_speed_mps: float = 0.3, **changes: Any) -> Reason | None:
+        guard = guard_of(bounds=dataclasses.replace(BOUNDS, blind_speed_mps=blind_speed_mps))
         guard.clear(None, situation(10.0, position_m=tuple(HERE.tolist())))
         return refusal(guard, proposal(HERE, velocity, **changes), 10.5, **nose)
 
@@ -295,7 +295,7 @@ def test_where_the_camera_does_not_look_turns_with_the_nose_and_is_not_asked_of_
     assert at_the_limit is not None
     assert at_the_limit.code is ReasonCode.NOT_SEEN_RECENTLY
     assert blind((-0.3 - NEAR, 0.0, 0.0)) == Reason(ReasonCode.SPEED_OUT_OF_VIEW, (0.3,))
-    assert blind((-0.5, 0.0, 0.0), blind_mps=1.5) is None, "more than the envelope's speed is not asked for either"
+    assert blind((-0.5, 0.0, 0.0), blind_speed_mps=1.5) is None, "more than the envelope's speed is not asked for either"
 
 
 def test_a_first_place_or_heading_that_is_no_number_is_the_pad_and_ahead() -> None:

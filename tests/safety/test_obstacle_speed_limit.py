@@ -13,7 +13,7 @@ from uav_recon.types.camera import body_from_camera
 from uav_recon.types.min_range_grid import MinRangeGrid
 
 AHEAD = np.array([1.0, 0.0, 0.0])
-MARGINS = Margins(0.1, 0.4)
+MARGINS = Margins(stop_clearance_m=0.1, fast_clearance_m=0.4)
 
 
 def seen(row: int, column: int, range_m: float) -> ForwardDepth:
@@ -105,5 +105,7 @@ def test_what_is_just_beside_is_not_ahead() -> None:
 def test_a_weaker_brake_allows_less(braking: float) -> None:
     assert fastest_mps(0.9, braking, MARGINS, 0.0) == pytest.approx(math.sqrt(0.25 + 2.0 * braking * 0.5))
     assert fastest_mps(0.12, braking, MARGINS, 0.0) == pytest.approx(math.sqrt(2.0 * braking * 0.02))
-    assert fastest_mps(0.9, braking, Margins(0.1, 0.4, 0.7), 0.0) == pytest.approx(math.sqrt(0.49 + 2.0 * braking * 0.5))
+    assert fastest_mps(0.9, braking, Margins(stop_clearance_m=0.1, fast_clearance_m=0.4, slow_mps=0.7), 0.0) == pytest.approx(
+        math.sqrt(0.49 + 2.0 * braking * 0.5)
+    )
     assert fastest_mps(0.4, braking, MARGINS, 0.0) == pytest.approx(min(math.sqrt(2.0 * braking * 0.3), 0.5))

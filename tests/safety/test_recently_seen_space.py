@@ -16,7 +16,7 @@ HERE = Pose.from_yaw(0.0, np.array([1.0, 0.0, 1.0]))  # the imager at x = 1.1
 
 
 def looked(range_m: float = 3.0, stamp_s: float = 5.0) -> RecentlySeenSpace:
-    sight = RecentlySeenSpace(10.0, HULL_RADIUS_M)
+    sight = RecentlySeenSpace(blind_memory_s=10.0, vehicle_radius_m=HULL_RADIUS_M)
     sight.add(frame(range_m, stamp_s), HERE)
     return sight
 
@@ -73,7 +73,7 @@ def test_no_return_is_not_free() -> None:
 def test_each_cell_speaks_for_itself_and_each_view_counts() -> None:
     ranges = np.full((12, 16), 3.0, dtype=np.float32)
     ranges[:, 8:] = 0.5  # a post to the right
-    sight = RecentlySeenSpace(10.0, HULL_RADIUS_M)
+    sight = RecentlySeenSpace(blind_memory_s=10.0, vehicle_radius_m=HULL_RADIUS_M)
     sight.add(MinRangeGrid(5.0, MOUNT, ranges, (0.95, 0.55), 0.9), HERE)
     assert sight.saw_free((2.0, 0.2, 1.0), 6.0)
     assert not sight.saw_free((2.0, -0.2, 1.0), 6.0)
@@ -117,7 +117,7 @@ def test_each_cell_of_each_view_is_judged_by_its_own_return() -> None:
         ray = np.array([1.0, -right, -down]) / math.sqrt(1.0 + right**2 + down**2)
         for yaw_rad, body_m in ((0.0, np.array([1.0, 0.0, 1.0])), (2.0, np.array([-2.0, 3.0, 0.5]))):
             there = Pose.from_yaw(yaw_rad, body_m)
-            sight = RecentlySeenSpace(10.0, HULL_RADIUS_M)
+            sight = RecentlySeenSpace(blind_memory_s=10.0, vehicle_radius_m=HULL_RADIUS_M)
             sight.add(MinRangeGrid(5.0, MOUNT, ranges, (0.95, 0.55), 0.9), there)
             for beyond_m, free in ((-0.01, True), (0.01, False)):
                 place = there.apply(np.array([0.1, 0.0, 0.0]) + ray * (ranges[row, column] - 0.05 + beyond_m))

@@ -23,7 +23,7 @@ if TYPE_CHECKING:  # each process imports only the stages that it runs
     from uav_recon.autopilot.mavlink.tlog import FrameLog
     from uav_recon.autopilot.parameters.preflight_check import ParameterCheck
     from uav_recon.autopilot.parameters.reader import ParameterEncoding
-    from uav_recon.autopilot.pilot.pilot import Pilot
+    from uav_recon.autopilot.pilot.pilot import HullGeometry, Pilot
     from uav_recon.localization.perception import Perception
     from uav_recon.mapping.keyframe_selection import KeyframeSelection
     from uav_recon.mapping.neural.neural_mapper import NeuralMapper
@@ -36,6 +36,9 @@ if TYPE_CHECKING:  # each process imports only the stages that it runs
     from uav_recon.recording.rerun_recorder import Recorder
     from uav_recon.recording.timelapse import Timelapse
     from uav_recon.safety.envelope import Envelope
+    from uav_recon.safety.failsafe import FailsafeTimeouts
+    from uav_recon.safety.guard import GuardBounds
+    from uav_recon.safety.recently_seen_space import RecentlySeenSpace
 
 CAMERA_WAIT_S = 240.0
 NARROW_M = 0.15  # clearance of the hull on paths to where planner.clearance_m leads no more
@@ -77,36 +80,75 @@ def make_pilot(
 
     gate: the one that its link already uses, if there is one.
     """
-    from uav_recon.autopilot.pilot.pilot import HullGeometry, PilotChannels
+    from uav_recon.autopilot.pilot.pilot import PilotChannels
     from uav_recon.autopilot.pilot.pilot import make_pilot as wire_pilot
     from uav_recon.autopilot.pilot.preflight import Origin
-    from uav_recon.safety.failsafe import FailsafeTimeouts
-    from uav_recon.safety.guard import Guard, GuardBounds
-    from uav_recon.safety.obstacle_speed_limit import Margins
-    from uav_recon.safety.recently_seen_space import RecentlySeenSpace
+    from uav_recon.safety.guard import Guard
 
-    safety = config.safety
-    patience = FailsafeTimeouts(
-        safety.pose_timeout_s, safety.pose_land_s, safety.intent_timeout_s, safety.retreat_timeout_s, safety.land_timeout_s,
-        safety.depth_timeout_s, safety.depth_retreat_s, safety.depth_land_s,
-    )  # fmt: skip
-    margins = Margins(safety.stop_clearance_m, safety.fast_clearance_m)
-    bounds = GuardBounds(
-        safety.pose_timeout_s, safety.intent_timeout_s, safety.silence_way_m, safety.depth_timeout_s, safety.blind_speed_mps,
-        safety.retreat_speed_mps, margins,
-    )  # fmt: skip
-    sight = RecentlySeenSpace(safety.blind_memory_s, safety.vehicle_radius_m)
-    guard = Guard(_envelope(config), bounds, sight)
+    sight = recently_seen_space(config)
+    guard = Guard(envelope(config), guard_bounds(config), sight)
     channels = PilotChannels(wires.odom, wires.intent, wires.vehicle, wires.free, wires.nearby)
     origin = Origin(config.link.origin_lat_deg, config.link.origin_lon_deg, config.link.origin_alt_m)
-    gimbal = config.camera.mount == "gimbal"
-    airframe = HullGeometry(safety.vehicle_radius_m, safety.vehicle_height_m, config.mission.takeoff_height_m, gimbal)
     (personality, _), rate_hz = firmware(config.link.autopilot), config.link.setpoint_rate_hz
     parameters = make_parameter_check(config)
     return wire_pilot(
-        link, personality, guard, sight, patience, channels, clock, origin, airframe, rate_hz, log, parameters,
-        gate or make_allow_list_filter(config.link, clock),
+        link, personality, guard, sight, failsafe_timeouts(config), channels, clock, origin, hull_geometry(config), rate_hz,
+        log, parameters, gate or make_allow_list_filter(config.link, clock),
     )  # fmt: skip
+
+
+def failsafe_timeouts(config: Config) -> FailsafeTimeouts:
+    """Return the timeouts of the failsafe, each under its key in [safety]."""
+    from uav_recon.safety.failsafe import FailsafeTimeouts
+
+    safety = config.safety
+    return FailsafeTimeouts(
+        pose_timeout_s=safety.pose_timeout_s,
+        pose_land_s=safety.pose_land_s,
+        intent_timeout_s=safety.intent_timeout_s,
+        retreat_timeout_s=safety.retreat_timeout_s,
+        land_timeout_s=safety.land_timeout_s,
+        depth_timeout_s=safety.depth_timeout_s,
+        depth_retreat_s=safety.depth_retreat_s,
+        depth_land_s=safety.depth_land_s,
+    )
+
+
+def guard_bounds(config: Config) -> GuardBounds:
+    """Return the guard's limits on ages, speeds and clearances, each under its key in [safety]."""
+    from uav_recon.safety.guard import GuardBounds
+    from uav_recon.safety.obstacle_speed_limit import Margins
+
+    safety = config.safety
+    return GuardBounds(
+        pose_timeout_s=safety.pose_timeout_s,
+        intent_timeout_s=safety.intent_timeout_s,
+        silence_way_m=safety.silence_way_m,
+        depth_timeout_s=safety.depth_timeout_s,
+        blind_speed_mps=safety.blind_speed_mps,
+        retreat_speed_mps=safety.retreat_speed_mps,
+        margins=Margins(stop_clearance_m=safety.stop_clearance_m, fast_clearance_m=safety.fast_clearance_m),
+    )
+
+
+def recently_seen_space(config: Config) -> RecentlySeenSpace:
+    """Return an empty memory of the space that the camera saw."""
+    from uav_recon.safety.recently_seen_space import RecentlySeenSpace
+
+    safety = config.safety
+    return RecentlySeenSpace(blind_memory_s=safety.blind_memory_s, vehicle_radius_m=safety.vehicle_radius_m)
+
+
+def hull_geometry(config: Config) -> HullGeometry:
+    """Return the hull and the hover height of the pilot."""
+    from uav_recon.autopilot.pilot.pilot import HullGeometry
+
+    return HullGeometry(
+        vehicle_radius_m=config.safety.vehicle_radius_m,
+        vehicle_height_m=config.safety.vehicle_height_m,
+        hover_height_m=config.mission.takeoff_height_m,
+        gimbal=config.camera.mount == "gimbal",
+    )
 
 
 def firmware(name: str) -> tuple[FirmwareProfile, ParameterEncoding]:
@@ -133,7 +175,7 @@ def make_parameter_check(config: Config) -> ParameterCheck:
     return ParameterCheck(wanted, firmware(config.link.autopilot)[1])
 
 
-def _envelope(config: Config) -> Envelope:
+def envelope(config: Config) -> Envelope:
     """Return the guard's fence and limits.
 
     Raises UserError if the fence does not contain the take-off column.
@@ -141,9 +183,16 @@ def _envelope(config: Config) -> Envelope:
     from uav_recon.safety.envelope import Envelope, Fence
 
     safety = config.safety
-    fence = Fence(safety.fence_plan(), safety.fence_min_m[2], safety.fence_max_m[2], safety.fence_inset_m)
+    fence = Fence(
+        plan=safety.fence_plan(), floor_m=safety.fence_min_m[2], ceiling_m=safety.fence_max_m[2], inset_m=safety.fence_inset_m
+    )
     try:
-        return Envelope(fence, safety.max_speed_mps, safety.max_acceleration_mps2, math.radians(safety.max_yaw_rate_degps))
+        return Envelope(
+            fence=fence,
+            max_speed_mps=safety.max_speed_mps,
+            max_acceleration_mps2=safety.max_acceleration_mps2,
+            max_yaw_rate_radps=math.radians(safety.max_yaw_rate_degps),
+        )
     except ValueError as error:
         raise UserError(f"safety: {error}", EXIT_CONFIG) from None
 
@@ -243,7 +292,7 @@ def travel_time_model(config: Config) -> TravelTimeModel:
 
     gaze, pace = yaw_policy_of(config), (config.motion.speed_mps, math.radians(config.motion.yaw_rate_degps))
     if isinstance(gaze, YawAlongPath):
-        return YawThenFly(*pace, gaze.blind_mps, gaze.off_rad, gaze.upright)
+        return YawThenFly(*pace, gaze.blind_speed_mps, gaze.off_rad, gaze.upright)
     return YawWhileFlying(*pace)
 
 

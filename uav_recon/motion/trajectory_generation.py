@@ -168,7 +168,7 @@ class Pacer:
             if excess > 1.02:
                 share *= 0.98 / excess
             if hasty.any():
-                max_speed_mps[hasty] = np.minimum(max_speed_mps[hasty], self.gaze.blind_mps)
+                max_speed_mps[hasty] = np.minimum(max_speed_mps[hasty], self.gaze.blind_speed_mps)
                 self._cap(curve, band, entry, space, max_speed_mps, cap)
         return flight
 

@@ -30,11 +30,11 @@ USUAL_SHARE = 0.6  # mean speed on a path as a share of the greatest
 class YawPolicy(Protocol):
     """Rule for the heading along a leg, and the resulting speed limits.
 
-    The limit is blind_mps where the camera does not look.
+    The limit is blind_speed_mps where the camera does not look.
     """
 
     @property
-    def blind_mps(self) -> float:
+    def blind_speed_mps(self) -> float:
         """Speed limit where the camera does not look."""
         ...
 
@@ -74,7 +74,7 @@ class YawAtViews:
     Other limits ensure that there is room.
     """
 
-    blind_mps = math.inf
+    blind_speed_mps = math.inf
 
     def along(self, way: FloatArray, begin: FloatArray, goal: FloatArray) -> FloatArray:
         """Change each angle in proportion to the length."""
@@ -101,12 +101,12 @@ AT_VIEWS = YawAtViews()
 class YawAlongPath:
     """Nose first on long paths, so that the camera looks ahead; slow where it does not.
 
-    half_tan: tangents of half the camera's angles, horizontal and vertical. blind_mps: greatest speed elsewhere. speed_mps and
-    rate_radps: limits of flying and of turning, to compare durations.
+    half_tan: tangents of half the camera's angles, horizontal and vertical. blind_speed_mps: greatest speed elsewhere.
+    speed_mps and rate_radps: limits of flying and of turning, to compare durations.
     """
 
     half_tan: tuple[float, float]
-    blind_mps: float
+    blind_speed_mps: float
     speed_mps: float
     rate_radps: float
 
@@ -127,8 +127,8 @@ class YawAlongPath:
         return ahead if ahead_s < PREFERRED * evenly_s else evenly
 
     def max_speed_mps(self, slope: FloatArray, place: FloatArray) -> FloatArray:
-        """Return blind_mps where the camera does not look, otherwise infinity."""
-        return np.where(self.sees(slope[:, :3], place[:, 3], place[:, 4]), np.inf, self.blind_mps)
+        """Return blind_speed_mps where the camera does not look, otherwise infinity."""
+        return np.where(self.sees(slope[:, :3], place[:, 3], place[:, 4]), np.inf, self.blind_speed_mps)
 
     def max_acceleration_mps2(self, slope: FloatArray, place: FloatArray) -> FloatArray:
         """Return the acceleration that moves a seen path to the edge of the image.
@@ -144,7 +144,7 @@ class YawAlongPath:
         """Check against nearly the whole image, and with a small margin of speed."""
         rate, place = (rows[2:, :3] - rows[:-2, :3]) / (2 * STEP_S), rows[1:-1]
         change = (rows[2:, :3] - 2 * rows[1:-1, :3] + rows[:-2, :3]) / STEP_S**2
-        fast: BoolArray = np.linalg.norm(rate, axis=1) > (1.0 + SLACK) * self.blind_mps
+        fast: BoolArray = np.linalg.norm(rate, axis=1) > (1.0 + SLACK) * self.blind_speed_mps
         fast[fast] = ~self.sees(leaning(rate[fast], change[fast]), place[fast, 3], place[fast, 4], 1.0 - SLACK)
         return fast
 

@@ -15,7 +15,7 @@ Vec3 = tuple[float, float, float]
 _ROUNDING_M = 1e-9
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Fence:
     """A floor plan between a floor and a ceiling (odom, m), with an inset for the body's centre.
 
@@ -37,7 +37,7 @@ class Fence:
         return self.plan.holds(position_m[:2]) and self.floor_m <= position_m[2] <= self.ceiling_m
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Envelope:
     """The fence and the limits of commanded motion (SI, radians).
 
@@ -82,15 +82,15 @@ class Envelope:
             and self._in_plan((x, y), (x, y))
         )
 
-    def admits(self, position_m: Vec3, stop_m: Vec3) -> bool:
+    def admits(self, position_m: Vec3, stop_clearance_m: Vec3) -> bool:
         """Return True if the straight path from a position to its stopping point stays inside.
 
         False for NaN. Heights and column are convex: if both ends are in the same one, so are all points between. The plan's
         sides are checked against the path.
         """
-        in_band = self.in_band(position_m) and self.in_band(stop_m)
-        in_column = self.in_column(position_m) and self.in_column(stop_m)
-        return in_column or (in_band and self._in_plan(position_m[:2], stop_m[:2]))
+        in_band = self.in_band(position_m) and self.in_band(stop_clearance_m)
+        in_column = self.in_column(position_m) and self.in_column(stop_clearance_m)
+        return in_column or (in_band and self._in_plan(position_m[:2], stop_clearance_m[:2]))
 
     def nearest_inside(self, position_m: Vec3) -> Vec3:
         """Return the position if it is inside, otherwise a near one that is.

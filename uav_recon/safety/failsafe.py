@@ -30,16 +30,16 @@ class FailsafeAction(IntEnum):
     LAND = 3
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class FailsafeTimeouts:
     """Silence (s) of pose, mission and depth that is allowed before each action."""
 
-    pose_hold_s: float
+    pose_timeout_s: float
     pose_land_s: float
-    intent_hold_s: float
-    intent_retreat_s: float
-    intent_land_s: float
-    depth_hold_s: float
+    intent_timeout_s: float
+    retreat_timeout_s: float
+    land_timeout_s: float
+    depth_timeout_s: float
     depth_retreat_s: float
     depth_land_s: float
 
@@ -81,12 +81,12 @@ class Failsafe:
         """Return the action, and the reason why it is not FLY.
 
         It becomes more severe at once. It returns from HOLD at once, from RETREAT after _HEALTH_S (at once if just begun), from
-        LAND never. If the inputs require more than FLY for longer than ``intent_land_s``, for any reason, it becomes LAND.
+        LAND never. If the inputs require more than FLY for longer than ``land_timeout_s``, for any reason, it becomes LAND.
         """
         rung, why = self._wanted(health)
         self._kept_since_s = math.inf if rung is FailsafeAction.FLY else min(self._kept_since_s, health.now_s)
-        if health.now_s - self._kept_since_s > self._patience.intent_land_s:
-            held = Reason(ReasonCode.HELD_TOO_LONG, (self._patience.intent_land_s,))
+        if health.now_s - self._kept_since_s > self._patience.land_timeout_s:
+            held = Reason(ReasonCode.HELD_TOO_LONG, (self._patience.land_timeout_s,))
             rung, why = FailsafeAction.LAND, held if why is None else why.with_detail(held)
         self._healthy_since_s = min(self._healthy_since_s, health.now_s) if rung is FailsafeAction.FLY else math.inf
         wait_s = _HEALTH_S if health.now_s - self._retreat_s > _RETREAT_BEGUN_S else 0.0
@@ -100,10 +100,10 @@ class Failsafe:
     def _wanted(self, health: FailsafeInputs) -> tuple[FailsafeAction, Reason | None]:
         p, over, refused = self._patience, self._outside_too_long(health) or health.wrong, self._refused_too_often(health)
         silences = (
-            (ReasonCode.NO_POSE, health.pose_age_s, (p.pose_hold_s, math.inf, p.pose_land_s)),
-            (ReasonCode.MISSION_SILENT, health.intent_age_s, (p.intent_hold_s, p.intent_retreat_s, p.intent_land_s)),
-            (ReasonCode.NO_DEPTH, health.depth_age_s, (p.depth_hold_s, p.depth_retreat_s, p.depth_land_s)),
-            (ReasonCode.REFUSED_TOO_LONG, health.refused_s, (math.inf, math.inf, p.intent_land_s)),
+            (ReasonCode.NO_POSE, health.pose_age_s, (p.pose_timeout_s, math.inf, p.pose_land_s)),
+            (ReasonCode.MISSION_SILENT, health.intent_age_s, (p.intent_timeout_s, p.retreat_timeout_s, p.land_timeout_s)),
+            (ReasonCode.NO_DEPTH, health.depth_age_s, (p.depth_timeout_s, p.depth_retreat_s, p.depth_land_s)),
+            (ReasonCode.REFUSED_TOO_LONG, health.refused_s, (math.inf, math.inf, p.land_timeout_s)),
         )
         rungs = [_action_of(age_s, limits_s) for _, age_s, limits_s in silences]
         if (rung := max(rungs)) < FailsafeAction.LAND and over:

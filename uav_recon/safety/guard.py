@@ -80,21 +80,22 @@ class GuardInputs:
     slow: bool = False  # the pose is degraded, or the link is slow
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class GuardBounds:
     """Limits on the age of inputs, and on the speed without sight (SI).
 
-    silence_way_m: longest path since the mission's last message, including the braking from here. depth_hold_s: oldest depth in
-    motion. blind_mps: fastest motion where the camera does not look, and then only through what it saw lately; if it equals the
-    envelope's speed, neither is required. retreat_mps: fastest motion on the retreat and with a degraded pose.
+    silence_way_m: longest path since the mission's last message, including the braking from here. depth_timeout_s: oldest
+    depth in motion. blind_speed_mps: fastest motion where the camera does not look, and then only through what it saw lately;
+    if it equals the envelope's speed, neither is required. retreat_speed_mps: fastest motion on the retreat and with a
+    degraded pose.
     """
 
-    pose_hold_s: float
-    intent_hold_s: float
+    pose_timeout_s: float
+    intent_timeout_s: float
     silence_way_m: float
-    depth_hold_s: float
-    blind_mps: float
-    retreat_mps: float
+    depth_timeout_s: float
+    blind_speed_mps: float
+    retreat_speed_mps: float
     margins: Margins
 
 
@@ -148,13 +149,13 @@ class Guard:
             return Reason(ReasonCode.NO_SETPOINT_YET)
         if situation.now_s < self._rest_until_s:
             return Reason(ReasonCode.POSE_RESET)
-        if not -_FUTURE_S <= situation.pose_age_s <= bounds.pose_hold_s:
+        if not -_FUTURE_S <= situation.pose_age_s <= bounds.pose_timeout_s:
             return Reason(ReasonCode.POSE_STALE)
         if proposal.map_epoch != situation.map_epoch:
             return Reason(ReasonCode.TRAJECTORY_MAP_EPOCH, (proposal.map_epoch, situation.map_epoch))
         motion = _motion_of(wanted, situation.now_s)
         speed_mps, push_mps2 = math.hypot(*motion.velocity_mps), math.hypot(*_floats(wanted.acceleration_mps2))
-        max_speed_mps = bounds.retreat_mps if proposal.retreating or situation.slow else envelope.max_speed_mps
+        max_speed_mps = bounds.retreat_speed_mps if proposal.retreating or situation.slow else envelope.max_speed_mps
         if not speed_mps <= (bounds.margins.slow_mps if proposal.evading else max_speed_mps) + 1e-6:
             return Reason(ReasonCode.SPEED_LIMIT, (speed_mps,))
         if not proposal.retreating and self._silent(speed_mps, situation.intent_age_s):
@@ -163,12 +164,12 @@ class Guard:
             return Reason(ReasonCode.ACCELERATION_LIMIT, (push_mps2,))
         if not abs(wanted.yaw_rate_radps) <= envelope.max_yaw_rate_radps + 1e-6:
             return Reason(ReasonCode.YAW_RATE_LIMIT, (wanted.yaw_rate_radps,))
-        stop_m = envelope.stopping_point(motion.position_m, motion.velocity_mps)
-        if not envelope.admits(motion.position_m, stop_m):
+        stop_clearance_m = envelope.stopping_point(motion.position_m, motion.velocity_mps)
+        if not envelope.admits(motion.position_m, stop_clearance_m):
             return Reason(ReasonCode.OUTSIDE_FENCE, motion.position_m)
         return (
             self._steps.after(self._last, motion, envelope)[1]
-            or self._space_fault(self._last, motion, stop_m, situation)
+            or self._space_fault(self._last, motion, stop_clearance_m, situation)
             or self._depth_fault(motion, speed_mps, proposal.retreating, situation)
         )
 
@@ -178,18 +179,20 @@ class Guard:
         The path flown since the last message, and the braking, must stay within silence_way_m: the faster, the sooner.
         """
         braking_m = speed_mps**2 / (2.0 * self.envelope.max_acceleration_mps2)
-        heard = -_FUTURE_S <= intent_age_s <= self.bounds.intent_hold_s
+        heard = -_FUTURE_S <= intent_age_s <= self.bounds.intent_timeout_s
         return not (heard and speed_mps * intent_age_s + braking_m <= max(self.bounds.silence_way_m, braking_m))
 
-    def _space_fault(self, last: ClearedMotion, motion: ClearedMotion, stop_m: Vec3, situation: GuardInputs) -> Reason | None:
+    def _space_fault(
+        self, last: ClearedMotion, motion: ClearedMotion, stop_clearance_m: Vec3, situation: GuardInputs
+    ) -> Reason | None:
         """Check the path here and the path to rest, for the whole hull. Unknown space is rejected."""
-        if motion.position_m == last.position_m == stop_m:
+        if motion.position_m == last.position_m == stop_clearance_m:
             return None  # a hold: there is no path to check
         if situation.free is None:
             return Reason(ReasonCode.NO_FREE_SPACE)
         if situation.free.map_epoch != situation.map_epoch:
             return Reason(ReasonCode.FREE_SPACE_MAP_EPOCH, (situation.free.map_epoch, situation.map_epoch))
-        if not situation.free.admits(last.position_m, motion.position_m, stop_m):
+        if not situation.free.admits(last.position_m, motion.position_m, stop_clearance_m):
             return Reason(ReasonCode.NOT_KNOWN_FREE, motion.position_m)
         return None
 
@@ -198,18 +201,18 @@ class Guard:
         ahead, bounds = situation.ahead, self.bounds
         if speed_mps <= _STILL_MPS or (retreating and ahead is None):
             return None
-        if ahead is None or not (retreating or -_FUTURE_S <= situation.now_s - ahead.stamp_s <= bounds.depth_hold_s):
+        if ahead is None or not (retreating or -_FUTURE_S <= situation.now_s - ahead.stamp_s <= bounds.depth_timeout_s):
             return Reason(ReasonCode.DEPTH_STALE)
         direction = np.array(motion.velocity_mps) / speed_mps
         direction_body = situation.body_from_odom @ direction
-        since_s = min(max(0.0, situation.now_s - ahead.stamp_s), bounds.depth_hold_s)  # a retreat uses an older one too
+        since_s = min(max(0.0, situation.now_s - ahead.stamp_s), bounds.depth_timeout_s)  # a retreat uses an older one too
         room_m = ahead.room_m(direction_body) - speed_mps * since_s
         if not speed_mps <= fastest_mps(room_m, self.envelope.max_acceleration_mps2, bounds.margins, speed_mps):
             return Reason(ReasonCode.OBSTACLE_NEAR, (room_m, speed_mps))
-        asked = not retreating and bounds.blind_mps < self.envelope.max_speed_mps
+        asked = not retreating and bounds.blind_speed_mps < self.envelope.max_speed_mps
         if not asked or ahead.sees(direction_body) or self.envelope.in_column(motion.position_m):
             return None
-        if not speed_mps <= bounds.blind_mps + 1e-6:
+        if not speed_mps <= bounds.blind_speed_mps + 1e-6:
             return Reason(ReasonCode.SPEED_OUT_OF_VIEW, (speed_mps,))
         x, y, z = (np.array(motion.position_m) + direction * self._sight.reach_m).tolist()
         seen = self._sight.saw_free((x, y, z), situation.now_s)

@@ -17,15 +17,16 @@ _BESIDE_M = 0.05  # a return this far beside the hull's path still counts
 _MIN_SHARE = 0.2  # min. share of pixels: a frame with fewer returns is invalid (dark, covered or too near)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Margins:
     """Free distances (m) in front of the hull.
 
-    stop_m: when it stops. fast_m: before it passes at more than ``slow_mps``. reaction_s: reaction time (s).
+    stop_clearance_m: when it stops. fast_clearance_m: before it passes at more than ``slow_mps``.
+    reaction_s: reaction time (s).
     """
 
-    stop_m: float
-    fast_m: float
+    stop_clearance_m: float
+    fast_clearance_m: float
     slow_mps: float = 0.5
     reaction_s: float = 0.25
 
@@ -64,10 +65,10 @@ class ForwardDepth:
 def fastest_mps(room_m: float, braking_mps2: float, margins: Margins, speed_mps: float) -> float:
     """Return the greatest speed at which the free path is enough to react and to brake.
 
-    room_m: in front of the hull. Below slow_mps the hull stops stop_m before the obstacle; above it, it is back to slow_mps
-    fast_m before it: v² = v_end² + 2 a (room - reaction - margin), HAZARDS 2.
+    room_m: in front of the hull. Below slow_mps the hull stops stop_clearance_m before the obstacle; above it, it is back to
+    slow_mps fast_clearance_m before it: v² = v_end² + 2 a (room - reaction - margin), HAZARDS 2.
     """
     left_m = room_m - speed_mps * margins.reaction_s
-    if left_m > margins.fast_m:
-        return math.sqrt(margins.slow_mps**2 + 2.0 * braking_mps2 * (left_m - margins.fast_m))
-    return min(math.sqrt(2.0 * braking_mps2 * max(left_m - margins.stop_m, 0.0)), margins.slow_mps)
+    if left_m > margins.fast_clearance_m:
+        return math.sqrt(margins.slow_mps**2 + 2.0 * braking_mps2 * (left_m - margins.fast_clearance_m))
+    return min(math.sqrt(2.0 * braking_mps2 * max(left_m - margins.stop_clearance_m, 0.0)), margins.slow_mps)

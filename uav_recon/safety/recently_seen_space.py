@@ -21,10 +21,10 @@ _BEFORE_M = 0.05  # free space ends this far before a return
 class RecentlySeenSpace:
     """The last views, each with its cells' nearest returns, and the past positions of the hull."""
 
-    def __init__(self, memory_s: float, hull_radius_m: float) -> None:
-        self._memory_s = memory_s
-        self._radius_m = hull_radius_m
-        self.reach_m = hull_radius_m + _BEFORE_M  # from the body's centre to what the hull reaches next
+    def __init__(self, *, blind_memory_s: float, vehicle_radius_m: float) -> None:
+        self._memory_s = blind_memory_s
+        self._radius_m = vehicle_radius_m
+        self.reach_m = vehicle_radius_m + _BEFORE_M  # from the body's centre to what the hull reaches next
         self._count = 0
         self._stamp_s = np.full(_VIEWS, -math.inf)
         self._depth_from_odom = np.zeros((_VIEWS, 3, 3))

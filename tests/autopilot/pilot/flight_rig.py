@@ -47,10 +47,32 @@ copyreg.pickle(struct.Struct, lambda layout: (struct.Struct, (layout.format,))) 
 TICK_S = 0.01
 POSES_DISAGREE = Reason(ReasonCode.POSES_DISAGREE, (0.3,))
 TAKEOFF_LAG_S = 4.0  # PX4 spools up for 1 s and then ramps its take-off speed for 3 s: it arrives behind its setpoint
-ENVELOPE = Envelope(Fence(Polygon.box((-3.0, -3.0), (5.0, 3.0)), -0.2, 2.5, 0.3), 1.0, 2.0, 0.8)
-PATIENCE = FailsafeTimeouts(0.2, 1.0, 0.5, 5.0, 20.0, 0.3, 3.0, 10.0)
-BOUNDS = GuardBounds(0.2, 0.5, 0.45, 0.3, 0.3, 0.3, Margins(0.1, 0.4))
-AIRFRAME = HullGeometry(hull_radius_m=0.2, hull_height_m=0.2, hover_height_m=1.1)
+ENVELOPE = Envelope(
+    fence=Fence(plan=Polygon.box((-3.0, -3.0), (5.0, 3.0)), floor_m=-0.2, ceiling_m=2.5, inset_m=0.3),
+    max_speed_mps=1.0,
+    max_acceleration_mps2=2.0,
+    max_yaw_rate_radps=0.8,
+)
+PATIENCE = FailsafeTimeouts(
+    pose_timeout_s=0.2,
+    pose_land_s=1.0,
+    intent_timeout_s=0.5,
+    retreat_timeout_s=5.0,
+    land_timeout_s=20.0,
+    depth_timeout_s=0.3,
+    depth_retreat_s=3.0,
+    depth_land_s=10.0,
+)
+BOUNDS = GuardBounds(
+    pose_timeout_s=0.2,
+    intent_timeout_s=0.5,
+    silence_way_m=0.45,
+    depth_timeout_s=0.3,
+    blind_speed_mps=0.3,
+    retreat_speed_mps=0.3,
+    margins=Margins(stop_clearance_m=0.1, fast_clearance_m=0.4),
+)
+AIRFRAME = HullGeometry(vehicle_radius_m=0.2, vehicle_height_m=0.2, hover_height_m=1.1)
 GRID = GridSpec(np.array([-4.0, -4.0, -1.0]), 0.1, (100, 80, 40))
 BODY_FROM_DEPTH = body_from_camera(np.array([0.1, 0.0, 0.0]), 0.26)
 ORIGIN = Origin(47.3977, 8.5456, 488.0)
@@ -140,7 +162,7 @@ class Rig:
 
     def new_pilot(self, log: FrameLog | None = None) -> Pilot:
         """As a process that starts now."""
-        sight = RecentlySeenSpace(10.0, AIRFRAME.hull_radius_m)
+        sight = RecentlySeenSpace(blind_memory_s=10.0, vehicle_radius_m=AIRFRAME.vehicle_radius_m)
         self.guard = Guard(ENVELOPE, BOUNDS, sight)
         return make_pilot(
             self.tap, self.firmware, self.guard, sight, PATIENCE, self.channels, self.clock, ORIGIN, AIRFRAME, log=log,

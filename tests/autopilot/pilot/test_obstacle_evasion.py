@@ -42,9 +42,26 @@ def _seen(stamp_s: float, away_m: float, cells: int = MANY) -> SuddenObstacle:
 
 @pytest.fixture
 def evasion() -> ObstacleEvasion:
-    envelope = Envelope(Fence(Polygon.box((-3.0, -3.0), (3.0, 3.0)), -0.2, 2.5, 0.3), 1.0, 2.0, 0.8)
+    envelope = Envelope(
+        fence=Fence(plan=Polygon.box((-3.0, -3.0), (3.0, 3.0)), floor_m=-0.2, ceiling_m=2.5, inset_m=0.3),
+        max_speed_mps=1.0,
+        max_acceleration_mps2=2.0,
+        max_yaw_rate_radps=0.8,
+    )
     return ObstacleEvasion(
-        Guard(envelope, GuardBounds(0.2, 0.5, 0.45, 0.3, 0.3, 0.3, Margins(0.1, 0.4)), RecentlySeenSpace(10.0, 0.2))
+        Guard(
+            envelope,
+            GuardBounds(
+                pose_timeout_s=0.2,
+                intent_timeout_s=0.5,
+                silence_way_m=0.45,
+                depth_timeout_s=0.3,
+                blind_speed_mps=0.3,
+                retreat_speed_mps=0.3,
+                margins=Margins(stop_clearance_m=0.1, fast_clearance_m=0.4),
+            ),
+            RecentlySeenSpace(blind_memory_s=10.0, vehicle_radius_m=0.2),
+        )
     )
 
 

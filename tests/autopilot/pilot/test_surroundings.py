@@ -22,7 +22,7 @@ def _nearby(stamp_s: float, range_m: float, believed: bool = True) -> MinRangeGr
 
 
 def test_a_picture_that_is_not_believed_is_none_but_for_what_is_near_in_it() -> None:
-    channel, sight = MemoryChannel(MinRangeGrid), RecentlySeenSpace(10.0, 0.2)
+    channel, sight = MemoryChannel(MinRangeGrid), RecentlySeenSpace(blind_memory_s=10.0, vehicle_radius_m=0.2)
     lookout = Surroundings(MemoryChannel(FreeSpace), channel, sight, 0.2, 0.2)
 
     def pose(stamp_s: float) -> StampedPose:
@@ -44,7 +44,7 @@ def test_a_picture_that_is_not_believed_is_none_but_for_what_is_near_in_it() -> 
 
 
 def test_a_frame_that_comes_late_was_taken_where_the_vehicle_was_then() -> None:
-    channel, sight = MemoryChannel(MinRangeGrid), RecentlySeenSpace(10.0, 0.2)
+    channel, sight = MemoryChannel(MinRangeGrid), RecentlySeenSpace(blind_memory_s=10.0, vehicle_radius_m=0.2)
     lookout = Surroundings(MemoryChannel(FreeSpace), channel, sight, 0.2, 0.2)
     turned = Pose.from_yaw(math.pi / 2.0, np.zeros(3))
     lookout.step(StampedPose(5.0, Pose.identity(), np.zeros(3)), 5.0)
@@ -63,7 +63,9 @@ def test_a_frame_that_comes_late_was_taken_where_the_vehicle_was_then() -> None:
 )
 def test_a_free_space_that_makes_no_sense_leaves_the_one_before_it(origin_m: tuple[float, ...], resolution_m: float) -> None:
     channel = MemoryChannel(FreeSpace)
-    lookout = Surroundings(channel, MemoryChannel(MinRangeGrid), RecentlySeenSpace(10.0, 0.2), 0.2, 0.2)
+    lookout = Surroundings(
+        channel, MemoryChannel(MinRangeGrid), RecentlySeenSpace(blind_memory_s=10.0, vehicle_radius_m=0.2), 0.2, 0.2
+    )
     bits = np.packbits(np.ones((30, 30, 30), dtype=np.bool_))
     channel.publish(FreeSpace(GridSpec(np.zeros(3), 0.1, (30, 30, 30)), bits, 1))
     lookout.step(None, 5.0)
@@ -76,7 +78,9 @@ def test_a_free_space_that_makes_no_sense_leaves_the_one_before_it(origin_m: tup
 
 def test_a_picture_that_makes_no_sense_is_none() -> None:
     channel = MemoryChannel(MinRangeGrid)
-    lookout = Surroundings(MemoryChannel(FreeSpace), channel, RecentlySeenSpace(10.0, 0.2), 0.2, 0.2)
+    lookout = Surroundings(
+        MemoryChannel(FreeSpace), channel, RecentlySeenSpace(blind_memory_s=10.0, vehicle_radius_m=0.2), 0.2, 0.2
+    )
     for n, cells in enumerate((np.full(16, 2.0, np.float32), np.zeros((0, 0), np.float32))):
         channel.publish(MinRangeGrid(5.0 + n, MOUNT, cells, (0.95, 0.55), 0.9))
         lookout.step(None, 5.0 + n)

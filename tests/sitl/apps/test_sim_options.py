@@ -157,7 +157,7 @@ def test_a_blind_speed_below_the_maximum_yaws_into_the_direction_of_travel(tmp_p
     assert yaw_policy_of(usual) is AT_VIEWS
     gaze = yaw_policy_of(careful)
     assert isinstance(gaze, YawAlongPath)
-    assert gaze.blind_mps < careful.safety.blind_speed_mps == 0.3
+    assert gaze.blind_speed_mps < careful.safety.blind_speed_mps == 0.3
     assert np.degrees(np.arctan(gaze.half_tan)) == pytest.approx([43.5, 29.0])
 
 

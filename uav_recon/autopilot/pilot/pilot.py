@@ -54,12 +54,12 @@ class PilotChannels:
     nearby: Channel[MinRangeGrid]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class HullGeometry:
     """Geometry of the vehicle and its flight: hull (m), hover height over the pad (m), gimbal."""
 
-    hull_radius_m: float
-    hull_height_m: float
+    vehicle_radius_m: float
+    vehicle_height_m: float
     hover_height_m: float
     gimbal: bool = False
 
@@ -98,15 +98,15 @@ class Pilot:
         self._preflight = PreflightSetup(link, origin, airframe.gimbal, parameters)
         self._tick = RateKeeper(setpoint_rate_hz, clock.now_s())
         self._poses = PoseFeed(channels.odom, link, PoseGate(guard.envelope.max_yaw_rate_radps))
-        self._mission_input = MissionInput(channels.intent, patience.intent_hold_s)
-        hull = (airframe.hull_radius_m, airframe.hull_height_m)
+        self._mission_input = MissionInput(channels.intent, patience.intent_timeout_s)
+        hull = (airframe.vehicle_radius_m, airframe.vehicle_height_m)
         self._surroundings = Surroundings(channels.free, channels.nearby, sight, *hull)
         self._authority = ControlAuthority(link.firmware)
         self._selector = SetpointSelector(guard, self._mission_input, airframe.hover_height_m)
         self._situation = SituationBuilder(
             link, guard, self._poses, self._mission_input, self._surroundings, self._selector, parameters
         )
-        self._refusal_timer = RefusalTimer(patience.intent_land_s)
+        self._refusal_timer = RefusalTimer(patience.land_timeout_s)
         self._failsafe = Failsafe(patience)
         self._action = FailsafeAction.FLY
         self._low: Reason | None = None  # why its action is not FLY
@@ -259,7 +259,7 @@ class Pilot:
             self._failsafe = Failsafe(self._patience)
             self._action = FailsafeAction.FLY
             self._low = None
-            self._refusal_timer = RefusalTimer(self._patience.intent_land_s, self._situation.refusals)
+            self._refusal_timer = RefusalTimer(self._patience.land_timeout_s, self._situation.refusals)
             self._selector.rebase(here, rest_s=0.0)
 
     def _arm(self, now_s: float) -> None:

@@ -75,8 +75,8 @@ class SetpointSelector:
         if self._flown is None:
             return None
         (x, y, z), (vx, vy, vz) = self._flown.position_m.tolist(), self._flown.velocity_mps.tolist()
-        stop_m = self._guard.envelope.stopping_point((x, y, z), (vx, vy, vz))
-        return Pose.from_yaw(self._flown.yaw_rad, np.array(stop_m))
+        stop_clearance_m = self._guard.envelope.stopping_point((x, y, z), (vx, vy, vz))
+        return Pose.from_yaw(self._flown.yaw_rad, np.array(stop_clearance_m))
 
     def was_at(self, odom_from_body: Pose) -> None:
         """Record a position in flight that is not on the path back."""
@@ -203,8 +203,8 @@ class SetpointSelector:
             if self._refused_ways >= _MAX_RETREAT_PATHS:
                 self.blocked = Reason(ReasonCode.RETREAT_BLOCKED, details=(self._refused_for,) if self._refused_for else ())
                 return cleared, None
-            seeing = situation.ahead is not None and now_s - situation.ahead.stamp_s <= self._guard.bounds.depth_hold_s
-            height_m, speed_mps = _HOVER_SHARE * self._hover_height_m, self._guard.bounds.retreat_mps
+            seeing = situation.ahead is not None and now_s - situation.ahead.stamp_s <= self._guard.bounds.depth_timeout_s
+            height_m, speed_mps = _HOVER_SHARE * self._hover_height_m, self._guard.bounds.retreat_speed_mps
             self._way_back = self._crumbs.way_back(rest, height_m, now_s, speed_mps, situation.map_epoch, seeing)
             return cleared, None
         proposal = self._proposal(way, now_s, True)

@@ -101,7 +101,7 @@ class SituationBuilder:
             refusals=self.refusals,
             note=_shortened(note),
             operator_received_s=operator_s,
-            max_speed_mps=self._guard.bounds.retreat_mps
+            max_speed_mps=self._guard.bounds.retreat_speed_mps
             if t.slow or (pose and pose.health is not PoseHealth.GOOD)
             else math.inf,
             world_from_rest=self._steering.odom_from_rest,

@@ -61,14 +61,14 @@ class YawThenFly:
 
     The faster of the two is used.
 
-    blind_mps: speed outside the camera's view.
+    blind_speed_mps: speed outside the camera's view.
     off_rad: max. angle between heading and path.
     upright: tangent of the used part of half the vertical angle of view.
     """
 
     speed_mps: float
     rate_radps: float
-    blind_mps: float
+    blind_speed_mps: float
     off_rad: float
     upright: float
 
@@ -77,7 +77,7 @@ class YawThenFly:
     ) -> FloatArray:
         """See TravelTimeModel."""
         costs: FloatArray = yaw_then_fly(
-            lengths_m, departures, yaw_rad, pitch_down_rad, self.speed_mps, self.rate_radps, self.blind_mps, self.off_rad,
+            lengths_m, departures, yaw_rad, pitch_down_rad, self.speed_mps, self.rate_radps, self.blind_speed_mps, self.off_rad,
             self.upright,
         )  # fmt: skip
         return costs
@@ -127,7 +127,7 @@ def yaw_while_flying(
 @kernel
 def yaw_then_fly(
     lengths_m: FloatArray, departures: FloatArray, yaw_rad: FloatArray, pitch_down_rad: FloatArray, speed_mps: float,
-    rate_radps: float, blind_mps: float, off_rad: float, upright: float,
+    rate_radps: float, blind_speed_mps: float, off_rad: float, upright: float,
 ) -> FloatArray:  # fmt: skip
     """Compute YawThenFly.seconds.
 
@@ -139,7 +139,7 @@ def yaw_then_fly(
         for j in range(nodes):
             if i == j:
                 continue
-            slowly = max(lengths_m[i, j] / blind_mps, abs(_wrapped(yaw_rad[j] - yaw_rad[i])) / rate_radps)
+            slowly = max(lengths_m[i, j] / blind_speed_mps, abs(_wrapped(yaw_rad[j] - yaw_rad[i])) / rate_radps)
             costs[i, j] = slowly
             first, last = departures[i, j], departures[j, i]  # the last direction points back
             if not (_seen(first, 1.0, pitch_down_rad[j], upright) and _seen(last, -1.0, pitch_down_rad[j], upright)):
