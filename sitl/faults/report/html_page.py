@@ -1,4 +1,4 @@
-"""faults.html: the table of a campaign on one page that needs nothing else."""
+"""The report faults.html: the results of a campaign on one self-contained page."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 
 from sitl.faults.report.scenario_result import Result
 
-_NAMED = 5  # of the flights that missed
+_NAMED = 5  # flights that missed a limit, at most
 
 CSS = """
 :root { --ink:#1f2933; --soft:#616e7c; --line:#e4e7eb; --ground:#f5f7fa; --good:#12805c; --bad:#b42318; }
@@ -39,12 +39,12 @@ HOLDS = (
 
 
 def write_page(path: Path, results: Sequence[Result]) -> None:
-    """Write it. Raises OSError."""
+    """Write the page. Raises OSError."""
     path.write_text(render(results), encoding="utf-8")
 
 
 def render(results: Sequence[Result]) -> str:
-    """The page."""
+    """Return the page as HTML."""
     flown = [r for r in results if r.passed is not None]
     failed = [f"{r.row.id} {r.autopilot}" for r in flown if not r.passed]
     title = f"{len(flown) - len(failed)} of {len(flown)} rows pass"
@@ -82,11 +82,14 @@ def _row(result: Result) -> str:
 
 
 def _gauge(share: float) -> str:
-    """Begins a paragraph: how much of a bar is used up, at a glance; a broken one is full and red."""
+    """Return the beginning of a paragraph, with a bar for the used share of a limit.
+
+    The bar of a violated limit is full and red.
+    """
     broken = ' class="over"' if share > 1.0 + 1e-9 else ""
     return f'<p><i{broken}><u style="width:{100 * min(share, 1.0):.0f}%"></u></i>'
 
 
 def _again(result: Result) -> list[str]:
-    """How to fly what missed."""
+    """Return the commands that repeat the flights which missed a limit."""
     return [f"flown again by: uav-recon faults {result.again(number)}" for number in result.missed[:_NAMED]]
