@@ -57,8 +57,8 @@ AT_BOOT = Onset((0.0, 0.0), at_boot=True)
 ANY = Onset((0.0, 15.0), speed_mps=0.0)
 FAST = Onset(speed_mps=0.6)
 PILOT_MODES = (("POSCTL", "POSHOLD"), ("ALTCTL", "ALT_HOLD"), ("STABILIZED", "STABILIZE"), ("LOITER",))
-AROUND_LAND_S = (0.0, 0.04, 1.5, 0.02, 0.06, 0.7, 0.08, 0.1)  # of the pilot's switch, after the operator's key
-PARAMETERS = (  # of either firmware, with values that come with it
+AROUND_LAND_S = (0.0, 0.04, 1.5, 0.02, 0.06, 0.7, 0.08, 0.1)  # delay of the pilot's switch after the operator's land command
+PARAMETERS = (  # of each firmware, with values that it allows
     (("COM_OBL_RC_ACT", 0), ("FS_GCS_ENABLE", 0)),
     (("COM_OF_LOSS_T", 5.0), ("FS_GCS_TIMEOUT", 5)),
     (("COM_LOW_BAT_ACT", 0), ("BATT_FS_LOW_ACT", 0)),
@@ -163,7 +163,7 @@ TABLE_E = (
             Limit("charge left", m.battery_left, 0.10, "", at_least=True),
             Limit("off the pad", m.from_pad, 0.5, "m"),
             NO_FAILSAFE,
-            down(160.0),  # a flight that a single jump rightly does not end takes so long
+            down(160.0),  # duration of a flight that a single jump correctly does not end
         ),
         observe_s=160.0,
         views=SHORT_VIEWS,
@@ -296,7 +296,7 @@ TABLE_F = (
         lambda n: [SidewaysForce(PEN[4] - START[1] + 0.25)],
         (
             Limit("landing mode after leaving", m.landing_after_leaving, 3.5, "s"),
-            # refused for so long, the mission may ask for it before the fence does
+            # after a long refusal the mission may request the landing before the fence check does
             Limit("landing mode not before", m.landing_after_leaving, 0.0, "s", at_least=True, ardupilot=2.8),
             STREAMS,
             down(30.0),
@@ -322,7 +322,7 @@ TABLE_F = (
         (clear(0.05), Limit("landing mode after its last stop", m.landing_after_a_stop, 5.0, "s"), down(90.0)),
         onset=Onset((8.0, 12.0), needs_view_ahead=True, away_m=4.5),
         observe_s=100.0,
-        room=Room(clear_m=0.05),  # no contact; where pictures are not believed at first it feels its way back to 0.09 m
+        room=Room(clear_m=0.05),  # no contact; where images are rejected at first, it comes back to within 0.09 m
     ),
     Scenario(
         "F6",
@@ -340,7 +340,7 @@ TABLE_F = (
         observe_s=300.0,
         views=46,
         radii_m=(0.25, 0.20),
-        variant="explore",  # whose views are not spent on the surface of the first room
+        variant="explore",  # a variant that does not use up its views on the first room's surface
     ),
 )
 
@@ -385,7 +385,7 @@ TABLE_G = (
         "G5b",
         "parameter changed in flight",
         "as G5, written by a ground station at speed",
-        lambda n: [Parameter(*PARAMETERS[n % 5])],  # those behind them would end its poses, or say what is done at a fence
+        lambda n: [Parameter(*PARAMETERS[n % 5])],  # the others would end its poses, or set the action at a fence
         (holds(1.0), told(codes.PARAMETER_CHANGED, within_s=1.0), down(60.0), NO_FAILSAFE),
         onset=Onset(speed_mps=0.5),
     ),
@@ -406,7 +406,7 @@ TABLE_G = (
         lambda n: [],
         (Limit("first arm command", m.first_arm, 60.0, "s"),),
         onset=AT_BOOT,
-        observe_s=25.0,  # one that takes longer never comes
+        observe_s=25.0,  # an arm command after that counts as none
     ),
     Scenario("G9", "soak", "two hours in the air", why="run apart: --only G9 --real-time; G9-5min and G9-1min are shorter"),
     Scenario("G10", "combinations", "two of A1 B1 B4 C1 D2 D8 E1 E5 F2 G2 at once", why="45 pairs: --only G10 flies them"),

@@ -85,7 +85,7 @@ TABLE_C = (
         lambda n: [Crash("perception", back_s=2.0)],
         (holds(0.3), lands(1.2), down(30.0)),
         onset=FAST,
-        live=lambda n: [ProcessKilled("perception", for_s=0.0)],  # and its supervisor starts it again
+        live=lambda n: [ProcessKilled("perception", for_s=0.0)],  # its supervisor restarts it
     ),
     Scenario(
         "C3",
@@ -135,7 +135,7 @@ TABLE_C = (
         "stamps of another clock for 1 s",
         "an hour ago or ahead, for 1 s at speed",
         lambda n: [ShiftedTimestamps((-3600.0, 3600.0)[n % 2], 1.0), Tally()],
-        (holds(0.4), STREAMS, flies_on(2.0, late_s=1.0), ONCE),  # sooner than a way back begins
+        (holds(0.4), STREAMS, flies_on(2.0, late_s=1.0), ONCE),  # before a retreat begins
         onset=FAST,
         observe_s=15.0,
     ),
@@ -208,7 +208,7 @@ TABLE_D = (
             NO_FAILSAFE,
             STEADY,
             Limit("setpoints that arrive in a second, of ten", m.slowest_ten_seconds_arrived, 20.0, "1/s", at_least=True),
-            Limit("gap between those that arrive", m.longest_gap_arrived, 0.5, "s"),  # at which the autopilot takes over
+            Limit("gap between those that arrive", m.longest_gap_arrived, 0.5, "s"),  # the autopilot's failsafe time
             COMPLETES,
         ),
         onset=Onset(speed_mps=0.0),

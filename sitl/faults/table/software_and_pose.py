@@ -59,7 +59,7 @@ CLOSURES = (moved(x=0.5), moved(y=2.0), map_turned(10.0))
 SPOILT = tuple(
     invalid(k) for k in ("nan place", "inf place", "nan turn", "zero turn", "long turn", "nan variance", "nan stamp")
 )
-# Inertial samples carry a pose on over the 0.33 s that B10 asks for, and pose_lost_s ends that; a pose that stays is none.
+# Inertial samples continue the pose over the 0.33 s that B10 needs; pose_lost_s ends that. A constant pose must not be sent.
 NEVER_REPEATS = (
     Limit("ODOMETRY ends", odometry_metrics.poses_until, 0.5, "s"),
     Limit("motion of the error", odometry_metrics.pose_error_step(), 0.05, "m"),
@@ -170,7 +170,7 @@ TABLE_A = (
         lambda n: [Crash("pilot", back_s=(0.2, 1.0, 3.0)[n % 3])],
         (NO_ORDER, down(60.0)),
         live=lambda n: [ProcessKilled("pilot", for_s=(0.2, 1.0, 3.0)[n % 3])],
-        observe_after_disarm_s=20.0,  # and it does not take off again
+        observe_after_disarm_s=20.0,  # to check that it does not take off again
     ),
     Scenario(
         "A8",
@@ -320,7 +320,7 @@ TABLE_B = (
         lambda n: [(LatePoses(0.3), LatePoses(1.0), FrozenPose(), AlteredPoses(stamped(5.0)))[n % 4]],
         (
             Limit("oldest pose sent", odometry_metrics.pose_age, 0.15, "s"),
-            Limit("motion of the error", odometry_metrics.pose_error_step(), 0.10, "m"),  # as B4: carried through the braking
+            Limit("motion of the error", odometry_metrics.pose_error_step(), 0.10, "m"),  # as B4: kept through the braking
             holds(0.3),
             lands(1.2),
         ),
@@ -352,7 +352,7 @@ TABLE_B = (
         lambda n: [ThinnedPoses(6.0)],
         (
             Limit("ODOMETRY in a second", odometry_metrics.pose_rate, 28.0, "1/s", at_least=True),
-            Limit("speed 1 s later", m.speed_from(2.0), 0.3, "m/s"),  # later than the second that their number is taken over
+            Limit("speed 1 s later", m.speed_from(2.0), 0.3, "m/s"),  # after the one second over which the rate is measured
         ),
         observe_s=15.0,
     ),
@@ -363,7 +363,7 @@ TABLE_B = (
         lambda n: [ThinnedPoses(3.0)],
         (
             Limit("ODOMETRY in a second", odometry_metrics.pose_rate, 28.0, "1/s", at_least=True),
-            holds(2.0),  # one second is what their number is taken over
+            holds(2.0),  # the rate is measured over one second
             Limit("speed from 3 s on", m.speed_from(3.0), 0.02, "m/s"),
         ),
         onset=FAST,
