@@ -94,8 +94,9 @@ def logarithm(q: Quaternion) -> Vector:
 class InertialState(NamedTuple):
     """The track at one instant.
 
-    gyro_from_body, V (m/s) and X (m) in the gyro frame, B (rad, body axes). shock_velocity_mps and overrate_angle_rad: integrals
-    of the forces harder than any propeller's and of the turn rates faster than any vehicle's, summed regardless of direction.
+    gyro_from_body, V (m/s) and X (m) in the gyro frame, B (rad, body axes). shock_velocity_mps and overrate_angle_rad:
+    integrals of the forces harder than any propeller's and of the turn rates faster than any vehicle's, summed regardless of
+    direction.
     """
 
     stamp_s: float

@@ -1,9 +1,9 @@
 """Keyframe selection: score a frame by the surface that no keyframe has observed well yet.
 
 Each surface voxel needs OBSERVATIONS_PER_VOXEL good observations. An observation has a lower weight if its depth noise is
-larger. The gain of a frame is the sum, over its voxels, of the observation weight it adds where observations are still missing. A frame
-is selected if its gain reaches the share that each remaining view must contribute to cover the whole room. So the view
-budget lasts for the room and is spent on new surface.
+larger. The gain of a frame is the sum, over its voxels, of the observation weight it adds where observations are still
+missing. A frame is selected if its gain reaches the share that each remaining view must contribute to cover the whole room. So
+the view budget lasts for the room and is spent on new surface.
 """
 
 from __future__ import annotations
