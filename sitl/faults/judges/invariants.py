@@ -150,7 +150,7 @@ def _disarm(e: FlightEvidence) -> str:
     for order in e.wire.orders:
         stop = (order.command == 400 and order.first < 0.5) or (order.command == 185 and order.first > 0.5)
         if stop and np.interp(order.stamp_s, e.stamp_s, height) > AIRBORNE_M:
-            return "asked for the motors to stop in the air"
+            return "disarm command in the air"
     fell = e.armed[:-1] & ~e.armed[1:] & (height[:-1] > AIRBORNE_M)
     return "disarmed in the air" if fell.any() else ""
 

@@ -54,15 +54,15 @@ def statustext_missing(e: FlightEvidence) -> str:
     """Return the first reaction that was not reported in time, as text; '' for none."""
     asked = [o.stamp_s for o in e.wire.orders if o.command in _LAND and _airborne(e, o.stamp_s)]
     due: list[tuple[str, Collection[str], float, float]] = []
-    due += [("landing asked for", LANDING, asked[0], asked[0])] if asked else []
+    due += [("landing requested", LANDING, asked[0], asked[0])] if asked else []
     due += [
-        ("another's mode", LANDING if lands else CONTROL_LOST, lost_s, received_s)
+        ("foreign mode", LANDING if lands else CONTROL_LOST, lost_s, received_s)
         for lost_s, received_s, lands in _lost(e, asked)
     ]
     for what, why, from_s, known_s in due:
         told = any(from_s - _BEFORE_S <= stamp_s <= known_s + _TOLD_S for stamp_s in e.reported_s(why))
         if not told and known_s + _TOLD_S < e.end_s:
-            return f"{what} {known_s - e.onset_s:.1f} s after the trouble and not told within {_TOLD_S:.2f} s"
+            return f"{what} {known_s - e.onset_s:.1f} s after the fault and not reported within {_TOLD_S:.2f} s"
     return ""
 
 

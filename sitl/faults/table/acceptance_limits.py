@@ -28,7 +28,7 @@ UNHEARD_LANDS = lands(1.35, ardupilot=2.5)
 
 
 # PX4 continues with the last received setpoint until it lands; its limit is the one for disarming.
-UNHEARD_STANDS = Limit("goes on below 0.1 m/s", m.stopped_after(0.1), 30.0, "s", ardupilot=1.5)
+UNHEARD_STANDS = Limit("forward speed below 0.1 m/s", m.stopped_after(0.1), 30.0, "s", ardupilot=1.5)
 
 
 def lands_no_sooner(after_s: float, late_s: float = 0.0) -> Limit:
@@ -38,7 +38,7 @@ def lands_no_sooner(after_s: float, late_s: float = 0.0) -> Limit:
 
 def flies_on(within_s: float, late_s: float) -> Limit:
     """Return a limit for the time until setpoints move again, after a fault of late_s."""
-    return Limit("flies on", m.moves_again_after(late_s), within_s, "s")
+    return Limit("setpoints move again", m.moves_again_after(late_s), within_s, "s")
 
 
 def down(within_s: float) -> Limit:
@@ -56,7 +56,7 @@ def told(*codes: str, within_s: float, ardupilot: float | None = None) -> Limit:
 
     G7 allows one second after the reaction itself.
     """
-    return Limit("told", statustext_delay(*codes), within_s, "s", ardupilot=ardupilot)
+    return Limit("reported", statustext_delay(*codes), within_s, "s", ardupilot=ardupilot)
 
 
 def clear(at_least_m: float) -> Limit:
@@ -70,7 +70,7 @@ NO_FAILSAFE = Limit("autopilot failsafes", m.failsafes, 0.0, "")
 NO_JUMP = Limit("setpoint step", m.setpoint_jump, 0.2, "m")
 NO_ORDER = Limit("mode or arm commands", m.commands(), 0.0, "")
 COMPLETES = Limit("flights not completed", m.unfinished, 0.0, "")
-RETURNS = Limit("flights not back", m.not_back, 0.0, "")
+RETURNS = Limit("flights without a return", m.not_back, 0.0, "")
 NEVER_ARMED = Limit("flights armed", m.armed_at_all, 0.0, "")
 NO_FORCE = Limit("forced commands", m.forced, 0.0, "")
-RETURN_ACTS = Limit("returns", operator_silence.return_delay, operator_silence.TIMEOUT_S + 1.0, "s")
+RETURN_ACTS = Limit("return begun", operator_silence.return_delay, operator_silence.TIMEOUT_S + 1.0, "s")

@@ -137,5 +137,5 @@ def judge(row: Scenario, evidence: FlightEvidence, broken: Sequence[str]) -> Sce
     broken: the result of invariants.violations(). A flight whose fault never began does not pass.
     """
     if evidence.onset_s == math.inf:
-        return ScenarioVerdict(tuple(math.nan for _ in row.bars), (*broken, "the moment for the trouble never came"))
+        return ScenarioVerdict(tuple(math.nan for _ in row.bars), (*broken, "the fault's onset condition was never met"))
     return ScenarioVerdict(tuple(float(bar.measure(evidence)) for bar in row.bars), tuple(broken))
