@@ -1,6 +1,6 @@
-"""Learn a surface from colour and depth keyframes with known poses, and write a coloured mesh.
+"""Learn a surface from colour and depth keyframes with known poses, and write a mesh.
 
-The keyframes come from a synthetic room with striped walls.
+The mesh is coloured. The keyframes come from a synthetic room with striped walls.
 """
 
 import sys
@@ -16,7 +16,10 @@ ROOM_MIN_M, ROOM_MAX_M = np.zeros(3), np.array([4.0, 3.0, 2.5])
 
 
 def cast(lens: Intrinsics, world_from_camera: Pose) -> tuple[FloatArray, FloatArray]:
-    """Return the depth (H, W) along the optical axis and the points (H, W, 3) where the pixels' rays meet the room."""
+    """Return the depth (H, W) along the optical axis, and the surface points (H, W, 3).
+
+    The points are where the pixels' rays meet the room.
+    """
     rays, origin = lens.bearings() @ world_from_camera.rotation().T, world_from_camera.translation_m
     depth_m = np.maximum((ROOM_MIN_M - origin) / rays, (ROOM_MAX_M - origin) / rays).min(axis=-1)
     return depth_m, origin + rays * depth_m[..., None]

@@ -1,4 +1,7 @@
-"""Explore a synthetic room: map, plan the next views, move there, repeat. Draws the walls, the path and the views."""
+"""Explore a synthetic room: map, plan the next views, move there, repeat.
+
+It draws the walls, the path and the views.
+"""
 
 import sys
 

@@ -1,6 +1,7 @@
-"""Read the channels of a flight: files in the runtime folder that hold the newest value of each kind.
+"""Read the channels of a flight.
 
-The second argument is the runtime folder of a flight, for example /run/uav_recon; without it this example publishes itself.
+Channels are files in the runtime folder that hold the newest value of each kind. The second argument is the runtime folder
+of a flight, for example /run/uav_recon; without it this example publishes its own values.
 """
 
 import sys

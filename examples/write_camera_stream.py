@@ -1,7 +1,8 @@
-"""Publish frames, inertial samples and poses as a camera stream, the file through which uav_recon reads any camera.
+"""Publish frames, inertial samples and poses as a camera stream.
 
-Set `camera.source = "stream"` in the configuration, and write to `camera.stream` below `runtime.folder`. This example
-publishes a synthetic wall that comes nearer, then reads the newest frame back.
+This file is the interface through which uav_recon reads any camera. Set `camera.source = "stream"` in the configuration,
+and write to `camera.stream` below `runtime.folder`. This example publishes a synthetic wall that comes nearer, then reads
+the newest frame back.
 """
 
 import sys

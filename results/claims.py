@@ -138,12 +138,12 @@ class Outcome:
 
     @property
     def measured(self) -> bool:
-        """Whether there are values."""
+        """True if there are values."""
         return not self.reason
 
     @property
     def passed(self) -> bool:
-        """Whether every figure with a requirement meets it."""
+        """True if every figure with a requirement meets it."""
         return self.measured and all(
             figure.holds(value) is not False for figure, value in zip(self.claim.figures, self.values, strict=True)
         )

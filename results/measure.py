@@ -62,7 +62,10 @@ def _measure(run: Run, environment: Mapping[str, str]) -> bool:
 
 
 def shell_command(line: str) -> str:
-    """Return a command of claims.toml with its program replaced by this interpreter, as far as it is one of TOOLS."""
+    """Return a command of claims.toml with its program replaced by this interpreter.
+
+    Only the programs in TOOLS are replaced.
+    """
     program, _, rest = line.partition(" ")
     if program == "make":
         return f"make PYTHON={sys.executable} {rest}"

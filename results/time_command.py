@@ -42,7 +42,10 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _clone(folder: Path) -> Path:
-    """Clone the repository; the optional ../shared stands beside the clone as it does beside the original."""
+    """Clone the repository.
+
+    The optional ../shared stands beside the clone as it does beside the original.
+    """
     there = folder / "uav_recon"
     subprocess.run(["git", "clone", "--quiet", str(ROOT), str(there)], check=True)
     shared = ROOT.parent / "shared"

@@ -1,7 +1,7 @@
-"""uav_recon: an unknown room in, a watertight, coloured, metric model out, flown without a pilot and without GPS.
+"""Map an unknown room autonomously, without GPS, into a watertight, coloured, metric model.
 
-As a library (docs/library.md): ``from uav_recon import Camera, OccupancyMapper, NeuralMapper, ViewPlanner, Pose``. Each name
-is loaded at its first use, so that importing the package stays fast.
+As a library (docs/library.md): ``from uav_recon import Camera, OccupancyMapper, NeuralMapper, ViewPlanner, Pose``. Each
+name is loaded at its first use, so that importing the package stays fast.
 """
 
 import os
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from uav_recon.types.rgbd_camera import Camera
     from uav_recon.types.tasks import NothingLeft, ViewPath
 
-# Before numpy is loaded: with huge pages the first touch of a large map's page stalls a frame for 6 to 50 ms.
+# Set before numpy is loaded: with huge pages the first access to a page of a large map stalls a frame for 6 to 50 ms.
 os.environ.setdefault("NUMPY_MADVISE_HUGEPAGE", "0")
 
 __version__ = "0.1.0"
@@ -35,7 +35,7 @@ __all__ = [
     "warm_up",
 ]
 
-if not TYPE_CHECKING:  # else a type checker would accept any name
+if not TYPE_CHECKING:  # otherwise a type checker would accept any name
     _MODULES = {
         "Camera": "types.rgbd_camera",
         "Intrinsics": "types.camera",

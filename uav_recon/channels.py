@@ -174,7 +174,10 @@ def _fields(kind: type) -> list[tuple[str, Any]]:
 
 
 def _decode_union(tree: Any, kinds: tuple[Any, ...], arrays: list[np.ndarray[Any, Any]]) -> Any:
-    """Of one kind or nothing, or of several that JSON tells apart: numbers and text."""
+    """Decode a value of one type or None, or of several types that JSON distinguishes.
+
+    These are numbers and text.
+    """
     if tree is None:
         return None
     inner = [a for a in kinds if a is not type(None)]

@@ -1,4 +1,7 @@
-"""Compile what a simulated flight runs, the simulator's kernels and the product's, under a progress bar."""
+"""Compile the kernels of a simulated flight under a progress bar.
+
+These are the simulator's and the product's kernels.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +24,7 @@ from uav_recon.app import kernel_jobs
 from uav_recon.app.kernel_cache import KernelJob, compile_kernels, progress_text
 from uav_recon.config import VariantName
 
-LINE_EVERY_S = 5.0  # on a screen that cannot be drawn on
+LINE_EVERY_S = 5.0  # on a console that is no terminal
 SIMULATOR = KernelJob("simulator", f"{__name__}:simulator", 30)
 DEPTH_ONLY_MAPPER = KernelJob("depth-only mapper", f"{__name__}:depth_only_mapper", 3)
 
@@ -36,19 +39,25 @@ def simulator(_config_path: Path, _: str) -> None:
 
 
 def depth_only_mapper(_config_path: Path, _: str) -> None:
-    """Compile the kernels of the mapper that learns nothing."""
+    """Compile the kernels of the depth-only mapper."""
     depth_surfels.warm_up()
 
 
 def flight_jobs(variants: Sequence[str] = ("adaptive",), neural: bool = True) -> list[KernelJob]:
-    """Return the jobs of flights of these planner variants, with the neural mapper or with the depth-only one."""
+    """Return the jobs of flights with these planner variants.
+
+    neural: with the neural mapper, else with the depth-only one.
+    """
     jobs = [job for variant in variants for job in kernel_jobs.mission_jobs(cast(VariantName, variant))]
     own = [SIMULATOR, kernel_jobs.PERCEPTION] if neural else [SIMULATOR, kernel_jobs.PERCEPTION, DEPTH_ONLY_MAPPER]
     return [*dict.fromkeys(job for job in jobs if neural or job.name != kernel_jobs.MAPPER), *own]
 
 
 def compile_ahead(jobs: Sequence[KernelJob], console: Console) -> None:
-    """Compile what is not in the cache yet, with a bar; on a console that is none, with a line every LINE_EVERY_S."""
+    """Compile what is not in the cache yet, with a progress bar.
+
+    A console that is no terminal gets a line every LINE_EVERY_S.
+    """
     columns = (TextColumn("compiling kernels (first run only)"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     progress = Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
     task, next_s = progress.add_task("", total=None), [-np.inf]
@@ -71,7 +80,7 @@ def compile_ahead(jobs: Sequence[KernelJob], console: Console) -> None:
 
 
 def _toy_scene() -> Scene:
-    """Return a scene for a config: a fence, and nothing in it."""
+    """Return an empty scene with a fence, for a config."""
     low, high = np.full(3, -1.5), np.full(3, 1.5)
     return Scene(
         "toy", np.zeros((0, 3), np.float32), np.zeros((0, 3), np.int32), np.zeros((0, 3), np.uint8), 0.0, low, high, low

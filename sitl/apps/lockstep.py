@@ -182,7 +182,7 @@ def fly_in_lockstep(
     """Run a flight in lockstep and write its results to options.out.
 
     land: returns True if the operator wants to land now. timelapse: store states of the surface, from which recall over
-    time is computed. meddler: the hook of this flight.
+    time is computed. The last argument is the hook of this flight.
     """
     clock, quick = ManualClock(START_S), options.mapper == "depth-only"
     pace, wires = (COARSE_STEPS, direct_channels()) if quick else (FINE_STEPS, memory_channels())

@@ -53,7 +53,10 @@ class ProgressDisplay:
         return True
 
     def _put(self, line: Text, mark: tuple[str, int]) -> None:
-        """Show a line: at once on a terminal, elsewhere where the mark changed or the last line is too long ago."""
+        """Show a line.
+
+        A terminal shows it at once. Elsewhere it is printed if the mark changed or the last line is LINE_PERIOD_S ago.
+        """
         now_s = time.monotonic()
         if self._live:
             self._live.update(line)

@@ -35,7 +35,10 @@ def print_scenes(folder: Path = SHARED_SCENES) -> int:
 
 
 def _described(description: Path) -> tuple[str, str, str]:
-    """Return what a scene shows, its size and its licence; `-` for what its scene.json does not say."""
+    """Return the description of a scene, its size and its licence.
+
+    An entry that its scene.json does not contain is `-`.
+    """
     try:
         entry: Any = json.loads(description.read_text(encoding="utf-8"))
         words = str(entry.get("description", UNKNOWN)).partition(":")[0]

@@ -109,7 +109,10 @@ class SimOptions:
         )  # fmt: skip
 
     def check_folder(self) -> None:
-        """Check the flight folder before the work. Raises UsageError if it cannot be made or already contains a flight."""
+        """Check the flight folder before the work.
+
+        Raises UsageError if it cannot be made or already contains a flight.
+        """
         with readable(f"--out {self.out}"):
             if (self.out / "report.json").exists() or (self.out / "timeline.jsonl").exists():
                 raise UsageError(f"--out {self.out}: already contains a flight")

@@ -53,7 +53,10 @@ class SimProcesses:
     def __init__(
         self, commands: dict[str, list[str]], logs: Path, runtime: Path, console: Console, begun_s: float | None = None
     ) -> None:
-        """begun_s: when the program began, on the monotonic clock; the console shows how long it took to be ready."""
+        """Create the launcher; it starts nothing.
+
+        begun_s: when the program began, on the monotonic clock. The console shows how long it took to be ready.
+        """
         self._commands = commands
         self._logs = logs
         self._runtime = runtime

@@ -163,7 +163,10 @@ def _save(path: Path | None, records: list[Record], calibration: Calibration) ->
 
 
 def summary(records: list[Record]) -> dict[str, object]:
-    """Return counts over all flights, their smallest clearance and explored share, and the commits that flew them."""
+    """Return a summary of all flights.
+
+    It holds counts, the smallest clearance and explored share, and the commits that flew them.
+    """
     clearances = [record.min_clearance_m for record in records if record.min_clearance_m is not None]
     explored = [record.explored for record in records if record.explored is not None]
     return {

@@ -1,4 +1,7 @@
-"""Codes of the product's reasons that judges and limits ask for, as plain strings: the product's own code is not imported."""
+"""Codes of the product's reasons that checks and limits use, as plain strings.
+
+The product's own code is not imported.
+"""
 
 from __future__ import annotations
 

@@ -67,7 +67,7 @@ def soak(name: str, said: str, for_s: float, pilot_mb_per_h: float, perception_m
     return Scenario(
         name,
         f"soak of {said}",
-        "held in the air by the operator with a full battery; every process looked at once a second",
+        "the operator holds the vehicle in the air with a full battery; every process is sampled once a second",
         bars=(
             Limit("pilot grows by", m.noted("pilot MB/h"), pilot_mb_per_h, "MB/h"),
             Limit("perception grows by", m.noted("perception MB/h"), perception_mb_per_h, "MB/h"),

@@ -1,4 +1,7 @@
-"""A config file with every key, its default and its meaning, from the config tree; and the check of a config file."""
+"""Template of a config file, made from the config tree, and the check of a config file.
+
+The template holds every key with its default and its meaning.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +29,10 @@ STANDARD_OUTPUT = Path("-")
 
 
 def write(path: Path, force: bool) -> int:
-    """Write the commented config, to standard output for `-`; returns the exit code. Raises UsageError."""
+    """Write the commented config, to standard output for `-`; returns the exit code.
+
+    Raises UsageError.
+    """
     if path == STANDARD_OUTPUT:
         sys.stdout.write(text())
         return 0
@@ -39,14 +45,20 @@ def write(path: Path, force: bool) -> int:
 
 
 def check(path: Path) -> int:
-    """Load a config and print that it is valid; returns the exit code. Raises UserError with exit code 78."""
+    """Load a config and print that it is valid; returns the exit code.
+
+    Raises UserError with exit code 78.
+    """
     factory.load_config(path)
     print(f"{path}: valid")
     return 0
 
 
 def text() -> str:
-    """Return the commented config as TOML; it parses, and holds no key that is not commented out."""
+    """Return the commented config as TOML.
+
+    It can be parsed. Every key in it is commented out.
+    """
     sections = [HEAD]
     for name, section in Config.model_fields.items():
         model = section.annotation
@@ -65,7 +77,7 @@ def _lines(model: type[BaseModel]) -> list[str]:
 
 
 def _value(field: FieldInfo) -> str:
-    """Return the default as TOML; a word for a key without one."""
+    """Return the default as TOML; a placeholder for a key without a default."""
     if field.is_required():
         return "REQUIRED"
     default: Any = field.default
@@ -77,7 +89,7 @@ def _value(field: FieldInfo) -> str:
 
 
 def _allowed(field: FieldInfo) -> str:
-    """Return the allowed range or words of a key, "" where its type says enough."""
+    """Return the allowed range or words of a key; "" if its type is enough."""
     if get_origin(field.annotation) is Literal:
         return "one of " + ", ".join(map(str, get_args(field.annotation)))
     words = [

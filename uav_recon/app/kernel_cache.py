@@ -1,9 +1,9 @@
-"""Compile the kernels of a flight into numba's cache on disk, on all cores, before the processes that run them start.
+"""Compile the kernels of a flight into numba's disk cache before its processes start.
 
-A first flight needs about 340 kernels. Each process compiled its own on one core, and silently. Here worker processes (see
-kernel_worker) run one job after another: a job calls what the kernels are for with toy data. A job that is done leaves a stamp
-beside the kernels, and is skipped until a source, numba or the processor changes. A kernel that no job compiles is compiled by
-the process that calls it first.
+A first flight needs about 340 kernels. Without this step each process compiles its own on one core and reports nothing.
+Here worker processes (see kernel_worker) run jobs on all cores: a job calls the kernels' callers with toy data. A finished
+job leaves a stamp beside the kernels, and is skipped until a source, numba or the processor changes. A kernel that no job
+compiles is compiled by the process that calls it first.
 """
 
 from __future__ import annotations
@@ -37,8 +37,9 @@ PACKAGE = Path(__file__).parents[1]
 class KernelJob:
     """Kernels that one call compiles.
 
-    function: MODULE:FUNCTION, called with the path of a config and argument. kernels: number of kernels that it compiles, for
-    the progress. after: names of the jobs whose kernels these call.
+    function: MODULE:FUNCTION, called with the path of a config and argument.
+    kernels: number of kernels that it compiles, for the progress.
+    after: names of the jobs whose kernels these call.
     """
 
     name: str
@@ -49,17 +50,17 @@ class KernelJob:
 
 
 def use_writable_cache() -> None:
-    """Choose a folder for the kernels where the package cannot be written, for this process and those that it starts.
+    """Choose a cache folder if the package cannot be written, for this and all child processes.
 
-    Call before a kernel is imported. Without this numba takes its own folder in the user's home, and where there is no such
-    home it cannot even import a kernel. NUMBA_CACHE_DIR goes first, then the package, then the user's cache folder, then a
-    private one among the temporary files.
+    Call it before a kernel is imported. By default numba uses a folder in the user's home, and without a home it cannot
+    even import a kernel. The first usable one is taken: NUMBA_CACHE_DIR, the package, the user's cache folder, a private
+    temporary folder.
     """
     if os.environ.get(CACHE_VARIABLE) or all(_writable(folder / "__pycache__") for folder in (PACKAGE, PACKAGE / "geometry")):
         return
     home = Path(os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser())
     for folder in (home / "uav_recon" / "kernels", Path(tempfile.gettempdir()) / f"uav_recon-kernels-{os.getuid()}"):
-        if _writable(folder) and _private(folder):  # who writes there chooses what is run here
+        if _writable(folder) and _private(folder):  # anyone who can write there chooses the code that runs here
             os.environ[CACHE_VARIABLE] = str(folder)
             return
 
@@ -67,10 +68,11 @@ def use_writable_cache() -> None:
 def compile_kernels(
     jobs: Sequence[KernelJob], config_path: Path, show: Callable[[int, int], None], stopped: Callable[[], bool] = lambda: False
 ) -> None:
-    """Compile what is not compiled yet. Blocks for a minute on two cores the first time, for some milliseconds later on.
+    """Compile what is not compiled yet.
 
-    show(done, total): the number of kernels, called at each one and every POLL_S; never called where all is compiled. Returns
-    early once stopped(). A job that fails is logged and left to the process that needs it.
+    It blocks for a minute on two cores the first time, for some milliseconds later on. show(done, total): the number of
+    kernels, called at each one and every POLL_S; never called if all are compiled. Returns early once stopped(). A job that
+    fails is logged and left to the process that needs it.
     """
     todo = [job for job in jobs if not _is_stamped(job)]
     if not todo:
@@ -86,7 +88,7 @@ def compile_kernels(
 
 
 class _Worker:
-    """A process that runs jobs; see kernel_worker for what it reads and writes."""
+    """Process that runs jobs; kernel_worker describes its input and output."""
 
     def __init__(self, number: int, events: queue.Queue[tuple[int, str]]) -> None:
         self.job: KernelJob | None = None
@@ -95,7 +97,7 @@ class _Worker:
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
-            start_new_session=True,  # a terminal's Ctrl-C reaches only the process that waits for this one
+            start_new_session=True,  # a terminal's Ctrl-C reaches only the waiting parent
         )
         threading.Thread(target=self._listen, args=(number, events), name="kernel-worker", daemon=True).start()
 
@@ -107,7 +109,7 @@ class _Worker:
     def start(self, job: KernelJob, config_path: Path) -> None:
         self.job = job
         if self._process.stdin is not None:
-            with suppress(OSError):  # it is gone, which its listener reports
+            with suppress(OSError):  # it has ended, which its listener reports
                 self._process.stdin.write(json.dumps([job.function, str(config_path), job.argument]) + "\n")
                 self._process.stdin.flush()
 
@@ -117,7 +119,7 @@ class _Worker:
 
 
 class _Pool:
-    """Workers and the jobs that wait for one, in their order, each after those that it needs."""
+    """Workers and waiting jobs; a job starts after the jobs that it depends on."""
 
     def __init__(self, jobs: list[KernelJob], config_path: Path, workers: int) -> None:
         self.compiled = 0
@@ -167,7 +169,10 @@ class _Pool:
 
 
 def log_progress(logger: logging.Logger) -> Callable[[int, int], None]:
-    """Return a show() for a process without a screen: one line in the log at each tenth of the kernels."""
+    """Return a show() for a process without a terminal.
+
+    It logs one line at each tenth of the kernels.
+    """
     logged = [-1]
 
     def show(done: int, total: int) -> None:
@@ -188,7 +193,10 @@ def progress_text(done: int, total: int) -> str:
 
 
 def _is_stamped(job: KernelJob) -> bool:
-    """Whether the job was done for these sources on this machine, and its kernels are still there."""
+    """Return whether the job is done for these sources on this machine.
+
+    Its kernels must still be in the cache, too.
+    """
     try:
         stamp = json.loads(_stamp_path(job).read_text(encoding="utf-8"))
         return bool(stamp["of"] == _fingerprint()) and _count_indices() >= int(stamp["indices"])
@@ -210,19 +218,22 @@ def _stamp_path(job: KernelJob) -> Path:
 
 
 def _cache_roots() -> list[Path]:
-    """Folders below which numba keeps its index files."""
+    """Return the folders below which numba keeps its index files."""
     chosen = os.environ.get(CACHE_VARIABLE)
     return [Path(chosen)] if chosen else [PACKAGE, PACKAGE.parent / "sitl"]
 
 
 def _count_indices() -> int:
-    """Count numba's index files: one for each kernel that was compiled."""
+    """Count numba's index files, one for each compiled kernel."""
     return sum(name.endswith(".nbi") for root in _cache_roots() for _, _, names in os.walk(root) for name in names)
 
 
 @cache
 def _fingerprint() -> str:
-    """Digest of all that numba compiles from and for: sources, its version and Python's, the processor."""
+    """Return a digest of the inputs of a compilation.
+
+    Inputs are the sources, the versions of Python and of numba's packages, and the processor.
+    """
     words = [platform.python_version(), *(importlib.metadata.version(name) for name in ("numba", "llvmlite", "numpy"))]
     with suppress(OSError):
         cpu = Path("/proc/cpuinfo").read_text(encoding="ascii", errors="replace").splitlines()
@@ -247,6 +258,6 @@ def _writable(folder: Path) -> bool:
 
 
 def _private(folder: Path) -> bool:
-    """Whether only this user can write there."""
+    """Return whether only this user can write there."""
     stat = folder.lstat()
     return not folder.is_symlink() and stat.st_uid == os.getuid() and not stat.st_mode & 0o022

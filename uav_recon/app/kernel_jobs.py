@@ -1,6 +1,7 @@
-"""The kernels of the product, as jobs for kernel_cache: what each process calls before it is ready, in parts of a minute.
+"""The kernels of the product, as jobs for kernel_cache.
 
-Which kernels are compiled depends on the planner's variant and on the config's options, not on its sizes.
+A job calls what a process calls before it is ready. A process is split into jobs of a fraction of a minute. Which kernels
+are compiled depends on the planner's variant and on the config's options, not on its sizes.
 """
 
 from __future__ import annotations
@@ -17,7 +18,10 @@ PERCEPTION = KernelJob("perception", f"{HERE}:perception", 20)
 
 
 def mission_jobs(variant: VariantName) -> list[KernelJob]:
-    """Return the jobs of the mission process and its mapper, in the order that keeps two cores busy to the end."""
+    """Return the jobs of the mission process and its mapper.
+
+    Their order keeps two cores busy to the end.
+    """
     return [
         KernelJob("frontiers", f"{HERE}:frontiers", 90),
         KernelJob(MAPPER, f"{HERE}:mapper", 80),
@@ -42,7 +46,10 @@ def frontiers(_config_path: Path, _: str) -> None:
 
 
 def planner(_: Path, variant: str) -> None:
-    """Compile the kernels of the planner's variant; those of the frontiers come out of the cache."""
+    """Compile the kernels of the planner's variant.
+
+    Those of the frontiers come from the cache.
+    """
     from uav_recon.planning import view_planner
 
     view_planner.warm_up(cast(VariantName, variant))
@@ -61,5 +68,5 @@ def motion(config_path: Path, _: str) -> None:
 def mapper(config_path: Path, _: str) -> None:
     """Compile the kernels of the neural mapper."""
     config = factory.load_config(config_path)
-    mapper_config = config.mapper.model_copy(update={"prior_model": None})  # it compiles nothing
+    mapper_config = config.mapper.model_copy(update={"prior_model": None})  # it needs no compilation
     factory.make_neural_mapper(config.model_copy(update={"mapper": mapper_config})).warm_up()

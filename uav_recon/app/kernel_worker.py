@@ -1,7 +1,8 @@
-"""The process that compiles kernels: `python -m uav_recon.app.kernel_worker`, started by kernel_cache.
+"""Worker process that compiles kernels: `python -m uav_recon.app.kernel_worker`.
 
-Each line on stdin is a job: a JSON list of MODULE:FUNCTION, the path of a config and an argument. On stdout comes `compiled`
-for each kernel that was compiled, and at the end of a job `done`, or the error in one line. It ends when stdin does.
+kernel_cache starts it. Each line on stdin is a job: a JSON list of MODULE:FUNCTION, the path of a config and an argument.
+It writes `compiled` to stdout for each compiled kernel, and at the end of a job `done`, or the error in one line. It ends
+when stdin is closed.
 """
 
 from __future__ import annotations
@@ -21,7 +22,10 @@ OURS = ("uav_recon.", "sitl.")
 
 
 def report_to(replies: IO[str]) -> Any:
-    """Return a listener of numba's that writes a line for each kernel; what numba compiles for itself is not counted."""
+    """Return a numba event listener that writes a line for each kernel.
+
+    Kernels that numba compiles for itself are not counted.
+    """
 
     def on_end(_: Any, ended: Any) -> None:
         if ended.data["dispatcher"].py_func.__module__.startswith(OURS):
@@ -43,14 +47,14 @@ def main() -> None:
         try:
             getattr(importlib.import_module(module), name)(Path(config_path), argument)
             replies.write("done\n")
-        except Exception as error:  # it is the parent's to say so; the process that needs the kernels meets the error itself
+        except Exception as error:  # the parent reports it; the process that needs the kernels raises the error itself
             replies.write(f"{type(error).__name__}: {' '.join(str(error).split())}\n")
 
 
 def _read(lines: IO[str], jobs: queue.Queue[str]) -> None:
     for line in lines:
         jobs.put(line)
-    os._exit(0)  # the parent is gone, or wants us gone: at once, also out of a compilation
+    os._exit(0)  # the parent has ended or closed stdin: end at once, even during a compilation
 
 
 if __name__ == "__main__":

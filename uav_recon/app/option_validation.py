@@ -1,4 +1,7 @@
-"""Checks of options, files and folders before the work starts; errors are one line with exit code 2."""
+"""Checks of options, files and folders before the work starts.
+
+Errors are one line with exit code 2.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +21,7 @@ class UsageError(UserError):
 
 @contextmanager
 def readable(name: str, code: int = EXIT_USAGE) -> Iterator[None]:
-    """Turn an OSError of the block into one line with this name. Raises UserError with this exit code."""
+    """Turn an OSError of the block into a one-line UserError with this name and exit code."""
     try:
         yield
     except OSError as error:
@@ -26,7 +29,10 @@ def readable(name: str, code: int = EXIT_USAGE) -> Iterator[None]:
 
 
 def require_writable_file(option: str, path: Path | None) -> None:
-    """Check that a file can be written; an existing one is left unchanged. Raises UsageError."""
+    """Check that a file can be written; an existing one is left unchanged.
+
+    Raises UsageError.
+    """
     if path is None:
         return
     with readable(f"{option} {path}"):
@@ -42,7 +48,7 @@ def require_writable_file(option: str, path: Path | None) -> None:
 
 
 def require_writable_folder(option: str, path: Path | None) -> None:
-    """Make the folder if needed and check that it can be written. Raises UsageError."""
+    """Create the folder if needed and check that it can be written. Raises UsageError."""
     if path is None:
         return
     try:

@@ -1,4 +1,7 @@
-"""Display of long steps outside the flight: a progress bar on a terminal, a plain line every few seconds elsewhere."""
+"""Display of long steps outside the flight.
+
+A terminal shows a progress bar; any other output gets a plain line every few seconds.
+"""
 
 from __future__ import annotations
 
@@ -10,8 +13,8 @@ from contextlib import contextmanager
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-QUICK_S, PERIOD_S = 2.0, 10.0  # a step that is over by then prints nothing; then a line each period
-Report = Callable[[int, int], None]  # what is done, of how much
+QUICK_S, PERIOD_S = 2.0, 10.0  # a step that ends within the first prints nothing; then a line each period
+Report = Callable[[int, int], None]  # amount done, total amount
 
 
 def no_report(done: int, total: int) -> None:
@@ -19,9 +22,10 @@ def no_report(done: int, total: int) -> None:
 
 
 class StepDisplay:
-    """Shows what runs and how far it is. A quiet console shows nothing.
+    """Display of the running step and its progress; a quiet console shows nothing.
 
-    quick_s: where the console is no terminal, a step that ends within this time prints nothing; period_s: time between lines.
+    quick_s: where the console is no terminal, a step that ends within this time prints nothing. period_s: time between
+    lines.
     """
 
     def __init__(self, console: Console, quick_s: float = QUICK_S, period_s: float = PERIOD_S) -> None:
@@ -31,7 +35,10 @@ class StepDisplay:
 
     @contextmanager
     def step(self, text: str) -> Iterator[Report]:
-        """Show a step while the block runs; the value reports its progress, from any thread."""
+        """Show a step while the block runs.
+
+        The value of the block reports the step's progress, from any thread.
+        """
         if self._console.quiet:
             yield no_report
         elif self._console.is_terminal:

@@ -1,4 +1,7 @@
-"""A line on standard error while a process waits for another one, so that nobody watches a silent terminal."""
+"""A line on standard error while a process waits for another one.
+
+Without it the terminal would be silent.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +18,7 @@ SILENT_S = 2.0  # a value older than this counts as none
 
 
 class WaitNotice:
-    """Prints what a process waits for: after 2 s, on a change, then every 15 s."""
+    """Notice of what a process waits for: after 2 s, on a change, then every 15 s."""
 
     def __init__(self, name: str, now_s: float) -> None:
         self._name = name
@@ -24,7 +27,7 @@ class WaitNotice:
         self._printed: tuple[str, ...] = ()
 
     def update(self, now_s: float, missing: Sequence[str]) -> None:
-        """Print a line if one is due. missing: what is waited for, empty for nothing."""
+        """Print a line if one is due. missing: what the process waits for; may be empty."""
         if not missing:
             self._since_s = now_s
             self._next_s = now_s + FIRST_S
@@ -37,7 +40,10 @@ class WaitNotice:
 
 
 def missing_processes(wires: FlightChannels, now_s: float) -> list[str]:
-    """Return the processes of a flight that report nothing, each with the command that starts it."""
+    """Return the processes of a flight that report nothing.
+
+    Each is given with the command that starts it.
+    """
     missing = []
     if is_silent(wires.vehicle, now_s):
         missing.append("the pilot (uav-recon pilot)")

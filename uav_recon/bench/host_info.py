@@ -9,7 +9,7 @@ import subprocess
 import time
 from pathlib import Path
 
-# Not part of what is measured: texts, and the results themselves, which a series of measurements writes one after the other.
+# Not part of what is measured: texts, and the results, which a series of measurements writes one after the other.
 _NOT_MEASURED = (":(top,exclude)*.md", ":(top,exclude)results")
 
 
@@ -37,9 +37,10 @@ def commit() -> str:
 
 
 def revision() -> tuple[str, bool]:
-    """Return the short hash of this source tree ('unknown' outside a repository), and whether tracked files differ from it.
+    """Return the short hash of this source tree, and whether tracked files differ from it.
 
-    Texts (*.md) and the folder results/ do not count: they do not change what is measured.
+    The hash is 'unknown' outside a repository. Texts (*.md) and the folder results/ do not count: they do not change what
+    is measured.
     """
     folder = Path(__file__).parent
     head = _git(folder, "rev-parse", "--short", "HEAD")

@@ -1,4 +1,4 @@
-"""JSON files of measured values, each with a header that states what was run, where and when.
+"""JSON files of measured values, each with a header of command, machine and date.
 
 Every command with `--json` writes its file here, so that `results/generate.py` can read all of them.
 """
@@ -50,7 +50,10 @@ class ResultHeader:
 
 
 def result_header(calibration: Calibration | None = None) -> ResultHeader:
-    """Return the header of a run that ends now; calibrates (half a second) if no calibration is given."""
+    """Return the header of a run that ends now.
+
+    Without a calibration it calibrates, which takes half a second.
+    """
     measured = calibration or calibrate()
     head, changed = host_info.revision()
     return ResultHeader(
@@ -68,7 +71,10 @@ def result_header(calibration: Calibration | None = None) -> ResultHeader:
 
 
 def command_line(words: Sequence[str], folder: Path) -> str:
-    """Return the words of a process as one shell line without paths of this machine; see ResultHeader.command."""
+    """Return the words of a process as one shell line without paths of this machine.
+
+    See ResultHeader.command.
+    """
     program = Path(words[0])
     ours = program.name in ("__main__.py", PROGRAM)
     first = [PROGRAM] if ours else ["python", _short(words[0], folder)]

@@ -66,14 +66,20 @@ def bench_planner(
     ] = False,
     json: JsonOption = None,
 ) -> None:  # fmt: skip
-    """Benchmark the planner: computing time per depth frame from fusion to tour, and quality of the plans; one thread."""
+    """Benchmark the planner: time per depth frame from fusion to tour, and quality of the plans.
+
+    Computing time is measured on one thread.
+    """
     from uav_recon.bench.planner import planner_bench as bench_of_planner
 
     exit_with(lambda: bench_of_planner.bench_planner(stream, size, stride, scale, json))
 
 
 def bench_tasks(flight: FlightArgument, json: JsonOption = None) -> None:
-    """Benchmark the search for views of the learned surface, along a recorded flight; one thread."""
+    """Benchmark the search for views of the learned surface, along a recorded flight.
+
+    Computing time is measured on one thread.
+    """
     from uav_recon.bench.planner import task_bench
 
     exit_with(lambda: task_bench.bench_tasks(flight, json))
@@ -96,11 +102,12 @@ def bench_mapper(
     device: Annotated[str, typer.Option(metavar="cpu", help="Only cpu is implemented.")] = "cpu",
     json: JsonOption = None,
 ) -> None:
-    """Benchmark the neural mapper on one scene: accuracy, speed, and calibration of its uncertainty, against a 2 cm TSDF.
+    """Benchmark the neural mapper on one scene: accuracy, speed, and calibration.
 
-    The TSDF gets the same frames. Views are added one at a time as in flight, each followed by its training steps; then
-    all at once, for the time to reach a recall. With pose noise or exposure the run is repeated without corrections. Recall,
-    completion and images count only what some view observed. Times are processor time on one thread.
+    The calibration is that of its uncertainty. The reference is a 2 cm TSDF of the same frames. Views are added one at a
+    time as in flight, each followed by its training steps; then all at once, for the time to reach a recall. With pose
+    noise or exposure the run is repeated without corrections. Recall, completion and images count only what some view
+    observed. Times are processor time on one thread.
     """
     from uav_recon.bench.mapper import mapper_bench as bench_of_mapper
 
@@ -131,7 +138,10 @@ def bench_endurance(
     seed: Annotated[int, typer.Option(min=0, help="Seed of positions, noise, order and training.")] = 0,
     json: JsonOption = None,
 ) -> None:  # fmt: skip
-    """Check that memory, disk, time per view and accuracy of the mapper stay constant over hours of keyframes."""
+    """Check that the mapper's costs and accuracy stay constant over hours of keyframes.
+
+    Costs are memory, disk and time per view.
+    """
     from uav_recon.bench.mapper import endurance as bench_of_endurance
     from uav_recon.bench.mapper import mapper_bench as bench_of_mapper
 
@@ -155,10 +165,10 @@ def bench_setpoints(
     ] = "px4",
     json: JsonOption = None,
 ) -> None:  # fmt: skip
-    """Benchmark setpoint timing under load: training, four busy threads, disk writes and the recorder.
+    """Benchmark setpoint timing under load.
 
-    Setpoints are time-stamped by the kernel at a simulated autopilot. Limits for the gap between two: p99 50 ms, p99.9
-    75 ms, maximum 250 ms.
+    The load is training, four busy threads, disk writes and the recorder. Setpoints are time-stamped by the kernel at a
+    simulated autopilot. Limits for the gap between two: p99 50 ms, p99.9 75 ms, maximum 250 ms.
     """
     from uav_recon.bench.setpoints import setpoint_bench
 
@@ -178,7 +188,9 @@ def bench_uncertainty(
     seed: Annotated[int, typer.Option(min=0, help="Seed of positions, noise and training.")] = 0,
     json: JsonOption = None,
 ) -> None:
-    """Compare uncertainty measures by how well they rank true errors: AUSE and Spearman of each, on unfinished maps.
+    """Compare uncertainty measures by how well they rank true errors.
+
+    The rank is scored by AUSE and Spearman of each measure, on unfinished maps.
 
     Measures: the paper's colour sigma, evaluated by the network at surface points; colour sigma kept in a grid; the
     information that depth images gave to a lattice; the product of these two; number and agreement of measurements. `All`

@@ -1,4 +1,7 @@
-"""The words that options with a fixed set of values take, for help and shell completion; whoever uses an option checks it."""
+"""Words that options with a fixed set of values take, for help and shell completion.
+
+The command that uses an option checks its value.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +18,10 @@ DEVICES = ("auto", "cpu", "cuda")
 
 
 def one_of(words: tuple[str, ...]) -> Callable[[str], list[str]]:
-    """Return a completion for the last word of a comma-separated list: the words that begin with it."""
+    """Return a completion for the last word of a comma-separated list.
+
+    It offers the words that begin with it.
+    """
 
     def complete(incomplete: str) -> list[str]:
         before, comma, last = incomplete.rpartition(",")

@@ -1,4 +1,7 @@
-"""The command group, and how a command is added to it: help text from the docstring, examples below the options."""
+"""The command group, and the function that adds a command to it.
+
+The help text is the docstring, with examples below the options.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +18,10 @@ HELP_NAMES = {"help_option_names": ["-h", "--help"]}
 
 
 class Commands(TyperGroup):
-    """A command group that rejects empty words: a shell variable that is not set would stand for the current folder."""
+    """Command group that rejects empty words.
+
+    An empty word comes from a shell variable that is not set, and would stand for the current folder.
+    """
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Parse the command line. Raises ParserError for an empty option value or argument."""
@@ -37,7 +43,10 @@ def add(
     group: typer.Typer, callback: Callable[..., Any], name: str, panel: str | None = None, examples: Sequence[str] = (),
     hidden: bool = False,
 ) -> None:  # fmt: skip
-    """Add a command: its help is the docstring, one line a paragraph; examples are printed below the options."""
+    """Add a command.
+
+    Its help is the docstring, one line a paragraph; examples are printed below the options.
+    """
     paragraphs = inspect.cleandoc(callback.__doc__ or "").split("\n\n")
     text = "\n\n".join(" ".join(paragraph.split()) for paragraph in paragraphs)
     shown = "\n".join(("Examples:", *(f"  {example}" for example in examples))) if examples else None
@@ -48,5 +57,5 @@ def add(
 
 
 def _escaped(text: str) -> str:
-    """Keep square brackets: rich takes them for markup."""
+    """Escape square brackets, which rich would read as markup."""
     return text.replace("[", "\\[")

@@ -1,4 +1,7 @@
-"""The end of a command: an exit code, or one line on standard error that a person can act on."""
+"""The end of a command: an exit code, or one line on standard error.
+
+The line names something that a person can act on.
+"""
 
 from __future__ import annotations
 
@@ -11,11 +14,14 @@ import typer
 from uav_recon.errors import EXIT_USAGE, UserError
 
 EXIT_INTERRUPTED = 130
-ParserError: type[Exception] = cast(Any, typer.BadParameter).__bases__[0]  # click's UsageError, or typer's own: it has moved
+ParserError: type[Exception] = cast(Any, typer.BadParameter).__bases__[0]  # click's UsageError, or typer's newer class
 
 
 def exit_with(work: Callable[[], Any]) -> None:
-    """Run the work and exit with the code it returns; a UserError is printed and gives its own code."""
+    """Run the work and exit with the code it returns.
+
+    A UserError is printed and gives its own code.
+    """
     try:
         code = work()
     except UserError as failure:
@@ -28,7 +34,10 @@ def exit_with(work: Callable[[], Any]) -> None:
 
 
 def end(app: typer.Typer) -> None:
-    """Run the command line and exit; an error of the parser is printed as one line. Raises SystemExit."""
+    """Run the command line and exit; an error of the parser is printed as one line.
+
+    Raises SystemExit.
+    """
     try:
         sys.exit(app(standalone_mode=False) or 0)
     except ParserError as error:
@@ -44,7 +53,10 @@ def end(app: typer.Typer) -> None:
 
 
 def _one_line(error: Any) -> str:
-    """Return option, value and allowed range where a value is out of range, else the parser's own words."""
+    """Return a parser error as one line.
+
+    It is option, value and allowed range where a value is out of range, else the parser's own message.
+    """
     option: Any = getattr(error, "param", None)
     names = getattr(option, "opts", [])
     given = _given(names) if isinstance(error, typer.BadParameter) else None
@@ -60,7 +72,7 @@ def _one_line(error: Any) -> str:
 
 
 def _given(names: list[str]) -> str | None:
-    """Return the value that the command line gives for an option, None if it does not."""
+    """Return the value that the command line gives for an option, None if it gives none."""
     for word, following in zip(sys.argv[1:], [*sys.argv[2:], ""], strict=True):
         name, equals, value = word.partition("=")
         if name in names:

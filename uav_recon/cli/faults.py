@@ -68,10 +68,10 @@ def faults(
         ),
     ] = None,
 ) -> None:  # fmt: skip
-    """Run the fault-injection campaign, one fault per flight. Prints one line per scenario: measured value and pass limit.
+    """Run the fault-injection campaign, one fault per flight.
 
-    Results are computed from the simulator's ground truth and the captured MAVLink traffic. Exit code 1 if any scenario
-    failed.
+    Prints one line per scenario: measured value and pass limit. Results are computed from the simulator's ground truth and
+    the captured MAVLink traffic. Exit code 1 if any scenario failed.
     """
     if show_list:
         from sitl.faults.flights.scenario_list import print_scenarios

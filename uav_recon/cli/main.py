@@ -1,4 +1,7 @@
-"""The command line: parses, calls run. Heavy imports are inside the commands, so that --help is quick."""
+"""The command line: it parses the options and runs a command.
+
+Heavy imports are inside the commands, so that --help is quick.
+"""
 
 from __future__ import annotations
 
@@ -44,7 +47,7 @@ def options(
         bool, typer.Option("--version", is_eager=True, callback=_print_version, help="Print version and commit, and exit.")
     ] = False,
 ) -> None:
-    """Options of every command."""
+    """Take the options of every command."""
 
 
 add(app, simulate.sim, "sim", FLY, simulate.SIM_EXAMPLES)
@@ -64,7 +67,7 @@ app.add_typer(config, name="config", rich_help_panel=VEHICLE)
 
 
 def main() -> None:
-    """Entry point."""
+    """Run the command line."""
     use_writable_cache()
     end(app)
 

@@ -70,7 +70,9 @@ def status(
         bool, typer.Option("--watch", help="Refresh every second until Ctrl-C. Also acts as the operator heartbeat.")
     ] = False,
 ) -> None:
-    """Print the state of the flight: pilot, mission, autopilot mode, battery, position, views, and why it waits.
+    """Print the state of the flight and the reason why it waits.
+
+    The state is: pilot, mission, autopilot mode, battery, position and views.
 
     Exit code 0: answered; 69: pilot not reachable.
     """
@@ -106,12 +108,12 @@ def _watch(config: Path, socket: Path | None, as_json: bool) -> int:
     try:
         _reached(lambda: operator_factory.watch_status(lambda: _asked(path), page))
     except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), out.fileno())  # or the interpreter complains as it ends
+        os.dup2(os.open(os.devnull, os.O_WRONLY), out.fileno())  # otherwise the interpreter reports an error as it ends
     return 0
 
 
 def _asked(path: Path) -> Status:
-    """Return the pilot's status. Raises CallError, or UserError where the pilot refuses."""
+    """Return the pilot's status. Raises CallError, or UserError if the pilot refuses."""
     from uav_recon.operator.client import send_command
     from uav_recon.operator.status import Status
 

@@ -56,7 +56,10 @@ def check(
 def diff(
     autopilot: AutopilotOption = None, link: LinkOption = None, file: FileOption = None, config: ConfigOption = FLOWN
 ) -> None:
-    """Show only differing parameters. `!` blocks arming, `~` does not. Exit codes as for `check`."""
+    """Show only differing parameters.
+
+    `!` blocks arming, `~` does not. Exit codes as for `check`.
+    """
     from uav_recon.app import parameter_tool as parameters
 
     exit_with(lambda: parameters.check(parameters.ParamsOptions.of(autopilot, link, file, config), every_row=False))
@@ -69,9 +72,9 @@ def write(
     config: ConfigOption = FLOWN,
     yes: Annotated[bool, typer.Option("--yes", help="Write without asking.")] = False,
 ) -> None:
-    """Write the differing parameters after a confirmation, and read them back. Never writes while the motors are armed.
+    """Write the differing parameters after a confirmation, and read them back.
 
-    Prints whether a reboot is needed. Exit codes as for `check`.
+    Never writes while the motors are armed. Prints whether a reboot is needed. Exit codes as for `check`.
     """
     from uav_recon.app import parameter_tool as parameters
 

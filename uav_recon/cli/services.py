@@ -11,7 +11,7 @@ from uav_recon.cli import choices
 from uav_recon.cli.exit_codes import exit_with
 
 CONFIG = Path("/etc/uav_recon/config.toml")
-# who opens a path judges it, in one line and with the exit code that it has: readable=False
+# readable=False: the code that opens a path checks it, and reports one line with its own exit code
 ConfigOption = Annotated[
     Path,
     typer.Option("--config", metavar="FILE", readable=False, help="TOML config; `uav-recon config write` lists every key."),
@@ -46,21 +46,30 @@ def perception(config: ConfigOption = CONFIG) -> None:
 
 
 def mission(config: ConfigOption = CONFIG, flight: FlightOption = None) -> None:
-    """Run the mission process: voxel map, planner and state machine; mapper and recorder are its child processes."""
+    """Run the mission process: voxel map, planner and state machine.
+
+    Mapper and recorder are its child processes.
+    """
     from uav_recon.app import processes
 
     exit_with(lambda: processes.mission(config, flight))
 
 
 def record(config: ConfigOption = CONFIG, flight: FlightOption = None) -> None:
-    """Run the recorder, which the mission starts: it writes the channels to flight.rrd."""
+    """Run the recorder, which writes the channels to flight.rrd.
+
+    The mission starts it.
+    """
     from uav_recon.app import processes
 
     exit_with(lambda: processes.record(config, flight))
 
 
 def review(flight: FlightArgument) -> None:
-    """Open a flight in the rerun viewer: map, path, model, camera images and values on one timeline."""
+    """Open a flight in the rerun viewer.
+
+    It shows map, path, model, camera images and values on one timeline.
+    """
     from uav_recon.app import processes
 
     exit_with(lambda: processes.review(flight))
@@ -85,11 +94,11 @@ def refine(
     ] = None,
     save_every: Annotated[float, typer.Option(metavar="S", help="Seconds between checkpoints, 1 to 3600.")] = 60.0,
 ) -> None:  # fmt: skip
-    """Train the final model of a flight at full quality and write FLIGHT/refined/mesh.ply and mesh.glb.
+    """Train the final model of a flight at full quality.
 
-    The mesh is watertight. Faces that no view observed are marked (mesh.ply: property `observed`; mesh.glb: primitive
-    `unseen`) and are not part of any measured value. Ctrl-C saves a checkpoint; the same command continues from it, also
-    after a kill.
+    It writes FLIGHT/refined/mesh.ply and mesh.glb. The mesh is watertight. Faces that no view observed are marked
+    (mesh.ply: property `observed`; mesh.glb: primitive `unseen`) and are not part of any measured value. Ctrl-C saves a
+    checkpoint; the same command continues from it, also after a kill.
     """
     from uav_recon.app import refine as refinement
 

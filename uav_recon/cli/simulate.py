@@ -166,10 +166,11 @@ def sim(
         typer.Option(metavar="FILE", readable=False, rich_help_panel=RUN, help="Write the report, commit and machine to FILE."),
     ] = None,
 ) -> None:  # fmt: skip
-    """Fly a whole mission in simulation and write a flight folder with model, report and recording.
+    """Fly a whole mission in simulation and write a flight folder.
 
-    Scene, camera and autopilot are simulated. The pilot, perception and mission processes are the programs that run on a
-    drone. Ctrl-C lands and still writes the report; a second Ctrl-C ends all processes at once.
+    The folder holds model, report and recording. Scene, camera and autopilot are simulated. The pilot, perception and
+    mission processes are the programs that run on a drone. Ctrl-C lands and still writes the report; a second Ctrl-C ends
+    all processes at once.
 
     Exit code 0: mission completed; 1: not completed, or a process failed; 2: bad option; 130: interrupted before take-off.
     """
@@ -223,10 +224,10 @@ def sweep(
         typer.Option("--truth", help="Also measure explored fraction and recall. Adds up to a minute for each new scene."),
     ] = False,
 ) -> None:
-    """Fly many missions in lockstep with the depth-only mapper; print a line for each and a summary table.
+    """Fly many missions in lockstep with the depth-only mapper.
 
-    Flights go through scenes, radii and variants, then repeat with the next seed. Exit code 1 if any flight had contact or
-    failed with an error; the command that repeats such a flight is printed.
+    Prints a line for each and a summary table. Flights go through scenes, radii and variants, then repeat with the next
+    seed. Exit code 1 if any flight had contact or failed with an error; the command that repeats such a flight is printed.
     """
     from sitl.apps.sweep import SweepOptions
     from sitl.apps.sweep import sweep as fly_all

@@ -1,4 +1,7 @@
-"""The version of this program: the package's, and the commit it was installed from or runs in."""
+"""Version of this program: that of the package, and the commit.
+
+The commit is the one that it was installed from or runs in.
+"""
 
 from __future__ import annotations
 
@@ -18,13 +21,16 @@ def version_line() -> str:
         package = metadata.distribution(PACKAGE)
     except metadata.PackageNotFoundError:
         return f"{PACKAGE} (not installed)"
-    in_working_tree = (_SOURCE / ".git").exists()  # an installed copy may lie inside a repository of somebody else
+    in_working_tree = (_SOURCE / ".git").exists()  # an installed copy may lie inside another repository
     commit = host_info.commit() if in_working_tree else _installed_commit(package)
     return f"{PACKAGE} {package.version}" + ("" if commit in ("", "unknown") else f" (commit {commit})")
 
 
 def _installed_commit(package: metadata.Distribution) -> str:
-    """Return the commit that pip noted for an installation from a repository, "" for any other."""
+    """Return the commit that pip recorded for an installation from a repository.
+
+    It is "" for any other installation.
+    """
     try:
         return str(json.loads(package.read_text("direct_url.json") or "{}")["vcs_info"]["commit_id"])[:7]
     except (ValueError, KeyError, TypeError):

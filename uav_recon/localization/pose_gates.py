@@ -23,7 +23,7 @@ _PLAUSIBLE_NIS = 22.46  # 99.9 % of the innovations of six elements (chi-square)
 
 
 class PoseRejection(str, Enum):
-    """What a pose or an inertial sample was rejected for; the filter counts by it."""
+    """Reason for the rejection of a pose or an inertial sample; the filter counts by it."""
 
     NOT_FINITE = "not finite"
     OUT_OF_RANGE = "out of range"

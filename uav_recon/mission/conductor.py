@@ -301,7 +301,10 @@ class Conductor:
             self._channels.progress.publish(progress)
 
     def close(self) -> Reason | None:
-        """Write the last line of the journal; returns why the flight was aborted, None for one that was completed."""
+        """Write the last line of the journal; returns why the flight was aborted.
+
+        It returns None for a completed flight.
+        """
         home = self.phase is Phase.DONE and self._arrived and not self._log.aborted
         why = self._log.aborted or self._log.note or Reason(ReasonCode.ENDED_IN_PHASE, (self.phase.value,))
         aborted = None if home else why

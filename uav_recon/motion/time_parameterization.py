@@ -124,7 +124,10 @@ def _reaches(slope: AnyArray, bend: AnyArray, acceleration: float, spin: float, 
 
 @kernel
 def _gain(slope: AnyArray, bend: AnyArray, max_speed_mps: float, x: float) -> float:
-    """Return the greatest d²s/dt² at which speed + FEEDFORWARD_OVERSHOOT_S * dv/dt <= max_speed_mps."""
+    """Return the greatest d²s/dt² (1/s²) within the speed limit.
+
+    The limit is speed + FEEDFORWARD_OVERSHOOT_S * dv/dt <= max_speed_mps.
+    """
     a = slope[0] ** 2 + slope[1] ** 2 + slope[2] ** 2
     if a < TINY or max_speed_mps == np.inf:
         return 1e9

@@ -1,4 +1,7 @@
-"""Periodic display of the flight status: in place on a terminal, elsewhere one line per answer."""
+"""Periodic display of the flight status.
+
+A terminal is overwritten in place; any other output gets one line per answer.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +13,7 @@ from uav_recon.interfaces import Clock
 from uav_recon.operator.client import CallError
 from uav_recon.operator.status import Status
 
-PERIOD_S, MAX_LOST = 1.0, 3  # a restarted pilot is back before three answers are lost
+PERIOD_S, MAX_LOST = 1.0, 3  # a restarted pilot answers before three answers are lost
 
 
 class Page(Protocol):
@@ -26,7 +29,10 @@ class Page(Protocol):
 
 
 class TerminalOutput:
-    """Display for a terminal: lines that overwrite the previous ones, cut to the width of the terminal."""
+    """Display for a terminal.
+
+    Its lines overwrite the previous ones, cut to the width of the terminal.
+    """
 
     def __init__(self, out: TextIO) -> None:
         self._out = out
@@ -52,7 +58,10 @@ class TerminalOutput:
 
 
 class LineOutput:
-    """Display for a pipe or a file: a plain line per answer; missing answers go to a second stream."""
+    """Display for a pipe or a file: a plain line per answer.
+
+    Missing answers are reported on a second stream.
+    """
 
     def __init__(self, out: TextIO, beside: TextIO, text: Callable[[Status], str]) -> None:
         self._out = out
@@ -65,7 +74,7 @@ class LineOutput:
         self._out.flush()
 
     def lost(self, why: str) -> None:
-        """Write the reason to the second stream: a reader of the lines gets nothing else."""
+        """Write the reason to the second stream, so that the first holds answers only."""
         self._beside.write(f"uav-recon: no answer: {why}\n")
 
 
@@ -75,7 +84,10 @@ def in_a_line(status: Status) -> str:
 
 
 def watch(ask: Callable[[], Status], page: Page, clock: Clock) -> None:
-    """Ask once a second until interrupted. Raises the last CallError if the first answer, or MAX_LOST in a row, is missing."""
+    """Ask once a second until interrupted.
+
+    Raises the last CallError if the first answer, or MAX_LOST in a row, is missing.
+    """
     lost, max_lost = 0, 1
     while True:
         begun_s = clock.now_s()

@@ -47,7 +47,10 @@ class CameraGeometry:
 
     @staticmethod
     def of(camera: Camera, max_range_m: float) -> CameraGeometry:
-        """Return the geometry of a camera on its fixed mount. max_range_m: range of the occupancy map."""
+        """Return the geometry of a camera on its fixed mount.
+
+        max_range_m: range of the occupancy map (m).
+        """
         lens = camera.depth
         return CameraGeometry(
             hfov_rad=2.0 * math.atan(0.5 * lens.width / lens.fx),

@@ -155,10 +155,11 @@ class ViewPlanner:
     def plan_views(
         self, voxels: VoxelMap, world_from_body: Pose, views: int, surface: SurfaceElements | None = None
     ) -> ViewPath | NothingLeft:
-        """Choose at most ``views`` next views from a body at rest, and the path to them; NothingLeft with a reason else.
+        """Choose at most ``views`` next views from a body at rest, and the path to them.
 
-        voxels: the newest map. surface: the newest surface of a neural mapper; without it only frontiers are planned. Call
-        accept() with a path that is flown. Raises ValueError for a value of another type.
+        It returns NothingLeft with a reason if there is no view. voxels: the newest map. surface: the newest surface of a
+        neural mapper; without it only frontiers are planned. Call accept() with a path that is flown. Raises ValueError for
+        a value of another type.
         """
         pose = require_pose("world_from_body", world_from_body)
         newest = require_kind("voxels", voxels, VoxelMap, "OccupancyMapper.map")

@@ -1,4 +1,7 @@
-"""Checks of values that a user of the library passes. Each raises ValueError: thing, value, expected, in one line."""
+"""Checks of values that a user of the library passes.
+
+Each raises ValueError with name, value and expectation in one line.
+"""
 
 from __future__ import annotations
 

@@ -43,8 +43,10 @@ class Intrinsics:
 
     @staticmethod
     def from_tree(tree: Any) -> Intrinsics:
-        """Return the intrinsics of a JSON object with fx, fy, cx, cy, width and height. Raises ValueError, KeyError or
-        TypeError for anything but finite numbers, fx and fy positive, width and height whole and positive.
+        """Return the intrinsics of a JSON object with fx, fy, cx, cy, width and height.
+
+        Raises ValueError, KeyError or TypeError for anything but finite numbers, fx and fy positive, width and height whole
+        and positive.
         """
         values = {name: tree[name] for name in ("fx", "fy", "cx", "cy", "width", "height")}
         for name, value in values.items():

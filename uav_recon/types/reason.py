@@ -1,4 +1,7 @@
-"""Reasons as values: a code and its numbers, with texts for people. No program compares a text."""
+"""Reasons as values: a code, its numbers and its details, with texts for people.
+
+No program compares a text.
+"""
 
 from __future__ import annotations
 
@@ -11,18 +14,19 @@ from dataclasses import dataclass
 
 from uav_recon.types.reason_code import ReasonCode, Value
 
-STATUSTEXT_BYTES = 50  # of MAVLink's message
+STATUSTEXT_BYTES = 50  # size of MAVLink's text field
 _NUMBER = r"[-+.\de]+%?|inf%?|nan%?"
 _MAX_VALUES, _MAX_CHARACTERS, _MAX_DETAILS, _MAX_DEPTH = 8, 100, 16, 6
 
 
 @dataclass(frozen=True, slots=True)
 class Reason:
-    """Why something is not done, or is done otherwise. None stands for no reason.
+    """Reason why something is not done, or is done otherwise; None stands for no reason.
 
-    values: what the texts of the code show, rounded to the digits that they show: equal texts are equal reasons.
-    details: more of the same reason, in order; why the autopilot gave up, what was found in the way.
-    What comes from another process is kept small: long text values are cut, and details that are nested too deep are dropped.
+    values: values in the texts of the code, rounded to the displayed digits, so equal texts are equal reasons.
+    details: further reasons in order, such as the reason why the autopilot gave up.
+
+    A reason from another process is kept small: long text values are cut, and details that are nested too deep are dropped.
     """
 
     code: ReasonCode
@@ -52,7 +56,10 @@ class Reason:
         return self._in_full(brief=False)
 
     def _in_full(self, brief: bool) -> str:
-        """Text and details. Never raises, whatever the values are: they may come from another process."""
+        """Return the text with its details.
+
+        It never raises, whatever the values are: they may come from another process.
+        """
         template = self.code.short if brief else self.code.long
         try:
             head = template.format(*self.values)
@@ -62,7 +69,7 @@ class Reason:
 
 
 def autopilot_text(text: str) -> tuple[Reason, ...]:
-    """Return the autopilot's own newest text as a detail; none where it gave none."""
+    """Return the autopilot's newest text as a detail; none if it gave none."""
     return (Reason(ReasonCode.AUTOPILOT_TEXT, (text,)),) if text else ()
 
 
@@ -77,9 +84,10 @@ def codes_of(reason: Reason | None) -> tuple[str, ...]:
 
 
 def codes_in(statustext: str) -> tuple[str, ...]:
-    """Return the codes that a STATUSTEXT made by ``Reason.short`` stands for, in its order; none for any other text.
+    """Return the codes in a STATUSTEXT made by ``Reason.short``, in its order.
 
-    What the 50 bytes have cut off is found as long as its beginning belongs to one code only.
+    It returns none for any other text. A code whose text is cut off at 50 bytes is found if the rest belongs to one code
+    only.
     """
     return tuple(_codes_in(statustext, was_cut=len(statustext.encode()) >= STATUSTEXT_BYTES))
 
@@ -100,7 +108,7 @@ def _codes_in(rest: str, was_cut: bool) -> Iterator[str]:
 
 @functools.cache
 def _patterns() -> tuple[tuple[ReasonCode, re.Pattern[str]], ...]:
-    """For each code that has a text of its own, what its short text looks like before its details."""
+    """Return the codes with a text of their own, each with the pattern of its short text."""
     return tuple((code, _pattern(code.short)) for code in ReasonCode if code is not ReasonCode.AUTOPILOT_TEXT)
 
 
@@ -114,7 +122,7 @@ def _pattern(template: str) -> re.Pattern[str]:
 
 
 def _begins(code: ReasonCode, cut: str) -> bool:
-    """Whether a cut text may be the beginning of a code's short text."""
+    """Return whether a cut text may be the beginning of a code's short text."""
     for literal, name, spec, _ in string.Formatter().parse(code.short):
         if not cut.startswith(literal):
             return literal.startswith(cut)
@@ -133,7 +141,7 @@ def _rounded(value: Value, places: int | None) -> Value:
     if isinstance(value, str):
         return value[:_MAX_CHARACTERS]
     if math.isnan(value):
-        return math.nan  # one and the same, so that reasons with it are equal
+        return math.nan  # always the same object, so that reasons with it are equal
     return value if places is None else round(value, places)
 
 

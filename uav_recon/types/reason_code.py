@@ -1,4 +1,7 @@
-"""Codes of the reasons that a flight gives, one line each with its texts: the table of messages."""
+"""Codes of the reasons that a flight gives, each on one line with its texts.
+
+This is the table of messages.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""The RGB-D camera of a user of the library: both images, the mount, the range and the depth noise."""
+"""RGB-D camera for users of the library.
+
+It holds both images' intrinsics, the mount, the range and the depth noise.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +16,7 @@ from uav_recon.types.camera import Frame, Intrinsics, PosedFrame, body_from_came
 from uav_recon.types.frames import AnyArray, Float32Array, FloatArray, frozen
 from uav_recon.types.pose import Pose
 
-_RANGE_SLACK_M = 1e-9  # as the camera stream has it
+_RANGE_SLACK_M = 1e-9  # as in the camera stream
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,10 +57,10 @@ class Camera:
 
     @staticmethod
     def d435i(*, position_body_m: ArrayLike = (0.10, 0.0, 0.0), pitch_down_rad: float = math.radians(15.0)) -> Camera:
-        """Return an Intel RealSense D435i: both images 424x240, depth 87x58 degrees, colour 69x42 degrees.
+        """Return an Intel RealSense D435i.
 
-        Range, noise and mount are the defaults of [camera] in the configuration. Intrinsics are nominal; a device reports its
-        own.
+        Both images have 424x240 pixels. The angles of view are 87x58 degrees (depth) and 69x42 degrees (colour). Range,
+        noise and mount are the defaults of [camera] in the configuration. Intrinsics are nominal; a device reports its own.
         """
         return Camera(
             Intrinsics.from_fov(424, 240, math.radians(87.0), math.radians(58.0)),
@@ -82,7 +85,10 @@ class Camera:
         position_body_m: ArrayLike = (0.0, 0.0, 0.0),
         pitch_down_rad: float = 0.0,
     ) -> Camera:
-        """Return a camera whose depth and colour images have the same pixels, as in most RGB-D data sets."""
+        """Return a camera whose depth and colour images have the same pixels.
+
+        Most RGB-D data sets have such images.
+        """
         return Camera(
             intrinsics,
             intrinsics,
@@ -117,7 +123,10 @@ class Camera:
         return Frame(stamp_s, 0, self._in_range(np.asarray(depth_m)), self.depth, colour, self.rgb, self.rgb_from_depth)
 
     def keyframe(self, depth_m: AnyArray, rgb: AnyArray | None, world_from_camera: Pose, *, stamp_s: float = 0.0) -> PosedFrame:
-        """Return frame() with the pose of the depth imager. Raises ValueError as frame(), and for anything but a Pose."""
+        """Return frame() with the pose of the depth imager.
+
+        Raises ValueError as frame(), and for anything but a Pose.
+        """
         return PosedFrame(self.frame(depth_m, rgb, stamp_s=stamp_s), require_pose("world_from_camera", world_from_camera))
 
     def _in_range(self, depth_m: AnyArray) -> Float32Array:

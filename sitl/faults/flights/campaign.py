@@ -1,4 +1,7 @@
-"""`uav-recon faults`: fly the scenarios, print a line for each with measured value and limit, and write a report."""
+"""`uav-recon faults`: fly the scenarios, print their values and limits, and write a report.
+
+One line is printed for each scenario.
+"""
 
 from __future__ import annotations
 
@@ -35,9 +38,11 @@ FIRMWARE_OFFERS = {
 
 @dataclass(frozen=True)
 class FaultOptions:
-    """What the user asked for: scenarios in the order of the table, flown for each autopilot with seeds seed0, seed0 + 1, ...
+    """Options of a campaign.
 
-    live: in real time. firmware: a real one in place of the simulated autopilot, always live.
+    scenarios: in the order of the table. They are flown for each autopilot with seeds seed0, seed0 + 1, ...
+    live: in real time.
+    firmware: a real firmware in place of the simulated autopilot, always in real time.
     """
 
     scenarios: tuple[Scenario, ...]
@@ -85,7 +90,10 @@ class FaultOptions:
         ]
 
     def groups(self) -> list[list[FaultCase]]:
-        """Return all flights, grouped where flights share their start, seed by seed; in real time each is alone."""
+        """Return all flights, seed by seed, grouped where flights share their start.
+
+        In real time each flight is a group of its own.
+        """
         cases = [case for autopilot in self.autopilots for one in self.scenarios for case in self.cases(one, autopilot)]
         if self.live:
             return [[case] for case in cases]
@@ -96,7 +104,10 @@ class FaultOptions:
 
 
 def scenarios_named(only: str) -> tuple[Scenario, ...]:
-    """Return the scenarios of a comma-separated list, in the order of the table. Raises UsageError for an unknown one."""
+    """Return the scenarios of a comma-separated list, in the order of the table.
+
+    Raises UsageError for an unknown one.
+    """
     names = tuple(word.strip() for word in only.split(","))
     unknown = [name for name in names if name not in NAMED]
     if unknown:
@@ -112,7 +123,7 @@ def _can_fly(autopilot: str, live: bool, firmware: Path | None) -> Callable[[Sce
 
 
 def faults(options: FaultOptions) -> int:
-    """Fly them; returns 1 if any scenario failed, else 0. Raises UserError."""
+    """Fly the scenarios; returns 1 if any failed, else 0. Raises UserError."""
     console, results = Console(), list[Result]()
     groups = options.groups()
     with readable(f"--out {options.out}"):
@@ -140,7 +151,10 @@ def faults(options: FaultOptions) -> int:
 
 
 def _why_nothing_was_flown(scenarios: Sequence[Scenario]) -> str:
-    """Return why none of these scenarios was flown in lockstep, and how to fly those that can be flown."""
+    """Return the reason why none of these scenarios was flown in lockstep.
+
+    The text names the option that flies those that can be flown.
+    """
     live = [scenario.id for scenario in scenarios if scenario.flown(live=True)]
     if live:
         return f"{', '.join(live)} cannot run in lockstep. Run {'it' if len(live) == 1 else 'them'} with --real-time."
@@ -148,7 +162,10 @@ def _why_nothing_was_flown(scenarios: Sequence[Scenario]) -> str:
 
 
 def _fly_all(groups: list[list[FaultCase]], jobs: int, console: Console) -> Generator[FaultRecord, None, None]:
-    """Yield records as they come, with a progress bar; a flight that missed a limit is printed at once."""
+    """Yield records as they come, with a progress bar.
+
+    A flight that missed a limit is printed at once.
+    """
     columns = (
         TextColumn("flights"),
         BarColumn(),
@@ -173,7 +190,10 @@ def _fly_all(groups: list[list[FaultCase]], jobs: int, console: Console) -> Gene
 
 
 def _results(options: FaultOptions, records: Iterator[FaultRecord]) -> Iterator[Result]:
-    """Yield the result of each scenario and autopilot, in order, as soon as its flights and those before are over."""
+    """Yield the result of each scenario and autopilot, in order.
+
+    Each comes as soon as its flights and those of the earlier ones are over.
+    """
     flown: dict[FaultCase, FaultRecord] = {}
     for autopilot in options.autopilots:
         for scenario in options.scenarios:
@@ -204,7 +224,10 @@ def _line(result: Result) -> str:
 
 
 def summary(results: Sequence[Result]) -> dict[str, int]:
-    """Return the counts of a campaign; a scenario counts once for each simulated autopilot that flew it."""
+    """Return the counts of a campaign.
+
+    A scenario counts once for each simulated autopilot that flew it.
+    """
     flown = [result for result in results if result.passed is not None]
     return {
         "scenarios": len(flown),

@@ -1,4 +1,4 @@
-"""What a flight with a trouble leaves for its judges."""
+"""Evidence of a finished flight with a fault, for its checks."""
 
 from __future__ import annotations
 
@@ -14,7 +14,11 @@ from uav_recon.types.reason import codes_in
 
 
 def evidence_of(meddler: FaultDirector, config: Config, truth: Path, radius_m: float) -> FlightEvidence:
-    """Of a flight that is over. truth: what the world wrote, beside the product's own account; radius_m: of the hull."""
+    """Return the evidence of a finished flight.
+
+    truth: file with the simulator's ground truth, in the same folder as the product's own log. radius_m: radius of the hull
+    (m).
+    """
     safety = config.safety
     limits = GuardLimits(
         safety.fence_min_m, safety.fence_max_m, safety.fence_inset_m, safety.max_speed_mps, safety.max_acceleration_mps2,

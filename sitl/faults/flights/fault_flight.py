@@ -1,4 +1,4 @@
-"""Flights of the fault campaign: a row's trouble in lockstep or in real time, and the verdict."""
+"""Flights of the fault campaign, in lockstep or in real time, each with a verdict."""
 
 from __future__ import annotations
 
@@ -30,7 +30,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Stage:
-    """What a flight in lockstep is before its trouble begins; number is its seed."""
+    """Properties of a lockstep flight before its fault begins.
+
+    number: the flight's number, which is its seed.
+    """
 
     autopilot: str
     number: int
@@ -43,8 +46,10 @@ class Stage:
 
 @dataclass(frozen=True)
 class FaultCase:
-    """A flight: number is its seed, and which of the row's cases is flown. live: in real time, with processes. firmware: and
-    with a real one.
+    """One flight of a scenario.
+
+    number: its seed, which also selects the case of the scenario. live: in real time, with processes. firmware: a real
+    firmware, flown in real time.
     """
 
     row: str
@@ -56,21 +61,27 @@ class FaultCase:
 
     @property
     def how(self) -> str:
-        """The words of `faults` that fly it this way."""
+        """Options of `faults` that select lockstep, real time or a real firmware."""
         if self.firmware is not None:
             return f"--firmware {shlex.quote(str(self.firmware))}"
         return "--real-time" if self.live else ""
 
     @property
     def stage(self) -> Stage:
-        """Cases with the same one are the same flight until their troubles begin."""
+        """Stage of this case.
+
+        Cases with equal stages are the same flight until their faults begin.
+        """
         row = ROWS[self.row]
         return Stage(self.autopilot, self.number, row.arena, row.views, row.radius_m(self.number), row.variant, row.camera)
 
 
 @dataclass(frozen=True)
 class FaultRecord:
-    """What came of a case; trace: of a program that broke. firmware: the version of a real one, "" for none."""
+    """Result of a case.
+
+    trace: traceback of a program that raised an exception. firmware: version of a real firmware, "" for none.
+    """
 
     case: FaultCase
     verdict: ScenarioVerdict
@@ -80,7 +91,7 @@ class FaultRecord:
 
 
 def fly(cases: Sequence[FaultCase]) -> list[FaultRecord]:
-    """Fly cases of one stage together, or some in real time one by one."""
+    """Fly cases of one stage together, or cases in real time one after the other."""
     return [_fly_live(case) for case in cases] if cases[0].live else fly_together(cases)
 
 
@@ -88,21 +99,25 @@ def _fly_live(case: FaultCase) -> FaultRecord:
     try:
         with tempfile.TemporaryDirectory(prefix="uav_recon-") as folder:
             return record_of(case, flight_live(ROWS[case.row], case, Path(folder)))
-    except Exception as error:  # a campaign goes on: what broke is in its record
+    except Exception as error:  # the campaign continues; the record contains the error
         return broken(case, error)
 
 
 def fly_together(cases: Sequence[FaultCase]) -> list[FaultRecord]:
-    """Fly cases of one stage: once until their troubles begin, and then, one after the other, each in a fork of this process.
+    """Fly cases of one stage.
 
-    An exception of a flight's program breaks its row, not the campaign, and so does the end of its process.
+    They are flown once until their faults begin. Then each is flown in a fork of this process, one after the other. An
+    exception of a flight's program, or the end of its process, fails its scenario and does not stop the campaign.
     """
     with tempfile.TemporaryDirectory(prefix="uav_recon-") as folder, FlightFork[list[FaultRecord]](Path(folder)) as fork:
         return _ForkedFlights(cases, Path(folder), fork).records()
 
 
 class _ForkedFlights:
-    """left: the cases that this process flies, by their rows."""
+    """Flights of one stage in this process and its forks.
+
+    _left: the cases that this process flies, by scenario id.
+    """
 
     def __init__(self, cases: Sequence[FaultCase], folder: Path, fork: FlightFork[list[FaultRecord]]) -> None:
         self._left = {case.row: case for case in cases}
@@ -112,14 +127,14 @@ class _ForkedFlights:
         self._stage = cases[0].stage
 
     def records(self) -> list[FaultRecord]:
-        """Of all cases; in a fork, it does not return."""
+        """Return the records of all cases; in a fork it does not return."""
         try:
             evidence = flight([ROWS[row] for row in self._left], self._stage, self._folder, self._split)
             records = [record_of(case, evidence) for case in self._left.values()]
             for case in self._left.values():
                 if case.out is not None:
                     shutil.copytree(self._folder / "flight", case.out)
-        except Exception as error:  # a campaign goes on: what broke is in its record
+        except Exception as error:  # the campaign continues; the record contains the error
             records = [broken(case, error) for case in self._left.values()]
         self._fork.give(records)
         return [*self._elsewhere, *records]
@@ -135,22 +150,24 @@ class _ForkedFlights:
 
 
 def record_of(case: FaultCase, evidence: FlightEvidence) -> FaultRecord:
-    """Judged."""
+    """Return the record of a finished flight, with its verdict."""
     row = ROWS[case.row]
     verdict = judge(row, evidence, violations(evidence, row.room))
     return FaultRecord(case, verdict, float(evidence.end_s - evidence.stamp_s[0]), firmware=evidence.firmware)
 
 
 def broken(case: FaultCase, error: Exception) -> FaultRecord:
-    """It tells why."""
+    """Return the record of a flight that ended with an exception, which it names."""
     said = f"{type(error).__name__}: {error}".splitlines()[0]
     trace = "".join(traceback.format_exception(error))
     return FaultRecord(case, ScenarioVerdict((float("nan"),) * len(ROWS[case.row].bars), (said,)), trace=trace)
 
 
 def flight(rows: Sequence[Scenario], stage: Stage, folder: Path, split: Callable[[str], bool] = never_split) -> FlightEvidence:
-    """Fly rows' troubles in lockstep, and gather what their judges may look at. folder: for all that the flight writes, the
-    product's account in its `flight`. split: of Meddler. Raises whatever the flight raises.
+    """Fly the faults of scenarios in lockstep, and return the evidence for their checks.
+
+    folder: receives all that the flight writes; the product's log goes to its `flight`. split: see FaultDirector. Raises
+    whatever the flight raises.
     """
     from rich.console import Console
 
@@ -190,12 +207,12 @@ def flight(rows: Sequence[Scenario], stage: Stage, folder: Path, split: Callable
 
 
 def attended(config: Config) -> Config:
-    """The same where an operator has to attend, as one does in every flight in lockstep."""
+    """Return the config with an operator timeout, as in every lockstep flight."""
     return config.model_copy(update={"mission": config.mission.model_copy(update={"operator_timeout_s": TIMEOUT_S})})
 
 
 def flight_live(row: Scenario, case: FaultCase, folder: Path) -> FlightEvidence:
-    """The same in real time, with the mapper that learns. Raises Failure."""
+    """Fly a scenario in real time, with the neural mapper. Raises UserError."""
     from sitl.apps.sim_options import SimOptions
     from sitl.faults.flights.fault_flight_real_time import flight_in_real_time, free_port
 

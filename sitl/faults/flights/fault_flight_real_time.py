@@ -1,4 +1,7 @@
-"""One flight of the fault campaign in real time: the product's own processes, supervised as its services are."""
+"""One flight of the fault campaign in real time.
+
+The product's own processes run and are supervised as by their services.
+"""
 
 from __future__ import annotations
 
@@ -21,23 +24,26 @@ from sitl.faults.table.scenario import Scenario
 from uav_recon import config as product_config
 from uav_recon.errors import EXIT_CONFIG, EXIT_SECOND_COPY, UserError
 
-RESTART_S = {"pilot": 0.2, "perception": 0.5, "mission": 1.0}  # RestartSec of the units
+RESTART_S = {"pilot": 0.2, "perception": 0.5, "mission": 1.0}  # RestartSec of the systemd units
 NEVER_AGAIN = (EXIT_SECOND_COPY, EXIT_CONFIG)  # their RestartPreventExitStatus
 _LOOK_S = 0.02
 
 
 class Supervised(SimProcesses):
-    """World and product until the world has seen enough; what ends meanwhile is started again, as the units have it."""
+    """World and product processes, until the world process ends.
+
+    A process that ends earlier is restarted as its systemd unit restarts it.
+    """
 
     def __init__(self, commands: dict[str, list[str]], logs: Path, runtime: Path) -> None:
         super().__init__(commands, logs, runtime, Console(quiet=True))
         self._roster = ProcessRegistry(runtime)
         self._exits = list[Exit]()
         self._pids: dict[str, int] = {}
-        self._due_s: dict[str, float] = {}  # when a process that ended is to be started again
+        self._due_s: dict[str, float] = {}  # when to restart a process that ended
 
     def watch(self) -> None:
-        """Fly. Raises Failure if the world itself dies."""
+        """Fly. Raises UserError if the world process fails."""
         try:
             for name in self._commands:
                 self._start(name, self._commands[name])
@@ -76,8 +82,9 @@ class Supervised(SimProcesses):
 def flight_in_real_time(
     row: Scenario, options: SimOptions, runtime: Path, number: int, firmware: Path | None = None
 ) -> FlightEvidence:
-    """Fly a row's trouble with processes. options: whose folder is made. firmware: a real one, for the simulated autopilot.
-    Raises Failure.
+    """Fly the fault of a scenario with real processes.
+
+    options: its folder exists. firmware: a real firmware in place of the simulated autopilot. Raises UserError.
     """
     config, line = options.config(arena(row.arena, options.radius_m), runtime), None
     if Capabilities.SERIAL_LINE in row.needs(number, live=True):
@@ -103,7 +110,7 @@ def flight_in_real_time(
 
 
 def free_port() -> int:
-    """A UDP port of loopback that nobody has."""
+    """Return a free UDP port of the loopback interface."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])

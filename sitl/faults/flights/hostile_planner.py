@@ -1,4 +1,4 @@
-"""A planner gone mad: it speaks the product's own language to the pilot, and says whatever could do harm."""
+"""A hostile planner: it sends well-formed messages with harmful trajectories to the pilot."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from uav_recon.types.trajectory import Goal, Intent, Trajectory
 
 
 def hostile(row: str, config: Config) -> list[Injector]:
-    """What row F1 needs beside its entry in the table; nothing for any other row."""
+    """Return the additional injectors of scenario F1; none for any other scenario."""
     return [HostilePlanner(config)] if row == "F1" else []
 
 
 class HostilePlanner(Injector):
-    """In the mission's place: a fresh harmful trajectory in every second turn."""
+    """Replacement of the mission, with a new harmful trajectory in every second turn."""
 
     def __init__(self, config: Config) -> None:
         self._low = np.array(config.safety.fence_min_m)
@@ -28,11 +28,11 @@ class HostilePlanner(Injector):
         self._turns = 0
 
     def stalls(self, since_s: float, stage: str) -> bool:
-        """The sane one is silent."""
+        """Stall the real mission."""
         return stage == "mission"
 
     def turn(self, at: InjectionContext, since_s: float) -> None:
-        """Publish."""
+        """Publish a harmful trajectory in every second turn."""
         self._turns += 1
         if self._turns % 2 == 0:
             self._identifier += 1
@@ -63,7 +63,7 @@ class HostilePlanner(Injector):
         size = self._high - self._low
         share = np.array([dice.uniform(0.0, 1.0) for _ in range(3)])
         goals: tuple[NDArray[np.float64], ...] = (
-            self._low + share * size,  # somewhere inside: into walls and pillars too
+            self._low + share * size,  # anywhere inside the fence, also in walls and pillars
             self._low + (share * 3.0 - 1.0) * size,
             np.full(3, dice.choice((1e9, -1e9, 1e3))),
         )

@@ -13,7 +13,10 @@ from sitl.faults.table.scenario import Limit, Scenario
 
 
 def print_scenarios(only: str | None = None) -> int:
-    """Print a table of the scenarios, or of those named; returns the exit code. Raises UsageError for an unknown one."""
+    """Print a table of the scenarios, or of those named; returns the exit code.
+
+    Raises UsageError for an unknown one.
+    """
     scenarios = (*TABLE, *SOAKS) if only is None else scenarios_named(only)
     console = Console()
     if not console.is_terminal:
@@ -38,6 +41,9 @@ def clock_of(scenario: Scenario) -> str:
 
 
 def limit_text(limit: Limit) -> str:
-    """Return a limit as `name <= value unit`, with the value for ArduPilot where it is another."""
+    """Return a limit as `name <= value unit`.
+
+    A different value for ArduPilot is appended.
+    """
     text = f"{limit.name} {'>=' if limit.at_least else '<='} {limit.limit:g} {limit.unit}".rstrip()
     return text if limit.ardupilot is None else f"{text} (ArduPilot {limit.ardupilot:g})"

@@ -30,15 +30,20 @@ from sitl.runtime.serial_line import SerialLine
 from uav_recon import config as product_config
 from uav_recon.clock import RateKeeper
 
-LONGEST_WAIT_S = 300.0  # for the trouble's moment: the product compiles first
-TURN_S = 1.0 / 60.0  # of the ledger and of the troubles
+LONGEST_WAIT_S = 300.0  # for the onset of the fault; the product compiles its kernels first
+TURN_S = 1.0 / 60.0  # period of the truth samples and of the faults
 
 
 @dataclass(frozen=True)
 class WorldProcessOptions:
-    """world: a file of WorldOptions. row, number: whose trouble, and which of its cases. config: of the product. firmware: the
-    path of a real one in the simulated autopilot's place, behind a relay that the troubles of the link can reach. line: the
-    name of the serial line that the link is, where it is one.
+    """Options of the process.
+
+    world: file with WorldOptions.
+    row, number: scenario, and number of the flight, which selects its case.
+    config: config file of the product.
+    firmware: path of a real firmware in place of the simulated autopilot. It runs behind a relay to which the link faults
+    apply.
+    line: name of the serial line, if the link is one.
     """
 
     world: str
@@ -54,7 +59,7 @@ class WorldProcessOptions:
 
 
 def fly(order: WorldProcessOptions) -> FlightEvidence:
-    """Run until there is nothing left to see. Raises OSError if a port cannot be had, FirmwareError."""
+    """Run until the observation ends. Raises OSError if a port cannot be opened, FirmwareError."""
     options, row = WorldOptions.load(Path(order.world)), ROWS[order.row]
     trouble = Fault(row.id, row.troubles(order.number, live=True), row.onset, row.observe_s, row.observe_after_disarm_s)
     meddler = FaultDirector([trouble], order.number, LONGEST_WAIT_S)
@@ -73,7 +78,10 @@ def fly(order: WorldProcessOptions) -> FlightEvidence:
 def _outside(
     order: WorldProcessOptions, options: WorldOptions, product: AutopilotSideProxy, ends: contextlib.ExitStack
 ) -> tuple[OutsideWorld, Relay | None]:
-    """The world with what flies in it, and what carries its words if that is a program of its own."""
+    """Return the world with its vehicle, and the relay for a real firmware.
+
+    The relay is None for a simulated autopilot.
+    """
     scene = arena(ROWS[order.row].arena, options.radius_m)
     if order.firmware is None:
         return make_world(options, scene, product, time.monotonic), None
@@ -83,7 +91,7 @@ def _outside(
 
 
 def _fly(world: OutsideWorld, relay: Relay | None, meddler: FaultDirector) -> None:
-    """Until it is over."""
+    """Run the world until the flight is over."""
     turns = RateKeeper(1.0 / TURN_S, time.monotonic())
 
     def ended(now_s: float) -> bool:
@@ -97,7 +105,7 @@ def _fly(world: OutsideWorld, relay: Relay | None, meddler: FaultDirector) -> No
 
 
 def main(order: Path) -> None:
-    """Fly as ordered; the evidence is left beside the order."""
+    """Fly with these options; the evidence is written beside the options file."""
     evidence = fly(WorldProcessOptions(**json.loads(order.read_text(encoding="utf-8"))))
     fresh = order.with_suffix(".new")
     fresh.write_bytes(pickle.dumps(evidence))

@@ -1,4 +1,4 @@
-"""Faults of the operator, who is silent or queries rarely, and measures of the reaction (D8)."""
+"""Faults of a silent or rarely querying operator, and measures of the reaction (D8)."""
 
 from __future__ import annotations
 

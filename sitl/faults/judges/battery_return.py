@@ -1,4 +1,4 @@
-"""Whether a flight turned back in time: the battery where it did, held against what the way home then took of it."""
+"""Checks of the battery return: charge at the turn-back point against charge used to return."""
 
 from __future__ import annotations
 
@@ -8,14 +8,15 @@ import numpy as np
 
 from sitl.faults.flight_evidence import FlightEvidence
 
-LAND_AT = 0.20  # of the battery: both firmwares land there
-_ASTRAY_M = 0.3  # round a pillar
+LAND_AT = 0.20  # state of charge at which both firmwares land
+_ASTRAY_M = 0.3  # increase of the distance that a detour round a pillar may cause
 
 
 def reserve(e: FlightEvidence) -> float:
-    """How many times what was left above LAND_AT covers the last way home, from where it turned back until the motors stood.
+    """Return the ratio of the usable charge at the turn-back point to the charge used to return.
 
-    inf for a flight that used none.
+    The usable charge is the charge above LAND_AT. The return lasts until the motors stop. It returns inf for a flight that
+    used no charge.
     """
     armed = np.flatnonzero(e.armed)
     if not len(armed):
@@ -26,12 +27,15 @@ def reserve(e: FlightEvidence) -> float:
 
 
 def turned_at(e: FlightEvidence) -> float:
-    """Metres, level, from the pad to where it turned back."""
+    """Return the horizontal distance from the pad to the turn-back point (m)."""
     return float(np.hypot(*e.position_m[_turned_back(e), :2]))
 
 
 def _turned_back(e: FlightEvidence) -> int:
-    """The turn from which on it only comes nearer to the pad. Where it waited before it set out, that is of the way home."""
+    """Return the index of the turn from which on the vehicle only approaches the pad.
+
+    A wait at that point before the return counts as part of the return.
+    """
     away_m = np.hypot(e.position_m[:, 0], e.position_m[:, 1])
     turned = k = len(away_m) - 1
     while k >= 0 and away_m[k] >= away_m[turned] - _ASTRAY_M:

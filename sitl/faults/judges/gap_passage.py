@@ -1,4 +1,4 @@
-"""A gap in the way: whether a flight passed it, or looked about in its room and said that it does not enter."""
+"""Checks of a gap: it was passed, or seen from outside and reported as not passable."""
 
 from __future__ import annotations
 
@@ -10,26 +10,36 @@ import numpy as np
 from sitl.faults.flight_evidence import FlightEvidence
 from sitl.faults.reason_codes import FRONTIERS_NOT_REACHABLE, FRONTIERS_TOO_NARROW
 
-_THROUGH_M = 0.3  # before the gap or behind it: the hull is out of it
-_WENT_M = 0.3  # from the pad: who lands at once has looked at nothing
-_REFUSALS = {FRONTIERS_TOO_NARROW, FRONTIERS_NOT_REACHABLE}  # of the planner, each with a count above zero
+_THROUGH_M = 0.3  # at this distance before or behind the gap the hull is outside
+_WENT_M = 0.3  # from the pad: a vehicle that lands at once has explored nothing
+_REFUSALS = {FRONTIERS_TOO_NARROW, FRONTIERS_NOT_REACHABLE}  # reported by the planner only with a count above zero
 
 
 @dataclass(frozen=True)
 class Gap:
-    """Straight ahead of the pad: where it begins and ends, metres along x; its middle is at y = 0."""
+    """Gap straight ahead of the pad.
+
+    begin_m and end_m: its extent along x (m). It is centred on y = 0.
+    """
 
     begin_m: float
     end_m: float
 
     def clearance(self, e: FlightEvidence) -> float:
-        """Least metres between the hull and the scene while any of it is in the gap; inf for a vehicle that stays out."""
+        """Return the least distance (m) of the hull to the scene while any part of it is in the gap.
+
+        It returns inf for a vehicle that stays outside.
+        """
         x = np.interp(e.hull_s, e.stamp_s, e.position_m[:, 0])
         inside = (x >= self.begin_m - _THROUGH_M) & (x <= self.end_m + _THROUGH_M)
         return float(e.hull_m[inside].min(initial=math.inf))
 
     def untried(self, e: FlightEvidence) -> float:
-        """1 unless the vehicle truly flew through, or looked about, stayed outside and said why with counts."""
+        """Return 0 if the gap was passed or properly refused, else 1.
+
+        Passed: the true path leads through the gap. Refused: the vehicle explored, stayed outside and reported the reason
+        with its counts.
+        """
         return float(not (self._passed(e) or self._refused(e)))
 
     def _passed(self, e: FlightEvidence) -> bool:

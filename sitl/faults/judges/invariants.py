@@ -1,4 +1,4 @@
-"""What holds in every flight of the campaign, whatever the trouble."""
+"""General limits, which hold in every flight of the campaign, whatever the fault."""
 
 from __future__ import annotations
 
@@ -16,17 +16,20 @@ Indices = NDArray[np.int64]
 
 CONTACT_M = 1e-3
 AIRBORNE_M, UNATTENDED_S = 0.15, 60.0
-_STEP_M, _SPEED_MPS, _PUSH_MPS2, _TURN_RADPS = 0.03, 0.06, 1e-3, 1e-3  # what single floats and 30 Hz may add
+_STEP_M, _SPEED_MPS, _PUSH_MPS2, _TURN_RADPS = 0.03, 0.06, 1e-3, 1e-3  # tolerances for single-precision values and for 30 Hz
 _HEADING_RAD = 0.03
 _INSIDE_M = 0.02
 _TURN_S = 1.0 / 60.0
-_PERIOD_S = 1.0 / 30.0  # of setpoints
+_PERIOD_S = 1.0 / 30.0  # between setpoints
 _WHILE_S = 0.4
 
 
 @dataclass(frozen=True)
 class Room:
-    """What a flight keeps around it: clear_m of the scene, at least; overshoot_m of the fence, at most."""
+    """Limits of a flight on its surroundings.
+
+    clear_m: least clearance to the scene (m). overshoot_m: greatest distance outside the fence (m).
+    """
 
     clear_m: float = 0.10
     overshoot_m: float = 0.30
@@ -36,7 +39,7 @@ USUAL = Room()
 
 
 def violations(e: FlightEvidence, room: Room = USUAL) -> list[str]:
-    """What was broken, in words with figures; empty for a flight that kept all of it."""
+    """Return a message with values for each violated limit; empty if none was violated."""
     checks = (_numbers, _speed, _steps, _place, _authority, _disarm, _end, statustext_missing)
     told = (check(e) for check in checks)
     return [said for said in (_clear(e, room.clear_m), *told, _fence(e, room.overshoot_m)) if said]
@@ -71,7 +74,10 @@ def _speed(e: FlightEvidence) -> str:
 
 
 def _steps(e: FlightEvidence) -> str:
-    """From one setpoint to the next, and over a while: what a frame may be off adds up to nothing in a dozen of them."""
+    """Check each pair of successive setpoints, and each pair _WHILE_S apart.
+
+    The tolerance of single frames does not accumulate over a dozen of them.
+    """
     stamps = e.wire.setpoint_s
     k = np.arange(max(len(stamps) - 1, 0))
     later = np.searchsorted(stamps, stamps + _WHILE_S - 1e-6)
@@ -80,10 +86,11 @@ def _steps(e: FlightEvidence) -> str:
 
 
 def _leaps(e: FlightEvidence, i: Indices, j: Indices) -> str:
-    """From setpoints i (P,) to the later ones j (P,), as far as nothing between them begins anew.
+    """Check the steps from setpoints i (P,) to the later setpoints j (P,).
 
-    Two that were sent a thirtieth of a second apart may arrive together, where the receiver comes late: the longer time counts,
-    but of what their sender says no more than that for each.
+    Steps across a discontinuity are not checked. Two setpoints sent 1/30 s apart may arrive together if the receiver is
+    late. So the longer of the arrival interval and the sender's interval counts, but of the sender's interval at most
+    _PERIOD_S for each setpoint.
     """
     w, limits = e.wire, e.limits
     breaks = np.append(0, np.cumsum(_anew(e)))
@@ -103,7 +110,11 @@ def _leaps(e: FlightEvidence, i: Indices, j: Indices) -> str:
 
 
 def _anew(e: FlightEvidence) -> Bools:
-    """Of each setpoint but the first (N - 1,): a reset of the pose moved it along, or a pilot began anew with it."""
+    """Return a mask (N - 1,) of the discontinuities, one value for each setpoint but the first.
+
+    A discontinuity is a pose reset, which moves the setpoint, or the first setpoint after a pause of 0.5 s, as of a
+    restarted pilot.
+    """
     w = e.wire
     again: Bools = np.diff(w.setpoint_s) >= 0.5
     for reset_s in w.odometry_s[1:][np.diff(w.reset_counter) != 0]:
@@ -112,7 +123,10 @@ def _anew(e: FlightEvidence) -> Bools:
 
 
 def _place(e: FlightEvidence) -> str:
-    """The pad lies below the inset's floor: what is under it is no violation over the pad."""
+    """Check that the setpoints are inside the inset fence.
+
+    The pad lies below the floor of the inset fence, so over the pad a setpoint below that floor is no violation.
+    """
     w, limits = e.wire, e.limits
     low, high = np.array(limits.fence_min_m) + limits.inset_m, np.array(limits.fence_max_m) - limits.inset_m
     out = np.maximum(low - w.position_m, w.position_m - high)
@@ -128,18 +142,24 @@ def _authority(e: FlightEvidence) -> str:
 
 
 def _disarm(e: FlightEvidence) -> str:
-    """Asked for, or met, above the ground; what the pilot's own switch does is the pilot's."""
+    """Check that the product neither requests nor causes disarming above the ground.
+
+    Disarming by the human pilot's own switch is not counted.
+    """
     height = e.position_m[:, 2] - e.standing_m
     for order in e.wire.orders:
         stop = (order.command == 400 and order.first < 0.5) or (order.command == 185 and order.first > 0.5)
         if stop and np.interp(order.stamp_s, e.stamp_s, height) > AIRBORNE_M:
-            return "asked for the motors to stop in the air"
+            return "disarm command in the air"
     fell = e.armed[:-1] & ~e.armed[1:] & (height[:-1] > AIRBORNE_M)
     return "disarmed in the air" if fell.any() else ""
 
 
 def _end(e: FlightEvidence) -> str:
-    """Down with motors off, in a pilot's hands, or not yet so long alone."""
+    """Check that the vehicle does not hover armed and unattended.
+
+    It must have landed with motors off, be controlled by a human pilot, or not yet have hovered for UNATTENDED_S.
+    """
     human = TAKEN_OVER in e.notes and not e.ours[-1] and not e.landing[-1]
     operator_lost = bool(e.armed[-1]) and not human and e.end_s - e.onset_s > UNATTENDED_S - 1.0
     still = operator_lost and float(np.linalg.norm(np.diff(e.position_m[-int(30 / _TURN_S) :], axis=0), axis=1).sum()) < 3.0

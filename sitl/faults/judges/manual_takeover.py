@@ -1,4 +1,7 @@
-"""Whether a vehicle that a pilot took stayed the pilot's, where the switch and an order of ours cross on their way."""
+"""Check that a vehicle taken over by a human pilot stays under manual control.
+
+The pilot's mode switch and a command of the product may cross on the link.
+"""
 
 from __future__ import annotations
 
@@ -10,12 +13,14 @@ from sitl.faults.flight_evidence import FlightEvidence
 from sitl.faults.injectors.base import TAKEN_OVER
 
 _LAND = (176, 21)  # DO_SET_MODE and NAV_LAND
-_HEARD_S, _FLIES_S = 0.02, 0.1  # from the arrival of a heartbeat to what comes of it; of an order on its way
+_HEARD_S, _FLIES_S = 0.02, 0.1  # from a heartbeat's arrival to the reaction; transit time of a command
 
 
 def mode_taken_back(e: FlightEvidence) -> float:
-    """Turns in another mode than the pilot's after the switch; a landing that was asked for before anybody could hear of the
-    switch is none. inf if the mode never was the pilot's, and no such landing is why.
+    """Return the number of turns after the switch in another mode than the pilot's.
+
+    A landing does not count if it was requested before the product could receive the new mode. It returns inf if the
+    pilot's mode was never active and no such landing is the reason.
     """
     switched_s = e.notes.get(TAKEN_OVER, math.inf)
     blind_until_s = next((stamp_s for stamp_s, _, _ in e.heard if stamp_s >= switched_s), math.inf) + _HEARD_S

@@ -1,4 +1,4 @@
-"""Figures of the poses that reached the wire: how true, how steady, how old, and for how long."""
+"""Metrics of the poses sent to the autopilot: error, steps, age and duration."""
 
 from __future__ import annotations
 
@@ -13,7 +13,10 @@ _OLDEST_POSE_S = 0.15
 
 
 def pose_error_step(for_s: float = 3.0) -> Measure:
-    """How far (m) the error of ODOMETRY against truth moved within so long after the trouble."""
+    """Return a measure of the greatest change of ODOMETRY's position error (m).
+
+    It covers for_s after the fault began, and is inf with fewer than two ODOMETRY.
+    """
 
     def measure(e: FlightEvidence) -> float:
         w = e.wire
@@ -28,7 +31,10 @@ def pose_error_step(for_s: float = 3.0) -> Measure:
 
 
 def heading_error_step(for_s: float = 3.0) -> Measure:
-    """How far (degrees) the error of ODOMETRY's heading against truth moved within so long after the trouble."""
+    """Return a measure of the greatest change of ODOMETRY's heading error (degrees).
+
+    It covers for_s after the fault began, and is inf with fewer than two ODOMETRY.
+    """
 
     def measure(e: FlightEvidence) -> float:
         w = e.wire
@@ -43,7 +49,10 @@ def heading_error_step(for_s: float = 3.0) -> Measure:
 
 
 def pose_step(e: FlightEvidence) -> float:
-    """Longest step (m) of ODOMETRY beyond what the vehicle flew, while the reset counter stays as it is."""
+    """Return the longest step (m) of ODOMETRY beyond the true motion.
+
+    Steps at which the reset counter changes do not count.
+    """
     w = e.wire
     k = np.flatnonzero(w.odometry_s >= e.onset_s)
     if len(k) < 2:
@@ -55,12 +64,15 @@ def pose_step(e: FlightEvidence) -> float:
 
 
 def resets(e: FlightEvidence) -> float:
-    """How often the reset counter changed from the trouble on."""
+    """Return the number of changes of the reset counter since the fault began."""
     return float(np.count_nonzero(np.diff(e.wire.reset_counter[e.wire.odometry_s >= e.onset_s])))
 
 
 def pose_rate(e: FlightEvidence) -> float:
-    """Fewest ODOMETRY in any second of the first eight after the trouble, while the vehicle is ours."""
+    """Return the fewest ODOMETRY in any second of the first eight after the fault began.
+
+    Only the time until the vehicle leaves our mode counts.
+    """
     stamps = e.wire.odometry_s
     starts = np.arange(e.onset_s, e.onset_s + min(8.0, e.since(~e.ours, e.onset_s)) - 1.0, 0.1)
     counts = np.searchsorted(stamps, starts + 1.0) - np.searchsorted(stamps, starts)
@@ -68,25 +80,31 @@ def pose_rate(e: FlightEvidence) -> float:
 
 
 def pose_age(e: FlightEvidence) -> float:
-    """Oldest stamp (s) of any ODOMETRY when it was sent."""
+    """Return the greatest age (s) of any ODOMETRY's timestamp when it was sent."""
     w = e.wire
     return float(np.abs(w.odometry_s - e.boot_s - w.odometry_stamp_us * 1e-6).max()) if len(w.odometry_s) else 0.0
 
 
 def misdated_for(e: FlightEvidence) -> float:
-    """Seconds from the trouble to the last ODOMETRY whose stamp is off the autopilot's clock of then; 0 for none."""
+    """Return the seconds from the fault to the last ODOMETRY with a wrong timestamp; 0 for none.
+
+    A timestamp is wrong if it differs from the autopilot's clock by more than _OLDEST_POSE_S.
+    """
     stamps, off = _dated(e)
     return float(stamps[off][-1]) - e.onset_s if off.any() else 0.0
 
 
 def dated_after(e: FlightEvidence) -> float:
-    """Seconds from the trouble to the first ODOMETRY whose stamp is right."""
+    """Return the seconds from the fault to the first ODOMETRY with a correct timestamp."""
     stamps, off = _dated(e)
     return float(stamps[~off][0]) - e.onset_s if not off.all() else math.inf
 
 
 def _dated(e: FlightEvidence) -> tuple[F64, Bools]:
-    """ODOMETRY since the trouble: when it was sent (N,), and whether its stamp was older or newer than a pose may be (N,)."""
+    """Return the send times (N,) of ODOMETRY since the fault, and a mask (N,) of wrong stamps.
+
+    A timestamp is wrong if it is older or newer than _OLDEST_POSE_S.
+    """
     w = e.wire
     after = w.odometry_s >= e.onset_s
     age_s = w.odometry_s[after] - e.boot_s - w.odometry_stamp_us[after] * 1e-6
@@ -94,12 +112,12 @@ def _dated(e: FlightEvidence) -> tuple[F64, Bools]:
 
 
 def poses_until(e: FlightEvidence) -> float:
-    """Seconds from the trouble to the last ODOMETRY on the wire."""
+    """Return the seconds from the fault to the last ODOMETRY sent."""
     return max(float(e.wire.odometry_s[-1]) - e.onset_s, 0.0) if len(e.wire.odometry_s) else 0.0
 
 
 def poses_again_after(late_s: float) -> Measure:
-    """Seconds from the end of a trouble of late_s to the first ODOMETRY on the wire."""
+    """Return a measure of the seconds from the end of a fault of late_s to the next ODOMETRY."""
 
     def measure(e: FlightEvidence) -> float:
         after = e.wire.odometry_s[e.wire.odometry_s >= e.onset_s + late_s]

@@ -1,4 +1,7 @@
-"""Figures of a flight: each a function from the evidence to one number; inf where what was waited for never came."""
+"""Metrics of a flight: functions from the evidence to one number.
+
+They return inf where the awaited event never came.
+"""
 
 from __future__ import annotations
 
@@ -11,24 +14,24 @@ from sitl.faults.flight_evidence import F64, Bools, FlightEvidence
 from sitl.faults.wire_capture import MODE_OR_ARM, CapturedCommand, WireCapture
 
 Measure = Callable[[FlightEvidence], float]
-_STILL_MPS = 0.02  # of a setpoint
-_BRAKING_MPS2 = 0.8  # what slows down more gently than this, on the mean, is flying on
-_RESTING_MPS = 0.12  # of the vehicle, gusts included
-_ASIDE_M, _BACK_M = 0.2, 0.3  # of the way flown, whose corners are rounded (0.15 m measured); of the place left
-_LED_MPS, _LED_RADPS = 0.05, 0.05  # of a setpoint that leads anywhere, or turns
-_BEFORE_S = 1.5  # of setpoints, for a vehicle that follows late
-_FLOWN_M = 2.0  # from the pad: a mission that goes anywhere goes farther, 3.4 m at least
+_STILL_MPS = 0.02  # a setpoint below this speed is at rest
+_BRAKING_MPS2 = 0.8  # a smaller mean deceleration is not braking
+_RESTING_MPS = 0.12  # a vehicle below this speed is at rest; gusts included
+_ASIDE_M, _BACK_M = 0.2, 0.3  # from the flown path, whose corners are rounded (0.15 m measured); from the position left
+_LED_MPS, _LED_RADPS = 0.05, 0.05  # a setpoint above one of these translates or rotates
+_BEFORE_S = 1.5  # of earlier setpoints, for the vehicle's delay
+_FLOWN_M = 2.0  # from the pad; every completed mission goes at least 3.4 m
 _ARM, _SET_MODE = 400, 176
 
 
 def held_after(late_s: float = 0.0) -> Measure:
-    """Seconds from the trouble (and so much) to the setpoint at which braking to rest begins."""
+    """Return a measure of the seconds from late_s after the fault to the start of braking."""
 
     def measure(e: FlightEvidence) -> float:
         w, from_s = e.wire, e.onset_s + late_s
         speed = np.linalg.norm(w.velocity_mps, axis=1)
         after = np.flatnonzero((w.setpoint_s >= from_s) & (speed <= _STILL_MPS))
-        gone = e.since(~e.ours, from_s)  # another mode has ended the motion
+        gone = e.since(~e.ours, from_s)  # the time at which another mode ended the motion
         if not len(after):
             return gone
         rest = k = best = int(after[0])
@@ -42,7 +45,7 @@ def held_after(late_s: float = 0.0) -> Measure:
 
 
 def stopped_within(late_s: float = 0.0) -> Measure:
-    """Metres of true path from the trouble (and so much) until the vehicle rests or lands."""
+    """Return a measure of the true path (m) from late_s after the fault to rest or landing."""
 
     def measure(e: FlightEvidence) -> float:
         from_s = e.onset_s + late_s
@@ -55,12 +58,15 @@ def stopped_within(late_s: float = 0.0) -> Measure:
 
 
 def landing_after(late_s: float = 0.0) -> Measure:
-    """Seconds from the trouble (and so much) to the autopilot's landing mode."""
+    """Return a measure of the seconds from late_s after the fault to the landing mode."""
     return lambda e: e.since(e.landing | ~e.armed, e.onset_s + late_s)
 
 
 def landing_after_a_stop(e: FlightEvidence) -> float:
-    """Seconds from the last setpoint that led anywhere, level, or turned, to the autopilot's landing mode; inf for never."""
+    """Return the seconds from the last moving setpoint to the landing mode; inf for never.
+
+    A moving setpoint is one with a horizontal velocity or a yaw rotation.
+    """
     w, landing_s = e.wire, e.onset_s + landing_after()(e)
     led = _leads(w, np.hypot(w.velocity_mps[:, 0], w.velocity_mps[:, 1]))
     led_s = w.setpoint_s[led & (w.setpoint_s >= e.onset_s) & (w.setpoint_s <= landing_s)]
@@ -68,7 +74,7 @@ def landing_after_a_stop(e: FlightEvidence) -> float:
 
 
 def _leads(w: WireCapture, speed_mps: F64) -> Bools:
-    """Which setpoints (N,), of these speeds, lead anywhere, or turn."""
+    """Return a mask of the setpoints (N,), with speed_mps (N,), that translate or rotate."""
     led: Bools = speed_mps > _LED_MPS
     if len(w.yaw_rad):
         led[1:] |= turned_rad(w.yaw_rad[:-1], w.yaw_rad[1:]) > _LED_RADPS * np.diff(w.setpoint_s)
@@ -76,14 +82,16 @@ def _leads(w: WireCapture, speed_mps: F64) -> Bools:
 
 
 def turned_rad(one: F64, other: F64) -> F64:
-    """Angles (N,), 0 to pi, between headings."""
+    """Return the angles (N,), 0 to pi, between headings."""
     turned: F64 = np.abs(np.remainder(other - one + np.pi, 2.0 * np.pi) - np.pi)
     return turned
 
 
 def stopped_after(speed_mps: float) -> Measure:
-    """Seconds from the trouble until the vehicle truly goes on more slowly along the way it had then; it may swing back. inf
-    for never, and where the trouble never came.
+    """Return a measure of the seconds until the vehicle is slower than speed_mps.
+
+    It is the true speed along the direction of travel at the beginning of the fault; motion backwards is allowed. The
+    measure is inf if that never happens, and if the fault never began.
     """
 
     def measure(e: FlightEvidence) -> float:
@@ -98,7 +106,10 @@ def stopped_after(speed_mps: float) -> Measure:
 
 
 def off_its_way(e: FlightEvidence) -> float:
-    """Farthest (m), level, that the vehicle truly is from the line of its setpoints, from the trouble on, while it is ours."""
+    """Return the greatest horizontal distance (m) of the true position from the setpoints' path.
+
+    Only the time from the fault until the vehicle leaves our mode counts.
+    """
     w, until_s = e.wire, e.onset_s + e.since(~e.ours, e.onset_s)
     line = w.position_m[(w.setpoint_s >= e.onset_s - _BEFORE_S) & (w.setpoint_s <= until_s), :2]
     flown = e.position_m[(e.stamp_s >= e.onset_s) & (e.stamp_s < until_s), :2]
@@ -108,23 +119,26 @@ def off_its_way(e: FlightEvidence) -> float:
 
 
 def disarmed_after() -> Measure:
-    """Seconds from the trouble until the motors stand."""
+    """Return a measure of the seconds from the fault until the motors stop."""
     return lambda e: e.since(~e.armed, e.onset_s)
 
 
 def drift_landing(e: FlightEvidence) -> float:
-    """Metres, level, from where the vehicle was at the trouble to where it came down."""
+    """Return the horizontal distance (m) from the position at the fault to the landing position."""
     k = int(np.searchsorted(e.stamp_s, e.onset_s))
     return float(np.linalg.norm(e.position_m[-1, :2] - e.position_m[k, :2])) if e.onset_s < math.inf else math.inf
 
 
 def rests_at(e: FlightEvidence) -> float:
-    """Metres over the pad's floor at which it stands at the end; inf while its motors run."""
+    """Return the final height (m) above the pad's floor; inf while armed."""
     return math.inf if e.armed[-1] else float(e.position_m[-1, 2])
 
 
 def longest_gap(for_s: float = math.inf) -> Measure:
-    """Longest seconds between setpoints from the trouble on, while the vehicle follows them and until it lands."""
+    """Return a measure of the longest time (s) between setpoints.
+
+    Only the time from the fault until the vehicle lands or no longer follows setpoints counts, at most for_s.
+    """
 
     def measure(e: FlightEvidence) -> float:
         until_s = e.onset_s + min(for_s, e.since(~e.ours, e.onset_s), e.end_s - e.onset_s)
@@ -136,7 +150,10 @@ def longest_gap(for_s: float = math.inf) -> Measure:
 
 
 def slowest_second(e: FlightEvidence) -> float:
-    """Fewest setpoints in any second from the trouble on, while the vehicle follows them."""
+    """Return the fewest setpoints in any second since the fault began.
+
+    Only the time in which the vehicle follows them counts.
+    """
     until_s = e.onset_s + min(e.since(~e.ours, e.onset_s), e.end_s - e.onset_s)
     starts = np.arange(e.onset_s, until_s - 1.0, 0.1)
     if not len(starts):
@@ -146,14 +163,20 @@ def slowest_second(e: FlightEvidence) -> float:
 
 
 def longest_gap_arrived(e: FlightEvidence) -> float:
-    """Longest seconds between setpoints at the autopilot from the trouble on, while the vehicle follows them."""
+    """Return the longest time (s) between setpoints at the autopilot since the fault began.
+
+    Only the time in which the vehicle follows them counts.
+    """
     until_s = e.onset_s + min(e.since(~e.ours, e.onset_s), e.end_s - e.onset_s)
     inside = e.arrived_s[(e.arrived_s >= e.onset_s - 0.1) & (e.arrived_s <= until_s)]
     return float(np.diff(np.append(inside, until_s)).max()) if len(inside) else math.inf
 
 
 def slowest_ten_seconds_arrived(e: FlightEvidence) -> float:
-    """Fewest setpoints a second at the autopilot, over any ten seconds from the trouble on, while the vehicle follows them."""
+    """Return the lowest arrival rate (1/s) of setpoints at the autopilot in any ten seconds.
+
+    Only the time from the fault until the vehicle no longer follows them counts.
+    """
     until_s = e.onset_s + min(e.since(~e.ours, e.onset_s), e.end_s - e.onset_s)
     starts = np.arange(e.onset_s, until_s - 10.0, 0.1)
     counts = np.searchsorted(e.arrived_s, starts + 10.0) - np.searchsorted(e.arrived_s, starts)
@@ -161,17 +184,20 @@ def slowest_ten_seconds_arrived(e: FlightEvidence) -> float:
 
 
 def noted(name: str) -> Measure:
-    """What an injector measured itself; inf if it came to nothing."""
+    """Return a measure of a value that an injector noted; inf if it noted none."""
     return lambda e: e.notes.get(name, math.inf)
 
 
 def failsafes(e: FlightEvidence) -> float:
-    """How often the autopilot had to act by itself."""
+    """Return the number of failsafes of the autopilot."""
     return float(len(e.failsafes))
 
 
 def moves_again_after(late_s: float) -> Measure:
-    """Seconds from the end of a trouble of late_s to the first setpoint that moves, or turns."""
+    """Return a measure of the seconds from the end of a fault to the next moving setpoint.
+
+    The fault lasts late_s. A moving setpoint translates or rotates.
+    """
 
     def measure(e: FlightEvidence) -> float:
         w, from_s = e.wire, e.onset_s + late_s
@@ -182,7 +208,10 @@ def moves_again_after(late_s: float) -> Measure:
 
 
 def setpoint_jump(e: FlightEvidence) -> float:
-    """Longest metres between one setpoint and the next, from the trouble on, while the vehicle follows them."""
+    """Return the longest distance (m) between successive setpoints since the fault began.
+
+    Only the time in which the vehicle follows them counts.
+    """
     w = e.wire
     until_s = e.onset_s + e.since(~e.ours, e.onset_s)
     k = np.flatnonzero((w.setpoint_s >= e.onset_s) & (w.setpoint_s <= until_s))
@@ -190,7 +219,10 @@ def setpoint_jump(e: FlightEvidence) -> float:
 
 
 def retreat_after(e: FlightEvidence) -> float:
-    """Seconds from the trouble to the first motion after a rest, where that goes back along the way; inf for one elsewhere."""
+    """Return the seconds from the fault to the first motion after a rest.
+
+    It returns inf if that motion does not go back along the flown path.
+    """
     w = e.wire
     speed, after = np.linalg.norm(w.velocity_mps, axis=1), w.setpoint_s >= e.onset_s
     still = np.flatnonzero(after & (speed <= _STILL_MPS))
@@ -201,7 +233,7 @@ def retreat_after(e: FlightEvidence) -> float:
 
 
 def _goes_back(e: FlightEvidence, from_s: float) -> bool:
-    """Whether the vehicle truly leaves the place where it is, and the way that it flew to there nowhere until it lands."""
+    """Return whether the true position moves and stays on the earlier path until it lands."""
     until_s = from_s + e.since(e.landing | ~e.armed, from_s)
     way = e.position_m[e.armed & (e.stamp_s <= from_s)]
     gone = e.position_m[(e.stamp_s >= from_s) & (e.stamp_s <= until_s)]
@@ -210,17 +242,23 @@ def _goes_back(e: FlightEvidence, from_s: float) -> bool:
 
 
 def commands(after_s: float = 0.0, kinds: frozenset[int] = MODE_OR_ARM) -> Measure:
-    """Mode and arm commands of the product from so long after the trouble on."""
+    """Return a measure of the product's mode and arm commands from after_s after the fault on."""
     return lambda e: float(sum(o.command in kinds and o.stamp_s > e.onset_s + after_s for o in e.wire.orders))
 
 
 def commands_once_known(e: FlightEvidence) -> float:
-    """Mode and arm commands after the first heartbeat that told the product of a mode it had not asked for."""
+    """Return the number of mode and arm commands after the product received a foreign mode.
+
+    It receives it with the first heartbeat in a mode that it had not requested.
+    """
     return float(len(_after_takeover(e)))
 
 
 def _after_takeover(e: FlightEvidence) -> list[CapturedCommand]:
-    """Out of our mode or out of a landing: a pilot may want the vehicle back from either."""
+    """Return the mode and arm commands after a takeover by a human pilot.
+
+    A takeover leads out of our mode or out of a landing.
+    """
     theirs = e.armed & ~e.ours & ~e.landing
     k = np.flatnonzero(theirs[1:] & (e.ours | (e.landing & e.armed))[:-1]) + 1
     if not len(k):
@@ -230,7 +268,10 @@ def _after_takeover(e: FlightEvidence) -> list[CapturedCommand]:
 
 
 def mode_lost(e: FlightEvidence) -> float:
-    """Turns in which the autopilot was armed in another mode than the one that the pilot chose; inf if none was chosen."""
+    """Return the number of armed turns in another mode than the one that the pilot chose.
+
+    It returns inf if the pilot chose none.
+    """
     after = np.flatnonzero(~e.ours & ~e.landing & (e.stamp_s >= e.onset_s))
     if not len(after):
         return math.inf
@@ -239,17 +280,20 @@ def mode_lost(e: FlightEvidence) -> float:
 
 
 def position_mode(e: FlightEvidence) -> float:
-    """Turns in a mode that wants a pilot's hands."""
+    """Return the number of turns in a mode that needs stick input by a pilot."""
     return float(sum(m in ("POSCTL", "ALTCTL", "MANUAL", "STABILIZED", "LOITER", "ALT_HOLD") for m in e.mode[_onset(e) :]))
 
 
 def streams_after(e: FlightEvidence) -> float:
-    """Seconds from the trouble to the last setpoint on the wire."""
+    """Return the seconds from the fault to the last setpoint sent."""
     return max(float(e.wire.setpoint_s[-1]) - e.onset_s, 0.0) if len(e.wire.setpoint_s) else 0.0
 
 
 def speed_from(late_s: float) -> Measure:
-    """Fastest setpoint (m/s) from so long after the trouble on, while the vehicle follows them."""
+    """Return a measure of the greatest setpoint speed (m/s) from late_s after the fault on.
+
+    Only the time in which the vehicle follows setpoints counts.
+    """
 
     def measure(e: FlightEvidence) -> float:
         from_s, w = e.onset_s + late_s, e.wire
@@ -261,25 +305,31 @@ def speed_from(late_s: float) -> Measure:
 
 
 def clearance(e: FlightEvidence) -> float:
-    """Least true clearance (m) to the scene and to what appeared in it."""
+    """Return the least true clearance (m) to the scene and to obstacles of the fault."""
     return min(e.clearance_m, e.min_obstacle_distance_m)
 
 
 def lands_beside(e: FlightEvidence) -> float:
-    """Least metres between the hull and what appeared, while it comes down; -inf for never."""
+    """Return the least distance (m) of the hull to the fault's obstacle during the landing.
+
+    It returns -inf without a landing.
+    """
     down = e.landing & e.armed
     return float(e.obstacle_distance_m[down].min()) if down.any() else -math.inf
 
 
 def stopped_short(e: FlightEvidence) -> float:
-    """Least metres to what appeared until the vehicle first rests after it did; -inf if it never does."""
+    """Return the least distance (m) to the fault's obstacle until the vehicle first rests.
+
+    It returns -inf if the vehicle never rests.
+    """
     rest_s = e.since(np.linalg.norm(e.velocity_mps, axis=1) < _RESTING_MPS, e.onset_s)
     until = (e.stamp_s >= e.onset_s) & (e.stamp_s <= e.onset_s + rest_s)
     return float(e.obstacle_distance_m[until].min(initial=math.inf)) if rest_s < math.inf else -math.inf
 
 
 def overshoot(e: FlightEvidence) -> float:
-    """Farthest (m) out of the fence, of the vehicle's middle."""
+    """Return the greatest distance (m) of the vehicle's centre outside the fence."""
     airborne = e.position_m[e.armed & e.product_responsible]
     if not len(airborne):
         return 0.0
@@ -287,14 +337,20 @@ def overshoot(e: FlightEvidence) -> float:
 
 
 def landing_after_leaving(e: FlightEvidence) -> float:
-    """Seconds from leaving the fence itself, level, to the autopilot's landing mode; inf for a vehicle that never left."""
+    """Return the seconds from leaving the fence horizontally to the autopilot's landing mode.
+
+    It returns inf for a vehicle that never left the fence.
+    """
     low, high = np.array(e.limits.fence_min_m), np.array(e.limits.fence_max_m)
     out = ((e.position_m < low) | (e.position_m > high))[:, :2].any(axis=1) & e.ours & (e.stamp_s >= e.onset_s)
     return e.since(e.landing, float(e.stamp_s[int(np.argmax(out))])) if out.any() else math.inf
 
 
 def back_inside(e: FlightEvidence) -> float:
-    """Longest seconds without a break outside the inset fence before the landing, after the trouble."""
+    """Return the longest uninterrupted time (s) outside the inset fence.
+
+    It counts the horizontal position from the fault to the landing.
+    """
     low, high = np.array(e.limits.fence_min_m) + e.limits.inset_m, np.array(e.limits.fence_max_m) - e.limits.inset_m
     out = ((e.position_m < low) | (e.position_m > high))[:, :2].any(axis=1) & e.ours & (e.stamp_s >= e.onset_s)
     longest = run = 0
@@ -305,76 +361,79 @@ def back_inside(e: FlightEvidence) -> float:
 
 
 def armed_at_all(e: FlightEvidence) -> float:
-    """1 if the motors ever ran."""
+    """Return 1 if the vehicle was ever armed, else 0."""
     return float(e.armed.any())
 
 
 def arm_tries(e: FlightEvidence) -> float:
-    """How often arming was asked for."""
+    """Return the number of arm commands."""
     return float(len(tries_s(e)))
 
 
 def forced(e: FlightEvidence) -> float:
-    """Commands that force the autopilot to arm or disarm."""
+    """Return the number of commands that force the autopilot to arm or disarm."""
     return float(sum(o.command == _ARM and o.second == 21196.0 for o in e.wire.orders))
 
 
 def last_try_after(e: FlightEvidence) -> float:
-    """Seconds from the first arm command to the last."""
+    """Return the seconds from the first arm command to the last."""
     tries = tries_s(e)
     return tries[-1] - tries[0] if tries else math.inf
 
 
 def first_arm(e: FlightEvidence) -> float:
-    """Seconds from the start of the product to its first arm command."""
+    """Return the seconds from the start of the product to its first arm command."""
     tries = tries_s(e)
     return tries[0] - float(e.stamp_s[0]) if tries else math.inf
 
 
 def tries_s(e: FlightEvidence) -> list[float]:
-    """Instants of the arm commands."""
+    """Return the times of the arm commands."""
     return [o.stamp_s for o in e.wire.orders if o.command == _ARM and o.first > 0.5]
 
 
 def motors_ran(e: FlightEvidence) -> float:
-    """Seconds for which the motors ran."""
+    """Return the seconds for which the vehicle was armed."""
     return float(np.count_nonzero(e.armed) * np.diff(e.stamp_s).mean())
 
 
 def battery_left(e: FlightEvidence) -> float:
-    """Charge at the end, as a share."""
+    """Return the state of charge at the end, 0 to 1."""
     return float(e.charge[-1])
 
 
 def from_pad(e: FlightEvidence) -> float:
-    """Metres, level, from the pad to where the vehicle came down."""
+    """Return the horizontal distance (m) from the pad to the position at the end."""
     return float(np.hypot(*e.position_m[-1, :2]))
 
 
 def relaunched(e: FlightEvidence) -> float:
-    """Turns of following setpoints again after a landing had begun."""
+    """Return the number of turns of following setpoints after a landing had begun."""
     first_s = e.since(e.landing, e.onset_s)
     return float((e.ours & (e.stamp_s > e.onset_s + first_s)).sum())
 
 
 def unfinished(e: FlightEvidence) -> float:
-    """1 unless the flight went somewhere and came back."""
+    """Return 0 if the vehicle flew at least _FLOWN_M from the pad and came back, else 1."""
     away_m = np.hypot(e.position_m[:, 0], e.position_m[:, 1]).max()
     return float(bool(not_back(e)) or away_m < _FLOWN_M)
 
 
 def ended_for(*codes: str) -> Measure:
-    """1 where the product's own reason for the end of the flight has one of these codes, or it gave none."""
+    """Return a measure that is 1 if the reason for the flight's end has one of these codes.
+
+    The reason is the one that the product gave; without any, the measure is 1, too. Otherwise it is 0.
+    """
     return lambda e: float(not (e.stop_codes and set(codes).isdisjoint(e.stop_codes)))
 
 
 def not_back(e: FlightEvidence) -> float:
-    """1 unless the flight ended with motors off over the pad, and no failsafe had to act."""
+    """Return 0 if the flight ended disarmed on the pad with no autopilot failsafe, else 1."""
     return float(bool(e.armed[-1]) or from_pad(e) > 0.5 or bool(e.failsafes) or not e.armed.any())
 
 
 def asked_to_land(e: FlightEvidence) -> float:
-    """Seconds from the trouble to the product's own command to land."""
+    """Return the seconds from the fault to the product's own command to land."""
     asked = [o.stamp_s for o in e.wire.orders if o.command in (_SET_MODE, 21) and o.stamp_s >= e.onset_s]
     return asked[0] - e.onset_s if asked else math.inf
 

@@ -1,6 +1,7 @@
-"""Whether people at a ground station were told of what the product did, and why: a STATUSTEXT within a second (HAZARDS, G7).
+"""Checks of the STATUSTEXT reports (HAZARDS, G7).
 
-A STATUSTEXT counts by the codes of its reason and of that reason's details.
+The product must report a reaction and its reason within a second. A STATUSTEXT counts by the codes of its reason and of
+that reason's details.
 """
 
 from __future__ import annotations
@@ -14,22 +15,22 @@ from sitl.faults.flight_evidence import FlightEvidence
 from sitl.faults.judges.reaction_metrics import Measure, tries_s
 from sitl.faults.reason_codes import CONTROL_LOST, LANDING
 
-_LAND = (176, 21)  # DO_SET_MODE and NAV_LAND; in the air the product asks for no other mode
-_TOLD_S = 1.0 + 0.05  # and a turn or two of the pilot's loop
+_LAND = (176, 21)  # DO_SET_MODE and NAV_LAND; in flight the product requests no other mode
+_TOLD_S = 1.0 + 0.05  # a second, and one or two iterations of the pilot's loop
 _ALOFT_M = 0.3
-_BEFORE_S = 0.5  # it may say so first, and ask when it knows the mode of this instant
-_FLYING_S = 0.5  # who streamed so lately had the vehicle, and lives
-_OURS_S = 3.0  # a landing so soon after it was asked for is what was asked for
-_FLOOR_M = 0.05  # above where it comes to lie
+_BEFORE_S = 0.5  # it may report first, and send the command once it knows the current mode
+_FLYING_S = 0.5  # a product that sent a setpoint this recently was running and in control
+_OURS_S = 3.0  # a landing this soon after the command is the one requested
+_FLOOR_M = 0.05  # above the final height
 
 
 def statustext_delay(*codes: str) -> Measure:
-    """Seconds from the trouble to the product's first STATUSTEXT with one of these codes."""
+    """Return a measure of the seconds from the fault to the first STATUSTEXT with such a code."""
     return lambda e: _since(e, codes, e.onset_s)
 
 
 def statustext_on_floor(*codes: str) -> Measure:
-    """The same from when the vehicle has come down, after the trouble."""
+    """Return a measure of the seconds from touchdown to the first STATUSTEXT with such a code."""
 
     def measure(e: FlightEvidence) -> float:
         height = e.position_m[:, 2]
@@ -40,7 +41,7 @@ def statustext_on_floor(*codes: str) -> Measure:
 
 
 def statustext_after_arming(*codes: str) -> Measure:
-    """The same from the first arm command."""
+    """Return a measure of the seconds from the first arm command to such a STATUSTEXT."""
     return lambda e: _since(e, codes, tries_s(e)[0]) if tries_s(e) else math.inf
 
 
@@ -53,26 +54,31 @@ def statustext_missing(e: FlightEvidence) -> str:
     """Return the first reaction that was not reported in time, as text; '' for none."""
     asked = [o.stamp_s for o in e.wire.orders if o.command in _LAND and _airborne(e, o.stamp_s)]
     due: list[tuple[str, Collection[str], float, float]] = []
-    due += [("landing asked for", LANDING, asked[0], asked[0])] if asked else []
+    due += [("landing requested", LANDING, asked[0], asked[0])] if asked else []
     due += [
-        ("another's mode", LANDING if lands else CONTROL_LOST, lost_s, received_s)
+        ("foreign mode", LANDING if lands else CONTROL_LOST, lost_s, received_s)
         for lost_s, received_s, lands in _lost(e, asked)
     ]
     for what, why, from_s, known_s in due:
         told = any(from_s - _BEFORE_S <= stamp_s <= known_s + _TOLD_S for stamp_s in e.reported_s(why))
         if not told and known_s + _TOLD_S < e.end_s:
-            return f"{what} {known_s - e.onset_s:.1f} s after the trouble and not told within {_TOLD_S:.2f} s"
+            return f"{what} {known_s - e.onset_s:.1f} s after the fault and not reported within {_TOLD_S:.2f} s"
     return ""
 
 
 def _airborne(e: FlightEvidence, stamp_s: float) -> bool:
-    """Whether it was off the ground, where the flight's own mode has been asked for."""
+    """Return whether the vehicle was off the ground.
+
+    There a mode command can only request a landing; on the ground it requests the flight's own mode.
+    """
     return bool(np.interp(stamp_s, e.stamp_s, e.position_m[:, 2]) > _ALOFT_M)
 
 
 def _lost(e: FlightEvidence, asked: list[float]) -> list[tuple[float, float, bool]]:
-    """Each instant in which the vehicle left our mode unasked, under our setpoints, and in which the product heard of it; and
-    whether it is landing: a product that is about to land by itself and says why has no more to say, nor to ask for.
+    """Return each loss of our mode under our setpoints that the product had not requested.
+
+    Each entry is (time of the loss, time at which the product received it, whether the autopilot is landing). A product
+    that was about to land anyway, and has reported why, needs no further report and no further command.
     """
     left = np.flatnonzero(e.ours[:-1] & ~e.ours[1:] & e.armed[1:]) + 1
     found = []

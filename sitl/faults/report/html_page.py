@@ -1,4 +1,4 @@
-"""faults.html: the table of a campaign on one page that needs nothing else."""
+"""The report faults.html: the results of a campaign on one self-contained page."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 
 from sitl.faults.report.scenario_result import Result
 
-_NAMED = 5  # of the flights that missed
+_NAMED = 5  # flights that missed a limit, at most
 
 CSS = """
 :root { --ink:#1f2933; --soft:#616e7c; --line:#e4e7eb; --ground:#f5f7fa; --good:#12805c; --bad:#b42318; }
@@ -30,25 +30,26 @@ i { overflow:hidden; }
 i u { display:block; height:100%; background:var(--good); } i.over u { background:var(--bad); }
 """
 HOLDS = (
-    "In every flight: no contact (a set-down on what is below, where a landing begins without a pose, is none); at most"
-    " 0.30 m out of the fence; on the wire no NaN, and no setpoint beyond the limits of speed, acceleration, yaw rate, step"
-    " and inset fence; no mode or arm command after a pilot took over; no disarming in the air; never a minute hovering"
-    " alone. Judged by the simulator's truth and by what was on the wire, decoded apart from the product. The figure of a"
-    " row is its worst flight; beside it, how much of its bar that uses up."
+    "General limits of every flight: no contact (a touchdown on an obstacle below is none if the landing began without a"
+    " pose); at most 0.30 m outside the fence; no NaN in MAVLink messages; no setpoint beyond the limits of speed,"
+    " acceleration, yaw rate, step and inset fence; no mode or arm command after a pilot took over; no disarming in the air;"
+    " never one minute of hovering unattended. Values come from the simulator's ground truth and from the captured MAVLink,"
+    " decoded without the product's code. Each value is that of the scenario's worst flight; the bar beside it shows the used"
+    " share of its limit."
 )
 
 
 def write_page(path: Path, results: Sequence[Result]) -> None:
-    """Write it. Raises OSError."""
+    """Write the page. Raises OSError."""
     path.write_text(render(results), encoding="utf-8")
 
 
 def render(results: Sequence[Result]) -> str:
-    """The page."""
+    """Return the page as HTML."""
     flown = [r for r in results if r.passed is not None]
     failed = [f"{r.row.id} {r.autopilot}" for r in flown if not r.passed]
-    title = f"{len(flown) - len(failed)} of {len(flown)} rows pass"
-    missed = f"<p>missed: {html.escape(', '.join(failed))}</p>" if failed else ""
+    title = f"{len(flown) - len(failed)} of {len(flown)} scenarios passed"
+    missed = f"<p>failed: {html.escape(', '.join(failed))}</p>" if failed else ""
     groups = sorted({r.row.id[0] for r in results})
     tables = "".join(
         f"<section><table>{_head()}{''.join(_row(r) for r in results if r.row.id[0] == g)}</table></section>" for g in groups
@@ -57,13 +58,16 @@ def render(results: Sequence[Result]) -> str:
         '<!doctype html><html lang="en"><meta charset="utf-8"><meta name="viewport" content="width=device-width">'
         f"<title>{title}</title><style>{CSS}</style><main>"
         f'<header class="{"bad" if failed else "good"}"><h1>{title}</h1>{missed}'
-        f"<p>{len(results) - len(flown)} cannot be flown here</p>"
+        f"<p>{len(results) - len(flown)} not flown</p>"
         f'</header>{tables}<section class="soft"><p>{HOLDS}</p></section></main></html>\n'
     )
 
 
 def _head() -> str:
-    return "<tr><th>Row</th><th>Hazard</th><th>Injected</th><th>Autopilot</th><th>Flights</th><th>Figures and bars</th></tr>"
+    return (
+        "<tr><th>Scenario</th><th>Hazard</th><th>Injected fault</th><th>Autopilot</th><th>Flights</th>"
+        "<th>Values and limits</th></tr>"
+    )
 
 
 def _row(result: Result) -> str:
@@ -82,11 +86,14 @@ def _row(result: Result) -> str:
 
 
 def _gauge(share: float) -> str:
-    """Begins a paragraph: how much of a bar is used up, at a glance; a broken one is full and red."""
+    """Return the beginning of a paragraph, with a bar for the used share of a limit.
+
+    The bar of a violated limit is full and red.
+    """
     broken = ' class="over"' if share > 1.0 + 1e-9 else ""
     return f'<p><i{broken}><u style="width:{100 * min(share, 1.0):.0f}%"></u></i>'
 
 
 def _again(result: Result) -> list[str]:
-    """How to fly what missed."""
-    return [f"flown again by: uav-recon faults {result.again(number)}" for number in result.missed[:_NAMED]]
+    """Return the commands that repeat the flights which missed a limit."""
+    return [f"repeat: uav-recon faults {result.again(number)}" for number in result.missed[:_NAMED]]

@@ -1,4 +1,4 @@
-"""One process's memory and descriptors over hours: how fast they grow, and what that looks like."""
+"""Memory and descriptors of a process over hours: growth rates and a chart."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-SETTLING = 0.2  # share of the time in which a process may still take what it needs
+SETTLING = 0.2  # share of the time in which a process may still allocate its working memory
 _HOUR_S = 3600.0
 _WIDTH, _HEIGHT, _MARGIN, _LINE = 760.0, 260.0, 40.0, 18.0
 _COLOURS = ("#12805c", "#1f6feb", "#b42318", "#9a6700", "#8250df")
@@ -15,7 +15,10 @@ _COLOURS = ("#12805c", "#1f6feb", "#b42318", "#9a6700", "#8250df")
 
 @dataclass
 class Track:
-    """Of one process: seconds since the trouble began, megabytes, open descriptors."""
+    """Samples of one process.
+
+    since_s: seconds since the fault began. memory_mb: memory (MB). descriptors: number of open descriptors.
+    """
 
     pid: int
     since_s: list[float] = field(default_factory=list)
@@ -23,7 +26,10 @@ class Track:
     descriptors: list[int] = field(default_factory=list)
 
     def mb_per_h(self) -> float:
-        """Slope of the line that fits its memory best, once it has settled; NaN for less than three samples."""
+        """Return the slope (MB/h) of the least-squares line through the memory after SETTLING.
+
+        It returns NaN for fewer than three samples.
+        """
         after = int(np.searchsorted(self.since_s, SETTLING * self.since_s[-1]))
         hours, memory_mb = np.array(self.since_s[after:]) / _HOUR_S, np.array(self.memory_mb[after:])
         if len(hours) < 3:
@@ -32,18 +38,25 @@ class Track:
         return float(away @ memory_mb / (away @ away))
 
     def more_descriptors(self) -> float:
-        """Fewest in the last tenth of the time above the fewest in the first: one that comes and goes is none."""
+        """Return the growth of the number of descriptors.
+
+        It is the minimum in the last tenth of the time minus that in the first, so a descriptor that is opened and closed
+        does not count.
+        """
         tenth = max(len(self.descriptors) // 10, 1)
         return float(min(self.descriptors[-tenth:]) - min(self.descriptors[:tenth]))
 
 
 def draw(tracks: Mapping[str, Track]) -> str:
-    """SVG: megabytes that each has taken since the first sample, over hours; its slope and its descriptors in words."""
+    """Return a chart as SVG: memory growth (MB) of each process over time (h).
+
+    Slope and number of descriptors are given as text.
+    """
     hours = [np.array(track.since_s) / _HOUR_S for track in tracks.values()]
     more_mb = [np.array(track.memory_mb) - track.memory_mb[0] for track in tracks.values()]
     longest_h = max((float(h[-1]) for h in hours), default=1.0) or 1.0
     low_mb, high_mb = min((float(m.min()) for m in more_mb), default=0.0), max((float(m.max()) for m in more_mb), default=0.0)
-    high_mb = max(high_mb, low_mb + 1.0)  # a megabyte at least: what is flat looks flat
+    high_mb = max(high_mb, low_mb + 1.0)  # a range of at least 1 MB, so that constant memory is drawn flat
     lines = [_words(_MARGIN, 16.0, f"megabytes more than at first: {low_mb:.1f} to {high_mb:.1f}, over {longest_h:.2f} hours")]
     for k, ((name, track), h, m) in enumerate(zip(tracks.items(), hours, more_mb, strict=True)):
         x = _MARGIN + h / longest_h * (_WIDTH - 2 * _MARGIN)

@@ -1,4 +1,7 @@
-"""What came of a row over all its flights: for each bar the worst figure, and what was broken of what holds everywhere."""
+"""Result of a scenario over all its flights.
+
+It holds the worst value for each limit, and the violations of the general limits.
+"""
 
 from __future__ import annotations
 
@@ -10,13 +13,19 @@ from dataclasses import dataclass
 from sitl.faults.table.scenario import Limit, Scenario, ScenarioVerdict
 
 REAL_FIRMWARE = "T1"
-CONTACT = "contact"  # how the message of invariants.violations() begins for a flight that touched something
+CONTACT = "contact"  # first word of the message of invariants.violations() for a contact
 
 
 @dataclass(frozen=True)
 class Result:
-    """passed None: not flown. worst: of each bar over the flights. missed: numbers of flights that did not pass; remarks: what
-    else broke. firmware: version of a real one, "" for none. how: the words that say how it was flown, "" for in lockstep.
+    """Result of a scenario with one autopilot.
+
+    passed: None if it was not flown.
+    worst: worst value over the flights for each limit.
+    missed: numbers of the flights that did not pass.
+    remarks: violations of the general limits.
+    firmware: version of a real firmware, "" for none.
+    how: options with which it was flown, "" for lockstep.
     contacts: number of flights that touched something.
     """
 
@@ -33,35 +42,38 @@ class Result:
 
     @property
     def kept(self) -> int:
-        """Flights that passed."""
+        """Number of flights that passed."""
         return self.seeds - len(self.missed)
 
     @property
     def figures(self) -> list[tuple[Limit, float]]:
-        """Each bar with its worst figure; none where nothing was flown."""
+        """Limits, each with its worst value; empty if nothing was flown."""
         return list(zip(self.row.bars, self.worst, strict=True)) if self.seeds else []
 
     def again(self, number: int) -> str:
-        """The words that fly one of its flights again."""
+        """Return the options that repeat one of its flights."""
         return f"--only {self.row.id} --autopilot {self.autopilot} {self.how} --seeds 1 --seed0 {number}".replace("  ", " ")
 
     def headline(self) -> tuple[Limit, float] | None:
-        """The bar that is used up most, and its figure."""
+        """Return the limit that is used up most, and its value."""
         if not self.figures:
             return None
         return max(self.figures, key=lambda pair: pair[0].badness(pair[1], self.autopilot))
 
     def sentence(self) -> str:
-        """Every broken bar with its figure; the tightest one where none is."""
+        """Return the violated limits with their values; the tightest one if none is violated."""
         head = self.headline()
         return ", ".join(self.broken() or ([self._words(*head)] if head else []))
 
     def broken(self) -> list[str]:
-        """Words for each broken bar."""
+        """Return a text for each violated limit."""
         return [self._words(bar, figure) for bar, figure in self.figures if not bar.holds(figure, self.autopilot)]
 
     def used(self) -> list[tuple[str, float]]:
-        """For each bar its words, and the share of it that is used up: above 1 it is broken; infinity: it never came."""
+        """Return, for each limit, its text and the share of it that is used up.
+
+        A share above 1 is a violation; infinity means that the awaited event never came.
+        """
         return [(self._words(bar, figure), bar.badness(figure, self.autopilot)) for bar, figure in self.figures]
 
     def _words(self, bar: Limit, figure: float) -> str:
@@ -70,7 +82,10 @@ class Result:
         return f"{bar.name} {said} {sign} {bar.limit_of(self.autopilot):g} {bar.unit}".rstrip()
 
     def tree(self) -> dict[str, object]:
-        """For JSON; a figure that is null never came, or could not be measured."""
+        """Return the result for JSON.
+
+        A value that is null never came, or could not be measured.
+        """
         head = self.headline()
         return {
             "id": self.row.id,
@@ -103,7 +118,10 @@ class Result:
 def result_of(
     row: Scenario, autopilot: str, verdicts: Sequence[ScenarioVerdict], firmware: str = "", first: int = 0, how: str = ""
 ) -> Result:
-    """Worst of all flights, which are numbered from the first on. A row without flights was not flown."""
+    """Return the result of a scenario: the worst values of all its flights.
+
+    first: number of the first flight. Without verdicts the scenario was not flown.
+    """
     if not verdicts:
         return Result(row, autopilot, 0, (), None, (), ())
     worst = []

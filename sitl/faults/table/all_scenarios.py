@@ -1,4 +1,4 @@
-"""All rows, in the order of the hazards' list, and what each is called on the command line."""
+"""All scenarios, in the order of the list of hazards, and their names on the command line."""
 
 from __future__ import annotations
 

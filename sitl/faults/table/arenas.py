@@ -1,5 +1,7 @@
-"""Where faults are flown: a hall with room to be fast in, a pen inside it, a stage at its far end, two small rooms with a tight
-gap between, and a gallery to be far from home in.
+"""Scenes for fault flights.
+
+A hall with space to fly fast, a pen inside it, a stage at its far end, two small rooms with a narrow gap between them, and
+a gallery for long distances from home.
 """
 
 from __future__ import annotations
@@ -18,17 +20,19 @@ from sitl.scene.texture import plain, wood
 LENGTH_M, WIDTH_M, HEIGHT_M = 10.0, 7.0, 2.8
 START = (1.4, 3.5, 1.2, 0.0)
 PEN = (0.4, 1.0, 0.0, 8.4, 6.0, 2.6)
-SMALL_M = (5.8, 2.8, 2.4)  # of both rooms: soon looked round in
+SMALL_M = (5.8, 2.8, 2.4)  # of both rooms together; explored quickly
 GALLERY_M = (32.0, 3.5, 2.8)
-STAGE_M = (2.9, 0.6)  # where it begins, and its height
+STAGE_M = (2.9, 0.6)  # x at which it begins, and its height
 GAP, GAP_WIDTH_M = Gap(1.2, 2.2), 0.9
 _WALLS, _FLOOR, _GREY = plain((0.80, 0.80, 0.75)), wood((0.55, 0.42, 0.30)), plain((0.50, 0.50, 0.55))
 
 
-@functools.cache  # a campaign flies in the same few, again and again
+@functools.cache  # a campaign uses the same few scenes repeatedly
 def arena(name: str, radius_m: float, painted: bool = False) -> Scene:
-    """hall, pen, stage, corridor or gallery. The start is the same in all. In the pen nothing stands: out of it a vehicle is
-    pushed. painted: for a camera that sees colour; a second.
+    """Return the scene with this name: hall, pen, stage, corridor or gallery.
+
+    The start is the same in all. The pen contains no obstacles, because the vehicle is pushed out of it. painted: with
+    texture for a camera that renders colour; it takes a second.
     """
     pieces = {"hall": _hall, "pen": _yard, "stage": _stage, "corridor": _corridor, "gallery": _gallery}[name]
     scene = scene_from_mesh(name, joined(pieces(MeshBuilder(fine=False))), START, PEN if name == "pen" else None, radius_m)
@@ -40,7 +44,10 @@ def arena(name: str, radius_m: float, painted: bool = False) -> Scene:
 
 
 def _shell(w: MeshBuilder, x: float, y: float, z: float) -> list[Mesh]:
-    """Of a length, a width whose middle is the hall's, and a height."""
+    """Return floor, ceiling and walls of a room.
+
+    x: length, y: width, centred on the hall's centre line, z: height (m).
+    """
     low, high = 0.5 * (WIDTH_M - y), 0.5 * (WIDTH_M + y)
     return [
         w.patch((0, low, 0), (x, 0, 0), (0, y, 0), _FLOOR),

@@ -57,8 +57,8 @@ AT_BOOT = Onset((0.0, 0.0), at_boot=True)
 ANY = Onset((0.0, 15.0), speed_mps=0.0)
 FAST = Onset(speed_mps=0.6)
 PILOT_MODES = (("POSCTL", "POSHOLD"), ("ALTCTL", "ALT_HOLD"), ("STABILIZED", "STABILIZE"), ("LOITER",))
-AROUND_LAND_S = (0.0, 0.04, 1.5, 0.02, 0.06, 0.7, 0.08, 0.1)  # of the pilot's switch, after the operator's key
-PARAMETERS = (  # of either firmware, with values that come with it
+AROUND_LAND_S = (0.0, 0.04, 1.5, 0.02, 0.06, 0.7, 0.08, 0.1)  # delay of the pilot's switch after the operator's land command
+PARAMETERS = (  # of each firmware, with values that it allows
     (("COM_OBL_RC_ACT", 0), ("FS_GCS_ENABLE", 0)),
     (("COM_OF_LOSS_T", 5.0), ("FS_GCS_TIMEOUT", 5)),
     (("COM_LOW_BAT_ACT", 0), ("BATT_FS_LOW_ACT", 0)),
@@ -88,8 +88,8 @@ TABLE_E = (
     ),
     Scenario(
         "E1b",
-        "pilot switches as we ask for a mode",
-        "as the operator's landing is asked for, within 0.1 s, and out of that landing",
+        "pilot switches during our mode command",
+        "within 0.1 s of the operator's land command, and during that landing",
         lambda n: [Abort(), Takeover(*PILOT_MODES[n % 3], later_s=AROUND_LAND_S[n % len(AROUND_LAND_S)])],
         (
             Limit("turns in another mode", mode_taken_back, 0.0, ""),
@@ -102,7 +102,7 @@ TABLE_E = (
     Scenario(
         "E2",
         "pilot moves the sticks",
-        "the firmware's answer to it: position mode",
+        "the firmware's reaction: position mode",
         lambda n: [Takeover("POSCTL", "LOITER")],
         (
             Limit("mode or arm commands", m.commands_once_known, 0.0, ""),
@@ -115,7 +115,7 @@ TABLE_E = (
     Scenario(
         "E3",
         "transmitter lost",
-        "no transmitter any more",
+        "the RC transmitter is switched off",
         lambda n: [TransmitterLost()],
         (lands(1.6, ardupilot=1.5), Limit("turns in a stick mode", m.position_mode, 0.0, ""), down(30.0)),
     ),
@@ -131,7 +131,7 @@ TABLE_E = (
     Scenario(
         "E4b",
         "second autopilot",
-        "another with the vehicle's own name speaks for 10 s: in our mode, with motors and without",
+        "a second one with the vehicle's own ID sends for 10 s: in our mode, armed and disarmed",
         lambda n: [SecondAutopilot(SecondAutopilot.OURS, armed=n % 2 == 0)],
         (holds(1.0), told(codes.TWO_AUTOPILOTS, within_s=1.0), NO_FAILSAFE, COMPLETES),
         observe_s=180.0,
@@ -140,7 +140,7 @@ TABLE_E = (
     Scenario(
         "E4c",
         "second autopilot's mode",
-        "another with the vehicle's own name says for 10 s, and for 0.1 s, that a pilot flies it",
+        "a second one with the vehicle's own ID reports a pilot's mode for 10 s, and for 0.1 s",
         lambda n: [SecondAutopilot(SecondAutopilot.PILOTS, briefly=n % 2 == 1)],
         (told(codes.TWO_AUTOPILOTS, codes.MODE_CHANGED, within_s=1.0), lands(5.0), down(30.0)),
         observe_s=45.0,
@@ -148,7 +148,7 @@ TABLE_E = (
     Scenario(
         "E4d",
         "second autopilot lands",
-        "another with the vehicle's own name says for 10 s, and for 0.1 s, that it lands",
+        "a second one with the vehicle's own ID reports a landing mode for 10 s, and for 0.1 s",
         lambda n: [SecondAutopilot(SecondAutopilot.LANDING, briefly=n % 2 == 1)],
         (told(codes.TWO_AUTOPILOTS, codes.AUTOPILOT_LANDS, within_s=1.0), holds(1.0), down(120.0)),
         observe_s=120.0,
@@ -157,30 +157,30 @@ TABLE_E = (
     Scenario(
         "E5",
         "battery low",
-        "falls to 30 % and on by 0.5 % a second; by 20 % at once; to 24 % at once",
+        "falls to 30 %, then by 0.5 % per second; drops to 78 % at once; drops to 24 % at once",
         lambda n: [(BatteryDrain(0.30, 0.005), BatteryDrain(0.78), BatteryDrain(0.24))[n % 3]],
         (
             Limit("charge left", m.battery_left, 0.10, "", at_least=True),
-            Limit("off the pad", m.from_pad, 0.5, "m"),
+            Limit("distance from the pad", m.from_pad, 0.5, "m"),
             NO_FAILSAFE,
-            down(160.0),  # a flight that a single jump rightly does not end takes so long
+            down(160.0),  # duration of a flight that a single jump correctly does not end
         ),
         observe_s=160.0,
         views=SHORT_VIEWS,
     ),
     Scenario(
         "E5b",
-        "battery's gauge slips",
-        "six times for 2 s it says 20 % less, down to 20 %; nothing; 24 %",
+        "battery gauge fails briefly",
+        "for 2 s, six times, it reports 20 %; 0 %; 24 %",
         lambda n: [FalseBatteryCharge(*((5.0 * k, 5.0 * k + 2.0, (0.20, 0.0, 0.24)[n % 3]) for k in range(6)))],
-        (Limit("ended for the battery", m.ended_for(*codes.BATTERY), 0.0, ""), COMPLETES, NO_FAILSAFE),
+        (Limit("flights ended for the battery", m.ended_for(*codes.BATTERY), 0.0, ""), COMPLETES, NO_FAILSAFE),
         observe_s=180.0,
         views=SHORT_VIEWS,
     ),
     Scenario(
         "E5c",
-        "battery's gauge is lost",
-        "it says that it does not know; nothing of it comes; it says full where it was at 60 %",
+        "battery gauge fails",
+        "it reports an unknown charge; it reports nothing; it reports 60 %, then 100 %",
         lambda n: [
             (
                 FalseBatteryCharge((0.0, 1e9, math.nan)),
@@ -194,11 +194,11 @@ TABLE_E = (
     Scenario(
         "E5d",
         "small battery, far from home",
-        "one of seven minutes, 78 % of it there at boot, in a gallery of 32 m",
+        "a battery for seven minutes, charged to 78 % at boot, in a gallery of 32 m",
         lambda n: [BatteryDrain(0.78, 0.0023)],
         (
-            Limit("reserve of the way home", reserve, 1.3, "", at_least=True),
-            Limit("turned back at", turned_at, 8.0, "m", at_least=True),
+            Limit("reserve for the return", reserve, 1.3, "", at_least=True),
+            Limit("turn-back distance", turned_at, 8.0, "m", at_least=True),
             Limit("charge left", m.battery_left, 0.20, "", at_least=True),
             RETURNS,
         ),
@@ -217,8 +217,8 @@ TABLE_E = (
             NEVER_ARMED,
             NO_FORCE,
             Limit("arm commands", m.arm_tries, 3.0, ""),
-            Limit("gives up", m.last_try_after, 20.0, "s"),
-            Limit("reason told", statustext_after_arming(codes.ARMING_GIVEN_UP), 20.0, "s"),
+            Limit("arming given up after", m.last_try_after, 20.0, "s"),
+            Limit("reason reported", statustext_after_arming(codes.ARMING_GIVEN_UP), 20.0, "s"),
         ),
         onset=AT_BOOT,
         observe_s=60.0,
@@ -226,7 +226,7 @@ TABLE_E = (
     Scenario(
         "E7",
         "take-off fails",
-        "it cannot lift itself",
+        "the rotors are too weak to climb",
         lambda n: [WeakRotors()],
         (Limit("motors ran", m.motors_ran, 6.0, "s"), Limit("arm commands", m.arm_tries, 1.0, "")),
         onset=AT_BOOT,
@@ -235,25 +235,25 @@ TABLE_E = (
     Scenario(
         "E8",
         "pad occupied",
-        "a box stands on the pad when it comes home",
+        "a box stands on the pad when the vehicle returns",
         lambda n: [StaticObstacle((0.0, 0.0, 0.1), (0.25, 0.25, 0.2))],
-        (Limit("lands beside the box", m.lands_beside, 0.30, "m", at_least=True), clear(0.10), down(180.0), NO_FAILSAFE),
+        (Limit("landing distance to the box", m.lands_beside, 0.30, "m", at_least=True), clear(0.10), down(180.0), NO_FAILSAFE),
         onset=Onset(speed_mps=0.0, away_m=2.0),
         observe_s=180.0,
         views=22,
     ),
     Scenario(
         "E9",
-        "landing never noticed",
-        "motors do not stop on the floor",
+        "landing not detected",
+        "the motors do not stop on the floor",
         lambda n: [LandDetectorFailed(), Abort()],
         (Limit("alert", statustext_on_floor(codes.LANDING_NOT_ENDING), 15.0, "s"), NO_FORCE),
         observe_s=25.0,
     ),
     Scenario(
         "E10",
-        "operator's key",
-        "pressed once",
+        "operator commands a landing",
+        "one land command",
         lambda n: [Abort()],
         (
             Limit("command to land", m.asked_to_land, 0.15, "s"),
@@ -268,8 +268,8 @@ TABLE_E = (
 TABLE_F = (
     Scenario(
         "F1",
-        "planner gone mad",
-        "hostile trajectories at 30 Hz: NaN, far, fast, outside, other epochs, other times",
+        "hostile planner",
+        "harmful trajectories at 30 Hz: NaN, far, fast, outside the fence, other map epochs, other times",
         bars=(STREAMS, NO_FAILSAFE, clear(0.10), lands(25.0), down(40.0)),
         observe_s=45.0,
         injectors=lambda n: [HostilePlannerMarker()],
@@ -277,12 +277,12 @@ TABLE_F = (
     ),
     Scenario(
         "F2",
-        "pushed out",
-        "5 N on 2 kg for 2 s along its way, in a pen inside the hall",
+        "pushed out of the fence",
+        "5 N on 2 kg for 2 s along the direction of travel, in a pen inside the hall",
         lambda n: [Push(PUSH_MPS2, 2.0)],
         (
             Limit("fence overshoot", m.overshoot, 0.30, "m"),
-            Limit("outside the inset", m.back_inside, 3.0, "s"),
+            Limit("time outside the inset fence", m.back_inside, 3.0, "s"),
             STREAMS,
         ),
         arena="pen",
@@ -291,12 +291,12 @@ TABLE_F = (
     ),
     Scenario(
         "F2b",
-        "pushed out and kept there",
-        "as much as it takes to hold it 0.2 m outside the fence, until it is down, in a pen inside the hall",
+        "pushed out of the fence and held there",
+        "the force that holds it 0.2 m outside the fence until it has landed, in a pen inside the hall",
         lambda n: [SidewaysForce(PEN[4] - START[1] + 0.25)],
         (
             Limit("landing mode after leaving", m.landing_after_leaving, 3.5, "s"),
-            # refused for so long, the mission may ask for it before the fence does
+            # after a long refusal the mission may request the landing before the fence check does
             Limit("landing mode not before", m.landing_after_leaving, 0.0, "s", at_least=True, ardupilot=2.8),
             STREAMS,
             down(30.0),
@@ -304,7 +304,7 @@ TABLE_F = (
         arena="pen",
         onset=FAST,
     ),
-    Scenario("F3", "fence makes no sense", "bad corners", why="no flight: tests of the config hold it"),
+    Scenario("F3", "invalid fence", "invalid corners", why="no flight: covered by tests of the config"),
     Scenario(
         "F4",
         "no origin",
@@ -316,21 +316,21 @@ TABLE_F = (
     ),
     Scenario(
         "F5",
-        "way home closed",
-        "a wall stands across the hall behind it, and the battery is low",
+        "path home blocked",
+        "a wall blocks the hall behind the vehicle, and the battery is low",
         lambda n: [StaticObstacle((2.0, 0.0, 1.4), (0.1, 3.5, 1.5)), BatteryDrain(0.24)],
-        (clear(0.05), Limit("landing mode after its last stop", m.landing_after_a_stop, 5.0, "s"), down(90.0)),
+        (clear(0.05), Limit("landing mode after the last stop", m.landing_after_a_stop, 5.0, "s"), down(90.0)),
         onset=Onset((8.0, 12.0), needs_view_ahead=True, away_m=4.5),
         observe_s=100.0,
-        room=Room(clear_m=0.05),  # no contact; where pictures are not believed at first it feels its way back to 0.09 m
+        room=Room(clear_m=0.05),  # no contact; where images are rejected at first, it comes back to within 0.09 m
     ),
     Scenario(
         "F6",
-        "tight passage",
-        "a gap of 0.9 m between two rooms, for a span of 0.5 m and one of 0.4 m in turn; nothing else",
+        "narrow passage",
+        "no fault: a gap of 0.9 m between two rooms, for hull diameters of 0.5 m and 0.4 m in turn",
         lambda n: [],
         (
-            Limit("clearance in it", GAP.clearance, 0.15, "m", at_least=True),
+            Limit("clearance in the gap", GAP.clearance, 0.15, "m", at_least=True),
             clear(0.10),
             Limit("neither passed nor refused", GAP.untried, 0.0, ""),
             RETURNS,
@@ -340,7 +340,7 @@ TABLE_F = (
         observe_s=300.0,
         views=46,
         radii_m=(0.25, 0.20),
-        variant="explore",  # whose views are not spent on the surface of the first room
+        variant="explore",  # a variant that does not use up its views on the first room's surface
     ),
 )
 
@@ -348,13 +348,13 @@ TABLE_G = (
     Scenario(
         "G1",
         "wall clock jumps",
-        "an hour forth and back",
-        why="no clock of the wall is read in flight: a signed flight under one that is set, in tests, holds it",
+        "one hour forward and back",
+        why="the wall clock is not read in flight; tests fly a signed link with a changed wall clock",
     ),
     Scenario(
         "G2",
         "disk full",
-        "no file grows any more, from the climb on",
+        "no file can grow from the climb on",
         lambda n: [FileSizeLimit()],
         (NO_FAILSAFE, STREAMS, COMPLETES),
         observe_s=180.0,
@@ -364,18 +364,20 @@ TABLE_G = (
     Scenario(
         "G3",
         "viewer slow or dead",
-        "SIGSTOP to the recorder, which alone speaks with one",
+        "SIGSTOP to the recorder, the only process connected to a viewer",
         bars=(NO_FAILSAFE, STREAMS, STEADY, COMPLETES),
         observe_s=180.0,
         views=SHORT_VIEWS,
-        why="the recorder is a process: flown in real time",
+        why="the recorder is a separate process: flown in real time",
         live=lambda n: [ChildProcessSignalled(RECORDER, SIGSTOP)],
     ),
-    Scenario("G4", "bad config", "changed, missing, unknown and doubled keys", why="no flight: tests of the config hold it"),
+    Scenario(
+        "G4", "bad config", "changed, missing, unknown and duplicate keys", why="no flight: covered by tests of the config"
+    ),
     Scenario(
         "G5",
-        "parameters are others",
-        "one of the firmware's parameters is not what the product counts on",
+        "wrong parameters",
+        "one of the firmware's parameters differs from the required value",
         lambda n: [Parameter(*PARAMETERS[n % len(PARAMETERS)])],
         (NEVER_ARMED,),
         onset=AT_BOOT,
@@ -384,30 +386,34 @@ TABLE_G = (
     Scenario(
         "G5b",
         "parameter changed in flight",
-        "as G5, written by a ground station at speed",
-        lambda n: [Parameter(*PARAMETERS[n % 5])],  # those behind them would end its poses, or say what is done at a fence
+        "as G5, written by a ground station during fast flight",
+        lambda n: [Parameter(*PARAMETERS[n % 5])],  # the others would end its poses, or set the action at a fence
         (holds(1.0), told(codes.PARAMETER_CHANGED, within_s=1.0), down(60.0), NO_FAILSAFE),
         onset=Onset(speed_mps=0.5),
     ),
     Scenario(
         "G6",
         "wrong firmware",
-        "AUTOPILOT_VERSION says 1.13.0, 1.15.1, 1.18.0",
+        "AUTOPILOT_VERSION reports 1.13.0, 1.15.1, 1.18.0",
         lambda n: [RewrittenFrames(_VERSION, version(*((1, 13, 0), (1, 15, 1), (1, 18, 0))[n % 3]))],
         (NEVER_ARMED,),
         onset=AT_BOOT,
         observe_s=20.0,
     ),
-    Scenario("G7", "power lost", "plug pulled", why="T3; its path is A6"),
+    Scenario("G7", "power lost", "the power supply is disconnected", why="T3: not flown here; A6 covers the reaction"),
     Scenario(
         "G8",
         "time to ready",
-        "nothing",
+        "no fault",
         lambda n: [],
         (Limit("first arm command", m.first_arm, 60.0, "s"),),
         onset=AT_BOOT,
-        observe_s=25.0,  # one that takes longer never comes
+        observe_s=25.0,  # an arm command after that counts as none
     ),
-    Scenario("G9", "soak", "two hours in the air", why="run apart: --only G9 --real-time; G9-5min and G9-1min are shorter"),
-    Scenario("G10", "combinations", "two of A1 B1 B4 C1 D2 D8 E1 E5 F2 G2 at once", why="45 pairs: --only G10 flies them"),
+    Scenario(
+        "G9", "soak", "a flight of two hours", why="run separately: --only G9 --real-time; G9-5min and G9-1min are shorter"
+    ),
+    Scenario(
+        "G10", "combinations", "two of A1 B1 B4 C1 D2 D8 E1 E5 F2 G2 in one flight", why="45 pairs: --only G10 flies them"
+    ),
 )

@@ -63,7 +63,7 @@ TABLE_C = (
     Scenario(
         "C1b",
         "frames lost for 3 s",
-        "no frame for 3 s at speed",
+        "no frame for 3 s during fast flight",
         lambda n: [DepthSilence(3.0)],
         (holds(0.4), STREAMS, COMPLETES, told(codes.NO_DEPTH, codes.DEPTH_STALE, within_s=1.4)),
         onset=Onset(speed_mps=0.5),
@@ -73,7 +73,7 @@ TABLE_C = (
     Scenario(
         "C1c",
         "frames lost",
-        "no frame any more",
+        "no more frames",
         lambda n: [DepthSilence()],
         (holds(0.4), Limit("retreat begun", m.retreat_after, 3.5, "s"), lands(10.5)),
         onset=FAST,
@@ -81,16 +81,16 @@ TABLE_C = (
     Scenario(
         "C2",
         "camera unplugged",
-        "perception dies at speed and is back after 2 s",
+        "perception ends during fast flight and is restarted after 2 s",
         lambda n: [Crash("perception", back_s=2.0)],
         (holds(0.3), lands(1.2), down(30.0)),
         onset=FAST,
-        live=lambda n: [ProcessKilled("perception", for_s=0.0)],  # and its supervisor starts it again
+        live=lambda n: [ProcessKilled("perception", for_s=0.0)],  # its supervisor restarts it
     ),
     Scenario(
         "C3",
         "depth corrupted",
-        "salt on 30 % of the pixels; 64 pixels aside; bit errors; half and twice the range; frozen",
+        "random values in 30 % of the pixels; image shifted by 64 pixels; bit errors; half and twice the range; frozen image",
         lambda n: [_corrupt(n), MapIntegrityCheck()],
         (holds(0.5), Limit("known occupied freed", m.noted(FREED), 0.1, "%"), clear(0.10)),
     ),
@@ -104,17 +104,22 @@ TABLE_C = (
     ),
     Scenario(
         "C4b",
-        "lens covered, the map",
-        "as C4, and the map is looked at",
+        "lens covered, map unchanged",
+        "as C4, with a check of the map",
         lambda n: [AlteredDepth(constant((0, 65535)[n % 2])), MapIntegrityCheck(), Claims()],
         (Limit("known occupied freed", m.noted(FREED), 0.0, "%"), Limit("voxels marked free", m.noted(CLAIMED), 0.0, "")),
         onset=FAST,
     ),
-    Scenario("C5", "glass, black, mirror", "surfaces that stereo does not see", why="T2 and T4: glass is not rendered"),
+    Scenario(
+        "C5",
+        "glass, black, mirror",
+        "surfaces that stereo cannot measure",
+        why="T2 and T4: glass is not rendered",
+    ),
     Scenario(
         "C6",
         "frames late",
-        "all of them 0.5 s late",
+        "all frames are 0.5 s late",
         lambda n: [LateFrames(0.5)],
         (
             Limit("speed 2 s later", m.speed_from(2.0), 0.3, "m/s"),
@@ -124,7 +129,7 @@ TABLE_C = (
     Scenario(
         "C7",
         "frames repeated and out of order",
-        "each twice, every third behind the next",
+        "each frame twice, every third one after its successor",
         lambda n: [ReorderedFrames(), Tally()],
         (COMPLETES, ONCE),
         observe_s=180.0,
@@ -132,17 +137,17 @@ TABLE_C = (
     ),
     Scenario(
         "C7b",
-        "stamps of another clock for 1 s",
-        "an hour ago or ahead, for 1 s at speed",
+        "timestamps of another clock for 1 s",
+        "one hour early or late, for 1 s during fast flight",
         lambda n: [ShiftedTimestamps((-3600.0, 3600.0)[n % 2], 1.0), Tally()],
-        (holds(0.4), STREAMS, flies_on(2.0, late_s=1.0), ONCE),  # sooner than a way back begins
+        (holds(0.4), STREAMS, flies_on(2.0, late_s=1.0), ONCE),  # before a retreat begins
         onset=FAST,
         observe_s=15.0,
     ),
     Scenario(
         "C7c",
-        "stamps of another clock",
-        "an hour ago or ahead, at speed and for good",
+        "timestamps of another clock",
+        "one hour early or late, permanently, during fast flight",
         lambda n: [ShiftedTimestamps((-3600.0, 3600.0)[n % 2]), Tally()],
         (holds(0.4), Limit("retreat begun", m.retreat_after, 3.5, "s"), lands(10.5), ONCE),
         onset=FAST,
@@ -150,18 +155,18 @@ TABLE_C = (
     Scenario(
         "C8",
         "obstacle appears",
-        "a box stands 1.0 m ahead of the hull, at speed",
+        "a box appears 1.0 m ahead of the hull during fast flight",
         lambda n: [ObstacleAppears(1.0)],
-        (holds(0.25), Limit("stops short of it by", m.stopped_short, 0.40, "m", at_least=True), clear(0.10)),
+        (holds(0.25), Limit("distance to the box at rest", m.stopped_short, 0.40, "m", at_least=True), clear(0.10)),
         onset=Onset(speed_mps=0.6, needs_view_ahead=True),
         observe_s=25.0,
     ),
     Scenario(
         "C9",
         "obstacle approaches",
-        "told to stay, and a box comes from 3 m ahead at 0.8 m/s to where it hovers",
+        "while the vehicle holds its position, a box comes from 3 m ahead at 0.8 m/s",
         lambda n: [ObstacleApproaches(0.8)],
-        (Limit("clearance of it", lambda e: e.min_obstacle_distance_m, 0.30, "m", at_least=True), clear(0.10)),
+        (Limit("clearance to the box", lambda e: e.min_obstacle_distance_m, 0.30, "m", at_least=True), clear(0.10)),
         onset=STILL,
         observe_s=20.0,
     ),
@@ -176,8 +181,8 @@ def _corrupt(n: int) -> Injector:
 TABLE_D = (
     Scenario(
         "D1",
-        "nothing heard for 1 s",
-        "autopilot to product lost for 1 s at speed",
+        "nothing received for 1 s",
+        "all messages from the autopilot are lost for 1 s during fast flight",
         lambda n: [PacketLoss("down", 1.0)],
         (holds(0.6), NO_FAILSAFE, STREAMS),
         onset=FAST,
@@ -185,16 +190,16 @@ TABLE_D = (
     ),
     Scenario(
         "D1b",
-        "nothing heard for 10 s",
-        "autopilot to product lost for 10 s at speed",
+        "nothing received for 10 s",
+        "all messages from the autopilot are lost for 10 s during fast flight",
         lambda n: [PacketLoss("down", 10.0)],
         (holds(0.6), Limit("stream ends", m.streams_after, 3.1, "s"), lands(4.5, ardupilot=3.8), NO_ORDER),
         onset=FAST,
     ),
     Scenario(
         "D2",
-        "nothing said for 3 s",
-        "product to autopilot lost for 3 s",
+        "nothing sent for 3 s",
+        "all messages to the autopilot are lost for 3 s",
         lambda n: [PacketLoss("up", 3.0)],
         (UNHEARD_LANDS, NO_ORDER, down(30.0), told(codes.AUTOPILOT_LANDS, within_s=2.3, ardupilot=3.5)),
         onset=FAST,
@@ -202,13 +207,13 @@ TABLE_D = (
     Scenario(
         "D3",
         "bad link",
-        "20 % lost both ways; for a minute up to 0.3 s late; 0.3 s holes",
+        "20 % loss in both directions; delays up to 0.3 s for a minute; a gap of 0.3 s",
         lambda n: [(PacketLoss("both", share=0.2, seed=n), Jitter(0.3, 60.0, n), PacketLoss("both", 0.3))[n % 3]],
         (
             NO_FAILSAFE,
             STEADY,
-            Limit("setpoints that arrive in a second, of ten", m.slowest_ten_seconds_arrived, 20.0, "1/s", at_least=True),
-            Limit("gap between those that arrive", m.longest_gap_arrived, 0.5, "s"),  # at which the autopilot takes over
+            Limit("setpoints received per second, over 10 s", m.slowest_ten_seconds_arrived, 20.0, "1/s", at_least=True),
+            Limit("gap between setpoints received", m.longest_gap_arrived, 0.5, "s"),  # the autopilot's failsafe time
             COMPLETES,
         ),
         onset=Onset(speed_mps=0.0),
@@ -218,7 +223,7 @@ TABLE_D = (
     Scenario(
         "D4",
         "frames repeated and out of order",
-        "each three times, up to 0.5 s late",
+        "each frame three times, up to 0.5 s late",
         lambda n: [DuplicatedFrames(0.5)],
         (Limit("arm commands", m.arm_tries, 1.0, ""), NO_FAILSAFE, RETURNS),
         onset=Onset((0.0, 0.0), at_boot=True),
@@ -228,7 +233,7 @@ TABLE_D = (
     Scenario(
         "D5",
         "garbage",
-        "1 MB/s of random bytes for 10 s, then a fifth of the frames spoilt",
+        "1 MB/s of random bytes for 10 s; a fifth of the frames corrupted",
         lambda n: [Garbage(1_000_000, 10.0), Corrupted(0.2, n)],
         (NO_FAILSAFE, STEADY, STREAMS, COMPLETES),
         observe_s=180.0,
@@ -237,7 +242,7 @@ TABLE_D = (
     Scenario(
         "D6",
         "serial line unplugged",
-        "the device is gone for 1 s at speed",
+        "the device disappears for 1 s during fast flight",
         bars=(
             holds(0.3, late_s=1.0),
             Limit("poses again after", odometry_metrics.poses_again_after(1.0), 2.0, "s"),
@@ -246,32 +251,32 @@ TABLE_D = (
         onset=FAST,
         observe_s=125.0,
         views=SHORT_VIEWS,
-        why="needs a serial line, a pseudo terminal: flown in real time",
+        why="needs a serial line (pseudo terminal): flown in real time",
         live=lambda n: [Unplugged(1.0)],
     ),
     Scenario(
         "D7",
         "autopilot restarts in the air",
-        "it begins anew, clock and all, and a pilot catches it",
+        "the autopilot restarts with its clock at zero, and a pilot takes over",
         lambda n: [Reboot()],
         (
             NO_ORDER,
             Limit("stream ends", m.streams_after, 1.2, "s"),
-            Limit("poses dated wrongly", odometry_metrics.misdated_for, 0.15, "s"),
-            Limit("poses dated rightly", odometry_metrics.dated_after, 1.0, "s"),
+            Limit("last wrong pose timestamp", odometry_metrics.misdated_for, 0.15, "s"),
+            Limit("first correct pose timestamp", odometry_metrics.dated_after, 1.0, "s"),
         ),
         observe_s=20.0,
     ),
     Scenario(
         "D8",
         "operator lost",
-        "nobody asks how it stands any more, in flight; every second time somebody forges a ground station's heartbeats",
+        "no more status queries in flight; in every second flight with forged heartbeats of a ground station",
         lambda n: [operator_silence.OperatorSilent(), *([operator_silence.GroundStation()] if n % 2 else [])],
         (
             RETURN_ACTS,
-            Limit("returns not before", operator_silence.return_delay, operator_silence.TIMEOUT_S - 1.0, "s", at_least=True),
-            Limit("warned", operator_silence.warns_after, 6.0, "s"),
-            Limit("way astray", operator_silence.detour_on_return(operator_silence.TIMEOUT_S), 3.0, "m"),
+            Limit("return not before", operator_silence.return_delay, operator_silence.TIMEOUT_S - 1.0, "s", at_least=True),
+            Limit("warning", operator_silence.warns_after, 6.0, "s"),
+            Limit("detour on the return", operator_silence.detour_on_return(operator_silence.TIMEOUT_S), 3.0, "m"),
             RETURNS,
             down(120.0),
         ),
@@ -279,8 +284,8 @@ TABLE_D = (
     ),
     Scenario(
         "D8b",
-        "operator heard now and then",
-        "asks how it stands once in ten seconds",
+        "operator queries rarely",
+        "one status query in ten seconds",
         lambda n: [operator_silence.OperatorIntermittent(10.0)],
         (COMPLETES, Limit("warnings", operator_silence.warnings, 1.0, ""), NO_FAILSAFE),
         observe_s=180.0,

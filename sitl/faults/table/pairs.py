@@ -1,4 +1,4 @@
-"""Row G10: two of the table's troubles in one flight; the worse of the two reactions is to win."""
+"""Scenario G10: two faults in one flight; the more severe of the two reactions has to win."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from sitl.faults.table.acceptance_limits import RETURN_ACTS, STREAMS, UNHEARD_LA
 from sitl.faults.table.scenario import Limit, Scenario
 
 PAIRED = ("A1", "B1", "B4", "C1", "D2", "D8", "E1", "E5", "F2", "G2")
-APART_S = 1.0  # at most, between the one trouble and the other
-REACTIONS = {  # worst first: what of a row's own bars holds whatever else goes wrong
+APART_S = 1.0  # longest time between the two onsets
+REACTIONS = {  # most severe first: limits of a scenario that hold with any second fault
     "E1": (Limit("stream ends", m.streams_after, 0.3, "s"),),
     "D2": (UNHEARD_LANDS, down(30.0)),
     "B1": (lands(1.2), down(30.0)),
@@ -26,17 +26,20 @@ REACTIONS = {  # worst first: what of a row's own bars holds whatever else goes 
     "D8": (RETURN_ACTS, down(120.0)),
     "A1": (holds(0.6),),
 }
-# PX4 says its mode ten times a second as long as it is asked to, and that does not arrive either: once a second by itself.
+# PX4 reports its mode ten times a second only on request, and the request does not arrive either: by default once a second.
 UNHEARD = {"D2+E1": (Limit("stream ends", m.streams_after, 1.3, "s", ardupilot=0.3),)}
-# Pushed by 2.5 m/s² while it lands by itself, without a word of ours or without a position: it goes where the push
-# takes it, and touches nothing.
+# Pushed by 2.5 m/s² while it lands by itself, without setpoints or without a position. It drifts with the push, and must
+# not touch anything.
 PUSHED = dict.fromkeys(("B1+F2", "D2+F2"), Room(clear_m=0.0, overshoot_m=1.0))
-_WATCHED_S = 60.0  # where neither asks for a reaction
+_WATCHED_S = 60.0  # where neither fault requires a reaction
 
 
 def pair(first: Scenario, second: Scenario) -> Scenario:
-    """Both troubles, the dice say which of them begins and how much later the other comes, in the stricter moment of the two,
-    on the shorter flight. Held to what the worse of their reactions is held to, counted from its own trouble on.
+    """Return the scenario with two faults in one flight.
+
+    A random draw decides which fault begins first and how much later the other one follows. The onset is the stricter of
+    the two, and the flight is the shorter of the two. The limits are those of the more severe reaction, measured from its
+    own fault on.
     """
     by_id = {row.id: row for row in (first, second)}
     worse = next((by_id[name] for name in REACTIONS if name in by_id), None)
@@ -56,7 +59,7 @@ def pair(first: Scenario, second: Scenario) -> Scenario:
 
 
 def _both(first: Scenario, second: Scenario, number: int) -> Sequence[Injector]:
-    """Of the n-th flight of the pair."""
+    """Return the injectors of the pair's n-th flight."""
     dice = random.Random(f"{first.id}+{second.id} {number}")
     rows = [first, second]
     dice.shuffle(rows)
@@ -67,17 +70,17 @@ def _both(first: Scenario, second: Scenario, number: int) -> Sequence[Injector]:
 
 
 def _since(row: str, bars: Sequence[Limit]) -> list[Limit]:
-    """Each told and measured from the moment on that a row's own trouble began."""
+    """Return limits that are named after and measured from the onset of a scenario's own fault."""
     return [dataclasses.replace(bar, name=f"{bar.name} after {row}", measure=_from(row, bar.measure)) for bar in bars]
 
 
 def _from(row: str, measure: Measure) -> Measure:
-    """NaN where the row's trouble never began."""
+    """Return a measure from the onset of a scenario's own fault; NaN if that fault never began."""
     return lambda e: measure(dataclasses.replace(e, onset_s=e.notes[row])) if row in e.notes else math.nan
 
 
 def _stricter(one: Onset, other: Onset) -> Onset:
-    """A moment that both would take."""
+    """Return an onset that meets both conditions."""
     return Onset(
         after_s=(max(one.after_s[0], other.after_s[0]), max(one.after_s[1], other.after_s[1])),
         speed_mps=max(one.speed_mps, other.speed_mps),

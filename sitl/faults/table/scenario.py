@@ -1,4 +1,4 @@
-"""One row of the hazards' table: what goes wrong, when, and the bars that the flight is held to."""
+"""One scenario of the fault table: the fault, its onset, and the limits of the flight."""
 
 from __future__ import annotations
 
@@ -19,13 +19,16 @@ from sitl.scene.scene import HULL_RADIUS_M
 
 Arena = Literal["hall", "pen", "stage", "corridor", "gallery"]
 ON_THE_WAY = Onset()
-CASES = 12  # no row has more that differ in kind
-SHORT_VIEWS = 18  # of a flight that is to end by itself while it is watched
+CASES = 12  # no scenario has more different cases
+SHORT_VIEWS = 18  # for a flight that has to complete within the observed time
 
 
 @dataclass(frozen=True)
 class Limit:
-    """A figure and what it may be at most, or at least; ardupilot: where that firmware's bar is another."""
+    """Limit on a measure: at most, or at least.
+
+    ardupilot: the limit for ArduPilot, where it differs.
+    """
 
     name: str
     measure: Measure
@@ -35,16 +38,16 @@ class Limit:
     ardupilot: float | None = None
 
     def limit_of(self, autopilot: str) -> float:
-        """For a personality."""
+        """Return the limit for an autopilot."""
         return self.ardupilot if autopilot == "ardupilot" and self.ardupilot is not None else self.limit
 
     def holds(self, figure: float, autopilot: str) -> bool:
-        """NaN never does."""
+        """Return whether a value meets the limit; NaN never does."""
         limit = self.limit_of(autopilot)
         return figure >= limit - 1e-9 if self.at_least else figure <= limit + 1e-9
 
     def badness(self, figure: float, autopilot: str) -> float:
-        """Share of the bar that is used up; above 1 it is broken. For finding the worst."""
+        """Return the used share of the limit, for finding the worst; above 1 it is violated."""
         limit = self.limit_of(autopilot)
         if math.isnan(figure):
             return math.inf
@@ -55,11 +58,20 @@ class Limit:
 
 @dataclass(frozen=True)
 class Scenario:
-    """injectors: of the n-th flight, so that cases of a row take turns. bars: the figures beside what holds everywhere. why: it
-    cannot be flown in lockstep. live: its injectors in real time, where that is another flight. observe_s: observed
-    after the fault began, and observe_after_disarm_s after disarming. times: factor of the number of flights in lockstep.
-    radii_m: of the hull, cases take turns. variant: of the planner. camera: fast, or small where colour matters. room: that
-    it keeps. A flight with a real firmware is any whose troubles need nothing but what that firmware has.
+    """One scenario.
+
+    injectors: those of the n-th flight; the cases of a scenario are cycled.
+    bars: its limits, beside the general limits.
+    why: reason why it cannot be flown in lockstep.
+    live: injectors in real time, if it can be flown there.
+    observe_s: time of observation after the fault began; observe_after_disarm_s: after disarming.
+    times: factor of the number of flights in lockstep.
+    variant: of the planner.
+    camera: fast, or small where colour matters.
+    radii_m: radii of the hull; they are cycled.
+    room: limits on the surroundings.
+
+    With a real firmware those scenarios can be flown whose injectors need only what that firmware offers.
     """
 
     id: str
@@ -82,42 +94,48 @@ class Scenario:
     observe_after_disarm_s: float = AFTER_DISARM_S
 
     def radius_m(self, number: int) -> float:
-        """Of the hull in its n-th flight."""
+        """Return the hull radius (m) of its n-th flight."""
         return self.radii_m[number % len(self.radii_m)]
 
     def troubles(self, number: int, live: bool) -> Sequence[Injector]:
-        """Those of its n-th flight, in lockstep or in real time."""
+        """Return the injectors of its n-th flight, in lockstep or in real time."""
         return self.live(number) if live and self.live is not None else self.injectors(number)
 
     def needs(self, number: int, live: bool) -> Capabilities:
-        """All that they want of it."""
+        """Return the capabilities that the injectors of its n-th flight need."""
         return functools.reduce(operator.or_, (trouble.needs for trouble in self.troubles(number, live)), Capabilities.NOTHING)
 
     def flown(self, live: bool) -> bool:
-        """Whether there is a flight of it, in lockstep or in real time."""
+        """Return whether it can be flown, in lockstep or in real time."""
         return self.live is not None if live else not self.why
 
     def flown_by(self, offers: Capabilities) -> bool:
-        """Whether there is one in real time with a real firmware, where a flight has so much to give."""
+        """Return whether it can be flown in real time with a firmware of these capabilities."""
         there_is_one = self.live is not None or not self.why
         return there_is_one and all(self.needs(n, live=True) in offers for n in range(CASES))
 
 
 @dataclass(frozen=True)
 class ScenarioVerdict:
-    """Of one flight: a figure for each bar, and what was broken of what holds everywhere."""
+    """Verdict of one flight.
+
+    figures: a value for each limit. broken: messages of the violated general limits.
+    """
 
     figures: tuple[float, ...]
     broken: tuple[str, ...]
 
     def passed(self, row: Scenario, autopilot: str) -> bool:
-        """All bars and all of the rest."""
+        """Return whether all limits are met."""
         held = all(bar.holds(figure, autopilot) for bar, figure in zip(row.bars, self.figures, strict=True))
         return held and not self.broken
 
 
 def judge(row: Scenario, evidence: FlightEvidence, broken: Sequence[str]) -> ScenarioVerdict:
-    """Hold a flight to its row. broken: of everywhere.violations(). A trouble that never came is no pass."""
+    """Evaluate the limits of a scenario for one flight.
+
+    broken: the result of invariants.violations(). A flight whose fault never began does not pass.
+    """
     if evidence.onset_s == math.inf:
-        return ScenarioVerdict(tuple(math.nan for _ in row.bars), (*broken, "the moment for the trouble never came"))
+        return ScenarioVerdict(tuple(math.nan for _ in row.bars), (*broken, "the fault's onset condition was never met"))
     return ScenarioVerdict(tuple(float(bar.measure(evidence)) for bar in row.bars), tuple(broken))

@@ -215,7 +215,10 @@ class NeuralMapper:
 
     @property
     def waiting(self) -> int:
-        """Number of kept views that are not part of the map yet: after repose(), until learn_waiting()."""
+        """Number of kept views that are not part of the map yet.
+
+        It is above zero after repose(), until learn_waiting().
+        """
         return self._replay.count - self._taken
 
     def repose(self, world_from_depth: Mapping[int, Pose], map_epoch: int) -> None:
@@ -285,9 +288,9 @@ class NeuralMapper:
         return loss
 
     def train_for(self, seconds: float) -> int:
-        """Run training steps for a time; returns their number (0 before the first view). The time decides the result.
+        """Run training steps for a time; returns their number, 0 before the first view.
 
-        Raises ValueError for a time that is negative or not finite.
+        The result depends on the machine's speed. Raises ValueError for a time that is negative or not finite.
         """
         require_number("seconds", seconds, 0.0)
         before, end_s = self.steps, time.perf_counter() + seconds

@@ -21,10 +21,10 @@ MAX_VOXELS = 1 << 26
 
 
 class OccupancyMapper:
-    """An OccupancyMap over a box, in world (ENU, metres), as it is used in flight. Not thread-safe.
+    """OccupancyMap over a box, in world (ENU, metres), as in flight; not thread-safe.
 
     box_min_m, box_max_m (3,): the space to map; the map extends 0.3 m beyond it, and no voxel there becomes free.
-    max_range_m: depth beyond it frees voxels up to it and marks nothing. Raises ValueError for an invalid argument.
+    max_range_m: a depth beyond it frees voxels up to it and marks nothing. Raises ValueError for an invalid argument.
     """
 
     def __init__(
@@ -49,9 +49,10 @@ class OccupancyMapper:
         self._occupancy = OccupancyMap(grid, sensor, max_range_m, low.tolist(), high.tolist(), _DEFAULTS.distance_cap_m)
 
     def add(self, keyframe: PosedFrame) -> int:
-        """Integrate a frame with its pose (Camera.keyframe() makes one); returns the number of voxels that changed.
+        """Integrate a frame with its pose; returns the number of voxels that changed.
 
-        About 0.4 ms for 320x240. Raises ValueError if the depth does not have the size that its intrinsics give.
+        Camera.keyframe() makes such a frame. It takes about 0.4 ms for 320x240. Raises ValueError if the depth does not
+        have the size that its intrinsics give.
         """
         require_kind("keyframe", keyframe, PosedFrame, "Camera.keyframe makes one")
         lens, shape = keyframe.frame.depth_intrinsics, keyframe.frame.depth_m.shape
@@ -78,7 +79,10 @@ class OccupancyMapper:
 
     @property
     def map(self) -> VoxelMap:
-        """An immutable snapshot: voxel states UNKNOWN, FREE or OCCUPIED, and distances to what is not free."""
+        """Immutable snapshot of the map.
+
+        It holds voxel states UNKNOWN, FREE or OCCUPIED, and distances to the nearest voxel that is not free.
+        """
         return self._occupancy.snapshot()
 
     @property
@@ -87,7 +91,10 @@ class OccupancyMapper:
         return self._occupancy.explored_m3()
 
     def points(self, state: int) -> AnyArray:
-        """Return the centres (N, 3) in world of the voxels in a state: maps.UNKNOWN, FREE or OCCUPIED."""
+        """Return the centres (N, 3) in world of the voxels in a state.
+
+        state: maps.UNKNOWN, FREE or OCCUPIED.
+        """
         voxels = self.map
         return voxels.grid.centre(np.argwhere(voxels.state == state))
 

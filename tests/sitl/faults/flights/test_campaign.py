@@ -97,7 +97,7 @@ def test_seeds_can_begin_later_so_that_one_that_missed_is_flown_again(tmp_path: 
     assert options.cases(ROWS["B3"], "px4")[0].out == tmp_path / "B3-px4-7"
     record = FaultRecord(FaultCase("B3", "px4", 7), ScenarioVerdict((0.30, 0.0), ("contact",)))
     assert _missed(record).startswith(
-        "missed: motion of the error 0.30 <= 0.05 m, contact (repeat: --only B3 --autopilot px4 --seeds 1 --seed0 7)"
+        "missed: change of the pose error 0.30 <= 0.05 m, contact (repeat: --only B3 --autopilot px4 --seeds 1 --seed0 7)"
     )
     assert "seed 7, 9" in _line(
         result_of(ROWS["B3"], "px4", [record.verdict, ScenarioVerdict((0.0, 0.0), ()), record.verdict], first=7)
@@ -202,7 +202,7 @@ def test_a_row_that_cannot_be_flown_says_why(tmp_path: Path, capsys: pytest.Capt
 
 def test_the_page_tells_figures_and_keeps_its_tags() -> None:
     page = render([result_of(ROW, "px4", [ScenarioVerdict((0.3, 0.5), ("contact <1>",))])])
-    assert "0 of 1 rows pass" in page
+    assert "0 of 1 scenarios passed" in page
     assert "gap 0.30 &lt;= 0.25 s" in page
     assert "a &lt;hazard&gt;" in page
     assert "contact &lt;1&gt;" in page
@@ -214,7 +214,7 @@ def test_the_page_shows_how_much_of_each_bar_is_used_up_and_how_to_fly_what_miss
     assert '<i><u style="width:80%"></u></i>clear' in page
     assert "faults --only X1 --autopilot px4 --seeds 1 --seed0 8" in page
     assert "--seed0 7" not in page
-    assert "missed: X1 px4" in page
+    assert "failed: X1 px4" in page
 
 
 @pytest.mark.parametrize(

@@ -52,7 +52,7 @@ def test_what_nothing_was_taken_of_lasts_for_ever() -> None:
 def test_row_e5d_wants_a_third_more_than_was_needed_far_from_home() -> None:
     bars = {bar.name: bar for bar in ROWS["E5d"].bars}
     late, soon = there_and_back(0.40, 0.01), there_and_back(0.42, 0.01)
-    bar = bars["reserve of the way home"]
+    bar = bars["reserve for the return"]
     assert not bar.holds(bar.measure(late), "px4")
     assert bar.holds(bar.measure(soon), "px4")
-    assert not bars["turned back at"].holds(turned_at(soon), "px4"), "who never was far away shows nothing"
+    assert not bars["turn-back distance"].holds(turned_at(soon), "px4"), "who never was far away shows nothing"

@@ -77,18 +77,18 @@ SPOILS: dict[str, Spoil] = {
         dataclasses.replace(e, mode=tuple("POSCTL" if t > 8.0 else m for t, m in zip(e.stamp_s, e.mode, strict=True))),
         orders=(*e.wire.orders, CapturedCommand(9.0, 176, 1.0, 6.0)),
     ),
-    "motors to stop": lambda e: rewired(e, orders=(*e.wire.orders, CapturedCommand(9.0, 400, 0.0, 21196.0))),
+    "disarm command in the air": lambda e: rewired(e, orders=(*e.wire.orders, CapturedCommand(9.0, 400, 0.0, 21196.0))),
     "disarmed in the air": lambda e: dataclasses.replace(e, armed=e.stamp_s < 9.0),
     "hovers": hovering,
     "hovers armed": lambda e: hovering(e, "LOITER"),
-    "landing asked for 10.0 s after the trouble and not told": lambda e: dataclasses.replace(e, reported=e.reported[:1]),
-    "landing asked for 10.0 s after": lambda e: dataclasses.replace(
+    "landing requested 10.0 s after the fault and not reported": lambda e: dataclasses.replace(e, reported=e.reported[:1]),
+    "landing requested 10.0 s after": lambda e: dataclasses.replace(
         e, reported=(*e.reported[:1], (15.1, ("refused", "position-step")))
     ),
-    "another's mode 5.0 s after the trouble and not told": lambda e: taken(e, (12.0, codes.CONTROL_RELEASED)),
-    "another's mode 5.0 s after the trouble and not": lambda e: taken(e, (10.2, "speed-limit"), "LAND"),
-    "another's mode 5.0 s": lambda e: taken(e, (9.9, codes.NO_POSE)),
-    "another's mode 5.0 s after": lambda e: taken(e, (10.9, codes.OPERATOR_SILENT)),
+    "foreign mode 5.0 s after the fault and not reported": lambda e: taken(e, (12.0, codes.CONTROL_RELEASED)),
+    "foreign mode 5.0 s after the fault and not": lambda e: taken(e, (10.2, "speed-limit"), "LAND"),
+    "foreign mode 5.0 s": lambda e: taken(e, (9.9, codes.NO_POSE)),
+    "foreign mode 5.0 s after": lambda e: taken(e, (10.9, codes.OPERATOR_SILENT)),
 }
 
 
