@@ -79,7 +79,7 @@ class VoxelMap:
 
     def changed_tiles(self, since_revision: int) -> IntArray:
         """Tiles (N, 2) that changed after a revision of the same map epoch; all of them for a negative revision."""
-        changed: IntArray = np.argwhere(self.tile_revision > since_revision)
+        changed: IntArray = np.ascontiguousarray(np.argwhere(self.tile_revision > since_revision))
         return changed
 
     def distance_m(self, index: IntArray) -> FloatArray:
