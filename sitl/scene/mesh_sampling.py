@@ -89,7 +89,9 @@ def _rows(vertices: F32, faces: I32, step_m: float) -> F32:
             parts = max(1, int(np.ceil(length * (1.0 - up) / step_m)))
             if total + parts + 1 > out.shape[0]:
                 larger = np.empty((2 * (total + parts + 1), 3), np.float32)
-                larger[:total] = out[:total]
+                for n in range(total):
+                    for k in range(3):
+                        larger[n, k] = out[n, k]
                 out = larger
             ends = 1 if row == 0 else 0  # the ends of the longest edge are vertices, returned already
             for part in range(ends, parts + 1 - ends):

@@ -141,7 +141,8 @@ def _numbered(faces: I32, count: int) -> tuple[I32, U16, I32]:
 def _boxes(vertices: F32, start: I32) -> tuple[F32, F32]:
     low, high = np.empty((start.shape[0] - 1, 3), np.float32), np.empty((start.shape[0] - 1, 3), np.float32)
     for chunk in range(start.shape[0] - 1):
-        low[chunk], high[chunk] = vertices[start[chunk]], vertices[start[chunk]]
+        for k in range(3):
+            low[chunk, k] = high[chunk, k] = vertices[start[chunk], k]
         for i in range(start[chunk], start[chunk + 1]):
             for k in range(3):
                 low[chunk, k] = min(low[chunk, k], vertices[i, k])

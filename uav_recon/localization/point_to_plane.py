@@ -109,7 +109,8 @@ def residuals(
             continue
         off_m = _off_m(points[n], u, v, z, camera, rotation, place)
         out[number, 0], out[number, 1], out[number, 2] = off_m, _FIT_M + _FIT_SHARE * z, z - deep
-        out[number, 3:] = points[n, 3:]
+        for k in range(3, points.shape[1]):
+            out[number, k] = points[n, k]
         number += 1
     return out[:number], gone
 

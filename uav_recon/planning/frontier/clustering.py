@@ -66,8 +66,9 @@ def scan(
     allowed = np.zeros((TILE + 2, nz), dtype=np.uint8)
     allowed[:, low[2] : high[2]] = 63
     if high[2] > low[2]:
-        allowed[:, low[2]] &= np.uint8(63 - 16)
-        allowed[:, high[2] - 1] &= np.uint8(63 - 32)
+        for n in range(TILE + 2):
+            allowed[n, low[2]] &= np.uint8(63 - 16)
+            allowed[n, high[2] - 1] &= np.uint8(63 - 32)
     row = np.zeros((TILE + 2) * nz, dtype=np.uint8)
     for n in range(len(tiles)):
         if not moved[n]:
@@ -103,7 +104,8 @@ def scan(
                 for m in range(jb - ja):
                     if _differ(new[m * nz : m * nz + nz], old[m * nz : m * nz + nz]):
                         dirty[i // BLOCK, (ja + m) // BLOCK] = 1
-                old[:] = new
+                for m in range(length):
+                    old[m] = new[m]
 
 
 @kernel

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from uav_recon.geometry.jit import kernel
+from uav_recon.geometry.rows import copy_row
 from uav_recon.geometry.traversal import first_obstacle
 from uav_recon.planning.camera_frustum import LineOfSight, in_view, sight
 from uav_recon.planning.frontier.view_search import ROOM, best_view
@@ -176,9 +177,10 @@ def _answer(
         distance2, faces.shape, reachable, berth, lens, offsets, ends, quotas, centre, own_points, own_first,
         asked[row], blockers[row],
     )  # fmt: skip
-    view[row] = best
+    copy_row(view, row, best)
     counts[row, 0], counts[row, 1] = asks, hidden
-    box[row] = tiles
+    for n in range(2):
+        copy_row(box[row], n, tiles[n])
     cells = np.flatnonzero(seen)
     shown[row] = len(cells)
     samples[row] = min(len(cells), SAMPLE_CELLS)
@@ -186,7 +188,7 @@ def _answer(
     for n in range(samples[row]):
         cell = cells[n * len(cells) // samples[row]]
         for m in range(own_first[cell], own_first[cell + 1]):
-            points[row, filled] = own_points[m]
+            copy_row(points[row], filled, own_points[m])
             filled += 1
         first[row, n + 1] = filled
     return flat[cells]

@@ -12,6 +12,7 @@ import math
 import numpy as np
 
 from uav_recon.geometry.jit import kernel
+from uav_recon.geometry.rows import copy_row
 from uav_recon.planning.camera_frustum import CAM_X, CAM_Y, aim, look_at, sight
 from uav_recon.planning.free_space.subvoxel_clearance import CLEAR, SIDES2, blocking_voxel
 from uav_recon.planning.frontier.camera_aiming import aimed, framed
@@ -162,7 +163,8 @@ def _survey(
     _, shape, lens = scene
     _, first, targets, centre = cluster
     cells = len(first) - 1
-    count, asks, opened, best, cast = 0, 0, 0, 0, 0
+    zero = 0 * cells  # no literal: for that the kernels called below would be compiled once more
+    count, asks, opened, best, cast = zero, zero, 0, zero, 0
     part, left, p = 0, quotas[0], 0
     while best < ENOUGH * cells and p < len(offsets):
         if p == ends[part] or left == 0:
@@ -224,9 +226,11 @@ def _enter(view: FloatArray, total: int, peaks: FloatArray, totals: IntArray) ->
     if total <= totals[at]:
         return
     while at > 0 and total > totals[at - 1]:
-        peaks[at], totals[at] = peaks[at - 1], totals[at - 1]
+        copy_row(peaks, at, peaks[at - 1])
+        totals[at] = totals[at - 1]
         at -= 1
-    peaks[at], totals[at] = view, total
+    copy_row(peaks, at, view)
+    totals[at] = total
 
 
 @kernel
@@ -317,7 +321,9 @@ def best_view(
         np.zeros(many, dtype=np.int32), np.zeros(many, dtype=np.uint8), np.arange(cells), np.empty((3, cells), dtype=np.float32)
     )  # fmt: skip
     extents = np.empty((2, 4))  # of all line ends, and of all tested positions: low x, y, high x, y
-    extents[:, :2], extents[:, 2:] = points[0, :2], points[0, :2]
+    for which in range(2):
+        for k in range(4):
+            extents[which, k] = points[0, k % 2]
     for n in range(len(points)):
         _widen(extents[0], points[n, 0], points[n, 1])
     record = (asked, extents, notes)

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from uav_recon.geometry.jit import kernel
+from uav_recon.geometry.rows import copy_row
 from uav_recon.planning.free_space.flyable_space import FlyableSpace
 from uav_recon.planning.free_space.voxel_blocks import EDGE, VoxelBlocks, corner_of, part_at
 from uav_recon.planning.paths.segments import departure, distance, length_of, segment_is_open
@@ -210,7 +211,8 @@ def _cache_slot(known: CachedPaths, places: FloatArray, plan: int) -> IntArray:
             seats[n] = _seat_of(known, places[n])  # the same position may be in the list twice
         if seats[n] < 0:
             a = int(np.argmin(known.used))
-            seats[n], known.place[a], known.used[a] = a, places[n], plan
+            seats[n], known.used[a] = a, plan
+            copy_row(known.place, a, places[n])
             known.kept[a, :] = False
             known.kept[:, a] = False
     return seats
@@ -225,11 +227,13 @@ def _way_between(
     Length and span are in voxels.
     """
     if segment_is_open(leap, start[0], start[1], start[2], goal[0], goal[1], goal[2]):
-        points[0], points[1] = start, goal
+        copy_row(points, 0, start)
+        copy_row(points, 1, goal)
         length = distance(start[0], start[1], start[2], goal[0], goal[1], goal[2])
         return 2, length, length
     ends, places = np.empty(2, dtype=np.int64), np.empty((2, 3))
-    places[0], places[1] = start, goal
+    copy_row(places, 0, start)
+    copy_row(places, 1, goal)
     for n in range(2):
         ends[n] = part_at(blocks, int(places[n, 0]), int(places[n, 1]), int(places[n, 2]))
         if ends[n] < 0:
@@ -266,8 +270,8 @@ def _connect(
         if count == 0:
             continue
         lengths[0, n] = lengths[n, 0] = length + length_of(head)
-        departures[0, n] = departure(head) if len(head) > 1 else departure(points[:count])
-        departures[n, 0] = departure(points[:count][::-1])
+        copy_row(departures[0], n, departure(head) if len(head) > 1 else departure(points[:count]))
+        copy_row(departures[n], 0, departure(points[:count][::-1]))
     for m in range(1, nodes):
         for n in range(1, nodes):
             a, b = seats[m - 1], seats[n - 1]
@@ -278,9 +282,12 @@ def _connect(
             if not known.kept[a, b]:
                 count, length, span = _way_between(blocks, leap, memory, known.place[a], known.place[b], points)
                 known.kept[a, b], known.number[a, b], known.length[a, b], known.span[a, b] = count > 0, count, length, span
-                known.leaves[a, b, 0], known.leaves[a, b, 1] = departure(points[:count]), departure(points[:count][::-1])
+                copy_row(known.leaves[a, b], 0, departure(points[:count]))
+                copy_row(known.leaves[a, b], 1, departure(points[:count][::-1]))
                 if count <= MAX_POINTS:
-                    known.points[a, b, :count] = points[:count]
+                    for k in range(count):
+                        copy_row(known.points[a, b], k, points[k])
             lengths[m, n] = lengths[n, m] = known.length[a, b]
-            departures[m, n], departures[n, m] = known.leaves[a, b, 0], known.leaves[a, b, 1]
+            copy_row(departures[m], n, known.leaves[a, b, 0])
+            copy_row(departures[n], m, known.leaves[a, b, 1])
     return lengths, departures

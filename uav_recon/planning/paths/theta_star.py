@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from uav_recon.geometry.jit import kernel
+from uav_recon.geometry.rows import copy_row
 from uav_recon.planning.free_space.reachability import PartArray
 from uav_recon.planning.free_space.voxel_blocks import MAX_PARTS, ONE, VoxelBlocks, corner_of, touches
 from uav_recon.planning.paths.segments import distance, length_of, segment_is_open
@@ -113,7 +114,8 @@ def _search(blocks: VoxelBlocks, leap: ByteArray, memory: Memory, ends: IntArray
     start, goal = ends[0], ends[1]
     # start and goal represent their parts during this search
     start_stood, goal_stood = stands[start].copy(), stands[goal].copy()
-    stands[start], stands[goal] = places[0], places[1]
+    copy_row(stands, start, places[0])
+    copy_row(stands, goal, places[1])
     gx, gy, gz = places[1, 0], places[1, 1], places[1, 2]
     opened[start], length[start], before[start] = now, 0.0, start
     size = _push(heap_cost, heap_part, 0, 0.0, start)
@@ -158,7 +160,8 @@ def _search(blocks: VoxelBlocks, leap: ByteArray, memory: Memory, ends: IntArray
                     size = _push(
                         heap_cost, heap_part, size, reached + HEURISTIC_WEIGHT * distance(gx, gy, gz, qx, qy, qz), other
                     )
-    stands[start], stands[goal] = start_stood, goal_stood
+    copy_row(stands, start, start_stood)
+    copy_row(stands, goal, goal_stood)
     return closed[goal] == now, greatest
 
 
@@ -223,7 +226,7 @@ def _voxel_by_voxel(blocks: VoxelBlocks, a: FloatArray, part_a: int, b: FloatArr
     number, at = 0, start
     while True:
         if (at != start or np.any(a != cells[at] + 0.5)) and (at != goal or np.any(b != cells[at] + 0.5)):
-            found[number] = cells[at] + 0.5
+            copy_row(found, number, cells[at] + 0.5)
             number += 1
         if at == goal:
             return number
@@ -254,12 +257,11 @@ def search_polyline(
     # collected from the goal back, then reversed
     bends = np.empty((128, 3))
     count, part, reached = 1, ends[1], 0.0
-    points[0] = places[1]
+    copy_row(points, 0, places[1])
     here = places[1].copy()
     while True:
         before = memory.before[part] + 0
-        there = np.empty(3)
-        there[:] = places[0] if before == ends[0] else blocks.centre[before]
+        there = places[0].copy() if before == ends[0] else blocks.centre[before].copy()
         between = 0
         if not segment_is_open(leap, here[0], here[1], here[2], there[0], there[1], there[2]):
             between = _bend(blocks, leap, here, part, there, before, bends)
@@ -267,11 +269,14 @@ def search_polyline(
         if count + between + 1 > len(points):
             return 0, np.inf
         for n in range(between):
-            points[count + n] = bends[n]
-        points[count + between] = there
+            copy_row(points, count + n, bends[n])
+        copy_row(points, count + between, there)
         count += between + 1
         here, part = there, before
         if part == ends[0]:
             break
-    points[:count] = points[:count][::-1].copy()
+    for n in range(count // 2):
+        swapped = points[n].copy()
+        copy_row(points, n, points[count - 1 - n])
+        copy_row(points, count - 1 - n, swapped)
     return count, max(span, reached + length_of(points[:count]))

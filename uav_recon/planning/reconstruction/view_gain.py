@@ -55,7 +55,9 @@ def patches_near(
         for n in range(cells[c, 0], cells[c, 1]):
             total += weight[n]
         if total > 0.0:
-            rows[count, :3], rows[count, 3:6], rows[count, 6] = position[m], normal[m], total
+            for k in range(3):
+                rows[count, k], rows[count, 3 + k] = position[m, k], normal[m, k]
+            rows[count, 6] = total
             count += 1
     order = np.argsort(-rows[:count, 6], kind="mergesort")
     wanted = PATCH_SHARE * rows[:count, 6].sum()
@@ -216,5 +218,6 @@ def best_view(
         gain, count = seen(state, lens, line, position, normal, weight, cells, True, trial)
         if count >= min_visible and gain > best_gain:
             best, best_yaw, best_pitch, best_gain = p, yaw, pitch, gain
-            cosine[:] = trial
+            for n in range(len(cosine)):
+                cosine[n] = trial[n]
     return best, best_yaw, best_pitch, best_gain

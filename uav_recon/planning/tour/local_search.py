@@ -260,9 +260,11 @@ def search_tour(given: FloatArray, rounds: int, seed: int) -> IntArray:
         _settle(costs, order, place, ahead, back, near, near_before, queue, waiting, size, spare)
         if ahead[n] <= best_cost + MIN_GAIN:
             best_cost = ahead[n]
-            best[:] = order
+            for m in range(n):
+                best[m] = order[m]
         else:
-            order[:] = best
+            for m in range(n):
+                order[m] = best[m]
             _note(costs, order, place, ahead, back, 1)
     return best[1:n].astype(np.int64)
 
