@@ -143,9 +143,9 @@ def test_a_refusal_brakes_within_the_limit_from_where_it_was_told_to_be() -> Non
 
 def test_speed_towards_the_fence_must_leave_room_to_stop() -> None:
     """Tried at every millimetre about the last point from which 1 m/s can be stopped inside."""
-    stop_clearance_m = 1.0 / 4.0
+    braking_m = 1.0 / 4.0
     for millimetres in range(-10, 11):
-        start = 4.7 - stop_clearance_m + millimetres * 1e-3
+        start = 4.7 - braking_m + millimetres * 1e-3
         guard, now, place = moving(1.0, start=(start - 1.0, 0.0, 1.0))
         while place[0] + DT < start:
             now, place = now + DT, place + along(DT)

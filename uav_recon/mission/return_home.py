@@ -93,7 +93,7 @@ class ReturnHome:
             return
         if self._decision is None:
             self._planned_mps = vehicle.max_speed_mps
-            self._decision = self._step_slow_tasks(course.rest(vehicle), voxels, along_breadcrumbs)
+            self._decision = self._request_plan(course.rest(vehicle), voxels, along_breadcrumbs)
         if self._decision is None or not self._decision.done():
             return
         decision = self._decision.result()
@@ -108,7 +108,7 @@ class ReturnHome:
         else:
             self.no_path = True
 
-    def _step_slow_tasks(self, rest: Setpoint, voxels: VoxelMap, along_breadcrumbs: bool) -> Pending[PlanResult] | None:
+    def _request_plan(self, rest: Setpoint, voxels: VoxelMap, along_breadcrumbs: bool) -> Pending[PlanResult] | None:
         """Start planning; None if nothing is left to try."""
         course, here_m = self._helm.course, rest.position_m
         if self._aside:

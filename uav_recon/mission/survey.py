@@ -88,7 +88,7 @@ class Survey:
             if resting:
                 self._look_round(now_s, vehicle, 0)
         elif now_s >= self._think_again_s and (resting or self._should_turn_to_something_else(now_s, voxels)):
-            self._step_slow_tasks(now_s, vehicle, voxels)
+            self._request_plan(now_s, vehicle, voxels)
 
     def _look_round(self, now_s: float, vehicle: VehicleState, views: int) -> None:
         self._looked_round = True
@@ -113,7 +113,7 @@ class Survey:
         self._settled = not self._stages.planner.next_view_has_gain(voxels, here.position_m, here.yaw_rad)
         return self._settled
 
-    def _step_slow_tasks(self, now_s: float, vehicle: VehicleState, voxels: VoxelMap) -> None:
+    def _request_plan(self, now_s: float, vehicle: VehicleState, voxels: VoxelMap) -> None:
         departure = self._helm.course.departure(now_s + self._lead_s, vehicle)
         start, surface = departure.setpoint, self._stages.mapper.surface()
         request = PlanRequest(voxels, surface, start.position_m, start.yaw_rad, self._account.views_left, start.velocity_mps)

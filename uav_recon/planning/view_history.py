@@ -45,7 +45,7 @@ class ViewHistory:
     _waiting: list[tuple[int, IntArray]]  # map revision and frontier voxels of views flown and not yet evaluated
 
     def __init__(self) -> None:
-        self._reset_after_reboot((0, 0, 0), ())
+        self._reset((0, 0, 0), ())
 
     def evaluate_flown_views(self, request: PlanRequest) -> IntArray:
         """Evaluate the views flown since the last plan against the current map.
@@ -102,9 +102,9 @@ class ViewHistory:
         grid = request.voxels.grid
         frame = (request.voxels.map_epoch, grid.shape, grid.resolution_m, *grid.origin_world_m.tolist())
         if frame != self._frame:
-            self._reset_after_reboot(grid.shape, frame)
+            self._reset(grid.shape, frame)
 
-    def _reset_after_reboot(self, shape: tuple[int, int, int], frame: tuple[object, ...]) -> None:
+    def _reset(self, shape: tuple[int, int, int], frame: tuple[object, ...]) -> None:
         self._frame = frame
         self.failed_views = np.zeros(shape, dtype=np.uint8)
         self.exhausted = np.zeros(shape, dtype=np.uint8)

@@ -82,15 +82,15 @@ class Envelope:
             and self._in_plan((x, y), (x, y))
         )
 
-    def admits(self, position_m: Vec3, stop_clearance_m: Vec3) -> bool:
+    def admits(self, position_m: Vec3, stopping_point_m: Vec3) -> bool:
         """Return True if the straight path from a position to its stopping point stays inside.
 
         False for NaN. Heights and column are convex: if both ends are in the same one, so are all points between. The plan's
         sides are checked against the path.
         """
-        in_band = self.in_band(position_m) and self.in_band(stop_clearance_m)
-        in_column = self.in_column(position_m) and self.in_column(stop_clearance_m)
-        return in_column or (in_band and self._in_plan(position_m[:2], stop_clearance_m[:2]))
+        in_band = self.in_band(position_m) and self.in_band(stopping_point_m)
+        in_column = self.in_column(position_m) and self.in_column(stopping_point_m)
+        return in_column or (in_band and self._in_plan(position_m[:2], stopping_point_m[:2]))
 
     def nearest_inside(self, position_m: Vec3) -> Vec3:
         """Return the position if it is inside, otherwise a near one that is.

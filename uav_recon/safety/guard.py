@@ -164,12 +164,12 @@ class Guard:
             return Reason(ReasonCode.ACCELERATION_LIMIT, (push_mps2,))
         if not abs(wanted.yaw_rate_radps) <= envelope.max_yaw_rate_radps + 1e-6:
             return Reason(ReasonCode.YAW_RATE_LIMIT, (wanted.yaw_rate_radps,))
-        stop_clearance_m = envelope.stopping_point(motion.position_m, motion.velocity_mps)
-        if not envelope.admits(motion.position_m, stop_clearance_m):
+        stopping_point_m = envelope.stopping_point(motion.position_m, motion.velocity_mps)
+        if not envelope.admits(motion.position_m, stopping_point_m):
             return Reason(ReasonCode.OUTSIDE_FENCE, motion.position_m)
         return (
             self._steps.after(self._last, motion, envelope)[1]
-            or self._space_fault(self._last, motion, stop_clearance_m, situation)
+            or self._space_fault(self._last, motion, stopping_point_m, situation)
             or self._depth_fault(motion, speed_mps, proposal.retreating, situation)
         )
 
@@ -183,16 +183,16 @@ class Guard:
         return not (heard and speed_mps * intent_age_s + braking_m <= max(self.bounds.silence_way_m, braking_m))
 
     def _space_fault(
-        self, last: ClearedMotion, motion: ClearedMotion, stop_clearance_m: Vec3, situation: GuardInputs
+        self, last: ClearedMotion, motion: ClearedMotion, stopping_point_m: Vec3, situation: GuardInputs
     ) -> Reason | None:
         """Check the path here and the path to rest, for the whole hull. Unknown space is rejected."""
-        if motion.position_m == last.position_m == stop_clearance_m:
+        if motion.position_m == last.position_m == stopping_point_m:
             return None  # a hold: there is no path to check
         if situation.free is None:
             return Reason(ReasonCode.NO_FREE_SPACE)
         if situation.free.map_epoch != situation.map_epoch:
             return Reason(ReasonCode.FREE_SPACE_MAP_EPOCH, (situation.free.map_epoch, situation.map_epoch))
-        if not situation.free.admits(last.position_m, motion.position_m, stop_clearance_m):
+        if not situation.free.admits(last.position_m, motion.position_m, stopping_point_m):
             return Reason(ReasonCode.NOT_KNOWN_FREE, motion.position_m)
         return None
 

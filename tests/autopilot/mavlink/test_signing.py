@@ -174,7 +174,7 @@ class SignedRig(CopterRig):
     def gate(self) -> AllowListFilter:
         return AllowListFilter(seal=signature(self._folder))
 
-    def _control(self, end: ByteEnd, seed: int) -> ArduCopter:
+    def _make_autopilot(self, end: ByteEnd, seed: int) -> ArduCopter:
         self.end = SignedEnd(end, self._their_key, NOW - 20 * UNITS_PER_S)  # it has no clock of its own
         return ArduCopter(self.vehicle, self.end, ArduPilotParameters.load(), seed)
 

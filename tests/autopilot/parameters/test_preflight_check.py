@@ -38,7 +38,7 @@ class CheckedArduRig(CheckedRig):
 
     name, form, firmware = "ardupilot", NUMERIC, ARDUPILOT
 
-    def _control(self, end: ByteEnd, seed: int) -> Autopilot:
+    def _make_autopilot(self, end: ByteEnd, seed: int) -> Autopilot:
         return ArduCopter(self.vehicle, end, ArduPilotParameters.load(), seed)
 
 

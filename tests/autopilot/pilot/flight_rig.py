@@ -129,7 +129,7 @@ class Rig:
         ours, theirs = pipe()
         self.tap = Tap(ours, self.clock)
         self.vehicle = Quadrotor(seed, 0.1, start)
-        self.autopilot = self._control(theirs, seed)
+        self.autopilot = self._make_autopilot(theirs, seed)
         self.channels = PilotChannels(
             MemoryChannel(StampedPose), MemoryChannel(Intent), MemoryChannel(VehicleState), MemoryChannel(FreeSpace),
             MemoryChannel(MinRangeGrid),
@@ -147,7 +147,7 @@ class Rig:
         self.turn = 0
         self.track: list[tuple[float, FloatArray]] = []
 
-    def _control(self, end: ByteEnd, seed: int) -> Autopilot:
+    def _make_autopilot(self, end: ByteEnd, seed: int) -> Autopilot:
         return Px4(self.vehicle, end, Px4Parameters.load(), seed)
 
     @property

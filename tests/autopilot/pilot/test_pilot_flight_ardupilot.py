@@ -26,7 +26,7 @@ class CopterRig(Rig):
 
     firmware = ARDUPILOT
 
-    def _control(self, end: ByteEnd, seed: int) -> ArduCopter:
+    def _make_autopilot(self, end: ByteEnd, seed: int) -> ArduCopter:
         return ArduCopter(self.vehicle, end, ArduPilotParameters.load(), seed)
 
     def airborne(self) -> None:

@@ -114,7 +114,7 @@ def test_when_memory_is_full_the_view_is_refused_and_the_map_is_unchanged(place:
         patched.setattr(type(trainer.field), "cover", lambda *_: False)  # every view makes the grid grow
         for view in VIEWS[6:9]:
             assert not trainer.add(view)
-    assert trainer.refusals.counts == {RejectReason.VOTE_DECAY: 3}
+    assert trainer.refusals.counts == {RejectReason.OUT_OF_MEMORY: 3}
     assert (trainer.views, trainer.waiting, trainer.field.capacity) == (taken, 0, slots)
     assert trainer.positions().shape == held.shape
     assert len(trainer.corrections()) == len(trainer.log_gains()) == taken
@@ -164,6 +164,6 @@ def test_when_memory_is_full_during_relearning_only_that_view_is_lost(monkeypatc
     monkeypatch.setattr(NumbaSdfField, "cover", once)
     assert trainer.learn_waiting(100) == 0
     assert trainer.kept == [0, 1, 3, 4]
-    assert trainer.refusals.counts == {RejectReason.VOTE_DECAY: 1}
+    assert trainer.refusals.counts == {RejectReason.OUT_OF_MEMORY: 1}
     assert len(trainer.corrections()) == 4
     assert distance_to_walls(trainer.surface().position_world).mean() < 0.015

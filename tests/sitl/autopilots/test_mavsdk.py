@@ -66,7 +66,7 @@ class Flight:
         self.mavsdk = Mavsdk(Configuration.create_manual(245, 191, True))
         self._over = threading.Event()
         self._mocap: Any = None
-        self._thread = threading.Thread(target=self._control, daemon=True)
+        self._thread = threading.Thread(target=self._fly, daemon=True)
         self._thread.start()
         self.mavsdk.add_any_connection(f"udpout://127.0.0.1:{self._end.local_port}")
         system = self.mavsdk.first_autopilot(20.0)
@@ -96,7 +96,7 @@ class Flight:
             assert time.monotonic() < end_s, f"not {what} within {seconds:g} s: {self.autopilot.texts[-5:]}"
             time.sleep(0.05)
 
-    def _control(self) -> None:
+    def _fly(self) -> None:
         next_s, turn = time.monotonic(), 0
         while not self._over.is_set():
             self.autopilot.step(time.monotonic())

@@ -87,9 +87,9 @@ class NoParameterCheck:
     """For a user who is responsible for the parameters himself."""
 
     def missing(self, now_s: float, link: VehicleLink) -> Reason | None:
-        """Return ''."""
+        """Return None."""
         return None
 
     def changed(self, link: VehicleLink) -> Reason | None:
-        """Return ''."""
+        """Return None."""
         return None

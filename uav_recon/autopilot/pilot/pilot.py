@@ -237,7 +237,7 @@ class Pilot:
         elif self.phase is FlightPhase.ARMING:
             self._arm(now_s)
         elif self.phase is FlightPhase.FLYING:
-            self._control(now_s)
+            self._fly(now_s)
         elif self.phase is FlightPhase.LANDING:
             self._land(now_s)
 
@@ -287,7 +287,7 @@ class Pilot:
         self._may_arm = False
         self._enter(FlightPhase.LANDING if self._link.telemetry.armed else FlightPhase.READY, why)
 
-    def _control(self, now_s: float) -> None:
+    def _fly(self, now_s: float) -> None:
         wanted = Reason(ReasonCode.MISSION_LAND) if self._mission_input.goal(now_s) is Goal.LAND else None
         wanted = _ANEW if now_s - self._again_s >= _RESET_REST_S else wanted
         wanted = Reason(ReasonCode.TAKEOFF_GIVEN_UP, details=(self._takeoff_fault,)) if self._takeoff_fault else wanted

@@ -75,8 +75,8 @@ class SetpointSelector:
         if self._flown is None:
             return None
         (x, y, z), (vx, vy, vz) = self._flown.position_m.tolist(), self._flown.velocity_mps.tolist()
-        stop_clearance_m = self._guard.envelope.stopping_point((x, y, z), (vx, vy, vz))
-        return Pose.from_yaw(self._flown.yaw_rad, np.array(stop_clearance_m))
+        stopping_point_m = self._guard.envelope.stopping_point((x, y, z), (vx, vy, vz))
+        return Pose.from_yaw(self._flown.yaw_rad, np.array(stopping_point_m))
 
     def was_at(self, odom_from_body: Pose) -> None:
         """Record a position in flight that is not on the path back."""
@@ -105,7 +105,7 @@ class SetpointSelector:
                 self._turn_down()
                 refusal = Refusal(self.evasion.why(), cleared.setpoint)
         elif rung is FailsafeAction.FLY:
-            cleared, refusal = self._control(situation)
+            cleared, refusal = self._fly(situation)
         elif rung is FailsafeAction.RETREAT:
             cleared, refusal = self._retreat(situation)
         else:
@@ -115,7 +115,7 @@ class SetpointSelector:
         self.moves = self.moves and refusal is None
         return cleared, refusal
 
-    def _control(self, situation: GuardInputs) -> tuple[ClearedSetpoint, Refusal | None]:
+    def _fly(self, situation: GuardInputs) -> tuple[ClearedSetpoint, Refusal | None]:
         trajectory = self._mandate.trajectory
         self._braking = self._braking and not self.at_rest
         if trajectory is None or self._braking:

@@ -180,7 +180,7 @@ class NeuralMapper:
             try:
                 reason = self._add_view(keyframe, self.views if number is None else number)
             except MemoryError:
-                reason = RejectReason.VOTE_DECAY
+                reason = RejectReason.OUT_OF_MEMORY
         if reason is not None:
             self.refusals.note(reason)
         return reason is None
@@ -252,7 +252,7 @@ class NeuralMapper:
                 self._take()
                 self.train(self._config.steps_per_view)
             except MemoryError:
-                self.refusals.note(RejectReason.VOTE_DECAY)
+                self.refusals.note(RejectReason.OUT_OF_MEMORY)
                 self._keep(np.arange(self._replay.count) != self._taken - 1)
         return self.waiting
 

@@ -38,7 +38,7 @@ class RejectReason(Enum):
     ELSEWHERE = "what it shows lies outside the box"
     EPOCH = "taken on a map that is no more"
     UNPLACED = "the new map does not say where it was taken"
-    VOTE_DECAY = "memory is full"
+    OUT_OF_MEMORY = "memory is full"
     DISAGREES = "earlier views look through what it shows: wrong intrinsics or a wrong pose"
 
 
