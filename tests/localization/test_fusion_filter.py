@@ -9,9 +9,9 @@ from figure_eight import Event, FigureEight, events
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from uav_recon.localization.filter_pose_gates import PoseRejection
 from uav_recon.localization.fusion_filter import FusionFilter
 from uav_recon.localization.imu_integration import GRAVITY_MPS2
-from uav_recon.localization.pose_gates import PoseRejection
 from uav_recon.types.camera import ImuSample
 from uav_recon.types.pose import Pose, PoseHealth, StampedPose
 

@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
+from uav_recon.localization.filter_pose_gates import PoseMeasurement
 from uav_recon.localization.imu_integration import exponential, multiply, rotate
-from uav_recon.localization.pose_gates import PoseMeasurement
 from uav_recon.localization.relocalization_check import AFTER_LOSS, MAP_STEP, RelocalizationCheck
 from uav_recon.types.pose import Pose, StampedPose
 

@@ -10,7 +10,7 @@ from typing import TypeGuard
 import numpy as np
 
 from uav_recon.localization.depth_outliers import isolated_pixel_fraction
-from uav_recon.localization.drift_rate import DriftRateEstimator
+from uav_recon.localization.odometry_drift_rate import DriftRateEstimator
 from uav_recon.localization.past_view_comparison import (
     ALIKE,
     ALIKE_LATELY,

@@ -19,10 +19,10 @@ from dataclasses import replace
 import numpy as np
 
 from uav_recon.localization.eskf import SEEN, WHITE_SHARE, Estimate, PoseNoise
+from uav_recon.localization.filter_pose_gates import CONTRADICTIONS, PoseGates, PoseMeasurement, PoseRejection, pose_fault
 from uav_recon.localization.fusion_history import Arrival, FusedPose, FusionHistory, pose_innovation
 from uav_recon.localization.imu_integration import Quaternion, Vector, conjugate, multiply, normalised, rotate
-from uav_recon.localization.odometry_health import OdometryHealthMonitor
-from uav_recon.localization.pose_gates import CONTRADICTIONS, PoseGates, PoseMeasurement, PoseRejection, pose_fault
+from uav_recon.localization.pose_stream_health import OdometryHealthMonitor
 from uav_recon.localization.relocalization_check import AFTER_LOSS, MAP_STEP, RelocalizationCheck
 from uav_recon.types.camera import ImuSample
 from uav_recon.types.frames import FloatArray

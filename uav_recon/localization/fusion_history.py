@@ -8,6 +8,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from uav_recon.localization.eskf import Estimate, PoseNoise, innovation, propagate, propagate_mean, spread, update_estimate
+from uav_recon.localization.filter_pose_gates import (
+    PoseMeasurement,
+    PoseRejection,
+    max_step_noise_scale,
+    normalized_innovation_squared,
+    outlier_noise_scale,
+    same_stamp,
+)
 from uav_recon.localization.imu_integration import (
     GRAVITY_MPS2,
     InertialState,
@@ -18,14 +26,6 @@ from uav_recon.localization.imu_integration import (
     logarithm,
     multiply,
     rotate,
-)
-from uav_recon.localization.pose_gates import (
-    PoseMeasurement,
-    PoseRejection,
-    max_step_noise_scale,
-    normalized_innovation_squared,
-    outlier_noise_scale,
-    same_stamp,
 )
 from uav_recon.types.camera import ImuSample
 from uav_recon.types.frames import FloatArray

@@ -8,8 +8,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from uav_recon.localization.filter_pose_gates import PoseMeasurement
 from uav_recon.localization.imu_integration import conjugate, logarithm, multiply, rotate
-from uav_recon.localization.pose_gates import PoseMeasurement
 
 _SLIP_M, _SLIP_RAD = 0.05, math.radians(3.0)  # between two poses, max. difference from the motion of the track
 _WIDER_M, _WIDER_RAD = 0.10, math.radians(8.0)  # the same where there are no inertial samples

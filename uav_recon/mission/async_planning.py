@@ -10,7 +10,7 @@ import numpy as np
 
 from uav_recon.interfaces import Executor, MotionPlannerInterface, Pending, Planner
 from uav_recon.mission.flight_track import Departure
-from uav_recon.mission.path_heading import yaw_along_path
+from uav_recon.mission.return_heading import yaw_along_path
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.reason import Reason
 from uav_recon.types.tasks import NothingLeft, PlanMode, PlanRequest, ViewPath, Viewpoint

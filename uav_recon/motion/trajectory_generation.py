@@ -11,7 +11,7 @@ from uav_recon.config import MotionConfig
 from uav_recon.motion.clearance import ROOT, ClearanceMap, clearances_at, free_distances
 from uav_recon.motion.elastic_band import SPAN_M, SPAN_S, ElasticBand
 from uav_recon.motion.initial_state import InitialState
-from uav_recon.motion.speed_limits import node_speed_limits
+from uav_recon.motion.node_speed_limits import node_speed_limits
 from uav_recon.motion.time_parameterization import (
     FEEDFORWARD_OVERSHOOT_S,
     MAX_PACE,

@@ -18,7 +18,7 @@ from sitl.apps.sim_options import AUTOPILOTS, UsageError, check_jobs, check_prog
 from sitl.apps.sweep_case import one_thread
 from sitl.faults.flights.fault_flight import FaultCase, FaultRecord, Stage, fly
 from sitl.faults.injectors.base import Capabilities
-from sitl.faults.report.html_page import write_page
+from sitl.faults.report.campaign_page import write_page
 from sitl.faults.report.scenario_result import Result, result_of
 from sitl.faults.table.all_scenarios import NAMED, PAIRS, ROWS, TABLE
 from sitl.faults.table.scenario import Scenario

@@ -17,7 +17,7 @@ from sitl.faults.flights.campaign import FaultOptions, _line, _missed, faults, s
 from sitl.faults.flights.fault_flight import FaultCase, FaultRecord, fly_together
 from sitl.faults.judges import reaction_metrics as m
 from sitl.faults.judges.invariants import violations
-from sitl.faults.report.html_page import render
+from sitl.faults.report.campaign_page import render
 from sitl.faults.report.scenario_result import result_of
 from sitl.faults.table.all_scenarios import ROWS, TABLE
 from sitl.faults.table.scenario import Limit, Scenario, ScenarioVerdict, judge

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from uav_recon.localization.pose_gates import (
+from uav_recon.localization.filter_pose_gates import (
     PoseGates,
     PoseMeasurement,
     PoseRejection,

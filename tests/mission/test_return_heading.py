@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from uav_recon.mission.path_heading import AHEAD_M, OFF_RAD, yaw_along_path
+from uav_recon.mission.return_heading import AHEAD_M, OFF_RAD, yaw_along_path
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.tasks import PlanMode, ViewPath, Viewpoint
 
