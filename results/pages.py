@@ -34,7 +34,7 @@ def results_page(outcomes: Sequence[Outcome]) -> str:
         "brackets, not this one. A result file without a link does not exist yet.",
         _missing_table(missing) if missing else "None.",
         "## Commands",
-        "Minutes are those of two idle cores. `make measure RUNS=\"planner help\"` runs the commands `planner` and `help` only.\n"
+        "Minutes are those of two idle cores. `make measure RUNS=\"planner help\"` runs `planner` and `help` only.\n"
         "`../shared` holds the optional reference scenes and streams.",
         _commands_table(outcomes),
         "## Terms",
