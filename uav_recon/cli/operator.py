@@ -74,7 +74,7 @@ def status(
 ) -> None:
     """Print the state of the flight, and why it waits.
 
-    The state: pilot, mission, autopilot mode, battery, position and views. Each answer counts as an operator heartbeat.
+    The state: pilot, mission, autopilot mode, battery, position and views. Each query counts as an operator heartbeat.
 
     Exit code 0: answered; 69: pilot not reachable.
     """
