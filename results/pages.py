@@ -24,16 +24,18 @@ def results_page(outcomes: Sequence[Outcome]) -> str:
         GENERATED.format(source="results/claims.toml and results/current/"),
         "# Results",
         f"{len(outcomes)} claims: **{len(failed)} fail**, {len(passed)} pass, {len(missing)} not measured at this layout yet.",
-        "Each figure comes from a JSON file that a command wrote ([Commands](#commands)). Its header holds command, commit,\n"
+        "Each figure is from a JSON file that a command wrote ([Commands](#commands)). Its header holds command, commit,\n"
         "date, machine and duration. Claims and requirements: [claims.toml](claims.toml). All values over time:\n"
         "[history.csv](history.csv). Investigations: [notes/](notes/README.md).",
         "## Measured",
         _measured_table([*failed, *passed], machines) if measured else "None yet.",
         "## Not measured at this layout yet",
-        "The archived figure is the last one that was measured before. It describes the commit beside it, not this one.",
+        "The source tree was reorganised after these claims were last measured. An archived figure describes the commit in\n"
+        "brackets, not this one. A result file without a link does not exist yet.",
         _missing_table(missing) if missing else "None.",
         "## Commands",
-        "Minutes are those of two idle cores. `make measure RUNS=\"planner help\"` measures these two only.",
+        "Minutes are those of two idle cores. `make measure RUNS=\"planner help\"` runs `planner` and `help` only.\n"
+        "`../shared` holds the optional reference scenes and streams.",
         _commands_table(outcomes),
         "## Terms",
         _machines_list(machines),
@@ -61,8 +63,8 @@ def readme_block(outcomes: Sequence[Outcome]) -> str:
         parts.append(_table(("", "claim", "measured", "commit"), rows))
     if missing:
         parts.append(
-            f"{missing} more claims have archived figures of earlier commits: "
-            "[not measured yet](results/README.md#not-measured-at-this-layout-yet)."
+            f"{missing} more claims of this list are not measured yet; "
+            "[figures of earlier commits](results/README.md#not-measured-at-this-layout-yet) are archived."
         )
     return "\n\n".join(parts)
 

@@ -20,7 +20,7 @@ SceneOption = Annotated[
     typer.Option(metavar="PATH|random:SEED", help="Scene as for `sim`. Default: the built-in room."),
 ]
 PoseNoiseOption = Annotated[
-    str, typer.Option(metavar="CM,DEG", help="Standard deviation of the poses given to the mapper, for each axis.")
+    str, typer.Option(metavar="CM,DEG", help="Standard deviation of the error of the given poses, per axis.")
 ]
 BenchCameraOption = Annotated[
     str,
@@ -104,10 +104,10 @@ def bench_mapper(
 ) -> None:
     """Benchmark the neural mapper on one scene: accuracy, speed, and calibration.
 
-    The calibration is that of its uncertainty. The reference is a 2 cm TSDF of the same frames. Views are added one at a
-    time as in flight, each followed by its training steps; then all at once, for the time to reach a recall. With pose
-    noise or exposure the run is repeated without corrections. Recall, completion and images count only what some view
-    observed. Times are processor time on one thread.
+    Calibration: how well the uncertainty predicts the error. The reference is a 2 cm TSDF of the same frames. The first run
+    adds one view at a time, as in flight, with training steps after each. The second run adds all views at once and measures
+    the time to reach a recall. With --pose-noise or --exposure, a run without the correction of poses or exposure is added.
+    Recall, completion and images count only observed surface. Times are processor time on one thread.
     """
     from uav_recon.bench.mapper import mapper_bench as bench_of_mapper
 
@@ -154,7 +154,7 @@ def bench_endurance(
 def bench_setpoints(
     minutes: Annotated[float, typer.Option(metavar="MIN", help="Duration of the hover, 0.1 to 120 minutes.")] = 10.0,
     negative: Annotated[
-        bool, typer.Option("--negative", help="Negative control: the pilot as a thread of the load. It must miss the limits.")
+        bool, typer.Option("--negative", help="Negative control: run the pilot in a thread of the load; it must miss limits.")
     ] = False,
     autopilot: Annotated[
         str,
@@ -165,7 +165,7 @@ def bench_setpoints(
     ] = "px4",
     json: JsonOption = None,
 ) -> None:  # fmt: skip
-    """Benchmark setpoint timing under load.
+    """Benchmark setpoint timing under load, during a simulated hover.
 
     The load is training, four busy threads, disk writes and the recorder. Setpoints are time-stamped by the kernel at a
     simulated autopilot. Limits for the gap between two: p99 50 ms, p99.9 75 ms, maximum 250 ms.
@@ -190,7 +190,7 @@ def bench_uncertainty(
 ) -> None:
     """Compare uncertainty measures by how well they rank true errors.
 
-    The rank is scored by AUSE and Spearman of each measure, on unfinished maps.
+    Scores: AUSE (area under the sparsification error curve) and Spearman correlation, on unfinished maps.
 
     Measures: the paper's colour sigma, evaluated by the network at surface points; colour sigma kept in a grid; the
     information that depth images gave to a lattice; the product of these two; number and agreement of measurements. `All`

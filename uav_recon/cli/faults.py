@@ -21,7 +21,7 @@ _AUTOPILOTS = (*choices.AUTOPILOTS, "both")
 
 def faults(
     show_list: Annotated[
-        bool, typer.Option("--list", help="List the scenarios: fault, limits, lockstep or real time; and exit.")
+        bool, typer.Option("--list", help="List the scenarios with fault and limits, and exit.")
     ] = False,
     only: Annotated[
         str | None, typer.Option(metavar="ID,ID,...", help="Scenarios to fly, e.g. A1,B4. Default: all.")
@@ -36,8 +36,8 @@ def faults(
         int,
         typer.Option(
             min=1, max=1000,
-            help="Flights per scenario. In lockstep, A1, B1, B4, E1 and F1 get three times as many. Scenario variants are "
-            "cycled.",
+            help="Flights per scenario. In lockstep, A1, B1, B4, E1 and F1 get three times as many. A scenario with several "
+            "variants takes them in turn.",
         ),
     ] = 3,
     seed0: Annotated[
@@ -56,22 +56,23 @@ def faults(
     real_time: Annotated[
         bool,
         typer.Option(
-            "--real-time", help="Fly the scenarios of real processes and signals: one flight at a time, about a minute each."
+            "--real-time", help="Fly only the scenarios that have real processes: one flight at a time, about a minute each."
         ),
     ] = False,
     firmware: Annotated[
         Path | None,
         typer.Option(
             metavar="PATH", readable=False,
-            help="Fly a real firmware's simulation binary, as with `sim --firmware`; needs --autopilot. Flies, in real time, "
-            "the scenarios whose fault can be injected there.",
+            help="Fly a real firmware instead of the simulated autopilot, as `sim --firmware`; needs --autopilot. Only the "
+            "scenarios that can be injected there are flown, in real time.",
         ),
     ] = None,
 ) -> None:  # fmt: skip
     """Run the fault-injection campaign, one fault per flight.
 
-    Prints one line per scenario: measured value and pass limit. Results are computed from the simulator's ground truth and
-    the captured MAVLink traffic. Exit code 1 if any scenario failed.
+    Flies on a simulated clock (lockstep) unless --real-time or --firmware is given. Prints one line per scenario: measured
+    value and limit. Results are computed from the simulator's ground truth and the captured MAVLink traffic. docs/hazards.md
+    describes the scenarios. Exit code 1 if any scenario failed.
     """
     if show_list:
         from sitl.faults.flights.scenario_list import print_scenarios

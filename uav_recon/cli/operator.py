@@ -33,6 +33,8 @@ SocketOption = Annotated[
 def start(config: ConfigOption = FLOWN, socket: SocketOption = None) -> None:
     """Start the mission, or resume it after `hold`.
 
+    The vehicle arms and takes off.
+
     Exit code 0: accepted; 1: refused (reason printed); 69: pilot not reachable.
     """
     exit_with(lambda: _order("start", config, socket))
@@ -70,9 +72,9 @@ def status(
         bool, typer.Option("--watch", help="Refresh every second until Ctrl-C. Also acts as the operator heartbeat.")
     ] = False,
 ) -> None:
-    """Print the state of the flight and the reason why it waits.
+    """Print the state of the flight, and why it waits.
 
-    The state is: pilot, mission, autopilot mode, battery, position and views.
+    The state: pilot, mission, autopilot mode, battery, position and views. Each query counts as an operator heartbeat.
 
     Exit code 0: answered; 69: pilot not reachable.
     """

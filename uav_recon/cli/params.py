@@ -46,6 +46,8 @@ def check(
 ) -> None:
     """Show every required parameter beside the vehicle's value.
 
+    Reads from the vehicle; writes nothing. Stop the pilot first: it uses the same link.
+
     Exit code 0: all equal; 1: some differ; 69: no answer; 78: bad input.
     """
     from uav_recon.app import parameter_tool as parameters
@@ -58,7 +60,7 @@ def diff(
 ) -> None:
     """Show only differing parameters.
 
-    `!` blocks arming, `~` does not. Exit codes as for `check`.
+    Mark `!`: this difference blocks arming. Mark `~`: it does not. Exit codes as for `check`.
     """
     from uav_recon.app import parameter_tool as parameters
 

@@ -71,7 +71,7 @@ def sim(
         typer.Option(
             readable=False, metavar="PATH", rich_help_panel=VEHICLE,
             help="Fly a real firmware instead of the simulated autopilot: the binary of ArduCopter SITL, or bin/px4 of a "
-            "build with SIH. It brings its own vehicle dynamics. Say which firmware it is with --autopilot.",
+            "PX4 build with SIH. It has its own vehicle dynamics. Needs the matching --autopilot.",
         ),
     ] = None,
     port: Annotated[
@@ -89,7 +89,7 @@ def sim(
         typer.Option(
             metavar="M/S", rich_help_panel=VEHICLE,
             help="Speed limit outside the camera's field of view, 0.1 to 1.2 m/s. Below 1.2 the vehicle yaws into the "
-            "direction of travel on long legs. 1.2 disables the limit; flights are then about a third shorter.",
+            "direction of travel on long segments. 1.2 disables the limit; flights are then about a third shorter.",
         ),
     ] = 0.3,
     camera: Annotated[
@@ -104,30 +104,30 @@ def sim(
         str,
         typer.Option(
             metavar="fixed:DEG|gimbal", autocompletion=choices.one_of(choices.MOUNTS), rich_help_panel=CAMERA,
-            help="Camera mount. DEG is the tilt, -60 to 60; positive looks down.",
+            help="Camera mount. DEG is the tilt in degrees, -60 to 60; positive looks down.",
         ),
     ] = "fixed:15",
     depth_noise: Annotated[
         str,
         typer.Option(
             metavar=choices.listed(choices.DEPTH_NOISES), autocompletion=choices.one_of(choices.DEPTH_NOISES),
-            rich_help_panel=CAMERA, help="Noise model of the depth images.",
+            rich_help_panel=CAMERA, help="Noise model of the depth images; none: exact depth.",
         ),
     ] = "d435i",
     mapper: Annotated[
         str,
         typer.Option(
             metavar=choices.listed(choices.MAPPERS), autocompletion=choices.one_of(choices.MAPPERS), rich_help_panel=PLANNER,
-            help="neural: learn the surface. depth-only: surface straight from depth images, no model and no recording; "
-            "needs --lockstep.",
+            help="neural: learn the surface. depth-only: surface directly from depth images; quick, without model and "
+            "recording; needs --lockstep.",
         ),
     ] = "neural",
     variant: Annotated[
         str,
         typer.Option(
             metavar="NAME", autocompletion=choices.one_of(choices.VARIANTS), rich_help_panel=PLANNER,
-            help="Planner: the paper's adaptive (V5), merged (V4), reconstruct (V3), explore (V2), explore-yaw (V1), or "
-            "a baseline: explore-then-refine, evpp, vpp.",
+            help="Planner. Of the paper (Zeng et al., ICRA 2024): adaptive (V5), merged (V4), reconstruct (V3), explore "
+            "(V2), explore-yaw (V1). Its baselines: explore-then-refine, evpp, vpp.",
         ),
     ] = "adaptive",
     uncertainty: Annotated[
@@ -226,8 +226,9 @@ def sweep(
 ) -> None:
     """Fly many missions in lockstep with the depth-only mapper.
 
-    Prints a line for each and a summary table. Flights go through scenes, radii and variants, then repeat with the next
-    seed. Exit code 1 if any flight had contact or failed with an error; the command that repeats such a flight is printed.
+    Lockstep is a simulated clock: repeatable and faster than real time. Prints one line per flight and a summary table. The
+    flights take all scenes, radii and variants in turn, then again with the next seed. Exit code 1 if any flight had contact
+    or failed with an error; the command that repeats such a flight is printed.
     """
     from sitl.apps.sweep import SweepOptions
     from sitl.apps.sweep import sweep as fly_all

@@ -78,7 +78,7 @@ TABLE_E = (
         "at a random moment, each mode in turn",
         lambda n: [Takeover(*PILOT_MODES[n % 4])],
         (
-            Limit("turns in another mode", m.mode_lost, 0.0, ""),
+            Limit("time steps in another mode", m.mode_lost, 0.0, ""),
             Limit("mode or arm commands", m.commands_once_known, 0.0, ""),
             Limit("stream ends", m.streams_after, 0.3, "s"),
         ),
@@ -92,7 +92,7 @@ TABLE_E = (
         "within 0.1 s of the operator's land command, and during that landing",
         lambda n: [Abort(), Takeover(*PILOT_MODES[n % 3], later_s=AROUND_LAND_S[n % len(AROUND_LAND_S)])],
         (
-            Limit("turns in another mode", mode_taken_back, 0.0, ""),
+            Limit("time steps in another mode", mode_taken_back, 0.0, ""),
             Limit("mode or arm commands", m.commands_once_known, 0.0, ""),
             Limit("stream ends", m.streams_after, 0.5, "s"),
         ),
@@ -107,7 +107,7 @@ TABLE_E = (
         (
             Limit("mode or arm commands", m.commands_once_known, 0.0, ""),
             Limit("stream ends", m.streams_after, 0.3, "s"),
-            Limit("turns in another mode", m.mode_lost, 0.0, ""),
+            Limit("time steps in another mode", m.mode_lost, 0.0, ""),
         ),
         onset=FAST,
         observe_s=12.0,
@@ -117,7 +117,7 @@ TABLE_E = (
         "transmitter lost",
         "the RC transmitter is switched off",
         lambda n: [TransmitterLost()],
-        (lands(1.6, ardupilot=1.5), Limit("turns in a stick mode", m.position_mode, 0.0, ""), down(30.0)),
+        (lands(1.6, ardupilot=1.5), Limit("time steps in a stick mode", m.position_mode, 0.0, ""), down(30.0)),
     ),
     Scenario(
         "E4",
@@ -131,7 +131,7 @@ TABLE_E = (
     Scenario(
         "E4b",
         "second autopilot",
-        "a second one with the vehicle's own ID sends for 10 s: in our mode, armed and disarmed",
+        "a second autopilot with the vehicle's own ID sends for 10 s: in our mode, armed and disarmed",
         lambda n: [SecondAutopilot(SecondAutopilot.OURS, armed=n % 2 == 0)],
         (holds(1.0), told(codes.TWO_AUTOPILOTS, within_s=1.0), NO_FAILSAFE, COMPLETES),
         observe_s=180.0,
@@ -140,7 +140,7 @@ TABLE_E = (
     Scenario(
         "E4c",
         "second autopilot's mode",
-        "a second one with the vehicle's own ID reports a pilot's mode for 10 s, and for 0.1 s",
+        "a second autopilot with the vehicle's own ID reports a pilot's mode for 10 s, and for 0.1 s",
         lambda n: [SecondAutopilot(SecondAutopilot.PILOTS, briefly=n % 2 == 1)],
         (told(codes.TWO_AUTOPILOTS, codes.MODE_CHANGED, within_s=1.0), lands(5.0), down(30.0)),
         observe_s=45.0,
@@ -148,7 +148,7 @@ TABLE_E = (
     Scenario(
         "E4d",
         "second autopilot lands",
-        "a second one with the vehicle's own ID reports a landing mode for 10 s, and for 0.1 s",
+        "a second autopilot with the vehicle's own ID reports a landing mode for 10 s, and for 0.1 s",
         lambda n: [SecondAutopilot(SecondAutopilot.LANDING, briefly=n % 2 == 1)],
         (told(codes.TWO_AUTOPILOTS, codes.AUTOPILOT_LANDS, within_s=1.0), holds(1.0), down(120.0)),
         observe_s=120.0,
@@ -400,7 +400,7 @@ TABLE_G = (
         onset=AT_BOOT,
         observe_s=20.0,
     ),
-    Scenario("G7", "power lost", "the power supply is disconnected", why="T3: not flown here; A6 covers the reaction"),
+    Scenario("G7", "power lost", "the power supply is disconnected", why="needs hardware; A6 covers the reaction"),
     Scenario(
         "G8",
         "time to ready",

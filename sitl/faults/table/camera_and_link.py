@@ -114,7 +114,7 @@ TABLE_C = (
         "C5",
         "glass, black, mirror",
         "surfaces that stereo cannot measure",
-        why="T2 and T4: glass is not rendered",
+        why="the simulator does not render glass",
     ),
     Scenario(
         "C6",

@@ -259,7 +259,7 @@ TABLE_B = (
             PoseSilence(GONE_AND_BACK[n % 9][0]),
             AlteredPoses(moved(x=GONE_AND_BACK[n % 9][1]), from_s=GONE_AND_BACK[n % 9][0]),
         ],
-        (NO_JUMP, Limit("turns in our mode after a landing", m.relaunched, 0.0, "")),
+        (NO_JUMP, Limit("time steps in our mode after a landing", m.relaunched, 0.0, "")),
     ),
     Scenario(
         "B3",
@@ -291,7 +291,7 @@ TABLE_B = (
         observe_s=80.0,
         camera="small",
     ),
-    Scenario("B6", "height drift, wrong scale", "z ramp, scales 0.9 and 1.1", why="waits for perception"),
+    Scenario("B6", "height drift, wrong scale", "z ramp, scales 0.9 and 1.1", why="perception does not detect it yet"),
     Scenario(
         "B7",
         "invalid poses",
@@ -373,7 +373,7 @@ TABLE_B = (
         "B11",
         "nothing to track",
         "darkness, blank wall, blur",
-        why="needs visual tracking: waits for perception",
+        why="needs visual tracking, which is not included",
     ),
-    Scenario("B12", "wrong frames", "axes swapped in the config", why="waits for perception"),
+    Scenario("B12", "wrong frames", "axes swapped in the config", why="perception does not detect it yet"),
 )
