@@ -1,4 +1,5 @@
 PYTHON ?= .venv/bin/python
+WITHOUT_SHARED = $(if $(wildcard ../shared/scenes), , and not shared)# tests of the reference scenes and streams need ../shared
 
 .PHONY: install test nightly nightly-lockstep nightly-real-time lint safety hostile soak sim results measure measure-long clean
 
@@ -7,18 +8,18 @@ install:
 
 # The gate, as .ci/run runs it: fast tests, one mission in lockstep, then one short flight in real time.
 test:
-	$(PYTHON) -m pytest -n 2 --dist loadfile -m 'not nightly and not real_time'
-	$(PYTHON) -m pytest -m 'real_time and not nightly'
+	$(PYTHON) -m pytest -n 2 --dist loadfile -m 'not nightly and not real_time$(WITHOUT_SHARED)'
+	$(PYTHON) -m pytest -m 'real_time and not nightly$(WITHOUT_SHARED)'
 
 # Everything: all fault scenarios of the tests, 1,000 maps, real time, mutants of the guard, hostile input, a soak of five minutes.
 nightly: nightly-lockstep nightly-real-time safety hostile
 	$(MAKE) soak SOAK=G9-5min
 
 nightly-lockstep:
-	$(PYTHON) -m pytest -n 2 --dist loadfile -m 'not real_time'
+	$(PYTHON) -m pytest -n 2 --dist loadfile -m 'not real_time$(WITHOUT_SHARED)'
 
 nightly-real-time:
-	$(PYTHON) -m pytest -m real_time
+	$(PYTHON) -m pytest -m 'real_time$(WITHOUT_SHARED)'
 
 lint:
 	$(PYTHON) -m ruff format --check .
