@@ -17,8 +17,8 @@ from box_world import GIMBAL, MEETING_ROOM, BoxWorld
 from test_view_planner import surface_of
 from uav_recon.config import PlannerConfig
 from uav_recon.planning import view_planner
-from uav_recon.planning.narrow_passages import ThroughNarrows
-from uav_recon.planning.tour.travel_time import TurningOnTheWay
+from uav_recon.planning.narrow_passages import NarrowPassagePlanner
+from uav_recon.planning.tour.travel_time import YawWhileFlying
 from uav_recon.types.tasks import PlanRequest, Viewpoint
 
 def compiled():
@@ -35,8 +35,8 @@ before = compiled()
 assert len(before) > 15, before
 world = BoxWorld(MEETING_ROOM, GIMBAL, np.array([3.0, 1.0, 1.2]))
 world.look_round()
-usual = view_planner.ViewPlanner(CONFIG, np.zeros(3), np.array([6.2, 5.0, 2.4]), GIMBAL, TurningOnTheWay(0.8, 0.8))
-planner = ThroughNarrows(usual, *[CONFIG.clearance_m - 0.05] * 3)
+usual = view_planner.ViewPlanner(CONFIG, np.zeros(3), np.array([6.2, 5.0, 2.4]), GIMBAL, YawWhileFlying(0.8, 0.8))
+planner = NarrowPassagePlanner(usual, *[CONFIG.clearance_m - 0.05] * 3)
 for position in ((3.0, 1.0, 1.2), (3.0, 0.15, 1.2), (9.0, 9.0, 9.0)):
     asked = world.request()
     request = PlanRequest(asked.voxels, surface_of(MEETING_ROOM), np.array(position), 0.0, 50)

@@ -299,6 +299,7 @@ class NeuralMapper:
         small = NeuralMapper(config, np.zeros(3), np.ones(3), self._noise_px, self._baseline_m)
         small.add(_wall())
         small.train(1)
+        small.polish(1)
         small.surface()
         small.mesh(0.05)
         small._keep(small._album.most_useful())
