@@ -71,12 +71,17 @@ def compile_ahead(jobs: Sequence[KernelJob], console: Console) -> None:
             console.print(progress_text(done, total), highlight=False)
 
     with tempfile.TemporaryDirectory(prefix="uav_recon-") as folder:
-        path = Path(folder) / "config.toml"
-        product_config.save(SimOptions.parse(out=Path(folder)).config(_toy_scene(), Path(folder)), path)
         try:
-            compile_kernels(jobs, path, show)
+            compile_kernels(jobs, toy_config(Path(folder)), show)
         finally:
             progress.stop()
+
+
+def toy_config(folder: Path) -> Path:
+    """Write a config for the jobs into a folder, of a flight with all options as they are by default; returns its path."""
+    options, path = SimOptions.parse(out=folder), folder / "config.toml"
+    product_config.save(options.config(_toy_scene(), folder), path)
+    return path
 
 
 def _toy_scene() -> Scene:

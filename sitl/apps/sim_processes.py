@@ -24,6 +24,7 @@ LANDING_S = 300.0  # from the first Ctrl-C to the end of the mission, with model
 NICENESS = {"world": -5, "pilot": -10, "perception": -5, "mission": 0}
 GRACE_S = {"mission": 90.0, "pilot": 20.0, "perception": 5.0, "world": 20.0}  # time to land and to save; in this order
 EXIT_INTERRUPTED = 130
+IDLE = "idle"  # the mission's phase until the vehicle and the mapper are ready
 NOT_FLOWN = "interrupted before take-off; nothing was flown"
 _ON_THE_GROUND = (FlightPhase.CONNECTING, FlightPhase.READY)
 
@@ -116,15 +117,16 @@ class SimProcesses:
                     raise UserError(NOT_FLOWN, EXIT_INTERRUPTED)
                 if time.monotonic() > self._deadline_s:
                     return f"the mission did not end within {LANDING_S:.0f} s after the interrupt"
-                if screen.show():
-                    self._say_ready()
-                elif time.monotonic() > deadline_s:
+                shown = screen.show()
+                self._say_ready()
+                if not shown and time.monotonic() > deadline_s:
                     return f"the vehicle was not ready within {READY_TIMEOUT_S:.0f} s; see the logs in {self._logs}"
                 time.sleep(0.2)
 
     def _say_ready(self) -> None:
-        """Print once how long the start took."""
-        if self._begun_s is not None:
+        """Print once how long it took until the mission was ready to take off."""
+        progress = self._wires.progress.latest()
+        if self._begun_s is not None and progress is not None and progress.phase != IDLE:
             self._console.print(f"ready after {time.monotonic() - self._begun_s:.0f} s", highlight=False)
             self._begun_s = None
 

@@ -6,15 +6,20 @@ Length is along x, width along y, height along z; the origin is a corner of the 
 
 from __future__ import annotations
 
+import sys
+from pathlib import Path
+
 import numpy as np
 
-from sitl.scene import texture
+from sitl.runtime.array_cache import cache_folder, cached, key
+from sitl.scene import mesh, primitives, texture
 from sitl.scene.mesh import Mesh, joined
 from sitl.scene.primitives import MeshBuilder
 
 LENGTH_M, WIDTH_M, HEIGHT_M = 8.0, 3.0, 2.5
 ROOM_START: tuple[float, ...] = (0.9, 1.5, 1.2, 0.0)  # x, y, z (m), yaw (degrees)
 FINE_M = 0.024
+_SOURCES, _DIMENSIONS = (mesh, primitives, texture), {"vertices": 2, "faces": 2, "rgb": 2}
 
 
 def built_in_room(fine: bool = True) -> Mesh:
@@ -22,6 +27,14 @@ def built_in_room(fine: bool = True) -> Mesh:
 
     fine: with texture (about 300k vertices, under a second); otherwise grey (10k vertices).
     """
+    if not fine:
+        return _made(fine)
+    sources = key(*(Path(str(module.__file__)).read_text(encoding="utf-8") for module in (sys.modules[__name__], *_SOURCES)))
+    arrays = cached(cache_folder() / f"built-in-room-{sources}.npz", _DIMENSIONS, lambda: vars(_made(fine)))
+    return Mesh(**arrays)
+
+
+def _made(fine: bool) -> Mesh:
     w = MeshBuilder(fine)
     pieces = (_shell, _sofa, _shelf, _table, _sideboard, _armchair, _lamps, _radiators, _start_corner)
     return joined([part for piece in pieces for part in piece(w)])

@@ -383,6 +383,7 @@ class NeuralMapper:
         for _ in range(2):  # a pose is refined from the second view on
             small.add(_wall())
             small.train(1)
+        small.polish(1)
         small.surface()
         small.mesh(0.05)
         small.painted().rgb(np.full((2, 3), 0.5, dtype=np.float32))  # the mesh may be empty
