@@ -1,7 +1,4 @@
-"""Explore a synthetic room: map, plan the next views, move there, repeat.
-
-It draws the walls, the path and the views.
-"""
+"""Explore a synthetic room: map, plan the next views, repeat; draw the path and the views."""
 
 import sys
 
@@ -42,7 +39,7 @@ def main(out: str = "views.png") -> None:
         path = planner.plan_views(mapper.map, bodies[-1], views=10)
         print(f"{seen} views, {mapper.explored_m3:.1f} of {np.prod(ROOM_MAX_M):.1f} m3 known")
         if isinstance(path, NothingLeft):
-            print(path.reason)
+            print(path.reason.text())
             break
         planner.accept(path)
         flown += path.waypoints_world

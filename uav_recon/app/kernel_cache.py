@@ -99,11 +99,15 @@ class _Worker:
             text=True,
             start_new_session=True,  # a terminal's Ctrl-C reaches only the waiting parent
         )
-        threading.Thread(target=self._listen, args=(number, events), name="kernel-worker", daemon=True).start()
+        self._listener = threading.Thread(target=self._listen, args=(number, events), name="kernel-worker", daemon=True)
+        self._listener.start()
 
     def _listen(self, number: int, events: queue.Queue[tuple[int, str]]) -> None:
-        for line in self._process.stdout or ():
-            events.put((number, line.strip()))
+        pipe = self._process.stdout
+        if pipe is not None:
+            with pipe:
+                for line in pipe:
+                    events.put((number, line.strip()))
         events.put((number, "lost"))
 
     def start(self, job: KernelJob, config_path: Path) -> None:
@@ -116,6 +120,10 @@ class _Worker:
     def kill(self) -> None:
         self._process.kill()
         self._process.wait()
+        self._listener.join()
+        with suppress(OSError):  # a job that it never read
+            if self._process.stdin is not None:
+                self._process.stdin.close()
 
 
 class _Pool:

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from uav_recon.clock import RateKeeper
 from uav_recon.interfaces import Channel, Clock, DepthCamera, PoseSource
-from uav_recon.localization import error_propagation, min_range_binning
+from uav_recon.localization import error_propagation, min_range_binning, planar_patches
 from uav_recon.localization.camera_mount import Mount
 from uav_recon.localization.depth_consistency import DepthConsistencyMonitor
 from uav_recon.localization.fusion_filter import FusionFilter
@@ -139,5 +139,5 @@ class Perception:
 
 def warm_up() -> None:
     """Compile every kernel of perception."""
-    for part in (DepthConsistencyMonitor, error_propagation, min_range_binning):
+    for part in (DepthConsistencyMonitor, planar_patches, error_propagation, min_range_binning):
         part.warm_up()

@@ -131,3 +131,13 @@ def _patch(depth_m: AnyArray, camera: AnyArray, u: int, v: int, room: AnyArray) 
     deep = middle - (u - camera[2]) / camera[0] * x - (v - camera[3]) / camera[1] * y
     length = math.sqrt(x * x + y * y + deep * deep)
     return 1.0 / middle, x / length, y / length, deep / length
+
+
+def warm_up() -> None:
+    """Compile every kernel, for the read-only arrays of a frame and a pose."""
+    depth_m, place = np.full((24, 32), 2.0, dtype=np.float32), np.zeros(3)
+    for array in (depth_m, place):
+        array.setflags(write=False)
+    camera, rotation = np.array([20.0, 20.0, 15.5, 11.5]), np.eye(3)
+    normal_equations(patches(depth_m, camera, rotation, place), depth_m, camera, rotation, place, np.zeros(3))
+    weight_at(np.ones(1))

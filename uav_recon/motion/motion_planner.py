@@ -8,6 +8,7 @@ turning, and bounds the jerk. The result is checked against the map, sample by s
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 
 import numpy as np
@@ -179,17 +180,19 @@ class MotionPlanner:
         return ClearanceMap.of(voxels, self._low_m, self._high_m, self._clearance_m)
 
     def warm_up(self) -> None:
-        """Compile the kernels."""
+        """Compile the kernels, in a map of its own without the box to stay in."""
+        planner = copy.copy(self)
+        planner._low_m, planner._high_m = np.full(3, -np.inf), np.full(3, np.inf)
         grid = GridSpec(np.zeros(3), 1.0, (3, 3, 3))
         voxels = VoxelMap.whole(grid, np.full(grid.shape, FREE, dtype=np.uint8), np.full(grid.shape, 81, dtype=np.uint8), 0)
         goal = Viewpoint(np.array([2.0, 1.0, 1.0]), 0.5, 0.0)
         path = ViewPath((goal,), (goal.position_world[None],), PlanMode.EXPLORE, 0, 0, (), 0.0, 0.0)
-        flown = self.through(path, voxels, Setpoint.hold(np.ones(3), 0.0), 0.0, 0.5, 0)
+        flown = planner.through(path, voxels, Setpoint.hold(np.ones(3), 0.0), 0.0, 0.5, 0)
         if isinstance(flown, Trajectory):
-            self.stop(flown, 1.0, 1)
-            self.still_clear(flown, 1.0, voxels)
-            self.onward(path, voxels, flown, 1.0, 0.5, 2)
-            self.through(dataclasses.replace(path, clearance_m=1.0), voxels, Setpoint.hold(np.ones(3), 0.0), 0.0, 0.5, 0)
+            planner.stop(flown, 1.0, 1)
+            planner.still_clear(flown, 1.0, voxels)
+            planner.onward(path, voxels, flown, 1.0, 0.5, 2)
+            planner.through(dataclasses.replace(path, clearance_m=1.0), voxels, Setpoint.hold(np.ones(3), 0.0), 0.0, 0.5, 0)
 
     def _clear(
         self,

@@ -63,7 +63,7 @@ def test_measures_every_field_and_writes_json(tmp_path: Path) -> None:
         (("--steps-per-view", "0"), ("--steps-per-view 0", "want 1 to 200")),
         (("--camera", "fast"), ("--camera fast", "want one of d435i, wide")),
         (("--depth-noise", "much"), ("--depth-noise much", "want one of")),
-        (("--mount", "loose"), ("--mount loose", "want fixed:DEG")),
+        (("--mount", "loose"), ("--mount loose", "want gimbal, or fixed:DEG")),
         (("--pose-noise", "2"), ("--pose-noise 2", "want CM,DEG")),
         (("--pose-noise", "20,1"), ("--pose-noise 20,1", "0 or more and at most 10 and 5")),
         (("--pose-noise", "-1,0"), ("--pose-noise -1,0", "want CM,DEG, 0 or more and at most 10 and 5")),
