@@ -36,7 +36,7 @@ def simulate(options: SimOptions, json: Path | None = None) -> int:
         _claim_port(options.port)
     begun_s = time.monotonic()
     _need_open3d()
-    if options.scene is None or options.scene.startswith(GENERATED) or Path(options.scene).exists():  # else refused below
+    if options.scene is None or options.scene.startswith(GENERATED) or _exists(options.scene):  # otherwise it is refused below
         compile_ahead(flight_jobs((options.variant,), options.mapper == "neural"), console)
     with StepDisplay(console).step("loading the scene"):
         scene = _scene(options)
@@ -91,6 +91,14 @@ def _claim_port(port: int) -> None:
         except OSError as error:
             reason = error.strerror.lower() if error.strerror else error
             raise UserError(f"--port {port}: {reason}; is another simulation running? --port takes 1024 to 65535") from None
+
+
+def _exists(path: str) -> bool:
+    """Return True if there is a file or folder of this name; False for a name that cannot exist."""
+    try:
+        return Path(path).exists()
+    except OSError:
+        return False
 
 
 def _commands(options: SimOptions, runtime: Path) -> dict[str, list[str]]:

@@ -54,7 +54,7 @@ def test_modes_as_measured() -> None:
         ({}, None),
         ({"heartbeat_s": 6.9}, ReasonCode.NO_HEARTBEAT),
         ({"firmware_family": 3}, ReasonCode.WRONG_FIRMWARE),
-        ({"twin_heard": True}, ReasonCode.OUR_ID_IN_USE),
+        ({"own_id_in_use": True}, ReasonCode.OUR_ID_IN_USE),
         ({"version": None}, ReasonCode.FIRMWARE_UNKNOWN),
         ({"version": (1, 15, 3)}, ReasonCode.FIRMWARE_TOO_OLD),
         ({"version": (1, 18, 0)}, ReasonCode.FIRMWARE_TOO_NEW),

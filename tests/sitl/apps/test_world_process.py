@@ -49,7 +49,7 @@ def collections() -> Iterator[list[int]]:
 
 
 def test_a_long_flight_never_runs_a_full_garbage_collection(collections: list[int], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(world_process, "Darkroom", NoDarkroom)
+    monkeypatch.setattr(world_process, "RenderThread", NoDarkroom)
     world = NotesDown()
     world_process.run(world, lambda _: len(world.notes) >= 400_000)  # type: ignore[arg-type]
     assert collections.count(0) > 100

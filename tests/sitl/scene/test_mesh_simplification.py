@@ -82,7 +82,7 @@ def test_a_small_mesh_is_not_simplified() -> None:
 def test_a_mesh_that_cannot_be_simplified_well_is_rendered_unchanged(
     room: tuple[F32, I32], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.setattr(module, "LOST_M", 10.0)  # no lost surface is restored
+    monkeypatch.setattr(module, "MAX_FACE_ERROR_M", 10.0)  # no lost surface is restored
     vertices, faces = simplified(*room, tmp_path)
     np.testing.assert_array_equal(faces, room[1])
     np.testing.assert_array_equal(vertices, room[0])
