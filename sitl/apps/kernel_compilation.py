@@ -78,7 +78,10 @@ def compile_ahead(jobs: Sequence[KernelJob], console: Console) -> None:
 
 
 def toy_config(folder: Path) -> Path:
-    """Write a config for the jobs into a folder, of a flight with all options as they are by default; returns its path."""
+    """Write a config for the jobs into a folder, and return its path.
+
+    It is the config of a flight with default options.
+    """
     options, path = SimOptions.parse(out=folder), folder / "config.toml"
     product_config.save(options.config(_toy_scene(), folder), path)
     return path

@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.table import Table
 
 SHARED_SCENES = Path("../shared/scenes")  # reference scenes beside the working tree
-PIPE_WIDTH = 160  # columns where the output is no terminal
+PIPE_WIDTH = 300  # columns where the output is no terminal: no path is cut
 UNKNOWN = "-"
 
 

@@ -14,7 +14,7 @@ from rich.console import Console
 from sitl.apps.kernel_compilation import compile_ahead, flight_jobs
 from sitl.apps.sim_options import SimOptions
 from sitl.apps.sim_processes import SimProcesses
-from sitl.scene.scene import GENERATED, Scene, SceneError, load_scene
+from sitl.scene.scene import Scene, SceneError, load_scene
 from uav_recon import config as product_config
 from uav_recon.app.option_validation import require_writable_file
 from uav_recon.app.step_display import StepDisplay
@@ -36,10 +36,9 @@ def simulate(options: SimOptions, json: Path | None = None) -> int:
         _claim_port(options.port)
     begun_s = time.monotonic()
     _need_open3d()
-    if options.scene is None or options.scene.startswith(GENERATED) or _exists(options.scene):  # otherwise it is refused below
-        compile_ahead(flight_jobs((options.variant,), options.mapper == "neural"), console)
     with StepDisplay(console).step("loading the scene"):
         scene = _scene(options)
+    compile_ahead(flight_jobs((options.variant,), options.mapper == "neural"), console)
     options.make_folder()
     started_s = time.monotonic()
     with tempfile.TemporaryDirectory(prefix="uav_recon-") as runtime:
@@ -91,14 +90,6 @@ def _claim_port(port: int) -> None:
         except OSError as error:
             reason = error.strerror.lower() if error.strerror else error
             raise UserError(f"--port {port}: {reason}; is another simulation running? --port takes 1024 to 65535") from None
-
-
-def _exists(path: str) -> bool:
-    """Return True if there is a file or folder of this name; False for a name that cannot exist."""
-    try:
-        return Path(path).exists()
-    except OSError:
-        return False
 
 
 def _commands(options: SimOptions, runtime: Path) -> dict[str, list[str]]:

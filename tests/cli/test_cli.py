@@ -79,6 +79,7 @@ def test_an_interrupt_is_reported(capsys: pytest.CaptureFixture[str]) -> None:
         ("sim --out EMPTY", "--out is empty: want a value"),
         ("sim --out=", "--out is empty: want a value"),
         ("sim --scene EMPTY", "--scene is empty: want a value"),
+        ("bench uncertainty --after EMPTY", "--after is empty: want a value"),
         ("bench mapper --json EMPTY", "--json is empty: want a value"),
     ],
 )
