@@ -201,9 +201,13 @@ def envelope(config: Config) -> Envelope:
 
 
 def make_perception(
-    config: Config, wires: FlightChannels, clock: Clock, stopped: Callable[[], bool] = lambda: False
+    config: Config,
+    wires: FlightChannels,
+    clock: Clock,
+    stopped: Callable[[], bool] = lambda: False,
+    compile_ahead: Callable[[], None] = lambda: None,
 ) -> Perception:
-    """Build the loop next to the camera.
+    """Build the loop next to the camera. compile_ahead() is called once there is a camera.
 
     Raises UserError if there is no camera; with exit code 0 if stopped() becomes true while it waits for one.
     """
@@ -212,6 +216,7 @@ def make_perception(
     from uav_recon.localization.perception import Perception
 
     camera, poses = _camera(config, clock, stopped)
+    compile_ahead()
     position = np.array(config.camera.position_body_m)
     pitch_rad = math.radians(config.camera.pitch_down_deg)
     mount = (

@@ -146,8 +146,11 @@ def perception(config_path: Path) -> int:
     stop, clock, config = Stop(), MonotonicClock(), factory.load_config(config_path)
     wires = file_channels(config.runtime.folder)
     claim("perception", config)
-    compile_kernels([kernel_jobs.PERCEPTION], config_path, log_progress(LOG), lambda: stop.asked)
-    the_perception = factory.make_perception(config, wires, clock, lambda: stop.asked)
+
+    def compile_ahead() -> None:
+        compile_kernels([kernel_jobs.PERCEPTION], config_path, log_progress(LOG), lambda: stop.asked)
+
+    the_perception = factory.make_perception(config, wires, clock, lambda: stop.asked, compile_ahead)
     systemd_notify.ready()
     gone = run_perception(the_perception.step, wires.vehicle, clock, lambda: stop.asked)
     if gone and not stop.asked:
