@@ -25,7 +25,7 @@ from uav_recon.app.kernel_cache import KernelJob, compile_kernels, progress_text
 from uav_recon.config import VariantName
 
 LINE_EVERY_S = 5.0  # on a console that is no terminal
-SIMULATOR = KernelJob("simulator", f"{__name__}:simulator", 30)
+SIMULATOR = KernelJob("simulator", f"{__name__}:simulator", 24)
 DEPTH_ONLY_MAPPER = KernelJob("depth-only mapper", f"{__name__}:depth_only_mapper", 3)
 
 

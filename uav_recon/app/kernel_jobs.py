@@ -14,7 +14,7 @@ from uav_recon.app.kernel_cache import KernelJob
 from uav_recon.config import VariantName
 
 HERE, MAPPER = __name__, "mapper"
-PERCEPTION = KernelJob("perception", f"{HERE}:perception", 20)
+PERCEPTION = KernelJob("perception", f"{HERE}:perception", 21)
 
 
 def mission_jobs(variant: VariantName) -> list[KernelJob]:
@@ -23,11 +23,11 @@ def mission_jobs(variant: VariantName) -> list[KernelJob]:
     Their order keeps two cores busy to the end.
     """
     return [
-        KernelJob("frontiers", f"{HERE}:frontiers", 90),
-        KernelJob(MAPPER, f"{HERE}:mapper", 80),
-        KernelJob(f"planner {variant}", f"{HERE}:planner", 110, ("frontiers",), variant),
-        KernelJob("map", f"{HERE}:occupancy_map", 30),
-        KernelJob("motion", f"{HERE}:motion", 30),
+        KernelJob("frontiers", f"{HERE}:frontiers", 62),
+        KernelJob(MAPPER, f"{HERE}:mapper", 73),
+        KernelJob(f"planner {variant}", f"{HERE}:planner", 96, ("frontiers",), variant),
+        KernelJob("map", f"{HERE}:occupancy_map", 38),
+        KernelJob("motion", f"{HERE}:motion", 25),
     ]
 
 
