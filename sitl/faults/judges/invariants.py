@@ -93,7 +93,7 @@ def _leaps(e: FlightEvidence, i: Indices, j: Indices) -> str:
     _PERIOD_S for each setpoint.
     """
     w, limits = e.wire, e.limits
-    breaks = np.append(0, np.cumsum(_anew(e)))
+    breaks = np.append(0, np.cumsum(_restarted(e)))
     i, j = i[breaks[i] == breaks[j]], j[breaks[i] == breaks[j]]
     told_s = (w.setpoint_stamp_ms[j] - w.setpoint_stamp_ms[i]) / 1e3
     dt = np.maximum(w.setpoint_s[j] - w.setpoint_s[i], np.minimum(told_s, _PERIOD_S * (j - i)))
@@ -109,7 +109,7 @@ def _leaps(e: FlightEvidence, i: Indices, j: Indices) -> str:
     return f"velocity jumps by {float(change.max()):.2f} m/s too much{within}" if (change > _SPEED_MPS).any() else ""
 
 
-def _anew(e: FlightEvidence) -> Bools:
+def _restarted(e: FlightEvidence) -> Bools:
     """Return a mask (N - 1,) of the discontinuities, one value for each setpoint but the first.
 
     A discontinuity is a pose reset, which moves the setpoint, or the first setpoint after a pause of 0.5 s, as of a

@@ -200,9 +200,7 @@ def test_a_depth_that_overflows_in_millimetres_is_no_return() -> None:
 
 
 @settings(max_examples=150, deadline=None, suppress_health_check=list(HealthCheck))
-@given(
-    lens=_LENS, colour=_LENS, depth=_DEPTH, pose=_POSE, overlapping_views=_POSE, steps=st.integers(0, 3), poison=st.booleans()
-)
+@given(lens=_LENS, colour=_LENS, depth=_DEPTH, pose=_POSE, beside=_POSE, steps=st.integers(0, 3), poison=st.booleans())
 def test_the_field_stays_finite_for_any_input(
     lens: Intrinsics, colour: Intrinsics, depth: Float32Array, pose: Pose, beside: Pose, steps: int, poison: bool
 ) -> None:
