@@ -93,14 +93,14 @@ def test_what_is_no_picture_tells_nothing(wrong: str) -> None:
         assert seen is None or (seen.age_s >= 0.3).sum() < 10
 
 
-@pytest.mark.parametrize("why", ["a pause", "odom begins anew"])
+@pytest.mark.parametrize("why", ["a pause", "odometry restarts"])
 def test_nothing_is_compared_across(why: str) -> None:
     flow = FeatureTracker()
     assert flow.update(_frame(0, HERE), HERE) is None
     assert flow.update(_frame(1, HERE), HERE) is not None
-    if why == "odom begins anew":
+    if why == "odometry restarts":
         flow.forget()
-    assert flow.update(_frame(2 if why == "odom begins anew" else 5, HERE), HERE) is None
+    assert flow.update(_frame(2 if why == "odometry restarts" else 5, HERE), HERE) is None
 
 
 def test_what_has_no_depth_is_not_followed() -> None:
