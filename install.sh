@@ -35,3 +35,6 @@ fi
 [ -x .venv/bin/python ] || python3 -m venv .venv
 # shellcheck disable=SC2086
 .venv/bin/pip install $target
+
+# numerical kernels, once; without this step the first flight compiles them
+.venv/bin/uav-recon compile

@@ -6,8 +6,10 @@ These are the simulator's and the product's kernels.
 from __future__ import annotations
 
 import tempfile
+import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future
 from pathlib import Path
 from typing import cast
 
@@ -22,6 +24,7 @@ from sitl.truth.hull_clearance import HullClearance
 from uav_recon import config as product_config
 from uav_recon.app import kernel_jobs
 from uav_recon.app.kernel_cache import KernelJob, compile_kernels, progress_text
+from uav_recon.app.step_display import StepDisplay
 from uav_recon.config import VariantName
 
 LINE_EVERY_S = 5.0  # on a console that is no terminal
@@ -49,12 +52,54 @@ def flight_jobs(variants: Sequence[str] = ("adaptive",), neural: bool = True) ->
     neural: with the neural mapper, else with the depth-only one.
     """
     jobs = [job for variant in variants for job in kernel_jobs.mission_jobs(cast(VariantName, variant))]
-    own = [SIMULATOR, kernel_jobs.PERCEPTION] if neural else [SIMULATOR, kernel_jobs.PERCEPTION, DEPTH_ONLY_MAPPER]
-    return [*dict.fromkeys(job for job in jobs if neural or job.name != kernel_jobs.MAPPER), *own]
+    mission = dict.fromkeys(job for job in jobs if neural or job.name != kernel_jobs.MAPPER)
+    last = [kernel_jobs.PERCEPTION] if neural else [kernel_jobs.PERCEPTION, DEPTH_ONLY_MAPPER]
+    return [SIMULATOR, *mission, *last]  # the scene is loaded after the first job, beside the others
 
 
 def compile_ahead(jobs: Sequence[KernelJob], console: Console) -> None:
-    """Compile what is not in the cache yet, with a progress bar.
+    """Compile what is not in the cache yet, and show the progress."""
+    _compile(jobs, console, lambda: False, lambda _job: None)
+
+
+def compile_all() -> None:
+    """Compile the kernels of a flight with default options, and report the time."""
+    begun_s, console = time.monotonic(), Console()
+    compile_ahead(flight_jobs(), console)
+    console.print(f"all kernels are compiled: {time.monotonic() - begun_s:.0f} s", highlight=False)
+
+
+def compile_and_load(jobs: Sequence[KernelJob], console: Console, load: Callable[[], Scene]) -> Scene:
+    """Compile what is not in the cache yet, and load the scene meanwhile.
+
+    It shows the progress of both. The scene needs the simulator's kernels: it is loaded as soon as these are compiled.
+    Raises what load() raises, at once.
+    """
+    loading: Future[Scene] = Future()
+
+    def start(job: KernelJob) -> None:
+        if job is SIMULATOR:
+            threading.Thread(target=_complete, args=(loading, load), name="scene", daemon=True).start()
+
+    def failed() -> bool:
+        return loading.done() and loading.exception() is not None
+
+    _compile(jobs, console, failed, start)
+    with StepDisplay(console).step("loading the scene"):
+        return loading.result()
+
+
+def _complete(future: Future[Scene], work: Callable[[], Scene]) -> None:
+    try:
+        future.set_result(work())
+    except BaseException as error:  # raised again by the thread that asks for the result
+        future.set_exception(error)
+
+
+def _compile(
+    jobs: Sequence[KernelJob], console: Console, stopped: Callable[[], bool], ended: Callable[[KernelJob], None]
+) -> None:  # fmt: skip
+    """Compile with a progress bar.
 
     A console that is no terminal gets a line every LINE_EVERY_S.
     """
@@ -72,7 +117,7 @@ def compile_ahead(jobs: Sequence[KernelJob], console: Console) -> None:
 
     with tempfile.TemporaryDirectory(prefix="uav_recon-") as folder:
         try:
-            compile_kernels(jobs, toy_config(Path(folder)), show)
+            compile_kernels(jobs, toy_config(Path(folder)), show, stopped, ended)
         finally:
             progress.stop()
 

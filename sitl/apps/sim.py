@@ -11,13 +11,12 @@ from pathlib import Path
 
 from rich.console import Console
 
-from sitl.apps.kernel_compilation import compile_ahead, flight_jobs
+from sitl.apps.kernel_compilation import compile_and_load, flight_jobs
 from sitl.apps.sim_options import SimOptions
 from sitl.apps.sim_processes import SimProcesses
 from sitl.scene.scene import Scene, SceneError, load_scene
 from uav_recon import config as product_config
 from uav_recon.app.option_validation import require_writable_file
-from uav_recon.app.step_display import StepDisplay
 from uav_recon.bench import result_file
 from uav_recon.errors import EXIT_USAGE, UserError
 
@@ -36,9 +35,7 @@ def simulate(options: SimOptions, json: Path | None = None) -> int:
         _claim_port(options.port)
     begun_s = time.monotonic()
     _need_open3d()
-    with StepDisplay(console).step("loading the scene"):
-        scene = _scene(options)
-    compile_ahead(flight_jobs((options.variant,), options.mapper == "neural"), console)
+    scene = compile_and_load(flight_jobs((options.variant,), options.mapper == "neural"), console, lambda: _scene(options))
     options.make_folder()
     started_s = time.monotonic()
     with tempfile.TemporaryDirectory(prefix="uav_recon-") as runtime:

@@ -15,6 +15,7 @@ import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+from sitl.apps.kernel_compilation import compile_ahead, flight_jobs
 from sitl.apps.sim_options import CAMERAS, RADII_M, VARIANTS, UsageError, check_jobs, mount_pitch_deg
 from sitl.apps.sweep_case import Case, Record, as_tree, fly_case, from_tree, one_thread
 from sitl.runtime.worker_pool import worker_pool
@@ -101,6 +102,7 @@ def sweep(options: SweepOptions) -> int:
     records = _load(options.json)
     known = {record.case for record in records}
     todo = [case for case in options.cases() if case not in known]
+    compile_ahead(flight_jobs(options.variants, neural=False), console)
     columns = (TextColumn("flights"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
         task = progress.add_task("", total=len(todo))

@@ -126,3 +126,12 @@ def test_a_folder_that_others_may_write_is_not_taken(tmp_path: Path, monkeypatch
     folder.chmod(0o777)
     use_writable_cache()
     assert kernel_cache.CACHE_VARIABLE not in os.environ
+
+
+def test_the_end_of_each_job_is_reported_also_if_it_is_compiled_or_fails(config_path: Path) -> None:
+    jobs = [KernelJob("one", "toy_jobs:mark", 1, argument="one"), KernelJob("failing", "toy_jobs:fail", 1)]
+    for _ in range(2):
+        ended: list[KernelJob] = []
+        compile_kernels(jobs, config_path, lambda *_: None, ended=ended.append)
+        assert {job.name for job in ended} == {"one", "failing"}
+        assert len(ended) == len(jobs)

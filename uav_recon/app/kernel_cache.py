@@ -27,7 +27,7 @@ from pathlib import Path
 
 LOG = logging.getLogger(__name__)
 
-MAX_WORKERS = 4  # each holds about 0.4 GB
+MAX_WORKERS = 4  # each holds about 0.7 GB
 CACHE_VARIABLE = "NUMBA_CACHE_DIR"
 POLL_S = 0.5
 PACKAGE = Path(__file__).parents[1]
@@ -66,18 +66,28 @@ def use_writable_cache() -> None:
 
 
 def compile_kernels(
-    jobs: Sequence[KernelJob], config_path: Path, show: Callable[[int, int], None], stopped: Callable[[], bool] = lambda: False
+    jobs: Sequence[KernelJob],
+    config_path: Path,
+    show: Callable[[int, int], None],
+    stopped: Callable[[], bool] = lambda: False,
+    ended: Callable[[KernelJob], None] = lambda _job: None,
 ) -> None:
     """Compile what is not compiled yet.
 
-    It blocks for a minute on two cores the first time, for some milliseconds later on. show(done, total): the number of
-    kernels, called at each one and every POLL_S; never called if all are compiled. Returns early once stopped(). A job that
-    fails is logged and left to the process that needs it.
+    It blocks for two minutes on two cores the first time, for some milliseconds later on. show(done, total): the number of
+    kernels, called at each one and every POLL_S; never called if all are compiled. Returns early once stopped(). ended(job):
+    called when a job's kernels are in the cache, also for one that needs no compilation. A job that fails is logged and left
+    to the process that needs it.
     """
-    todo = [job for job in jobs if not _is_stamped(job)]
+    todo = []
+    for job in jobs:
+        if _is_stamped(job):
+            ended(job)
+        else:
+            todo.append(job)
     if not todo:
         return
-    pool = _Pool(todo, config_path, min(MAX_WORKERS, len(os.sched_getaffinity(0)), len(todo)))
+    pool = _Pool(todo, config_path, min(MAX_WORKERS, len(os.sched_getaffinity(0)), len(todo)), ended)
     total = sum(job.kernels for job in todo)
     try:
         while pool.busy() and not stopped():
@@ -129,8 +139,11 @@ class _Worker:
 class _Pool:
     """Workers and waiting jobs; a job starts after the jobs that it depends on."""
 
-    def __init__(self, jobs: list[KernelJob], config_path: Path, workers: int) -> None:
+    def __init__(
+        self, jobs: list[KernelJob], config_path: Path, workers: int, ended: Callable[[KernelJob], None]
+    ) -> None:  # fmt: skip
         self.compiled = 0
+        self._ended = ended
         self._waiting = list(jobs)
         self._config_path = config_path
         self._undone = {job.name for job in jobs}
@@ -163,6 +176,7 @@ class _Pool:
             _stamp(job)
         else:
             LOG.warning("kernels of %s are not compiled ahead: %s", job.name, event)
+        self._ended(job)
 
     def _assign(self) -> None:
         for worker in self._workers.values():

@@ -53,6 +53,7 @@ def options(
 add(app, simulate.sim, "sim", FLY, simulate.SIM_EXAMPLES)
 add(app, faults.faults, "faults", FLY, faults.EXAMPLES)
 add(app, simulate.sweep, "sweep", FLY, simulate.SWEEP_EXAMPLES)
+add(app, simulate.compile_kernels, "compile", FLY)
 add(app, services.review, "review", REVIEW, services.REVIEW_EXAMPLES)
 add(app, services.refine, "refine", REVIEW, services.REFINE_EXAMPLES)
 app.add_typer(bench, name="bench", rich_help_panel=MEASURE)

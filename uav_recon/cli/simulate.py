@@ -1,4 +1,4 @@
-"""`uav-recon sim` and `uav-recon sweep`: flights in simulation."""
+"""`uav-recon sim`, `uav-recon sweep` and `uav-recon compile`: flights in simulation."""
 
 from __future__ import annotations
 
@@ -241,3 +241,14 @@ def sweep(
             )
         )
     )  # fmt: skip
+
+
+def compile_kernels() -> None:
+    """Compile the numerical kernels now, so that the first flight does not wait for them.
+
+    It takes about two minutes on two cores, and nothing if all are compiled. The kernels are kept in the package, or in
+    NUMBA_CACHE_DIR if set: set it as the services do (/var/cache/uav_recon), and run as their user.
+    """
+    from sitl.apps.kernel_compilation import compile_all
+
+    exit_with(compile_all)

@@ -14,6 +14,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+from sitl.apps.kernel_compilation import compile_ahead, flight_jobs
 from sitl.apps.sim_options import AUTOPILOTS, UsageError, check_jobs, check_program
 from sitl.apps.sweep_case import one_thread
 from sitl.faults.flights.fault_flight import FaultCase, FaultRecord, Stage, fly
@@ -132,6 +133,7 @@ def faults(options: FaultOptions) -> int:
         raise UsageError(f"--out {options.out}: already contains flights, e.g. {taken[0].name}")
     require_writable_file("--json", options.json)
     require_writable_folder("--out", options.out)
+    compile_ahead(flight_jobs(neural=False), console)
     one_thread()
     calibration = calibrate()
     with contextlib.closing(_fly_all(groups, options.jobs, console)) as records:

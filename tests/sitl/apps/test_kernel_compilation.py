@@ -4,9 +4,18 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import time
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
+from rich.console import Console
+
+from sitl.apps import kernel_compilation
+from sitl.apps.kernel_compilation import SIMULATOR, compile_and_load, flight_jobs
+from sitl.scene.scene import Scene
+from uav_recon.errors import UserError
 
 pytestmark = pytest.mark.slow
 
@@ -50,3 +59,40 @@ def test_a_flight_needs_no_kernel_that_is_not_compiled_ahead(tmp_path: Path) -> 
         [sys.executable, "-c", PROBE, str(tmp_path)], capture_output=True, text=True, check=False, timeout=600
     )
     assert probe.returncode == 0, probe.stderr
+
+
+def test_the_scene_is_loaded_while_other_kernels_are_compiled(monkeypatch: pytest.MonkeyPatch) -> None:
+    loaded: list[Scene] = []
+
+    def compile_until_loaded(jobs: Any, _path: Path, _show: Any, stopped: Callable[[], bool], ended: Any) -> None:
+        assert jobs[0] is SIMULATOR
+        assert not loaded  # its kernels are not compiled yet
+        ended(SIMULATOR)
+        deadline_s = time.monotonic() + 10.0
+        while not loaded and not stopped() and time.monotonic() < deadline_s:
+            time.sleep(0.001)
+        assert loaded
+
+    def load() -> Scene:
+        loaded.append(scene)
+        return scene
+
+    scene = kernel_compilation._toy_scene()
+    monkeypatch.setattr(kernel_compilation, "compile_kernels", compile_until_loaded)
+    assert compile_and_load(flight_jobs(), Console(quiet=True), load) is scene
+
+
+def test_a_refused_scene_stops_the_compilation(monkeypatch: pytest.MonkeyPatch) -> None:
+    def compile_forever(_jobs: Any, _path: Path, _show: Any, stopped: Callable[[], bool], ended: Any) -> None:
+        ended(SIMULATOR)
+        deadline_s = time.monotonic() + 10.0
+        while not stopped():
+            assert time.monotonic() < deadline_s
+            time.sleep(0.001)
+
+    def refuse() -> Scene:
+        raise UserError("--start 9,9,0,0: outside the fence")
+
+    monkeypatch.setattr(kernel_compilation, "compile_kernels", compile_forever)
+    with pytest.raises(UserError, match="outside the fence"):
+        compile_and_load(flight_jobs(), Console(quiet=True), refuse)
