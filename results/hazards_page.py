@@ -51,15 +51,19 @@ def hazards_page(results: Mapping[str, Tree], root: Path = ROOT) -> str:
     Raises ClaimError for a scenario without a hazard in hazards.toml, or the reverse.
     """
     texts = tomllib.loads((root / TEXTS).read_text(encoding="utf-8"))
-    rows: dict[str, list[Scenario]] = {}
+    scenarios: dict[str, list[Scenario]] = {}
     for scenario in (*TABLE, *SOAKS):
-        rows.setdefault(_hazard_of(scenario.id), []).append(scenario)
-    if set(rows) != set(texts["hazard"]):
-        raise ClaimError(f"{TEXTS}: differs from sitl/faults/table in {', '.join(sorted(set(rows) ^ set(texts['hazard'])))}")
+        scenarios.setdefault(_hazard_of(scenario.id), []).append(scenario)
+    if set(scenarios) != set(texts["hazard"]):
+        raise ClaimError(
+            f"{TEXTS}: differs from sitl/faults/table in {', '.join(sorted(set(scenarios) ^ set(texts['hazard'])))}"
+        )
     parts = [HEAD.format(clear=USUAL.clear_m, overshoot=USUAL.overshoot_m)]
     for letter, group in texts["group"].items():
         parts.append(f"## {letter}. {group['title']}\n\n{group['text']}\n")
-        parts += [_section(name, texts["hazard"][name], rows[name], results, root) for name in rows if name[0] == letter]
+        parts += [
+            _section(name, texts["hazard"][name], scenarios[name], results, root) for name in scenarios if name[0] == letter
+        ]
     return "\n".join(parts)
 
 
@@ -80,13 +84,13 @@ def _section(name: str, text: Tree, scenarios: Sequence[Scenario], results: Mapp
     if "tests" in text:
         lines += ["", f"Tests without a flight: {', '.join(f'`{test}`' for test in text['tests'])}."]
     lines += ["", "| scenario | injected fault | limits | flown | last result |", "| --- | --- | --- | --- | --- |"]
-    lines += [f"| {' | '.join(cell.replace('|', '/') for cell in _cells(row, results))} |" for row in scenarios]
+    lines += [f"| {' | '.join(cell.replace('|', '/') for cell in _cells(scenario, results))} |" for scenario in scenarios]
     return "\n".join([*lines, ""])
 
 
-def _cells(row: Scenario, results: Mapping[str, Tree]) -> tuple[str, ...]:
-    limits = "<br>".join(_limit(limit) for limit in row.bars)
-    return row.id, row.injection, limits or "–", _flown(row), _last_result(row, results) or "–"
+def _cells(scenario: Scenario, results: Mapping[str, Tree]) -> tuple[str, ...]:
+    limits = "<br>".join(_limit(limit) for limit in scenario.limits)
+    return scenario.id, scenario.injection, limits or "–", _flown(scenario), _last_result(scenario, results) or "–"
 
 
 def _limit(limit: Limit) -> str:
@@ -95,23 +99,23 @@ def _limit(limit: Limit) -> str:
     return f"{limit.name} {sign} {limit.limit:g} {limit.unit}".rstrip() + other.replace(" )", ")")
 
 
-def _flown(row: Scenario) -> str:
+def _flown(scenario: Scenario) -> str:
     """Return how the scenario can be flown."""
-    ways = [word for live, word in ((False, "lockstep"), (True, "real time")) if row.flown(live)]
-    if row.id == "G10":
+    ways = [word for live, word in ((False, "lockstep"), (True, "real time")) if scenario.flown(live)]
+    if scenario.id == "G10":
         return f"lockstep: {len(PAIRS)} pairs, such as {PAIRS[0].id}"
-    return ", ".join(ways) or f"not flown: {row.why}"
+    return ", ".join(ways) or f"not flown: {scenario.why}"
 
 
-def _last_result(row: Scenario, results: Mapping[str, Tree]) -> str:
+def _last_result(scenario: Scenario, results: Mapping[str, Tree]) -> str:
     """Return passed flights by autopilot, of the newest result of each kind."""
     lines = []
     for kind, runs in (("lockstep", LOCKSTEP), ("real time", REAL_TIME), ("real firmware", REAL_FIRMWARE)):
         found: dict[str, tuple[str, str]] = {}
         for run in (run for run in runs if run in results):
             header = at(results[run], "header", run)
-            for told in at(results[run], "rows", run):
-                names = {row.id} if row.id != "G10" else {pair.id for pair in PAIRS}
+            for told in at(results[run], "scenarios", run):
+                names = {scenario.id} if scenario.id != "G10" else {pair.id for pair in PAIRS}
                 if told["id"] in names and told["passed"] is not None:
                     _note(found, told, str(header["date"]), str(header["commit"]))
         lines += [f"{kind}: {autopilot} {text}" for autopilot, (_, text) in sorted(found.items(), reverse=True)]

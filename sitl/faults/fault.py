@@ -41,14 +41,14 @@ class Onset:
 class Fault:
     """The fault of one flight of a scenario.
 
-    row: identifier of the scenario.
+    scenario: identifier of the scenario.
     injectors: what the fault consists of.
     onset: when it begins.
     observe_s: the flight is observed for this many seconds after the onset at most.
     observe_after_disarm_s: the flight is observed for this many seconds after the motors have stopped.
     """
 
-    row: str
+    scenario: str
     injectors: Sequence[Injector]
     onset: Onset = Onset()
     observe_s: float = 60.0

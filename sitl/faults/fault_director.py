@@ -51,7 +51,7 @@ class TruthSample:
     charge: float  # state of charge, 0 to 1
 
 
-def never_split(row: str) -> bool:
+def never_split(scenario: str) -> bool:
     """Return True: the flight is not split, so every fault that begins is flown in it."""
     return True
 
@@ -59,7 +59,7 @@ def never_split(row: str) -> bool:
 class FaultDirector:
     """Hook of a flight that starts the faults and applies them.
 
-    troubles: one fault, or several that share the flight until their onsets. At each onset split(row) returns whether this
+    troubles: one fault, or several that share the flight until their onsets. At each onset split(scenario) returns whether this
     flight is the one with that fault; if not, the flight continues with the remaining faults. The last remaining fault is flown
     without a split.
     max_onset_wait_s: the flight ends after this time if no fault has begun.
@@ -176,7 +176,7 @@ class FaultDirector:
         if now.armed and now.mode in EXTERNAL_CONTROL_MODES and now.position_m[2] > AIRBORNE_M:
             self._airborne_s = min(self._airborne_s, now.stamp_s)
         for trouble in [each for each in self._troubles if self._onset_due(each.onset, now)]:
-            if len(self._troubles) == 1 or self._split(trouble.row):
+            if len(self._troubles) == 1 or self._split(trouble.scenario):
                 self._begin_fault(trouble, now.stamp_s)
                 return
             self._troubles.remove(trouble)

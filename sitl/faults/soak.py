@@ -68,7 +68,7 @@ def soak(name: str, said: str, for_s: float, pilot_mb_per_h: float, perception_m
         name,
         f"soak of {said}",
         "the operator holds the vehicle in the air with a full battery; every process is sampled once a second",
-        bars=(
+        limits=(
             Limit("pilot grows by", m.noted("pilot MB/h"), pilot_mb_per_h, "MB/h"),
             Limit("perception grows by", m.noted("perception MB/h"), perception_mb_per_h, "MB/h"),
             *(Limit(f"{who}'s new descriptors", m.noted(f"{who} descriptors"), 0.0, "") for who in ("pilot", "perception")),

@@ -141,7 +141,7 @@ class FirmwareVehicle:
             self._binary.transmitter.hold(self.truth())
         if self._path.begun and now_s - self._received_s > _SILENT_S:
             self._process.check()
-            raise FirmwareError(f"the firmware says no more where it is; it said last: {self._process.last_line()}")
+            raise FirmwareError(f"the firmware sends no position any more; its last output: {self._process.last_line()}")
 
     def truth(self) -> VehicleTruth:
         """Return the true state of the vehicle at the last step. The camera's mount is fixed."""
@@ -174,7 +174,7 @@ class FirmwareVehicle:
                 self.step(time.monotonic())
                 if self._now_s > end_s:
                     last = self._process.last_line()
-                    raise FirmwareError(f"the firmware did not say where it is within {_BOOT_S:.0f} s; it said last: {last}")
+                    raise FirmwareError(f"the firmware sent no position within {_BOOT_S:.0f} s; its last output: {last}")
         except FirmwareError:
             self.close()
             raise

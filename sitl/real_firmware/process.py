@@ -41,7 +41,7 @@ class FirmwareProcess:
         if code is None:
             return
         ended = f"was killed by {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
-        raise FirmwareError(f"{self._program.name} {ended}; it said last: {self.last_line()}")
+        raise FirmwareError(f"{self._program.name} {ended}; its last output: {self.last_line()}")
 
     def last_line(self) -> str:
         """Return the last line of output, 'nothing' if none."""

@@ -49,10 +49,10 @@ def _load(path: Path, dimensions: dict[str, int]) -> Arrays | None:
     except FileNotFoundError:
         return None
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
-        LOG.warning("cache %s is unusable (%s) and is made anew", path, error)
+        LOG.warning("cache %s cannot be used (%s): it is computed again", path, error)
         return None
     if any(array.ndim != dimensions[name] for name, array in arrays.items()):
-        LOG.warning("cache %s has the wrong shapes and is made anew", path)
+        LOG.warning("cache %s has wrong array shapes: it is computed again", path)
         return None
     return arrays
 

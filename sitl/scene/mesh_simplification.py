@@ -62,7 +62,7 @@ def _collapsed(vertices: F32, faces: I32) -> Arrays:
     there, back = _points(vertices, faces, ROUNDS)[0], _points(corners, triangles, ROUNDS)[0]
     off_m = np.concatenate([_distance_m(there, corners, triangles), _distance_m(back, vertices, faces)])
     if (off_m > TOLERANCE_M).mean() > MAX_OUTLIER_SHARE:
-        LOG.warning("%d triangles are drawn as they are: merged, they would be off by up to %.2g m", len(faces), off_m.max())
+        LOG.warning("%d triangles are rendered without simplification: error up to %.2g m", len(faces), off_m.max())
         return {"vertices": vertices, "faces": faces}
     return {"vertices": corners, "faces": triangles}
 

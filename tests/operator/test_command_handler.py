@@ -100,7 +100,7 @@ def test_on_the_ground_there_is_nothing_to_stop(phase: FlightPhase) -> None:
 
 def test_start_goes_to_the_mission() -> None:
     ready = Vehicle(FlightPhase.READY)
-    assert ready.order("start") == (True, "it takes off as soon as the mission is warm")
+    assert ready.order("start") == (True, "it takes off when the mission is ready")
     assert ready.passed_on is OperatorCommand.START
 
 
@@ -115,7 +115,7 @@ def test_start_says_what_is_missing() -> None:
 def test_start_in_the_air_ends_a_hold() -> None:
     flying = Vehicle(FlightPhase.FLYING)
     flying.order("hold")
-    assert flying.order("start") == (True, "it goes on")
+    assert flying.order("start") == (True, "the mission continues")
     assert flying.asked == ["hold", "go on"]
 
 

@@ -1,4 +1,4 @@
-"""A whole mission and rows of the hazards' table in real time with a firmware's binary in the simulated autopilot's place: a
+"""A whole mission and scenarios of the fault table in real time with a firmware's binary in the simulated autopilot's place: a
 stand-in, or the real ones.
 
     UAV_RECON_ARDUCOPTER=/path/to/arducopter UAV_RECON_PX4=/path/to/bin/px4 pytest -m firmware
@@ -18,7 +18,7 @@ from pathlib import Path
 import pytest
 
 from sitl.faults.flights.campaign import FIRMWARE_OFFERS
-from sitl.faults.table.all_scenarios import ROWS
+from sitl.faults.table.all_scenarios import SCENARIOS
 from sitl.real_firmware.px4 import COMPANION_PORT
 from uav_recon.recording.report import Report
 
@@ -27,7 +27,10 @@ STAND_IN = Path(__file__).with_name("simulated_firmware_program.py")
 ALWAYS_FLOWN = ("A1", "A6", "B1", "B4", "E1")
 BINARIES = {"ardupilot": "UAV_RECON_ARDUCOPTER", "px4": "UAV_RECON_PX4"}
 FLOWN = [
-    (autopilot, row) for autopilot in sorted(BINARIES) for row in ALWAYS_FLOWN if ROWS[row].flown_by(FIRMWARE_OFFERS[autopilot])
+    (autopilot, scenario)
+    for autopilot in sorted(BINARIES)
+    for scenario in ALWAYS_FLOWN
+    if SCENARIOS[scenario].flown_by(FIRMWARE_OFFERS[autopilot])
 ]
 
 
@@ -70,27 +73,38 @@ def test_a_real_firmware_flies_a_whole_mission_and_touches_nothing(autopilot: st
 
 
 @pytest.mark.firmware
-@pytest.mark.parametrize(("autopilot", "row"), FLOWN)
-def test_a_real_firmware_stands_what_goes_wrong(autopilot: str, row: str, tmp_path: Path) -> None:
-    result = fault_row(autopilot, binary(autopilot), row, tmp_path)
+@pytest.mark.parametrize(("autopilot", "scenario"), FLOWN)
+def test_a_real_firmware_stands_what_goes_wrong(autopilot: str, scenario: str, tmp_path: Path) -> None:
+    result = fault_row(autopilot, binary(autopilot), scenario, tmp_path)
     assert result["passed"], result
     assert (result["tier"], bool(result["firmware"])) == ("T1", True)
 
 
 def test_no_row_is_left_out_but_the_takeover_that_px4_has_no_sticks_for() -> None:
     """SIH under PX4's own start script is given no transmitter."""
-    everything = {(autopilot, row) for autopilot in BINARIES for row in ALWAYS_FLOWN}
+    everything = {(autopilot, scenario) for autopilot in BINARIES for scenario in ALWAYS_FLOWN}
     assert everything - set(FLOWN) == {("px4", "E1")}
 
 
-def fault_row(autopilot: str, firmware: str, row: str, folder: Path) -> dict[str, object]:
-    """What came of one flight of a row."""
-    words = ["--only", row, "--seeds", "1", "--autopilot", autopilot, "--firmware", firmware, "--json", str(folder / "f.json")]
+def fault_row(autopilot: str, firmware: str, scenario: str, folder: Path) -> dict[str, object]:
+    """Outcome of one flight of a scenario."""
+    words = [
+        "--only",
+        scenario,
+        "--seeds",
+        "1",
+        "--autopilot",
+        autopilot,
+        "--firmware",
+        firmware,
+        "--json",
+        str(folder / "f.json"),
+    ]
     command = [sys.executable, "-m", "uav_recon", "faults", *words, "--out", str(folder / "f")]
     told = subprocess.run(command, capture_output=True, text=True, timeout=900.0, check=False)
     assert told.returncode in (0, 1), told.stdout + told.stderr
-    rows: list[dict[str, object]] = json.loads((folder / "f.json").read_text(encoding="utf-8"))["rows"]
-    return rows[0]
+    scenarios: list[dict[str, object]] = json.loads((folder / "f.json").read_text(encoding="utf-8"))["scenarios"]
+    return scenarios[0]
 
 
 def stand_in(folder: Path) -> str:

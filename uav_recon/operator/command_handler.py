@@ -120,7 +120,7 @@ class CommandHandler:
             self._pilot.request_hold(order is OperatorCommand.HOLD)
         self._orders.publish(GivenCommand(self._clock.now_s(), order))
         grounded = self._pilot.phase in _ON_THE_GROUND
-        going = "it takes off as soon as the mission is warm" if grounded else "it goes on"
+        going = "it takes off when the mission is ready" if grounded else "the mission continues"
         return {
             OperatorCommand.LAND: "landing",
             OperatorCommand.HOLD: "holding",

@@ -21,7 +21,7 @@ from sitl.faults.flights.fault_flight import FaultCase, FaultRecord, Stage, fly
 from sitl.faults.injectors.base import Capabilities
 from sitl.faults.report.campaign_page import write_page
 from sitl.faults.report.scenario_result import Result, result_of
-from sitl.faults.table.all_scenarios import NAMED, PAIRS, ROWS, TABLE
+from sitl.faults.table.all_scenarios import NAMED, PAIRS, SCENARIOS, TABLE
 from sitl.faults.table.scenario import Scenario
 from sitl.runtime.worker_pool import worker_pool
 from uav_recon.app.option_validation import readable, require_writable_file, require_writable_folder
@@ -115,7 +115,7 @@ def scenarios_named(only: str) -> tuple[Scenario, ...]:
         known = f"`uav-recon faults --list` shows {TABLE[0].id} to {TABLE[-1].id}, and pairs such as {PAIRS[0].id}"
         raise UsageError(f"--only {only}: no scenario {', '.join(name or repr(name) for name in unknown)}; {known}")
     meant = {scenario.id for name in names for scenario in NAMED[name]}
-    return tuple(scenario for scenario in ROWS.values() if scenario.id in meant)
+    return tuple(scenario for scenario in SCENARIOS.values() if scenario.id in meant)
 
 
 def _can_fly(autopilot: str, live: bool, firmware: Path | None) -> Callable[[Scenario], bool]:
@@ -185,7 +185,7 @@ def _fly_all(groups: list[list[FaultCase]], jobs: int, console: Console) -> Gene
                 if record.trace and record.case.out is not None:
                     record.case.out.mkdir(parents=True, exist_ok=True)
                     (record.case.out / "trace.txt").write_text(record.trace, encoding="utf-8")
-                if not record.verdict.passed(ROWS[record.case.row], record.case.autopilot):
+                if not record.verdict.passed(SCENARIOS[record.case.scenario], record.case.autopilot):
                     console.print(_missed(record), markup=False, highlight=False, soft_wrap=True)
                 progress.advance(task)
                 yield record
@@ -211,14 +211,14 @@ def _results(options: FaultOptions, records: Iterator[FaultRecord]) -> Iterator[
 def _missed(record: FaultRecord) -> str:
     """Return what a flight missed, and the options that repeat it."""
     case = record.case
-    result = result_of(ROWS[case.row], case.autopilot, [record.verdict], how=case.how)
+    result = result_of(SCENARIOS[case.scenario], case.autopilot, [record.verdict], how=case.how)
     return f"missed: {', '.join((*result.broken(), *result.remarks))} (repeat: {result.again(case.number)})"
 
 
 def _line(result: Result) -> str:
-    head = f"{result.row.id:4} {result.autopilot:9} {result.row.hazard[:34]:34}"
+    head = f"{result.scenario.id:4} {result.autopilot:9} {result.scenario.hazard[:34]:34}"
     if result.passed is None:
-        return f"{head} not flown: {result.row.why}"
+        return f"{head} not flown: {result.scenario.why}"
     verdict = "pass" if result.passed else "FAIL"
     more = "" if not result.remarks else "  " + "; ".join(result.remarks)
     which = f"  seed {', '.join(map(str, result.missed))}" if result.missed else ""
@@ -243,8 +243,8 @@ def summary(results: Sequence[Result]) -> dict[str, int]:
 def _save(options: FaultOptions, results: list[Result], calibration: Calibration) -> None:
     try:
         if options.json is not None:
-            rows = [result.tree() for result in results]
-            result_file.save(options.json, {"summary": summary(results), "rows": rows}, result_header(calibration))
+            scenarios = [result.tree() for result in results]
+            result_file.save(options.json, {"summary": summary(results), "scenarios": scenarios}, result_header(calibration))
         if options.out is not None:
             options.out.mkdir(parents=True, exist_ok=True)
             write_page(options.out / "faults.html", results)

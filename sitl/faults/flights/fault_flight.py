@@ -18,7 +18,7 @@ from sitl.faults.flight_evidence import FlightEvidence
 from sitl.faults.flights.collect_evidence import evidence_of
 from sitl.faults.injectors.operator_silence import TIMEOUT_S
 from sitl.faults.judges.invariants import violations
-from sitl.faults.table.all_scenarios import ROWS
+from sitl.faults.table.all_scenarios import SCENARIOS
 from sitl.faults.table.arenas import arena
 from sitl.faults.table.scenario import Arena, Scenario, ScenarioVerdict, judge
 from sitl.runtime.process_fork import FlightFork
@@ -52,7 +52,7 @@ class FaultCase:
     firmware, flown in real time.
     """
 
-    row: str
+    scenario: str
     autopilot: str
     number: int
     out: Path | None = None
@@ -72,8 +72,16 @@ class FaultCase:
 
         Cases with equal stages are the same flight until their faults begin.
         """
-        row = ROWS[self.row]
-        return Stage(self.autopilot, self.number, row.arena, row.views, row.radius_m(self.number), row.variant, row.camera)
+        scenario = SCENARIOS[self.scenario]
+        return Stage(
+            self.autopilot,
+            self.number,
+            scenario.arena,
+            scenario.views,
+            scenario.radius_m(self.number),
+            scenario.variant,
+            scenario.camera,
+        )
 
 
 @dataclass(frozen=True)
@@ -98,7 +106,7 @@ def fly(cases: Sequence[FaultCase]) -> list[FaultRecord]:
 def _fly_live(case: FaultCase) -> FaultRecord:
     try:
         with tempfile.TemporaryDirectory(prefix="uav_recon-") as folder:
-            return record_of(case, flight_live(ROWS[case.row], case, Path(folder)))
+            return record_of(case, flight_live(SCENARIOS[case.scenario], case, Path(folder)))
     except Exception as error:  # the campaign continues; the record contains the error
         return broken(case, error)
 
@@ -120,7 +128,7 @@ class _ForkedFlights:
     """
 
     def __init__(self, cases: Sequence[FaultCase], folder: Path, fork: FlightFork[list[FaultRecord]]) -> None:
-        self._left = {case.row: case for case in cases}
+        self._left = {case.scenario: case for case in cases}
         self._folder = folder
         self._fork = fork
         self._elsewhere: list[FaultRecord] = []
@@ -129,7 +137,7 @@ class _ForkedFlights:
     def records(self) -> list[FaultRecord]:
         """Return the records of all cases; in a fork it does not return."""
         try:
-            evidence = flight([ROWS[row] for row in self._left], self._stage, self._folder, self._split)
+            evidence = flight([SCENARIOS[scenario] for scenario in self._left], self._stage, self._folder, self._split)
             records = [record_of(case, evidence) for case in self._left.values()]
             for case in self._left.values():
                 if case.out is not None:
@@ -139,20 +147,20 @@ class _ForkedFlights:
         self._fork.give(records)
         return [*self._elsewhere, *records]
 
-    def _split(self, row: str) -> bool:
+    def _split(self, scenario: str) -> bool:
         if self._fork.split():
-            self._left = {row: self._left[row]}
+            self._left = {scenario: self._left[scenario]}
             self._elsewhere = []
             return True
-        case = self._left.pop(row)
+        case = self._left.pop(scenario)
         self._elsewhere += self._fork.answer or [broken(case, RuntimeError("the process died"))]
         return False
 
 
 def record_of(case: FaultCase, evidence: FlightEvidence) -> FaultRecord:
     """Return the record of a finished flight, with its verdict."""
-    row = ROWS[case.row]
-    verdict = judge(row, evidence, violations(evidence, row.room))
+    scenario = SCENARIOS[case.scenario]
+    verdict = judge(scenario, evidence, violations(evidence, scenario.room))
     return FaultRecord(case, verdict, float(evidence.end_s - evidence.stamp_s[0]), firmware=evidence.firmware)
 
 
@@ -160,10 +168,12 @@ def broken(case: FaultCase, error: Exception) -> FaultRecord:
     """Return the record of a flight that ended with an exception, which it names."""
     said = f"{type(error).__name__}: {error}".splitlines()[0]
     trace = "".join(traceback.format_exception(error))
-    return FaultRecord(case, ScenarioVerdict((float("nan"),) * len(ROWS[case.row].bars), (said,)), trace=trace)
+    return FaultRecord(case, ScenarioVerdict((float("nan"),) * len(SCENARIOS[case.scenario].limits), (said,)), trace=trace)
 
 
-def flight(rows: Sequence[Scenario], stage: Stage, folder: Path, split: Callable[[str], bool] = never_split) -> FlightEvidence:
+def flight(
+    scenarios: Sequence[Scenario], stage: Stage, folder: Path, split: Callable[[str], bool] = never_split
+) -> FlightEvidence:
     """Fly the faults of scenarios in lockstep, and return the evidence for their checks.
 
     folder: receives all that the flight writes; the product's log goes to its `flight`. split: see FaultDirector. Raises
@@ -193,13 +203,13 @@ def flight(rows: Sequence[Scenario], stage: Stage, folder: Path, split: Callable
     product_config.save(config, options.out / "config.toml")
     troubles = [
         Fault(
-            row.id,
-            [*row.injectors(stage.number), *hostile(row.id, config)],
-            row.onset,
-            row.observe_s,
-            row.observe_after_disarm_s,
+            scenario.id,
+            [*scenario.injectors(stage.number), *hostile(scenario.id, config)],
+            scenario.onset,
+            scenario.observe_s,
+            scenario.observe_after_disarm_s,
         )
-        for row in rows
+        for scenario in scenarios
     ]
     meddler = FaultDirector(troubles, stage.number, split=split)
     fly_in_lockstep(options, config, scene, Console(quiet=True), meddler.lands, timelapse=False, meddler=meddler)
@@ -211,19 +221,19 @@ def attended(config: Config) -> Config:
     return config.model_copy(update={"mission": config.mission.model_copy(update={"operator_timeout_s": TIMEOUT_S})})
 
 
-def flight_live(row: Scenario, case: FaultCase, folder: Path) -> FlightEvidence:
+def flight_live(scenario: Scenario, case: FaultCase, folder: Path) -> FlightEvidence:
     """Fly a scenario in real time, with the neural mapper. Raises UserError."""
     from sitl.apps.sim_options import SimOptions
     from sitl.faults.flights.fault_flight_real_time import flight_in_real_time, free_port
 
     options = SimOptions.parse(
         seed=case.number,
-        views=row.views,
+        views=scenario.views,
         autopilot=case.autopilot,
-        radius=row.radius_m(case.number),
-        variant=row.variant,
+        radius=scenario.radius_m(case.number),
+        variant=scenario.variant,
         port=free_port(),
         out=case.out or folder / "flight",
     )
     options.make_folder()
-    return flight_in_real_time(row, options, folder, case.number, case.firmware)
+    return flight_in_real_time(scenario, options, folder, case.number, case.firmware)

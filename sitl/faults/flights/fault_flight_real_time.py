@@ -80,14 +80,14 @@ class Supervised(SimProcesses):
 
 
 def flight_in_real_time(
-    row: Scenario, options: SimOptions, runtime: Path, number: int, firmware: Path | None = None
+    scenario: Scenario, options: SimOptions, runtime: Path, number: int, firmware: Path | None = None
 ) -> FlightEvidence:
     """Fly the fault of a scenario with real processes.
 
     options: its folder exists. firmware: a real firmware in place of the simulated autopilot. Raises UserError.
     """
-    config, line = options.config(arena(row.arena, options.radius_m), runtime), None
-    if Capabilities.SERIAL_LINE in row.needs(number, live=True):
+    config, line = options.config(arena(scenario.arena, options.radius_m), runtime), None
+    if Capabilities.SERIAL_LINE in scenario.needs(number, live=True):
         line = str(runtime / "autopilot")
         link = config.link.model_copy(update={"url": f"serial:{line}:921600"})
         config = config.model_copy(update={"link": link})
@@ -95,7 +95,9 @@ def flight_in_real_time(
     options.world(runtime).save(runtime / "world.json")
     order = runtime / "order.json"
     binary = None if firmware is None else str(firmware)
-    WorldProcessOptions(str(runtime / "world.json"), row.id, number, str(options.out / "config.toml"), binary, line).save(order)
+    WorldProcessOptions(str(runtime / "world.json"), scenario.id, number, str(options.out / "config.toml"), binary, line).save(
+        order
+    )
     product, given = [sys.executable, "-m", "uav_recon"], ["--config", str(options.out / "config.toml")]
     flight = ["--flight", str(options.out)]
     commands = {

@@ -13,9 +13,9 @@ from uav_recon.config import Config
 from uav_recon.types.trajectory import Goal, Intent, Trajectory
 
 
-def hostile(row: str, config: Config) -> list[Injector]:
+def hostile(scenario: str, config: Config) -> list[Injector]:
     """Return the additional injectors of scenario F1; none for any other scenario."""
-    return [HostilePlanner(config)] if row == "F1" else []
+    return [HostilePlanner(config)] if scenario == "F1" else []
 
 
 class HostilePlanner(Injector):

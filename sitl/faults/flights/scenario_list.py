@@ -23,7 +23,7 @@ def print_scenarios(only: str | None = None) -> int:
         console.width = PIPE_WIDTH
     table = Table("id", "hazard", "injected fault", "limits", "flown in", box=None, pad_edge=False, padding=(0, 2, 0, 0))
     for scenario in scenarios:
-        limits = "\n".join(limit_text(limit) for limit in scenario.bars) or "general limits only"
+        limits = "\n".join(limit_text(limit) for limit in scenario.limits) or "general limits only"
         table.add_row(scenario.id, scenario.hazard, scenario.injection, limits, clock_of(scenario))
     console.print(table, highlight=False, markup=False)
     if only is None:

@@ -21,7 +21,7 @@ from sitl.faults.fault_director import FaultDirector
 from sitl.faults.flight_evidence import FlightEvidence
 from sitl.faults.flights.collect_evidence import evidence_of
 from sitl.faults.process_registry import ProcessRegistry
-from sitl.faults.table.all_scenarios import ROWS
+from sitl.faults.table.all_scenarios import SCENARIOS
 from sitl.faults.table.arenas import arena
 from sitl.outside_world import OutsideWorld
 from sitl.real_firmware.process import FirmwareError
@@ -39,7 +39,7 @@ class WorldProcessOptions:
     """Options of the process.
 
     world: file with WorldOptions.
-    row, number: scenario, and number of the flight, which selects its case.
+    scenario, number: its identifier, and number of the flight, which selects its case.
     config: config file of the product.
     firmware: path of a real firmware in place of the simulated autopilot. It runs behind a relay to which the link faults
     apply.
@@ -47,7 +47,7 @@ class WorldProcessOptions:
     """
 
     world: str
-    row: str
+    scenario: str
     number: int
     config: str
     firmware: str | None = None
@@ -60,8 +60,14 @@ class WorldProcessOptions:
 
 def fly(order: WorldProcessOptions) -> FlightEvidence:
     """Run until the observation ends. Raises OSError if a port cannot be opened, FirmwareError."""
-    options, row = WorldOptions.load(Path(order.world)), ROWS[order.row]
-    trouble = Fault(row.id, row.troubles(order.number, live=True), row.onset, row.observe_s, row.observe_after_disarm_s)
+    options, scenario = WorldOptions.load(Path(order.world)), SCENARIOS[order.scenario]
+    trouble = Fault(
+        scenario.id,
+        scenario.troubles(order.number, live=True),
+        scenario.onset,
+        scenario.observe_s,
+        scenario.observe_after_disarm_s,
+    )
     meddler = FaultDirector([trouble], order.number, LONGEST_WAIT_S)
     with contextlib.ExitStack() as ends:
         line = None if order.line is None else SerialLine(Path(order.line))
@@ -82,7 +88,7 @@ def _outside(
 
     The relay is None for a simulated autopilot.
     """
-    scene = arena(ROWS[order.row].arena, options.radius_m)
+    scene = arena(SCENARIOS[order.scenario].arena, options.radius_m)
     if order.firmware is None:
         return make_world(options, scene, product, time.monotonic), None
     binary = Path(order.firmware)

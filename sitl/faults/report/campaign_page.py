@@ -47,12 +47,13 @@ def write_page(path: Path, results: Sequence[Result]) -> None:
 def render(results: Sequence[Result]) -> str:
     """Return the page as HTML."""
     flown = [r for r in results if r.passed is not None]
-    failed = [f"{r.row.id} {r.autopilot}" for r in flown if not r.passed]
+    failed = [f"{r.scenario.id} {r.autopilot}" for r in flown if not r.passed]
     title = f"{len(flown) - len(failed)} of {len(flown)} scenarios passed"
     missed = f"<p>failed: {html.escape(', '.join(failed))}</p>" if failed else ""
-    groups = sorted({r.row.id[0] for r in results})
+    groups = sorted({r.scenario.id[0] for r in results})
     tables = "".join(
-        f"<section><table>{_head()}{''.join(_row(r) for r in results if r.row.id[0] == g)}</table></section>" for g in groups
+        f"<section><table>{_head()}{''.join(_row(r) for r in results if r.scenario.id[0] == g)}</table></section>"
+        for g in groups
     )
     return (
         '<!doctype html><html lang="en"><meta charset="utf-8"><meta name="viewport" content="width=device-width">'
@@ -71,16 +72,16 @@ def _head() -> str:
 
 
 def _row(result: Result) -> str:
-    row, e = result.row, html.escape
+    scenario, e = result.scenario, html.escape
     if result.passed is None:
-        verdict, figures = '<span class="soft">not flown</span>', f'<p class="soft">{e(row.why)}</p>'
+        verdict, figures = '<span class="soft">not flown</span>', f'<p class="soft">{e(scenario.why)}</p>'
     else:
         word = "pass" if result.passed else "fail"
         verdict = f'<b class="{word}">{result.kept} of {result.seeds}</b>'
         figures = "".join(_gauge(share) + e(words) + "</p>" for words, share in result.used())
         figures += "".join(f'<p class="long">{e(words)}</p>' for words in (*result.remarks, *_again(result)))
     return (
-        f'<tr><td>{e(row.id)}</td><td>{e(row.hazard)}</td><td class="soft">{e(row.injection)}</td>'
+        f'<tr><td>{e(scenario.id)}</td><td>{e(scenario.hazard)}</td><td class="soft">{e(scenario.injection)}</td>'
         f"<td>{e(f'{result.autopilot} {result.firmware}'.strip())}</td><td>{verdict}</td><td>{figures}</td></tr>"
     )
 

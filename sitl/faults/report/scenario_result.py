@@ -29,7 +29,7 @@ class Result:
     contacts: number of flights that touched something.
     """
 
-    row: Scenario
+    scenario: Scenario
     autopilot: str
     seeds: int
     missed: tuple[int, ...]
@@ -48,11 +48,13 @@ class Result:
     @property
     def figures(self) -> list[tuple[Limit, float]]:
         """Limits, each with its worst value; empty if nothing was flown."""
-        return list(zip(self.row.bars, self.worst, strict=True)) if self.seeds else []
+        return list(zip(self.scenario.limits, self.worst, strict=True)) if self.seeds else []
 
     def again(self, number: int) -> str:
         """Return the options that repeat one of its flights."""
-        return f"--only {self.row.id} --autopilot {self.autopilot} {self.how} --seeds 1 --seed0 {number}".replace("  ", " ")
+        return f"--only {self.scenario.id} --autopilot {self.autopilot} {self.how} --seeds 1 --seed0 {number}".replace(
+            "  ", " "
+        )
 
     def headline(self) -> tuple[Limit, float] | None:
         """Return the limit that is used up most, and its value."""
@@ -67,19 +69,19 @@ class Result:
 
     def broken(self) -> list[str]:
         """Return a text for each violated limit."""
-        return [self._words(bar, figure) for bar, figure in self.figures if not bar.holds(figure, self.autopilot)]
+        return [self._words(limit, figure) for limit, figure in self.figures if not limit.holds(figure, self.autopilot)]
 
     def used(self) -> list[tuple[str, float]]:
         """Return, for each limit, its text and the share of it that is used up.
 
         A share above 1 is a violation; infinity means that the awaited event never came.
         """
-        return [(self._words(bar, figure), bar.badness(figure, self.autopilot)) for bar, figure in self.figures]
+        return [(self._words(limit, figure), limit.badness(figure, self.autopilot)) for limit, figure in self.figures]
 
-    def _words(self, bar: Limit, figure: float) -> str:
+    def _words(self, limit: Limit, figure: float) -> str:
         said = "never" if math.isinf(figure) else "-" if math.isnan(figure) else f"{figure:.2f}"
-        sign = ">=" if bar.at_least else "<="
-        return f"{bar.name} {said} {sign} {bar.limit_of(self.autopilot):g} {bar.unit}".rstrip()
+        sign = ">=" if limit.at_least else "<="
+        return f"{limit.name} {said} {sign} {limit.limit_of(self.autopilot):g} {limit.unit}".rstrip()
 
     def tree(self) -> dict[str, object]:
         """Return the result for JSON.
@@ -88,8 +90,8 @@ class Result:
         """
         head = self.headline()
         return {
-            "id": self.row.id,
-            "tier": REAL_FIRMWARE if self.firmware else self.row.tier,
+            "id": self.scenario.id,
+            "tier": REAL_FIRMWARE if self.firmware else self.scenario.tier,
             "autopilot": self.autopilot,
             "firmware": self.firmware,
             "seeds": self.seeds,
@@ -97,41 +99,41 @@ class Result:
             "missed": list(self.missed),
             "contacts": self.contacts,
             "figure": _number(head[1]) if head else None,
-            "bar": head[0].limit_of(self.autopilot) if head else None,
+            "limit": head[0].limit_of(self.autopilot) if head else None,
             "unit": head[0].unit if head else "",
             "measure": head[0].name if head else "",
-            "bars": [
+            "limits": [
                 {
                     "measure": b.name,
                     "figure": _number(f),
-                    "bar": b.limit_of(self.autopilot),
+                    "limit": b.limit_of(self.autopilot),
                     "unit": b.unit,
                     "at_least": b.at_least,
                 }
                 for b, f in self.figures
             ],
             "remarks": list(self.remarks),
-            "why": self.row.why,
+            "why": self.scenario.why,
         }
 
 
 def result_of(
-    row: Scenario, autopilot: str, verdicts: Sequence[ScenarioVerdict], firmware: str = "", first: int = 0, how: str = ""
+    scenario: Scenario, autopilot: str, verdicts: Sequence[ScenarioVerdict], firmware: str = "", first: int = 0, how: str = ""
 ) -> Result:
     """Return the result of a scenario: the worst values of all its flights.
 
     first: number of the first flight. Without verdicts the scenario was not flown.
     """
     if not verdicts:
-        return Result(row, autopilot, 0, (), None, (), ())
+        return Result(scenario, autopilot, 0, (), None, (), ())
     worst = []
-    for k, bar in enumerate(row.bars):
-        worst.append(max((v.figures[k] for v in verdicts), key=lambda figure: bar.badness(figure, autopilot)))
-    missed = tuple(n for n, verdict in enumerate(verdicts, first) if not verdict.passed(row, autopilot))
+    for k, limit in enumerate(scenario.limits):
+        worst.append(max((v.figures[k] for v in verdicts), key=lambda figure: limit.badness(figure, autopilot)))
+    missed = tuple(n for n, verdict in enumerate(verdicts, first) if not verdict.passed(scenario, autopilot))
     said = Counter(words for verdict in verdicts for words in verdict.broken)
     contacts = sum(any(words.startswith(CONTACT) for words in verdict.broken) for verdict in verdicts)
     remarks = tuple(words if count == 1 else f"{words} ({count} times)" for words, count in said.items())
-    return Result(row, autopilot, len(verdicts), missed, not missed, tuple(worst), remarks, firmware, how, contacts)
+    return Result(scenario, autopilot, len(verdicts), missed, not missed, tuple(worst), remarks, firmware, how, contacts)
 
 
 def _number(value: float) -> float | None:

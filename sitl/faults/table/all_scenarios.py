@@ -12,7 +12,7 @@ from sitl.faults.table.scenario import Scenario
 from sitl.faults.table.software_and_pose import TABLE_A, TABLE_B
 
 TABLE: tuple[Scenario, ...] = (*TABLE_A, *TABLE_B, *TABLE_C, *TABLE_D, *TABLE_E, *TABLE_F, *TABLE_G)
-_PAIRED = [row for row in TABLE if row.id in PAIRED]
+_PAIRED = [scenario for scenario in TABLE if scenario.id in PAIRED]
 PAIRS: tuple[Scenario, ...] = tuple(pair(first, second) for first, second in itertools.combinations(_PAIRED, 2))
-ROWS = {row.id: row for row in (*TABLE, *SOAKS, *PAIRS)}
-NAMED = {**{name: (row,) for name, row in ROWS.items()}, "G9": SOAKS[:1], "G10": PAIRS}
+SCENARIOS = {scenario.id: scenario for scenario in (*TABLE, *SOAKS, *PAIRS)}
+NAMED = {**{name: (scenario,) for name, scenario in SCENARIOS.items()}, "G9": SOAKS[:1], "G10": PAIRS}

@@ -243,7 +243,7 @@ TABLE_D = (
         "D6",
         "serial line unplugged",
         "the device disappears for 1 s during fast flight",
-        bars=(
+        limits=(
             holds(0.3, late_s=1.0),
             Limit("poses again after", odometry_metrics.poses_again_after(1.0), 2.0, "s"),
             down(120.0),

@@ -41,7 +41,7 @@ def pair(first: Scenario, second: Scenario) -> Scenario:
     the two, and the flight is the shorter of the two. The limits are those of the more severe reaction, measured from its
     own fault on.
     """
-    by_id = {row.id: row for row in (first, second)}
+    by_id = {scenario.id: scenario for scenario in (first, second)}
     worse = next((by_id[name] for name in REACTIONS if name in by_id), None)
     name = f"{first.id}+{second.id}"
     return Scenario(
@@ -61,22 +61,27 @@ def pair(first: Scenario, second: Scenario) -> Scenario:
 def _both(first: Scenario, second: Scenario, number: int) -> Sequence[Injector]:
     """Return the injectors of the pair's n-th flight."""
     dice = random.Random(f"{first.id}+{second.id} {number}")
-    rows = [first, second]
-    dice.shuffle(rows)
+    scenarios = [first, second]
+    dice.shuffle(scenarios)
     waits_s = (0.0, dice.uniform(0.0, APART_S))
     return [
-        Delayed(trouble, wait_s, row.id) for row, wait_s in zip(rows, waits_s, strict=True) for trouble in row.injectors(number)
+        Delayed(trouble, wait_s, scenario.id)
+        for scenario, wait_s in zip(scenarios, waits_s, strict=True)
+        for trouble in scenario.injectors(number)
     ]
 
 
-def _since(row: str, bars: Sequence[Limit]) -> list[Limit]:
+def _since(scenario: str, limits: Sequence[Limit]) -> list[Limit]:
     """Return limits that are named after and measured from the onset of a scenario's own fault."""
-    return [dataclasses.replace(bar, name=f"{bar.name} after {row}", measure=_from(row, bar.measure)) for bar in bars]
+    return [
+        dataclasses.replace(limit, name=f"{limit.name} after {scenario}", measure=_from(scenario, limit.measure))
+        for limit in limits
+    ]
 
 
-def _from(row: str, measure: Measure) -> Measure:
+def _from(scenario: str, measure: Measure) -> Measure:
     """Return a measure from the onset of a scenario's own fault; NaN if that fault never began."""
-    return lambda e: measure(dataclasses.replace(e, onset_s=e.notes[row])) if row in e.notes else math.nan
+    return lambda e: measure(dataclasses.replace(e, onset_s=e.notes[scenario])) if scenario in e.notes else math.nan
 
 
 def _stricter(one: Onset, other: Onset) -> Onset:

@@ -61,7 +61,7 @@ class Scenario:
     """One scenario.
 
     injectors: those of the n-th flight; the cases of a scenario are cycled.
-    bars: its limits, beside the general limits.
+    limits: its limits, beside the general limits.
     why: reason why it cannot be flown in lockstep.
     live: injectors in real time, if it can be flown there.
     observe_s: time of observation after the fault began; observe_after_disarm_s: after disarming.
@@ -78,7 +78,7 @@ class Scenario:
     hazard: str
     injection: str
     injectors: Callable[[int], Sequence[Injector]] = lambda n: ()
-    bars: tuple[Limit, ...] = ()
+    limits: tuple[Limit, ...] = ()
     onset: Onset = ON_THE_WAY
     arena: Arena = "hall"
     observe_s: float = 60.0
@@ -125,17 +125,17 @@ class ScenarioVerdict:
     figures: tuple[float, ...]
     broken: tuple[str, ...]
 
-    def passed(self, row: Scenario, autopilot: str) -> bool:
+    def passed(self, scenario: Scenario, autopilot: str) -> bool:
         """Return whether all limits are met."""
-        held = all(bar.holds(figure, autopilot) for bar, figure in zip(row.bars, self.figures, strict=True))
+        held = all(limit.holds(figure, autopilot) for limit, figure in zip(scenario.limits, self.figures, strict=True))
         return held and not self.broken
 
 
-def judge(row: Scenario, evidence: FlightEvidence, broken: Sequence[str]) -> ScenarioVerdict:
+def judge(scenario: Scenario, evidence: FlightEvidence, broken: Sequence[str]) -> ScenarioVerdict:
     """Evaluate the limits of a scenario for one flight.
 
     broken: the result of invariants.violations(). A flight whose fault never began does not pass.
     """
     if evidence.onset_s == math.inf:
-        return ScenarioVerdict(tuple(math.nan for _ in row.bars), (*broken, "the fault's onset condition was never met"))
-    return ScenarioVerdict(tuple(float(bar.measure(evidence)) for bar in row.bars), tuple(broken))
+        return ScenarioVerdict(tuple(math.nan for _ in scenario.limits), (*broken, "the fault's onset condition was never met"))
+    return ScenarioVerdict(tuple(float(limit.measure(evidence)) for limit in scenario.limits), tuple(broken))

@@ -125,7 +125,7 @@ TABLE_A = (
         "A4",
         "out of memory",
         "SIGKILL to the mapper, as by the kernel's out-of-memory killer",
-        bars=(
+        limits=(
             Limit("mapper replaced after", m.noted("replaced"), 5.0, "s"),
             Limit("pilot's memory", m.noted("memory"), 150.0, "MB"),
             STREAMS,
@@ -140,7 +140,7 @@ TABLE_A = (
         "A5",
         "mapper hangs",
         "SIGSTOP to the mapper, permanently",
-        bars=(Limit("mapper replaced after", m.noted("replaced"), 5.0, "s"), STREAMS, NO_FAILSAFE, NO_JUMP),
+        limits=(Limit("mapper replaced after", m.noted("replaced"), 5.0, "s"), STREAMS, NO_FAILSAFE, NO_JUMP),
         observe_s=30.0,
         why="in lockstep the depth-only mapper runs inside the mission: flown in real time",
         live=lambda n: [ChildProcessSignalled(MAPPER, SIGSTOP)],
@@ -176,7 +176,7 @@ TABLE_A = (
         "A8",
         "second copy started",
         "a second pilot process with the same config",
-        bars=(
+        limits=(
             Limit("second pilot's exit code minus 75", lambda e: abs(m.noted("second's exit code")(e) - 75.0), 0.0, ""),
             Limit("second pilot ran", m.noted("second lived"), 1.0, "s"),
             STREAMS,
@@ -191,7 +191,7 @@ TABLE_A = (
         "A9",
         "SIGTERM in flight",
         "SIGTERM to the pilot in the air",
-        bars=(
+        limits=(
             lands(0.5),
             down(30.0),
             Limit("pilot's exit code", m.noted("exit code"), 0.0, ""),
@@ -204,7 +204,7 @@ TABLE_A = (
         "A10",
         "overload",
         "four busy processes per core, for 30 s",
-        bars=(STREAMS, STEADY, NO_FAILSAFE),
+        limits=(STREAMS, STEADY, NO_FAILSAFE),
         observe_s=35.0,
         why="needs processes: flown in real time; a separate test lasts ten minutes",
         live=lambda n: [BusyProcesses(BUSY, 4 * (os.cpu_count() or 1), 30.0)],
@@ -213,7 +213,7 @@ TABLE_A = (
         "A11",
         "stall caused by the disk",
         "16 MB written and synced repeatedly beside the flight's files, for 30 s",
-        bars=(Limit("writes by the pilot's loop", m.noted("writes"), 0.0, ""), STREAMS, STEADY, NO_FAILSAFE),
+        limits=(Limit("writes by the pilot's loop", m.noted("writes"), 0.0, ""), STREAMS, STEADY, NO_FAILSAFE),
         observe_s=35.0,
         why="needs processes: flown in real time",
         live=lambda n: [BusyProcesses(DISK_LOAD, 2, 30.0), ProcessUsageMonitor("pilot")],

@@ -10,7 +10,7 @@ import pytest
 from sitl.faults.fault import Fault, Onset
 from sitl.faults.fault_director import FaultDirector, TruthSample
 from sitl.faults.injectors.base import Injector
-from sitl.faults.table.all_scenarios import ROWS
+from sitl.faults.table.all_scenarios import SCENARIOS
 
 TURN_S = 1.0 / 60.0
 
@@ -40,7 +40,7 @@ def test_a_landed_vehicle_is_watched_for_as_long_as_its_row_says(stands_s: float
 
 
 def test_one_that_starts_its_motors_again_is_seen_to() -> None:
-    trouble = Fault("A7", [Injector()], Onset((1.0, 1.0), speed_mps=0.0), 60.0, ROWS["A7"].observe_after_disarm_s)
+    trouble = Fault("A7", [Injector()], Onset((1.0, 1.0), speed_mps=0.0), 60.0, SCENARIOS["A7"].observe_after_disarm_s)
     end_s, armed = watched_s(trouble, lands_s=12.0, lifts_again_s=17.0)
     assert armed
     assert end_s == pytest.approx(62.0, abs=0.1)

@@ -25,7 +25,7 @@ from sitl.faults.process_registry import ProcessRegistry
 from sitl.faults.report.resource_chart import Track, draw
 from sitl.faults.resource_usage import ResourceUsage, descriptors_of
 from sitl.faults.soak import HEAP_FLUCTUATION_MB, RESUME_FOR_S, SOAKS, OperatorCommands, orders, soak
-from sitl.faults.table.all_scenarios import ROWS, TABLE
+from sitl.faults.table.all_scenarios import SCENARIOS, TABLE
 from sitl.faults.table.scenario import judge
 
 FLAT = {
@@ -166,34 +166,34 @@ def test_orders_are_given_once_by_the_command_line_and_nobody_is_left(tmp_path: 
 
 def test_a_soak_is_held_to_flat_memory_descriptors_and_its_length() -> None:
     """The flight of the evidence lands 10 s after the moment."""
-    row = soak("X", "ten seconds", 9.5, 1.0, 1.0)
-    assert judge(row, evidence(notes=FLAT), []).passed(row, "px4")
+    scenario = soak("X", "ten seconds", 9.5, 1.0, 1.0)
+    assert judge(scenario, evidence(notes=FLAT), []).passed(scenario, "px4")
     for name in FLAT:
-        assert not judge(row, evidence(notes=FLAT | {name: 1.1}), []).passed(row, "px4"), name
+        assert not judge(scenario, evidence(notes=FLAT | {name: 1.1}), []).passed(scenario, "px4"), name
         without = {key: value for key, value in FLAT.items() if key != name}
-        assert not judge(row, evidence(notes=without), []).passed(row, "px4"), f"without {name}"
-    assert not judge(row, evidence(notes=FLAT | {"pilot MB/h": math.nan}), []).passed(row, "px4")
+        assert not judge(scenario, evidence(notes=without), []).passed(scenario, "px4"), f"without {name}"
+    assert not judge(scenario, evidence(notes=FLAT | {"pilot MB/h": math.nan}), []).passed(scenario, "px4")
     longer = soak("X", "eleven seconds", 11.0, 1.0, 1.0)
     assert not judge(longer, evidence(notes=FLAT), []).passed(longer, "px4"), "it was cut short"
     flown = evidence(notes=FLAT)
     thin = flown.wire.setpoint_s[(flown.wire.setpoint_s < ONSET_S + 3.0) | (np.arange(len(flown.wire.setpoint_s)) % 2 == 0)]
     starved = dataclasses.replace(flown, wire=dataclasses.replace(flown.wire, setpoint_s=thin))
-    assert not judge(row, starved, []).passed(row, "px4"), "fifteen setpoints a second"
+    assert not judge(scenario, starved, []).passed(scenario, "px4"), "fifteen setpoints a second"
 
 
-@pytest.mark.parametrize(("row", "for_s"), [("G9-5min", 300.0), ("G9-1min", 60.0)])
-def test_a_breath_is_no_growth_and_a_colour_image_kept_each_second_is(row: str, for_s: float) -> None:
-    t, bar = np.arange(for_s), ROWS[row].bars[1]
+@pytest.mark.parametrize(("scenario", "for_s"), [("G9-5min", 300.0), ("G9-1min", 60.0)])
+def test_a_breath_is_no_growth_and_a_colour_image_kept_each_second_is(scenario: str, for_s: float) -> None:
+    t, limit = np.arange(for_s), SCENARIOS[scenario].limits[1]
     steepest = max(track(np.where(t < at_s, 240.0, 240.0 + HEAP_FLUCTUATION_MB)).mb_per_h() for at_s in t)
     leaking = track(240.0 + 424 * 240 * 3 / 1e6 * t).mb_per_h()
-    assert 0.9 * bar.limit < steepest < bar.limit < 0.5 * leaking
+    assert 0.9 * limit.limit < steepest < limit.limit < 0.5 * leaking
 
 
 def test_a_soak_is_flown_by_its_rows_name_in_real_time_alone_and_not_by_default() -> None:
-    assert [row.id for row in FaultOptions.parse(only="G9", live=True, seeds=1).scenarios] == ["G9-2h"]
-    assert [row.id for row in FaultOptions.parse(only="G9-1min,A9", live=True).scenarios] == ["A9", "G9-1min"]
-    assert not {row.id for row in SOAKS} & {row.id for row in FaultOptions.parse(live=True).scenarios}
-    assert FaultOptions.parse(only="G9-5min").cases(ROWS["G9-5min"], "px4") == []
-    assert "G9" in {row.id for row in TABLE}
-    assert "--only G9 --real-time" in ROWS["G9"].why
-    assert [bar.limit for bar in ROWS["G9-2h"].bars[:2]] == [1.0, 1.0], "megabytes an hour"
+    assert [scenario.id for scenario in FaultOptions.parse(only="G9", live=True, seeds=1).scenarios] == ["G9-2h"]
+    assert [scenario.id for scenario in FaultOptions.parse(only="G9-1min,A9", live=True).scenarios] == ["A9", "G9-1min"]
+    assert not {scenario.id for scenario in SOAKS} & {scenario.id for scenario in FaultOptions.parse(live=True).scenarios}
+    assert FaultOptions.parse(only="G9-5min").cases(SCENARIOS["G9-5min"], "px4") == []
+    assert "G9" in {scenario.id for scenario in TABLE}
+    assert "--only G9 --real-time" in SCENARIOS["G9"].why
+    assert [limit.limit for limit in SCENARIOS["G9-2h"].limits[:2]] == [1.0, 1.0], "megabytes an hour"

@@ -119,7 +119,7 @@ def test_the_pilot_sets_the_mode_switch_and_holds_the_sticks(tmp_path: Path) -> 
 
 
 def test_the_error_for_an_ended_firmware_has_its_last_output(tmp_path: Path) -> None:
-    with pytest.raises(FirmwareError, match=r"^arducopter ended with exit code 3; it said last: no such model$") as failure:
+    with pytest.raises(FirmwareError, match=r"^arducopter ended with exit code 3; its last output: no such model$") as failure:
         started(tmp_path, "print('no such model', flush=True); sys.exit(3)")
     assert "\n" not in str(failure.value)
 
@@ -129,7 +129,7 @@ def test_a_firmware_that_dies_in_flight_is_detected(tmp_path: Path) -> None:
         started(tmp_path, "import os, threading; threading.Timer(1.0, lambda: os.kill(os.getpid(), 11)).start()")
     ) as v:
         end_s = time.monotonic() + 20.0
-        with pytest.raises(FirmwareError, match="arducopter was killed by SIGSEGV; it said last: hello"):
+        with pytest.raises(FirmwareError, match="arducopter was killed by SIGSEGV; its last output: hello"):
             while time.monotonic() < end_s:
                 v.step(time.monotonic())
 

@@ -1,4 +1,4 @@
-"""The campaign: which flights it is made of, what a row's result says, and how it is written down."""
+"""The campaign: which flights it is made of, what the result of a scenario says, and how it is written down."""
 
 from __future__ import annotations
 
@@ -19,23 +19,23 @@ from sitl.faults.judges import reaction_metrics as m
 from sitl.faults.judges.invariants import violations
 from sitl.faults.report.campaign_page import render
 from sitl.faults.report.scenario_result import result_of
-from sitl.faults.table.all_scenarios import ROWS, TABLE
+from sitl.faults.table.all_scenarios import SCENARIOS, TABLE
 from sitl.faults.table.scenario import Limit, Scenario, ScenarioVerdict, judge
 
 GAP = Limit("gap", m.longest_gap(), 0.25, "s")
 CLEAR = Limit("clearance", m.clearance, 0.4, "m", at_least=True, ardupilot=0.6)
-ROW = Scenario("X1", "a <hazard>", "something", bars=(GAP, CLEAR))
+ROW = Scenario("X1", "a <hazard>", "something", limits=(GAP, CLEAR))
 
 
 def test_rows_come_in_the_tables_order() -> None:
     options = FaultOptions.parse(only="B4, A1", autopilot="px4", seeds=2, out=Path("/somewhere"))
-    assert [row.id for row in options.scenarios] == ["A1", "B4"]
-    cases = options.cases(ROWS["A1"], "px4")
+    assert [scenario.id for scenario in options.scenarios] == ["A1", "B4"]
+    cases = options.cases(SCENARIOS["A1"], "px4")
     assert [case.number for case in cases] == [0, 1, 2, 3, 4, 5]
     assert cases[1].out == Path("/somewhere/A1-px4-1")
-    assert options.cases(ROWS["A4"], "px4") == []
+    assert options.cases(SCENARIOS["A4"], "px4") == []
     assert FaultOptions.parse().autopilots == AUTOPILOTS
-    assert {row.id for row in FaultOptions.parse(live=True).scenarios} == {
+    assert {scenario.id for scenario in FaultOptions.parse(live=True).scenarios} == {
         *(f"A{k}" for k in range(1, 12)),
         "C2",
         "D6",
@@ -58,12 +58,12 @@ def test_a_real_firmware_flies_what_it_has_the_means_for(tmp_path: Path) -> None
     with pytest.raises(UsageError, match="--autopilot both: with --firmware want px4 or ardupilot"):
         FaultOptions.parse(firmware=binary)
     copter = FaultOptions.parse(autopilot="ardupilot", firmware=binary, jobs=4)
-    names = {row.id for row in copter.scenarios}
+    names = {scenario.id for scenario in copter.scenarios}
     assert {"A1", "A6", "B1", "B4", "C4", "D2", "E1", "G6"} <= names
     assert not names & {"E5", "E7", "F1", "F2", "D7", "G9", "B11"}, "they need the insides of a simulated one, or are none"
     assert (copter.live, copter.jobs) == (True, 1)
-    assert copter.cases(ROWS["B1"], "ardupilot")[0].firmware == binary
-    assert "E1" not in {row.id for row in FaultOptions.parse(autopilot="px4", firmware=binary).scenarios}, (
+    assert copter.cases(SCENARIOS["B1"], "ardupilot")[0].firmware == binary
+    assert "E1" not in {scenario.id for scenario in FaultOptions.parse(autopilot="px4", firmware=binary).scenarios}, (
         "nobody holds its sticks"
     )
     with pytest.raises(UsageError, match="E7: cannot run with a real ardupilot firmware"):
@@ -72,7 +72,7 @@ def test_a_real_firmware_flies_what_it_has_the_means_for(tmp_path: Path) -> None
 
 def test_what_rows_have_in_common_is_flown_once() -> None:
     options = FaultOptions.parse(only="A1,A6,C7,F2,G7", seeds=2)
-    groups = [[(case.row, case.autopilot, case.number) for case in group] for group in options.groups()]
+    groups = [[(case.scenario, case.autopilot, case.number) for case in group] for group in options.groups()]
     assert groups[:3] == [[("A1", "px4", 0), ("A6", "px4", 0)], [("C7", "px4", 0)], [("F2", "px4", 0)]]
     assert groups[3][0] == ("A1", "px4", 1)
     alone = [group for group in groups if group[0][2] >= 2]
@@ -86,26 +86,26 @@ def test_what_rows_have_in_common_is_flown_once() -> None:
 
 def test_twenty_seeds_are_sixty_of_the_five_rows_that_take_most_turns() -> None:
     options = FaultOptions.parse(seeds=20)
-    often = [row.id for row in options.scenarios if len(options.cases(row, "px4")) == 60]
+    often = [scenario.id for scenario in options.scenarios if len(options.cases(scenario, "px4")) == 60]
     assert often == ["A1", "B1", "B4", "E1", "F1"]
 
 
 def test_seeds_can_begin_later_so_that_one_that_missed_is_flown_again(tmp_path: Path) -> None:
     options = FaultOptions.parse(only="B1,B3", autopilot="px4", seeds=1, seed0=7, out=tmp_path)
-    assert [case.number for case in options.cases(ROWS["B3"], "px4")] == [7]
-    assert [case.number for case in options.cases(ROWS["B1"], "px4")] == [7, 8, 9]
-    assert options.cases(ROWS["B3"], "px4")[0].out == tmp_path / "B3-px4-7"
+    assert [case.number for case in options.cases(SCENARIOS["B3"], "px4")] == [7]
+    assert [case.number for case in options.cases(SCENARIOS["B1"], "px4")] == [7, 8, 9]
+    assert options.cases(SCENARIOS["B3"], "px4")[0].out == tmp_path / "B3-px4-7"
     record = FaultRecord(FaultCase("B3", "px4", 7), ScenarioVerdict((0.30, 0.0), ("contact",)))
     assert _missed(record).startswith(
         "missed: change of the pose error 0.30 <= 0.05 m, contact (repeat: --only B3 --autopilot px4 --seeds 1 --seed0 7)"
     )
     assert "seed 7, 9" in _line(
-        result_of(ROWS["B3"], "px4", [record.verdict, ScenarioVerdict((0.0, 0.0), ()), record.verdict], first=7)
+        result_of(SCENARIOS["B3"], "px4", [record.verdict, ScenarioVerdict((0.0, 0.0), ()), record.verdict], first=7)
     )
 
 
 @pytest.mark.parametrize(
-    ("row", "reason"),
+    ("scenario", "reason"),
     [
         ("B6", r"no flight: B6 cannot be flown \(perception does not detect it yet\)"),
         ("A5", r"A5 cannot run in lockstep\. Run it with --real-time\."),
@@ -113,11 +113,13 @@ def test_seeds_can_begin_later_so_that_one_that_missed_is_flown_again(tmp_path: 
         ("A4,A5", r"A4, A5 cannot run in lockstep\. Run them with --real-time\."),
     ],
 )
-def test_where_nothing_is_flown_at_all_nothing_has_passed(row: str, reason: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_where_nothing_is_flown_at_all_nothing_has_passed(
+    scenario: str, reason: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     with pytest.raises(UsageError, match=reason):
-        faults(FaultOptions.parse(only=row, autopilot="px4", seeds=1))
+        faults(FaultOptions.parse(only=scenario, autopilot="px4", seeds=1))
     told = capsys.readouterr().out
-    assert row.partition(",")[0] in told
+    assert scenario.partition(",")[0] in told
     assert "not flown: " in told
 
 
@@ -139,7 +141,7 @@ def test_a_word_that_is_unknown_is_told(words: dict[str, str], named: str) -> No
 def test_a_flight_is_held_to_its_bars() -> None:
     verdict = judge(ROW, evidence(), [])
     assert verdict.passed(ROW, "px4")
-    assert not verdict.passed(ROW, "ardupilot"), "whose bar is higher"
+    assert not verdict.passed(ROW, "ardupilot"), "whose limit is higher"
     assert not judge(ROW, evidence(obstacle_distance_m=np.full(600, 0.3)), []).passed(ROW, "px4")
     assert not judge(ROW, evidence(), ["contact"]).passed(ROW, "px4")
     assert not judge(ROW, evidence(onset_s=math.inf), []).passed(ROW, "px4"), "a trouble that never came proves nothing"
@@ -150,11 +152,11 @@ def test_a_program_that_breaks_fails_its_rows_and_says_with_what(monkeypatch: py
         raise OSError("gone")
 
     monkeypatch.setattr("sitl.faults.flights.fault_flight.flight", breaks)
-    records = fly_together([FaultCase(row, "px4", 0) for row in ("A1", "A2")])
-    assert [record.case.row for record in records] == ["A1", "A2"]
+    records = fly_together([FaultCase(scenario, "px4", 0) for scenario in ("A1", "A2")])
+    assert [record.case.scenario for record in records] == ["A1", "A2"]
     for record in records:
         assert record.verdict.broken == ("OSError: gone",)
-        assert not record.verdict.passed(ROWS[record.case.row], "px4")
+        assert not record.verdict.passed(SCENARIOS[record.case.scenario], "px4")
         assert "Traceback" in record.trace
 
 
@@ -168,7 +170,7 @@ def test_a_row_is_as_good_as_its_worst_flight() -> None:
     assert result.tree()["missed"] == [1, 2]
     assert result.worst == (0.30, 0.45)
     tree = result.tree()
-    assert (tree["figure"], tree["bar"], tree["unit"], tree["passed"]) == (0.3, 0.25, "s", False)
+    assert (tree["figure"], tree["limit"], tree["unit"], tree["passed"]) == (0.3, 0.25, "s", False)
     assert "gap 0.30 <= 0.25 s" in result.sentence()
     assert result.remarks == ("contact",)
 
@@ -189,14 +191,14 @@ def test_what_never_came_is_null_and_breaks_the_bar() -> None:
 
 
 def test_a_row_that_cannot_be_flown_says_why(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert json.dumps(result_of(ROWS["A5"], "px4", []).tree()), "one that has bars, but flies in real time alone"
+    assert json.dumps(result_of(SCENARIOS["A5"], "px4", []).tree()), "one that has limits, but flies only in real time"
     options = FaultOptions.parse(only="G7", autopilot="px4", jobs=1, json=tmp_path / "f.json", out=tmp_path / "out")
     with pytest.raises(UsageError, match="G7 cannot be flown"):
         faults(options)
     assert "not flown: needs hardware" in capsys.readouterr().out
-    row = json.loads((tmp_path / "f.json").read_text())["rows"][0]
-    assert set(row) >= {"id", "tier", "autopilot", "seeds", "passed", "figure", "bar", "unit"}
-    assert row["passed"] is None
+    scenario = json.loads((tmp_path / "f.json").read_text())["scenarios"][0]
+    assert set(scenario) >= {"id", "tier", "autopilot", "seeds", "passed", "figure", "limit", "unit"}
+    assert scenario["passed"] is None
     assert "not flown" in (tmp_path / "out" / "faults.html").read_text()
 
 
@@ -225,7 +227,7 @@ def test_what_missed_is_flown_again_the_same_way(live: bool, firmware: Path | No
     case = FaultCase("B3", "px4", 7, live=live, firmware=firmware)
     verdict, again = ScenarioVerdict((0.30, 0.0), ()), f"--only B3 --autopilot px4 {how}--seeds 1 --seed0 7"
     assert f"(repeat: {again})" in _missed(FaultRecord(case, verdict))
-    assert again in html.unescape(render([result_of(ROWS["B3"], "px4", [verdict], first=7, how=case.how)]))
+    assert again in html.unescape(render([result_of(SCENARIOS["B3"], "px4", [verdict], first=7, how=case.how)]))
 
 
 def test_the_summary_counts_flights_that_touched_something() -> None:

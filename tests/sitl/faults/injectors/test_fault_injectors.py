@@ -19,7 +19,7 @@ from sitl.faults.injectors.base import DepthFrame, InjectionContext, Injector
 from sitl.faults.injectors.companion import Crash, Stall
 from sitl.faults.injectors.obstacle import Obstacle, RendererWithObstacle
 from sitl.faults.judges.map_integrity import AGAIN, CLAIMED, FREED, SETTLED_S, UNDER_WAY_S, Claims, MapIntegrityCheck, Tally
-from sitl.faults.table.all_scenarios import ROWS, TABLE
+from sitl.faults.table.all_scenarios import SCENARIOS, TABLE
 from sitl.geometry.quaternion import yaw_of
 from sitl.geometry.transform import body_from_camera
 from sitl.scene.mesh import joined
@@ -214,7 +214,7 @@ def test_a_call_of_the_planner_hangs_while_the_mission_runs() -> None:
     assert free.done() and free.result() == 7
     assert not stuck.done()
     assert Hung().runs("mission")
-    assert ROWS["A2h"].flown(live=False)
+    assert SCENARIOS["A2h"].flown(live=False)
 
 
 def test_an_obstacle_is_seen_and_felt() -> None:
@@ -232,12 +232,12 @@ def test_an_obstacle_is_seen_and_felt() -> None:
 
 
 def test_every_row_can_be_flown_or_says_why() -> None:
-    assert len({row.id for row in TABLE}) == len(TABLE)
-    for row in TABLE:
-        assert (row.flown(live=False) or row.flown(live=True)) == bool(row.bars), row.id
-        assert row.flown(live=False) != bool(row.why), row.id
+    assert len({scenario.id for scenario in TABLE}) == len(TABLE)
+    for scenario in TABLE:
+        assert (scenario.flown(live=False) or scenario.flown(live=True)) == bool(scenario.limits), scenario.id
+        assert scenario.flown(live=False) != bool(scenario.why), scenario.id
         for number in range(9):
-            list(row.injectors(number))
+            list(scenario.injectors(number))
 
 
 def test_what_appears_ahead_appears_where_the_camera_looks() -> None:
@@ -246,4 +246,4 @@ def test_what_appears_ahead_appears_where_the_camera_looks() -> None:
     assert off_nose_rad((0.0, 1.0, 0.0), (half, 0.0, 0.0, half)) == pytest.approx(0.0)
     assert off_nose_rad((1.0, 0.0, 0.0), (half, 0.0, 0.0, half)) == pytest.approx(math.pi / 2)
     assert off_nose_rad((-1.0, 0.0, 0.3), (1.0, 0.0, 0.0, 0.0)) == pytest.approx(math.pi)
-    assert ROWS["C8"].onset.needs_view_ahead
+    assert SCENARIOS["C8"].onset.needs_view_ahead

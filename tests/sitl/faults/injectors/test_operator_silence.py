@@ -26,7 +26,7 @@ from sitl.faults.injectors.operator_silence import (
     warnings,
     warns_after,
 )
-from sitl.faults.table.all_scenarios import ROWS
+from sitl.faults.table.all_scenarios import SCENARIOS
 from uav_recon import config as product_config
 
 WARNED, RETURNS = (codes.OPERATOR_SILENT,), (codes.OPERATOR_LOST_RETURNING,)
@@ -106,4 +106,4 @@ def test_every_flight_in_lockstep_has_somebody_who_has_to_attend() -> None:
 
 
 def test_every_second_flight_of_d8_has_a_forger() -> None:
-    assert [len(ROWS["D8"].injectors(n)) for n in range(3)] == [1, 2, 1]
+    assert [len(SCENARIOS["D8"].injectors(n)) for n in range(3)] == [1, 2, 1]

@@ -11,7 +11,7 @@ from made_up_evidence import DT_S, evidence
 
 from sitl.faults.flight_evidence import FlightEvidence
 from sitl.faults.judges.battery_return import reserve, turned_at
-from sitl.faults.table.all_scenarios import ROWS
+from sitl.faults.table.all_scenarios import SCENARIOS
 
 
 def there_and_back(share: float, per_s: float, astray_m: float = 0.0) -> FlightEvidence:
@@ -50,9 +50,9 @@ def test_what_nothing_was_taken_of_lasts_for_ever() -> None:
 
 
 def test_row_e5d_wants_a_third_more_than_was_needed_far_from_home() -> None:
-    bars = {bar.name: bar for bar in ROWS["E5d"].bars}
+    limits = {limit.name: limit for limit in SCENARIOS["E5d"].limits}
     late, soon = there_and_back(0.40, 0.01), there_and_back(0.42, 0.01)
-    bar = bars["reserve for the return"]
-    assert not bar.holds(bar.measure(late), "px4")
-    assert bar.holds(bar.measure(soon), "px4")
-    assert not bars["turn-back distance"].holds(turned_at(soon), "px4"), "who never was far away shows nothing"
+    limit = limits["reserve for the return"]
+    assert not limit.holds(limit.measure(late), "px4")
+    assert limit.holds(limit.measure(soon), "px4")
+    assert not limits["turn-back distance"].holds(turned_at(soon), "px4"), "who never was far away shows nothing"

@@ -1,4 +1,4 @@
-"""A row of a tight passage is passed by flying through or by a refusal in words, never by staying away."""
+"""A scenario of a narrow passage is passed by flying through or by a refusal with a reason, never by staying away."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from made_up_evidence import evidence
 
 from sitl.faults import reason_codes as codes
 from sitl.faults.flight_evidence import FlightEvidence
-from sitl.faults.table.all_scenarios import ROWS
+from sitl.faults.table.all_scenarios import SCENARIOS
 from sitl.faults.table.arenas import GAP
 from sitl.faults.table.scenario import judge
 
@@ -28,7 +28,7 @@ def flown_to(farthest_m: float, stop_codes: tuple[str, ...], aside_m: float = 0.
 
 
 def passes(e: FlightEvidence) -> bool:
-    return judge(ROWS["F6"], e, []).passed(ROWS["F6"], "px4")
+    return judge(SCENARIOS["F6"], e, []).passed(SCENARIOS["F6"], "px4")
 
 
 def test_flying_through_passes_if_there_is_room_all_the_way() -> None:

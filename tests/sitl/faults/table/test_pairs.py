@@ -19,7 +19,7 @@ from sitl.faults.injectors.delayed import Delayed
 from sitl.faults.injectors.mavlink_link import PacketLoss
 from sitl.faults.injectors.pose_stream import PoseSilence
 from sitl.faults.soak import SOAKS
-from sitl.faults.table.all_scenarios import PAIRS, ROWS, TABLE
+from sitl.faults.table.all_scenarios import PAIRS, SCENARIOS, TABLE
 from sitl.faults.table.pairs import APART_S, PAIRED, REACTIONS
 from sitl.faults.table.scenario import Scenario, judge
 from sitl.world.pose_tracker import PoseRecord
@@ -33,10 +33,10 @@ def theatre() -> InjectionContext:
     return InjectionContext(world, random.Random(1), now_s=7.0)
 
 
-def moments(row: Scenario, number: int) -> dict[str, float]:
+def moments(scenario: Scenario, number: int) -> dict[str, float]:
     """When each trouble of the pair's n-th flight begins, in seconds after the flight's moment, to a hundredth."""
     at = theatre()
-    for trouble in row.injectors(number):
+    for trouble in scenario.injectors(number):
         for turn in range(int(APART_S * 100) + 1):
             at.now_s = turn / 100.0
             trouble.turn(at, at.now_s)
@@ -69,7 +69,7 @@ def test_whatever_a_trouble_touches_it_touches_later() -> None:
     assert crash.stalls(0.69, "pilot")
     assert [crash.restarts(0.69, "pilot"), crash.restarts(0.71, "pilot"), crash.restarts(0.8, "pilot")] == [False, True, False]
     assert Delayed(Stall("mission"), 0.5, "A1").needs is Capabilities.STAGES
-    dark = Delayed(next(iter(ROWS["C1"].injectors(0))), 0.1, "C1")
+    dark = Delayed(next(iter(SCENARIOS["C1"].injectors(0))), 0.1, "C1")
     assert dark.depth(0.2, PICTURE) == [(0.0, PICTURE)]
     dark.turn(at, 0.2)
     assert dark.depth(0.3, PICTURE) == []
@@ -91,27 +91,27 @@ def test_a_trouble_that_never_began_has_nothing_to_end() -> None:
 
 
 def test_ten_rows_make_forty_five_pairs_none_with_itself() -> None:
-    assert [row.id for row in TABLE if row.id in PAIRED] == list(PAIRED)
-    assert len({row.id for row in PAIRS}) == len(PAIRS) == 45
-    assert all(len(set(row.id.split("+"))) == 2 for row in PAIRS)
-    assert len(ROWS) == len(TABLE) + len(SOAKS) + len(PAIRS), "no two of one name"
+    assert [scenario.id for scenario in TABLE if scenario.id in PAIRED] == list(PAIRED)
+    assert len({scenario.id for scenario in PAIRS}) == len(PAIRS) == 45
+    assert all(len(set(scenario.id.split("+"))) == 2 for scenario in PAIRS)
+    assert len(SCENARIOS) == len(TABLE) + len(SOAKS) + len(PAIRS), "no two of one name"
 
 
 def test_a_pair_takes_the_stricter_moment_and_the_place_that_either_needs() -> None:
-    assert (ROWS["B4+E1"].onset.after_s, ROWS["B4+E1"].onset.speed_mps) == ((2.0, 15.0), 0.4)
-    assert ROWS["A1+E5"].onset.speed_mps == 0.6
-    assert (ROWS["F2+G2"].arena, ROWS["A1+F2"].arena, ROWS["A1+B1"].arena) == ("pen", "pen", "hall")
-    assert (ROWS["E1+E5"].observe_s, ROWS["A1+E5"].observe_s, ROWS["B1+E5"].observe_s) == (12.0, 160.0, 60.0)
+    assert (SCENARIOS["B4+E1"].onset.after_s, SCENARIOS["B4+E1"].onset.speed_mps) == ((2.0, 15.0), 0.4)
+    assert SCENARIOS["A1+E5"].onset.speed_mps == 0.6
+    assert (SCENARIOS["F2+G2"].arena, SCENARIOS["A1+F2"].arena, SCENARIOS["A1+B1"].arena) == ("pen", "pen", "hall")
+    assert (SCENARIOS["E1+E5"].observe_s, SCENARIOS["A1+E5"].observe_s, SCENARIOS["B1+E5"].observe_s) == (12.0, 160.0, 60.0)
 
 
 def test_a_pair_flies_no_longer_than_the_shorter_of_its_flights() -> None:
-    assert ROWS["A1+E5"].views == ROWS["E5"].views < ROWS["A1"].views
+    assert SCENARIOS["A1+E5"].views == SCENARIOS["E5"].views < SCENARIOS["A1"].views
 
 
 @pytest.mark.parametrize("name", ["A1+B1", "B4+D2", "C1+D2"])
 def test_either_trouble_may_come_first_and_the_other_follows_soon(name: str) -> None:
-    begun = [moments(ROWS[name], number) for number in range(12)]
-    assert begun == [moments(ROWS[name], number) for number in range(12)], "a flight can be flown again"
+    begun = [moments(SCENARIOS[name], number) for number in range(12)]
+    assert begun == [moments(SCENARIOS[name], number) for number in range(12)], "a flight can be flown again"
     first, second = name.split("+")
     apart_s = [moment[second] - moment[first] for moment in begun]
     assert min(apart_s) < -0.1 < 0.1 < max(apart_s)
@@ -121,44 +121,54 @@ def test_either_trouble_may_come_first_and_the_other_follows_soon(name: str) -> 
 def test_the_worse_of_two_reactions_wins() -> None:
     """The flight of the evidence lands 10 s after the moment, and is down after 13."""
     late = evidence(notes={"A1": ONSET_S, "B1": ONSET_S + 9.0})
-    row = ROWS["A1+B1"]
-    verdict = judge(row, late, [])
-    assert dict(zip([bar.name for bar in row.bars], verdict.figures, strict=True)) == pytest.approx(
+    scenario = SCENARIOS["A1+B1"]
+    verdict = judge(scenario, late, [])
+    assert dict(zip([limit.name for limit in scenario.limits], verdict.figures, strict=True)) == pytest.approx(
         {"setpoint gap": 1 / 30, "landing mode after B1": 1.0, "disarmed after B1": 4.0}, abs=0.05
     )
-    assert verdict.passed(row, "px4")
-    assert not judge(row, dataclasses.replace(late, notes={"A1": ONSET_S, "B1": ONSET_S + 8.0}), []).passed(row, "px4")
-    only = judge(row, dataclasses.replace(late, notes={"A1": ONSET_S}), [])
+    assert verdict.passed(scenario, "px4")
+    assert not judge(scenario, dataclasses.replace(late, notes={"A1": ONSET_S, "B1": ONSET_S + 8.0}), []).passed(
+        scenario, "px4"
+    )
+    only = judge(scenario, dataclasses.replace(late, notes={"A1": ONSET_S}), [])
     assert math.isnan(only.figures[1])
-    assert not only.passed(row, "px4"), "a trouble that never came proves nothing"
+    assert not only.passed(scenario, "px4"), "a trouble that never came proves nothing"
 
 
 def test_each_pair_is_held_to_what_its_worse_row_does_and_to_its_stream() -> None:
-    for row in PAIRS:
-        worse = next((name for name in REACTIONS if name in row.id.split("+")), None)
-        names = [bar.name for bar in row.bars]
+    for scenario in PAIRS:
+        worse = next((name for name in REACTIONS if name in scenario.id.split("+")), None)
+        names = [limit.name for limit in scenario.limits]
         assert names[0] == "setpoint gap"
-        assert names[1:] == ([f"{bar.name} after {worse}" for bar in REACTIONS[worse]] if worse else []), row.id
-        gentler = {"D2+E1": (1.3, 0.3)}.get(row.id)
-        limits = [(bar.limit, bar.ardupilot) for bar in (REACTIONS[worse] if worse else ())]
-        assert [(bar.limit, bar.ardupilot) for bar in row.bars[1:]] == ([gentler] if gentler else limits), row.id
-        assert row.room.overshoot_m == (1.0 if row.id in ("B1+F2", "D2+F2") else 0.30), row.id
-    assert [bar.name for bar in ROWS["B1+E1"].bars] == ["setpoint gap", "stream ends after E1"], "a pilot's hand beats all"
-    assert [bar.name for bar in ROWS["C1+F2"].bars] == ["setpoint gap"]
+        assert names[1:] == ([f"{limit.name} after {worse}" for limit in REACTIONS[worse]] if worse else []), scenario.id
+        gentler = {"D2+E1": (1.3, 0.3)}.get(scenario.id)
+        limits = [(limit.limit, limit.ardupilot) for limit in (REACTIONS[worse] if worse else ())]
+        assert [(limit.limit, limit.ardupilot) for limit in scenario.limits[1:]] == ([gentler] if gentler else limits), (
+            scenario.id
+        )
+        assert scenario.room.overshoot_m == (1.0 if scenario.id in ("B1+F2", "D2+F2") else 0.30), scenario.id
+    assert [limit.name for limit in SCENARIOS["B1+E1"].limits] == ["setpoint gap", "stream ends after E1"], (
+        "a pilot's hand beats all"
+    )
+    assert [limit.name for limit in SCENARIOS["C1+F2"].limits] == ["setpoint gap"]
 
 
 def test_a_reaction_is_a_bar_of_its_own_row() -> None:
-    for name, bars in REACTIONS.items():
-        own = {bar.name: bar for bar in ROWS[name].bars}
-        for bar in bars:
-            assert (bar.limit, bar.ardupilot, bar.at_least) == (own[bar.name].limit, own[bar.name].ardupilot, bar.at_least)
+    for name, limits in REACTIONS.items():
+        own = {limit.name: limit for limit in SCENARIOS[name].limits}
+        for limit in limits:
+            assert (limit.limit, limit.ardupilot, limit.at_least) == (
+                own[limit.name].limit,
+                own[limit.name].ardupilot,
+                limit.at_least,
+            )
 
 
 def test_pairs_are_flown_by_their_rows_name_and_not_by_default() -> None:
     assert FaultOptions.parse(only="G10").scenarios == PAIRS
-    assert [row.id for row in FaultOptions.parse(only="B1+E5, A1").scenarios] == ["A1", "B1+E5"]
+    assert [scenario.id for scenario in FaultOptions.parse(only="B1+E5, A1").scenarios] == ["A1", "B1+E5"]
     assert not set(FaultOptions.parse().scenarios) & set(PAIRS)
-    assert "--only G10" in ROWS["G10"].why
+    assert "--only G10" in SCENARIOS["G10"].why
     groups = FaultOptions.parse(only="G10", seeds=5).groups()
     assert (len(groups), sum(map(len, groups))) == (2 * 5 * 4, 2 * 5 * 45), "hall and pen, long and short"
     with pytest.raises(UsageError, match=r"no scenario E1\+D8; .*faults --list` shows A1 to G10, and pairs such as A1\+B1"):

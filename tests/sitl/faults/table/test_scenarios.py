@@ -1,4 +1,4 @@
-"""Rows of the table on flights that never were: what a row is there for breaks one of its own bars, by name."""
+"""Scenarios of the table on flights that never were: what a scenario is there for breaks one of its own limits, by name."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from made_up_evidence import BOOT_S, DT_S, evidence, rewired, spoilt, turning
 
 from sitl.faults import reason_codes as codes
 from sitl.faults.flight_evidence import FlightEvidence
-from sitl.faults.table.all_scenarios import ROWS
+from sitl.faults.table.all_scenarios import SCENARIOS
 
 
-def broken(row: str, e: FlightEvidence, autopilot: str = "px4") -> set[str]:
-    """Names of a row's bars that such a flight does not hold."""
-    return {bar.name for bar in ROWS[row].bars if not bar.holds(bar.measure(e), autopilot)}
+def broken(scenario: str, e: FlightEvidence, autopilot: str = "px4") -> set[str]:
+    """Names of a scenario's limits that such a flight does not meet."""
+    return {limit.name for limit in SCENARIOS[scenario].limits if not limit.holds(limit.measure(e), autopilot)}
 
 
 def test_odometry_that_takes_up_a_jump_slowly_breaks_b4() -> None:
@@ -77,14 +77,16 @@ def test_a_heading_that_reaches_the_wire_for_one_pose_breaks_b9() -> None:
     assert broken("B9", rewired(e, odometry_yaw_rad=np.full(len(flipped), np.nan))) == {"heading error"}
 
 
-@pytest.mark.parametrize("row", ["B1", "B7"])
-def test_odometry_that_goes_on_without_poses_breaks(row: str) -> None:
-    assert broken(row, losing_the_pose()) - {"drift"} == set()
-    assert "ODOMETRY ends" in broken(row, losing_the_pose(last_s=6.0))
+@pytest.mark.parametrize("scenario", ["B1", "B7"])
+def test_odometry_that_goes_on_without_poses_breaks(scenario: str) -> None:
+    assert broken(scenario, losing_the_pose()) - {"drift"} == set()
+    assert "ODOMETRY ends" in broken(scenario, losing_the_pose(last_s=6.0))
     still = losing_the_pose()
     repeated = still.wire.odometry_m.copy()
     repeated[still.wire.odometry_s > 5.0] = repeated[still.wire.odometry_s <= 5.0][-1]
-    assert "change of the pose error" in broken(row, rewired(still, odometry_m=repeated)), "the last pose, under new stamps"
+    assert "change of the pose error" in broken(scenario, rewired(still, odometry_m=repeated)), (
+        "the last pose, under new stamps"
+    )
 
 
 def test_setpoints_that_do_not_arrive_break_d3() -> None:
@@ -112,12 +114,12 @@ TELLING = {
 }
 
 
-@pytest.mark.parametrize("row", TELLING)
-def test_a_row_that_asks_for_a_reason_takes_no_other(row: str) -> None:
-    bar, reason = TELLING[row]
+@pytest.mark.parametrize("scenario", TELLING)
+def test_a_row_that_asks_for_a_reason_takes_no_other(scenario: str) -> None:
+    limit, reason = TELLING[scenario]
     at_s = 5.9
-    assert bar not in broken(row, evidence(reported=((at_s, reason),)))
-    assert bar in broken(row, evidence(reported=((at_s, ("refused", "position-step")), (at_s, ("operator-back",)))))
+    assert limit not in broken(scenario, evidence(reported=((at_s, reason),)))
+    assert limit in broken(scenario, evidence(reported=((at_s, ("refused", "position-step")), (at_s, ("operator-back",)))))
 
 
 def test_an_alert_before_the_floor_is_none_for_a_landing_that_does_not_end() -> None:
