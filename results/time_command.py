@@ -1,7 +1,8 @@
 """Measure the duration of shell commands: `python -m results.time_command NAME=COMMAND`.
 
 The commands run one after the other with the working directory at the repository root, or with --clone in a fresh clone of
-the commit with an empty cache folder of its own. The JSON file holds the median seconds of each; null if it failed.
+the commit with an empty cache folder of its own. The JSON file holds the median seconds of each; null if it failed. With
+--until it also holds the seconds until the first line of output that begins with a text.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from dataclasses import dataclass
 from pathlib import Path
 
 from results.claims import ROOT
@@ -25,6 +27,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--json", type=Path, required=True, metavar="FILE")
     parser.add_argument("--clone", action="store_true", help="run in a fresh clone of the commit, with an empty cache folder")
     parser.add_argument("--times", type=int, default=1, metavar="N", help="run each command N times")
+    parser.add_argument("--until", metavar="TEXT", help="also the time until a line of output begins with TEXT")
     parser.add_argument("commands", nargs="+", metavar="NAME=COMMAND")
     options = parser.parse_args(arguments)
     commands = dict(word.split("=", 1) for word in options.commands)
@@ -34,11 +37,17 @@ def main(arguments: list[str] | None = None) -> int:
             folder = _clone(Path(name))
             environment = {**os.environ, "XDG_CACHE_HOME": str(Path(name) / "cache")}
             environment.pop("PYTHONPATH", None)
-        seconds = {label: _seconds(command, options.times, folder, environment) for label, command in commands.items()}
-    for label, took_s in seconds.items():
-        print(f"{label}: {'failed' if took_s is None else f'{took_s:.2f} s'}")
-    result_file.save(options.json, {"seconds": seconds, "times": options.times, "commands": commands})
-    return int(None in seconds.values())
+        runs = {
+            label: _timed(command, options.times, options.until, folder, environment) for label, command in commands.items()
+        }
+    for label, run in runs.items():
+        said = "" if run.until_s is None else f", until {options.until!r} {run.until_s:.2f} s"
+        print(f"{label}: {'failed' if run.seconds is None else f'{run.seconds:.2f} s'}{said}")
+    result = {"seconds": {label: run.seconds for label, run in runs.items()}, "times": options.times, "commands": commands}
+    if options.until:
+        result["until"] = {label: run.until_s for label, run in runs.items()}
+    result_file.save(options.json, result)
+    return int(any(run.seconds is None for run in runs.values()))
 
 
 def _clone(folder: Path) -> Path:
@@ -54,16 +63,28 @@ def _clone(folder: Path) -> Path:
     return there
 
 
-def _seconds(command: str, times: int, folder: Path, environment: dict[str, str]) -> float | None:
-    """Return the median wall time of a shell command, None if a run fails."""
-    took_s = []
+@dataclass(frozen=True)
+class TimedRun:
+    """Median seconds of a command and until its line of output; None if it failed or printed no such line."""
+
+    seconds: float | None
+    until_s: float | None
+
+
+def _timed(command: str, times: int, until: str | None, folder: Path, environment: dict[str, str]) -> TimedRun:
+    took_s, until_s = list[float](), list[float]()
     for _ in range(times):
         began_s = time.monotonic()
-        done = subprocess.run(["bash", "-c", command], cwd=folder, env=environment, stdout=subprocess.DEVNULL, check=False)
-        if done.returncode:
-            return None
+        with subprocess.Popen(
+            ["bash", "-c", command], cwd=folder, env=environment, stdout=subprocess.PIPE, text=True
+        ) as process:
+            for line in process.stdout or ():
+                if until and line.startswith(until) and len(until_s) == len(took_s):
+                    until_s.append(time.monotonic() - began_s)
+        if process.returncode:
+            return TimedRun(None, None)
         took_s.append(time.monotonic() - began_s)
-    return statistics.median(took_s)
+    return TimedRun(statistics.median(took_s), statistics.median(until_s) if until_s else None)
 
 
 if __name__ == "__main__":

@@ -152,8 +152,8 @@ def test_a_file_that_no_run_writes_is_an_error(tmp_path: Path) -> None:
 
 def test_the_hazards_page_shows_each_scenario_and_the_newest_result() -> None:
     row = {"id": "A1", "autopilot": "px4", "seeds": 3, "missed": [1], "passed": False}
-    old = {"header": {**HEADER, "date": "2026-01-01T00:00:00Z", "commit": "old"}, "rows": [{**row, "missed": []}]}
-    page = hazards_page({"faults-campaign": old, "faults-one-seed": {"header": HEADER, "rows": [row]}})
+    old = {"header": {**HEADER, "date": "2026-01-01T00:00:00Z", "commit": "old"}, "scenarios": [{**row, "missed": []}]}
+    page = hazards_page({"faults-campaign": old, "faults-one-seed": {"header": HEADER, "scenarios": [row]}})
     for scenario in TABLE:
         assert f"\n| {scenario.id} | " in page
     assert "lockstep: px4 **2 of 3 (abc1234)**" in page
@@ -179,6 +179,11 @@ def test_durations_of_commands_are_written_and_a_failed_one_has_none(tmp_path: P
     assert tree["header"]["contention"] == 1.0
     save(path, {"seconds": 1.0})
     assert json.loads(path.read_text(encoding="utf-8"))["seconds"] == 1.0
+    command = "said=echo starting; echo ready after 2 s; sleep 0.2"
+    assert time_command.main(["--json", str(path), "--until", "ready after", command, "mute=true"]) == 0
+    tree = json.loads(path.read_text(encoding="utf-8"))
+    assert 0.0 <= tree["until"]["said"] < tree["seconds"]["said"] - 0.1
+    assert tree["until"]["mute"] is None
 
 
 @pytest.mark.parametrize("name", ["docs/limitations.md", "docs/hazards.md", "results/README.md", "results/notes/README.md"])
