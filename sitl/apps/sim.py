@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+import shutil
 import socket
 import sys
 import tempfile
 import time
+from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 
 from rich.console import Console
@@ -16,11 +19,28 @@ from sitl.apps.sim_options import SimOptions
 from sitl.apps.sim_processes import SimProcesses
 from sitl.scene.scene import Scene, SceneError, load_scene
 from uav_recon import config as product_config
+from uav_recon.app.kernel_cache import KernelJob, are_compiled
 from uav_recon.app.option_validation import require_writable_file
 from uav_recon.bench import result_file
+from uav_recon.config import Config
 from uav_recon.errors import EXIT_USAGE, UserError
 
 __all__ = ["SimOptions", "simulate"]
+
+WORLD_OPTIONS = "world.json"  # in the runtime folder
+
+
+@dataclass(frozen=True)
+class FlownFlight:
+    """A flight before its evaluation.
+
+    fault: in one line, None without one. wall_s: its duration. times_real: speed of a lockstep flight, None in real time.
+    """
+
+    scene: Scene
+    fault: str | None
+    wall_s: float
+    times_real: float | None
 
 
 def simulate(options: SimOptions, json: Path | None = None) -> int:
@@ -33,35 +53,72 @@ def simulate(options: SimOptions, json: Path | None = None) -> int:
     options.check_folder()
     if not options.lockstep:
         _claim_port(options.port)
-    begun_s = time.monotonic()
-    _need_open3d()
-    scene = compile_and_load(flight_jobs((options.variant,), options.mapper == "neural"), console, lambda: _scene(options))
-    options.make_folder()
-    started_s = time.monotonic()
     with tempfile.TemporaryDirectory(prefix="uav_recon-") as runtime:
-        config = options.config(scene, Path(runtime))
-        product_config.save(config, options.out / "config.toml")
-        if options.lockstep:
-            from sitl.apps.lockstep import fly_in_lockstep, interrupts
-
-            with interrupts() as land:
-                flown = fly_in_lockstep(options, config, scene, console, land)
-            fault, times_real = flown.fault, flown.simulated_s / flown.wall_s
-        else:
-            times_real = None
-            fault = SimProcesses(_commands(options, Path(runtime)), options.out / "logs", Path(runtime), console, begun_s).fly()
+        flight = (_fly_in_lockstep if options.lockstep else _fly_in_real_time)(options, Path(runtime), console)
     from sitl.apps.flight_judge import evaluate_flight, summary
 
-    report = evaluate_flight(options, scene, time.monotonic() - started_s, fault, console)
+    report = evaluate_flight(options, flight.scene, flight.wall_s, flight.fault, console)
     console.print(summary(report, options.out), markup=False, highlight=False, soft_wrap=True)
     if json is not None:
-        flight = {"completed": report.completed, "times_real": times_real, "report": dataclasses.asdict(report)}
-        result_file.save(json, flight)
-    if times_real is not None:
-        console.print(f"lockstep flight at {times_real:.1f} times real time")
-    if fault:
-        raise UserError(fault)
+        result = {"completed": report.completed, "times_real": flight.times_real, "report": dataclasses.asdict(report)}
+        result_file.save(json, result)
+    if flight.times_real is not None:
+        console.print(f"lockstep flight at {flight.times_real:.1f} times real time")
+    if flight.fault:
+        raise UserError(flight.fault)
     return 0 if report.completed else 1
+
+
+def _fly_in_lockstep(options: SimOptions, runtime: Path, console: Console) -> FlownFlight:
+    from sitl.apps.lockstep import fly_in_lockstep, interrupts
+
+    _need_open3d()
+    scene = compile_and_load(_jobs(options), console, lambda: _scene(options))
+    options.make_folder()
+    started_s, config = time.monotonic(), _save_config(options, scene, runtime)
+    with interrupts() as land:
+        flown = fly_in_lockstep(options, config, scene, console, land)
+    return FlownFlight(scene, flown.fault, time.monotonic() - started_s, flown.simulated_s / flown.wall_s)
+
+
+def _fly_in_real_time(options: SimOptions, runtime: Path, console: Console) -> FlownFlight:
+    """Fly with all processes.
+
+    If no kernel must be compiled, the simulator loads the scene while this process does.
+    """
+    begun_s, jobs, logs = time.monotonic(), _jobs(options), options.out / "logs"
+    options.world(runtime).save(runtime / WORLD_OPTIONS)
+    with SimProcesses(_commands(options, runtime), logs, runtime, console, begun_s) as processes:
+        if are_compiled(jobs):
+            options.make_folder()
+            processes.start("world")
+        try:
+            scene = compile_and_load(jobs, console, lambda: _scene(options))
+        except (UserError, KeyboardInterrupt):
+            _remove(logs)
+            raise
+        options.make_folder()
+        started_s = time.monotonic()
+        _save_config(options, scene, runtime)
+        fault = processes.fly(_need_open3d)
+    return FlownFlight(scene, fault, time.monotonic() - started_s, None)
+
+
+def _jobs(options: SimOptions) -> list[KernelJob]:
+    return flight_jobs((options.variant,), options.mapper == "neural")
+
+
+def _save_config(options: SimOptions, scene: Scene, runtime: Path) -> Config:
+    config = options.config(scene, runtime)
+    product_config.save(config, options.out / "config.toml")
+    return config
+
+
+def _remove(logs: Path) -> None:
+    """Remove the folder of a flight that did not start, if it holds nothing but logs."""
+    shutil.rmtree(logs, ignore_errors=True)
+    with suppress(OSError):
+        logs.parent.rmdir()
 
 
 def _scene(options: SimOptions) -> Scene:
@@ -91,11 +148,10 @@ def _claim_port(port: int) -> None:
 
 def _commands(options: SimOptions, runtime: Path) -> dict[str, list[str]]:
     """Return the command lines of simulator and unmodified product, in the order of their start."""
-    world, flight = runtime / "world.json", ["--flight", str(options.out)]
-    options.world(runtime).save(world)
-    product, config = [sys.executable, "-m", "uav_recon"], ["--config", str(options.out / "config.toml")]
+    flight, config = ["--flight", str(options.out)], ["--config", str(options.out / "config.toml")]
+    product = [sys.executable, "-m", "uav_recon"]
     return {
-        "world": [sys.executable, "-m", "sitl.apps.world_process", str(world)],
+        "world": [sys.executable, "-m", "sitl.apps.world_process", str(runtime / WORLD_OPTIONS)],
         "pilot": [*product, "pilot", *config, *flight],
         "perception": [*product, "perception", *config],
         "mission": [*product, "mission", *config, *flight],

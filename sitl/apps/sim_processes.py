@@ -8,6 +8,7 @@ import shutil
 import signal
 import subprocess
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -47,8 +48,8 @@ class _Child:
 class SimProcesses:
     """Simulator, pilot, perception and mission of one flight, by their command lines.
 
-    Each leads its own session, so that Ctrl-C reaches only this launcher, and each is killed when the launcher ends.
-    Children of a process end with it.
+    A context manager: at its end all processes are ended. Each leads its own session, so that Ctrl-C reaches only this
+    launcher, and each is killed when the launcher ends. Children of a process end with it.
     """
 
     def __init__(
@@ -69,16 +70,25 @@ class SimProcesses:
         self._given_up = False
         self._deadline_s = float("inf")  # deadline for the end of the mission after an interrupt
 
-    def fly(self) -> str | None:
-        """Fly; return the fault in one line, None without one.
+    def __enter__(self) -> SimProcesses:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._end_all()
+
+    def fly(self, while_starting: Callable[[], None] = lambda: None) -> str | None:
+        """Start what does not run yet and fly; return the fault in one line, None without one.
 
         SIGINT or SIGTERM lands; a second one ends all processes at once. Before the take-off the first one ends them, and
-        UserError is raised.
+        UserError is raised. while_starting(): called while the processes start; what it raises ends the flight before the
+        take-off.
         """
         before = signal.signal(signal.SIGINT, self._interrupt), signal.signal(signal.SIGTERM, self._interrupt)
         try:
-            for name, command in self._commands.items():
-                self._start(name, command)
+            for name in self._commands:
+                if name not in {child.name for child in self._children}:
+                    self.start(name)
+            while_starting()
             fault = self._watch()
             self._land_remaining()
             return fault
@@ -87,11 +97,12 @@ class SimProcesses:
             signal.signal(signal.SIGINT, before[0])
             signal.signal(signal.SIGTERM, before[1])
 
-    def _start(self, name: str, command: list[str]) -> None:
+    def start(self, name: str) -> None:
+        """Start one process before the others."""
         log = self._logs / f"{name}.log"
         with log.open("wb") as out:
             process = subprocess.Popen(  # noqa: S603 - our own programs
-                die_with_parent_command(command),
+                die_with_parent_command(self._commands[name]),
                 stdin=subprocess.DEVNULL,
                 stdout=out,
                 stderr=subprocess.STDOUT,

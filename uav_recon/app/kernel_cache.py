@@ -65,6 +65,11 @@ def use_writable_cache() -> None:
             return
 
 
+def are_compiled(jobs: Iterable[KernelJob]) -> bool:
+    """Return whether nothing is left to compile."""
+    return all(_is_stamped(job) for job in jobs)
+
+
 def compile_kernels(
     jobs: Sequence[KernelJob],
     config_path: Path,
