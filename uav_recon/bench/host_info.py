@@ -14,17 +14,23 @@ _NOT_MEASURED = (":(top,exclude)*.md", ":(top,exclude)results")
 
 
 def processor() -> str:
-    """Return the processor name and core count: 'Intel(R) Xeon(R) ..., 2 cores'."""
+    """Return the processor name and core count: 'AMD EPYC (AVX2), 2 cores'."""
     return f"{processor_name()}, {os.cpu_count()} cores"
 
 
 def processor_name() -> str:
-    """Return the model name that the system reports."""
+    """Return the model name and the vector instructions: 'AMD EPYC (AVX2)'.
+
+    Kernels are compiled for these: they change the rounding, and so a flight.
+    """
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-        return next(line.split(":", 1)[1].strip() for line in lines if line.startswith("model name"))
+        name = next(line.split(":", 1)[1].strip() for line in lines if line.startswith("model name"))
+        flags = next((set(line.split()) for line in lines if line.startswith("flags")), set[str]())
     except (OSError, StopIteration):
         return platform.processor() or platform.machine()
+    vector = next((text for flag, text in (("avx512f", "AVX-512"), ("avx2", "AVX2")) if flag in flags), "")
+    return f"{name} ({vector})" if vector else name
 
 
 def commit() -> str:
