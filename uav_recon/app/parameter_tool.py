@@ -130,11 +130,11 @@ class Vehicle:
 
     def need_disarmed(self) -> None:
         """Wait for the next heartbeat. Raises UserError unless it comes and reports disarmed."""
-        t, asked_s = self._link.telemetry, self._clock.now_s()
-        while t.heartbeat_s <= asked_s:
+        asked_s = self._clock.now_s()
+        while self._link.telemetry.mode.heartbeat_s <= asked_s:
             if self._turn() - asked_s > FRESH_S:
                 raise UserError(f"{self._options.link}: the autopilot stopped answering; writing stopped", EXIT_SILENT)
-        if t.armed:
+        if self._link.telemetry.mode.armed:
             raise UserError("the motors are armed: disarm before writing parameters", EXIT_CONFIG)
 
     def _compared(self, one: RequiredParameter) -> Compared:
@@ -142,16 +142,17 @@ class Vehicle:
         return Compared(one, told, math.nan if told is None else self._form.value_of(told))
 
     def _await_heartbeat(self) -> None:
-        t, start_s, said = self._link.telemetry, self._clock.now_s(), False
-        while t.system == 0:
+        start_s, said = self._clock.now_s(), False
+        while self._link.telemetry.system == 0:
             waited_s = self._turn() - start_s
             if waited_s > SAID_S and not said:
                 said = True
                 print(f"uav-recon: {self._options.link}: waiting for a heartbeat", file=sys.stderr)
             if waited_s > HEARTBEAT_S:
                 raise UserError(f"{self._options.link}: no heartbeat from an autopilot within {HEARTBEAT_S:.0f} s", EXIT_SILENT)
-        if t.firmware_family != _FAMILY_OF[self._options.autopilot]:
-            name = _FAMILIES.get(t.firmware_family, f"MAV_AUTOPILOT {t.firmware_family}")
+        family = self._link.telemetry.mode.firmware_family
+        if family != _FAMILY_OF[self._options.autopilot]:
+            name = _FAMILIES.get(family, f"MAV_AUTOPILOT {family}")
             raise UserError(
                 f"--autopilot (or link.autopilot in the config) is {self._options.autopilot}, but the vehicle runs {name}",
                 EXIT_CONFIG,
@@ -164,8 +165,8 @@ class Vehicle:
         now_s = self._clock.now_s()
         self._link.receive(now_s)
         self._link.poll(now_s)
-        if self._link.telemetry.failure:
-            raise UserError(f"{self._options.link}: {self._link.telemetry.failure.text()}", EXIT_SILENT)
+        if failure := self._link.status.failure:
+            raise UserError(f"{self._options.link}: {failure.text()}", EXIT_SILENT)
         return now_s
 
 

@@ -35,7 +35,6 @@ STATES = (
     wire.MAVLink_attitude_quaternion_message(7, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0),
     wire.MAVLink_sys_status_message(0, 0, 0, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0),
     wire.MAVLink_estimator_status_message(0, 0, *[9.0] * 8),
-    wire.MAVLink_command_ack_message(400, 2),
     wire.MAVLink_statustext_message(0, b"land at once"),
     wire.MAVLink_timesync_message(0, 1),  # a question: an answer would be ours
     wire.MAVLink_param_value_message(b"COM_OF_LOSS_T", 99.0, 9, 1, 0),
@@ -109,9 +108,12 @@ def truth(count: int, turn: int) -> bytes:
 
 def held_true(link: VehicleLink) -> dict[str, str]:
     """What the link knows, the autopilot's clock too, but for what the autopilot goes on saying."""
-    known = {field.name: repr(getattr(link.telemetry, field.name)) for field in dataclasses.fields(link.telemetry)}
-    for name in ("received_s", "position_m", "velocity_mps", "quat_wxyz"):
-        del known[name]
+    known = {
+        field.name: repr(getattr(value, field.name))
+        for value in (link.telemetry, link.status)
+        for field in dataclasses.fields(value)
+        if field.name not in ("received_s", "estimate")
+    }
     return {**known, "clock": str(link._timesync.autopilot_ns(1.0))}
 
 
@@ -130,7 +132,7 @@ def flying() -> tuple[VehicleLink, Wire]:
     for n in range(12):
         far.inbox += frame_of(wire.MAVLink_timesync_message(int(37e9 + n * 2e8), int(n * 2e8)), number=n)
         link.receive(n * 0.2 + 0.002)
-    assert link.time_known
+    assert link.status.time_known
     far.sent = b""
     return link, far
 
@@ -140,7 +142,7 @@ def heard_after_s(link: VehicleLink, far: Wire, count: int, now_s: float) -> flo
     for turn in range(600):
         far.inbox += truth(count, turn)
         link.receive(now_s + turn / TELEMETRY_HZ)
-        if link.telemetry.position_m[1] == count % 5000:
+        if link.telemetry.estimate.position_m[1] == count % 5000:
             return turn / TELEMETRY_HZ
     return float("inf")
 

@@ -78,7 +78,7 @@ def converge(link: VehicleLink, far: Wire, offset_s: float = 37.5) -> None:
         now = 0.2 * i
         far.update(wire.MAVLink_timesync_message(int((now + 0.001 + offset_s) * 1e9), int(now * 1e9)))
         link.receive(now + 0.002)
-    assert link.time_known
+    assert link.status.time_known
 
 
 def test_only_the_allowed_autopilot_counts(far: Wire, caplog: pytest.LogCaptureFixture) -> None:
@@ -95,11 +95,11 @@ def test_only_the_allowed_autopilot_counts(far: Wire, caplog: pytest.LogCaptureF
         far.update(heartbeat(mode=4 << 16, armed=True), 7, 2)
     link.receive(0.1)
     assert (system_before, link.telemetry.system) == (0, 7)
-    assert (link.telemetry.custom_mode, link.telemetry.armed) == (3 << 16, False)
-    twin_before = link.telemetry.own_id_in_use
+    assert (link.telemetry.mode.custom_mode, link.telemetry.mode.armed) == (3 << 16, False)
+    twin_before = link.status.own_id_in_use
     far.update(heartbeat(), 245, 191)
     link.receive(0.2)
-    assert (twin_before, link.telemetry.own_id_in_use) == (False, True)
+    assert (twin_before, link.status.own_id_in_use) == (False, True)
     assert gate.refused == 12
     named = [record.getMessage() for record in caplog.records]
     assert [
@@ -114,7 +114,7 @@ def test_mavlink_1_is_counted_and_named_and_says_nothing(far: Wire, caplog: pyte
     for _ in range(3):
         far.inbox += bytes(heartbeat(armed=True).pack(wire.MAVLink(None, 1, 1), force_mavlink1=True))
     link.receive(0.0)
-    assert (link.telemetry.system, link.telemetry.armed, gate.refused) == (0, False, 3)
+    assert (link.telemetry.system, link.telemetry.mode.armed, gate.refused) == (0, False, 3)
     assert [record.getMessage() for record in caplog.records] == ["link: MAVLink 1: not listened to"]
 
 
@@ -189,7 +189,7 @@ def test_only_an_answer_that_comes_at_once_teaches_the_autopilot_our_clock(pair:
         link.receive(asked_s + late_s)
     answers = [m for m in far.sent if m.get_type() == "TIMESYNC" and m.tc1 != 0]
     assert len(answers) == 5
-    assert link.telemetry.clock_answers == 3
+    assert link.status.clock_answers == 3
 
 
 def test_its_questions_are_answered_on_its_own_clock(pair: tuple[VehicleLink, Wire]) -> None:
@@ -235,8 +235,8 @@ def test_what_comes_late_or_twice_undoes_nothing(pair: tuple[VehicleLink, Wire])
     link.receive(0.1)
     far.inbox = old
     link.receive(0.2)
-    assert (link.telemetry.custom_mode, link.telemetry.armed, link.telemetry.received_s) == (6 << 16, True, 0.1)
-    assert link.telemetry.stale_frames == 1
+    assert (link.telemetry.mode.custom_mode, link.telemetry.mode.armed, link.telemetry.received_s) == (6 << 16, True, 0.1)
+    assert link.status.stale_frames == 1
 
 
 def test_a_battery_that_is_told_no_more_is_not_known(pair: tuple[VehicleLink, Wire]) -> None:
@@ -244,10 +244,10 @@ def test_a_battery_that_is_told_no_more_is_not_known(pair: tuple[VehicleLink, Wi
     far.update(heartbeat())
     far.update(wire.MAVLink_sys_status_message(0, 0, 0, 0, 15000, 0, 62, 0, 0, 0, 0, 0, 0))
     link.receive(5.0)
-    assert link.telemetry.battery_at(5.9) == 0.62
+    assert link.telemetry.battery.fraction_at(5.9) == 0.62
     far.update(heartbeat())
     link.receive(6.0)
-    assert math.isnan(link.telemetry.battery_at(6.1)), "other words go on"
+    assert math.isnan(link.telemetry.battery.fraction_at(6.1)), "other words go on"
 
 
 def test_a_reboot_forgets_the_origin(pair: tuple[VehicleLink, Wire]) -> None:
@@ -255,14 +255,14 @@ def test_a_reboot_forgets_the_origin(pair: tuple[VehicleLink, Wire]) -> None:
     converge(link, far)
     far.update(wire.MAVLink_gps_global_origin_message(1, 2, 3))
     link.receive(3.0)
-    known_before = link.telemetry.origin_known
+    known_before = link.telemetry.readiness.origin_known
     for i in range(6):
         now = 4.0 + 0.2 * i
         far.update(wire.MAVLink_timesync_message(int((now - 3.0) * 1e9), int(now * 1e9)))
         link.receive(now + 0.001)
-    assert link.telemetry.reboots == 1
-    assert (known_before, link.telemetry.origin_known) == (True, False)
-    assert not link.time_known
+    assert link.status.reboots == 1
+    assert (known_before, link.telemetry.readiness.origin_known) == (True, False)
+    assert not link.status.time_known
 
 
 def test_no_pose_is_sent_by_a_clock_in_doubt(pair: tuple[VehicleLink, Wire]) -> None:
@@ -282,7 +282,7 @@ def test_no_pose_is_sent_by_a_clock_in_doubt(pair: tuple[VehicleLink, Wire]) -> 
         far.update(wire.MAVLink_timesync_message(int((now - 3.0) * 1e9), int(now * 1e9)))
         link.receive(now + 0.001)
         link.keep_alive(now + 0.001)
-        assert link.time_known or "TIMESYNC" in [message.get_type() for message in far.sent]
+        assert link.status.time_known or "TIMESYNC" in [message.get_type() for message in far.sent]
     assert sent == [1] + [0] * 9 + [1, 1]
     assert far.sent[0].time_usec == pytest.approx(1e6, abs=2e3)
 
@@ -296,11 +296,11 @@ def test_an_autopilot_that_counts_anew_is_understood_at_once(pair: tuple[Vehicle
         now = 2.4 + 0.02 * n
         far.update(wire.MAVLink_timesync_message(int((now - 2.0) * 1e9), int(now * 1e9)))
         link.receive(now + 0.001)
-        assert not link.time_known
-    assert link.telemetry.reboots == 1
+        assert not link.status.time_known
+    assert link.status.reboots == 1
     far.update(heartbeat(mode=2 << 16))
     link.receive(2.6)
-    assert link.telemetry.custom_mode == 2 << 16
+    assert link.telemetry.mode.custom_mode == 2 << 16
 
 
 def test_a_link_that_breaks_is_a_reason_not_a_crash(pair: tuple[VehicleLink, Wire]) -> None:
@@ -308,10 +308,10 @@ def test_a_link_that_breaks_is_a_reason_not_a_crash(pair: tuple[VehicleLink, Wir
     far.error = "Input/output error"
     link.receive(0.0)
     link.keep_alive(0.0)
-    assert link.telemetry.failure == Reason(ReasonCode.LINK_ERROR, ("Input/output error",))
+    assert link.status.failure == Reason(ReasonCode.LINK_ERROR, ("Input/output error",))
     far.error = ""
     link.receive(0.1)
-    assert link.telemetry.failure is None, "it is back"
+    assert link.status.failure is None, "it is back"
 
 
 def test_the_pilots_imports_stay_small() -> None:

@@ -151,7 +151,7 @@ def test_our_own_frames_come_back_as_a_twin_and_nothing_else(tmp_path: Path) -> 
     assert Decoder().feed(ear.far.sent)[0].frame[2] == 1
     ear.far.inbox = ear.far.sent
     ear.link.receive(0.1)
-    assert (ear.link.telemetry.own_id_in_use, ear.link.telemetry.system) == (True, 0)
+    assert (ear.link.status.own_id_in_use, ear.link.telemetry.system) == (True, 0)
 
 
 def test_only_a_signed_heartbeat_greets(tmp_path: Path) -> None:

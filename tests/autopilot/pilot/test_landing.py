@@ -9,15 +9,19 @@ from typing import Any
 
 import numpy as np
 import pytest
+from telemetry_values import changed
 
+from uav_recon.autopilot.mavlink.telemetry import ModeReport, MotionEstimate, Telemetry
 from uav_recon.autopilot.pilot.landing import Landing
 
 
 def _link(heartbeat_s: float, asked_s: list[float], lands: bool = False) -> Any:
-    telemetry = SimpleNamespace(
-        armed=True, on_ground_s=0.0, custom_mode=0, position_m=np.array([0.0, 0.0, 1.0]), heartbeat_s=heartbeat_s,
+    telemetry = Telemetry(
         received_s=100.0,
-    )  # fmt: skip
+        mode=ModeReport(heartbeat_s=heartbeat_s, armed=True),
+        estimate=MotionEstimate(position_m=np.array([0.0, 0.0, 1.0])),
+        on_ground_s=0.0,
+    )
     firmware = SimpleNamespace(is_landing=lambda mode: lands, is_ours=lambda mode: True, land=(21, ()))
     return SimpleNamespace(telemetry=telemetry, firmware=firmware, command=lambda now_s, *order: asked_s.append(now_s))
 
@@ -36,8 +40,8 @@ def test_a_mode_from_before_a_silence_is_not_asked_away_however_long_it_waits() 
     link = _link(100.0, asked_s)
     for n in range(300):
         now_s = 100.6 + 0.01 * n
-        link.telemetry.received_s = 100.0 if n < 50 else now_s  # it hears again, of all but the mode
-        link.telemetry.heartbeat_s = 100.0 if n < 200 else 102.6
+        received_s = 100.0 if n < 50 else now_s  # it hears again, of all but the mode
+        link.telemetry = changed(link.telemetry, received_s=received_s, heartbeat_s=100.0 if n < 200 else 102.6)
         landing.step(link, now_s)
     assert asked_s == [pytest.approx(102.6, abs=0.011)]
 
@@ -47,7 +51,7 @@ def _alert_s(height_m: Callable[[float], float], until_s: float) -> float:
     landing, link = Landing(seen=True), _link(0.0, [], lands=True)
     for n in range(round(until_s / 0.01)):
         now_s = 0.01 * n
-        link.telemetry.position_m = np.array([0.0, 0.0, height_m(now_s)])
+        link.telemetry = changed(link.telemetry, position_m=np.array([0.0, 0.0, height_m(now_s)]))
         landing.step(link, now_s)
         if landing.alert:
             return now_s

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from uav_recon.autopilot.mavlink.telemetry import Telemetry
+from uav_recon.autopilot.mavlink.telemetry import MotionEstimate, Telemetry
 from uav_recon.autopilot.pilot.takeoff_monitor import TakeoffMonitor
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
@@ -16,7 +16,7 @@ from uav_recon.types.reason_code import ReasonCode
 def at(height_m: float, tilt_deg: float = 0.0) -> Telemetry:
     half = math.radians(tilt_deg) / 2.0
     quat = np.array([math.cos(half), math.sin(half) * 0.6, math.sin(half) * 0.8, 0.0])
-    return Telemetry(position_m=np.array([5.0, 6.0, height_m]), quat_wxyz=quat)
+    return Telemetry(estimate=MotionEstimate(position_m=np.array([5.0, 6.0, height_m]), quat_wxyz=quat))
 
 
 def begun(ground_m: float = 0.0) -> TakeoffMonitor:

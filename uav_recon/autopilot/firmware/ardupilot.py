@@ -17,9 +17,11 @@ from uav_recon.autopilot.firmware.profile import (
     FirmwareProfile,
     Outcome,
     Request,
+    SupportedFirmware,
     missing_to_arm,
     missing_to_follow,
 )
+from uav_recon.autopilot.link.link_status import LinkStatus
 from uav_recon.autopilot.mavlink.telemetry import Telemetry
 from uav_recon.autopilot.pilot.takeoff_monitor import TakeoffMonitor
 from uav_recon.types.reason import Reason, autopilot_text
@@ -28,8 +30,8 @@ from uav_recon.types.reason_code import ReasonCode
 TAKE_OFF = 22
 CLIMB_M = 0.5  # height of the climb by command; from there on setpoints are followed
 MIN_VERSION = (4, 5, 2)  # before it, VISO_DELAY_MS had no effect
+_SUPPORTED = SupportedFirmware("ArduPilot", family=3, oldest=MIN_VERSION)
 LOCAL_FRD = 20  # MAV_FRAME: odometry in any other is dropped without a message
-_FAMILY = 3
 _CUSTOM_MODE_ENABLED = 1.0
 _GUIDED, _LAND = 4, 9
 _MODES = {
@@ -74,14 +76,14 @@ def is_landing(custom_mode: int) -> bool:
     return custom_mode == _LAND
 
 
-def missing_for_origin(t: Telemetry, time_known: bool, now_s: float) -> Reason | None:
+def missing_for_origin(t: Telemetry, status: LinkStatus, now_s: float) -> Reason | None:
     """Return what is missing before the origin may be sent, None for nothing."""
-    return missing_to_follow(t, time_known, now_s, "ArduPilot", _FAMILY, MIN_VERSION)
+    return missing_to_follow(t, status, now_s, _SUPPORTED)
 
 
-def missing_for_arming(t: Telemetry, time_known: bool, now_s: float) -> Reason | None:
+def missing_for_arming(t: Telemetry, status: LinkStatus, now_s: float) -> Reason | None:
     """Return what is missing before arming may be requested, None for nothing."""
-    return missing_for_origin(t, time_known, now_s) or missing_to_arm(t)
+    return missing_for_origin(t, status, now_s) or missing_to_arm(t)
 
 
 class ArduPilotArmingSequence:
@@ -110,21 +112,21 @@ class ArduPilotArmingSequence:
 
         No setpoint may be sent before the state is ARMED.
         """
-        self._mode_before = t.custom_mode if self._mode_before is None else self._mode_before
-        if not is_ours(t.custom_mode) and (self._mode_seen or t.custom_mode != self._mode_before):
-            return self._give_up(Reason(ReasonCode.MODE_CHANGED, (mode_name(t.custom_mode),)))
+        self._mode_before = t.mode.custom_mode if self._mode_before is None else self._mode_before
+        if not is_ours(t.mode.custom_mode) and (self._mode_seen or t.mode.custom_mode != self._mode_before):
+            return self._give_up(Reason(ReasonCode.MODE_CHANGED, (mode_name(t.mode.custom_mode),)))
         if not self._mode_seen:
-            if not (is_ours(t.custom_mode) and t.heartbeat_s > self._mode.asked_s > -math.inf):
-                return self._ask(self._mode, now_s, Reason(ReasonCode.MODE_UNCHANGED, (mode_name(t.custom_mode),)), t)
+            if not (is_ours(t.mode.custom_mode) and t.mode.heartbeat_s > self._mode.asked_s > -math.inf):
+                return self._ask(self._mode, now_s, Reason(ReasonCode.MODE_UNCHANGED, (mode_name(t.mode.custom_mode),)), t)
             self._mode_seen = True
-        if not t.armed:
+        if not t.mode.armed:
             if self._climb_s < math.inf:
                 return self._give_up(Reason(ReasonCode.DISARMED_BEFORE_TAKEOFF, details=autopilot_text(t.warning)))
             return self._ask(self._arm, now_s, Reason(ReasonCode.MOTORS_STAY_OFF), t)
         return self._climb(now_s, t)
 
     def _climb(self, now_s: float, t: Telemetry) -> tuple[Outcome, Command | None]:
-        height_m = float(t.position_m[2])
+        height_m = float(t.estimate.position_m[2])
         if self._climb_s == math.inf:
             self._climb_s = now_s
             self._ground_m = height_m

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Protocol
 
-from uav_recon.autopilot.link.link_alerts import TWO
+from uav_recon.autopilot.link.link_status import LinkStatus
 from uav_recon.autopilot.mavlink.telemetry import Telemetry
 from uav_recon.types.reason import Reason, autopilot_text
 from uav_recon.types.reason_code import ReasonCode
@@ -52,16 +52,16 @@ class ArmingSequence(Protocol):
 class FirmwareProfile:
     """Rules of a firmware. Modes are HEARTBEAT's custom_mode.
 
-    missing_for_origin and missing_for_arming (telemetry, whether its clock is known, now) name what is missing, None for
-    nothing. pose_frame: MAV_FRAME of our ODOMETRY. setpoint_mask: ignored fields of a setpoint. streams_hz: requested messages;
+    missing_for_origin and missing_for_arming (telemetry, link status, now) name what is missing, None for nothing.
+    pose_frame: MAV_FRAME of our ODOMETRY. setpoint_mask: ignored fields of a setpoint. streams_hz: requested messages;
     asked_once: messages requested once; polled_hz: messages requested one by one at this rate, where a rate cannot be set.
     """
 
     mode_name: Callable[[int], str]
     is_ours: Callable[[int], bool]
     is_landing: Callable[[int], bool]
-    missing_for_origin: Callable[[Telemetry, bool, float], Reason | None]
-    missing_for_arming: Callable[[Telemetry, bool, float], Reason | None]
+    missing_for_origin: Callable[[Telemetry, LinkStatus, float], Reason | None]
+    missing_for_arming: Callable[[Telemetry, LinkStatus, float], Reason | None]
     arming: Callable[[float], ArmingSequence]
     land: Command
     pose_frame: int
@@ -71,42 +71,63 @@ class FirmwareProfile:
     polled_hz: tuple[tuple[int, float], ...]
 
 
-def missing_to_follow(
-    t: Telemetry, time_known: bool, now_s: float, name: str, family: int, oldest: Version, unknown: Version | None = None
-) -> Reason | None:
-    """Return what is missing until the autopilot follows our poses, None for nothing.
+@dataclass(frozen=True, slots=True)
+class SupportedFirmware:
+    """The firmware of a profile, and its versions.
 
-    family: required MAV_AUTOPILOT. unknown: the first version whose source has not been reviewed; None if every newer one is
-    accepted.
+    family: MAV_AUTOPILOT. unknown: the first version whose source has not been reviewed; None if every newer one is accepted.
     """
-    if not now_s - t.heartbeat_s <= _HEARTBEAT_S:
+
+    name: str
+    family: int
+    oldest: Version
+    unknown: Version | None = None
+
+    def version_fault(self, version: Version | None) -> Reason | None:
+        """Return why a version is not accepted, None if it is. version: None if it was not reported."""
+        if version is None:
+            return Reason(ReasonCode.FIRMWARE_UNKNOWN)
+        if version < self.oldest:
+            return Reason(ReasonCode.FIRMWARE_TOO_OLD, (self.name, _dotted(version), _dotted(self.oldest)))
+        if self.unknown is not None and version >= self.unknown:
+            return Reason(ReasonCode.FIRMWARE_TOO_NEW, (self.name, _dotted(version), _dotted(self.unknown)))
+        return None
+
+
+def missing_to_follow(t: Telemetry, status: LinkStatus, now_s: float, supported: SupportedFirmware) -> Reason | None:
+    """Return what is missing until the autopilot follows our poses, None for nothing."""
+    return (
+        _missing_autopilot(t, status, now_s, supported)
+        or supported.version_fault(t.version)
+        or _missing_poses(t, status, now_s)
+    )
+
+
+def _missing_autopilot(t: Telemetry, status: LinkStatus, now_s: float, supported: SupportedFirmware) -> Reason | None:
+    """Return why there is no autopilot of this firmware, or more than one; None if there is one."""
+    if not now_s - t.mode.heartbeat_s <= _HEARTBEAT_S:
         return Reason(ReasonCode.NO_HEARTBEAT)
-    if t.firmware_family != family:
-        return Reason(ReasonCode.WRONG_FIRMWARE, (name, t.firmware_family))
-    if t.own_id_in_use:
+    if t.mode.firmware_family != supported.family:
+        return Reason(ReasonCode.WRONG_FIRMWARE, (supported.name, t.mode.firmware_family))
+    if status.own_id_in_use:
         return Reason(ReasonCode.OUR_ID_IN_USE)
-    if t.duplicate_autopilot or t.identity_fault:
-        return t.identity_fault or TWO
-    if t.version is None:
-        return Reason(ReasonCode.FIRMWARE_UNKNOWN)
-    if t.version < oldest:
-        return Reason(ReasonCode.FIRMWARE_TOO_OLD, (name, _dotted(t.version), _dotted(oldest)))
-    if unknown is not None and t.version >= unknown:
-        return Reason(ReasonCode.FIRMWARE_TOO_NEW, (name, _dotted(t.version), _dotted(unknown)))
-    if not time_known:
+    return status.autopilot_fault
+
+
+def _missing_poses(t: Telemetry, status: LinkStatus, now_s: float) -> Reason | None:
+    """Return why our poses do not reach its estimator, None if they do."""
+    if not status.time_known:
         return Reason(ReasonCode.CLOCKS_NOT_SYNCHRONISED)
-    if not now_s - t.pose_fed_s <= _POSE_S:
+    if not now_s - status.pose_fed_s <= _POSE_S:
         return Reason(ReasonCode.NO_POSE_FED)
-    if not t.estimator_good:
-        return Reason(ReasonCode.ESTIMATOR_NOT_FOLLOWING)
-    return None
+    return None if t.readiness.estimator_good else Reason(ReasonCode.ESTIMATOR_NOT_FOLLOWING)
 
 
 def missing_to_arm(t: Telemetry) -> Reason | None:
     """Return what is missing once it follows our poses, None for nothing."""
-    if not t.origin_known:
+    if not t.readiness.origin_known:
         return Reason(ReasonCode.NO_ORIGIN)
-    return None if t.prearm_good else Reason(ReasonCode.PREARM_FAILED, details=autopilot_text(t.warning))
+    return None if t.readiness.prearm_good else Reason(ReasonCode.PREARM_FAILED, details=autopilot_text(t.warning))
 
 
 def _dotted(version: Version) -> str:

@@ -15,14 +15,15 @@ from uav_recon.autopilot.firmware.profile import (
     FirmwareProfile,
     Outcome,
     Request,
+    SupportedFirmware,
     missing_to_arm,
     missing_to_follow,
 )
+from uav_recon.autopilot.link.link_status import LinkStatus
 from uav_recon.autopilot.mavlink.telemetry import Telemetry
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
 
-_PX4_FAMILY = 12
 _CUSTOM_MODE_ENABLED = 1.0
 _OFFBOARD, _AUTO, _AUTO_LAND = 6, 4, 6
 _MAIN_MODES = {1: "MANUAL", 2: "ALTCTL", 3: "POSCTL", 4: "AUTO", 5: "ACRO", 6: "OFFBOARD", 7: "STABILIZED", 8: "RATTITUDE"}
@@ -35,6 +36,7 @@ LOCAL_NED = 1  # MAV_FRAME: PX4 does not use a heading in LOCAL_FRD, so no globa
 CLOCK_ANSWERS = 500  # answers until PX4 accepts stamps: fifty seconds
 MIN_VERSION = (1, 15, 4)  # before 1.15.2, LAND without a global position flew to local (0, 0)
 UNKNOWN_VERSION = (1, 18, 0)  # its handling of our messages is not known: AUTOPILOTS covers versions up to 1.17
+_SUPPORTED = SupportedFirmware("PX4", family=12, oldest=MIN_VERSION, unknown=UNKNOWN_VERSION)
 
 STREAMS_HZ = (
     (1, 2.0),  # SYS_STATUS
@@ -69,23 +71,23 @@ def is_landing(custom_mode: int) -> bool:
     return custom_mode >> 16 & 0xFFFF == _AUTO_LAND << 8 | _AUTO
 
 
-def missing_for_origin(t: Telemetry, time_known: bool, now_s: float) -> Reason | None:
+def missing_for_origin(t: Telemetry, status: LinkStatus, now_s: float) -> Reason | None:
     """Return what is missing before the origin may be sent, None for nothing.
 
     If it is sent too early, PX4 sets local z to the altitude.
     """
-    return missing_to_follow(t, time_known, now_s, "PX4", _PX4_FAMILY, MIN_VERSION, UNKNOWN_VERSION)
+    return missing_to_follow(t, status, now_s, _SUPPORTED)
 
 
-def missing_for_arming(t: Telemetry, time_known: bool, now_s: float) -> Reason | None:
+def missing_for_arming(t: Telemetry, status: LinkStatus, now_s: float) -> Reason | None:
     """Return what is missing before arming may be requested, None for nothing.
 
     Until its TIMESYNC has converged PX4 takes a pose for as old as its arrival (HAZARDS 0.8): on a link that repeats frames or
     delays some, old poses would pass for new ones.
     """
-    missing = missing_for_origin(t, time_known, now_s) or missing_to_arm(t)
-    if not missing and t.stale_frames and t.clock_answers < CLOCK_ANSWERS:
-        return Reason(ReasonCode.WAITING_FOR_TIMESYNC, (t.clock_answers, CLOCK_ANSWERS))
+    missing = missing_for_origin(t, status, now_s) or missing_to_arm(t)
+    if not missing and status.stale_frames and status.clock_answers < CLOCK_ANSWERS:
+        return Reason(ReasonCode.WAITING_FOR_TIMESYNC, (status.clock_answers, CLOCK_ANSWERS))
     return missing
 
 
@@ -111,18 +113,18 @@ class Px4ArmingSequence:
 
         Setpoints must be streaming all the time.
         """
-        self._mode_before = t.custom_mode if self._mode_before is None else self._mode_before
-        if not is_ours(t.custom_mode) and (self._mode_seen or t.custom_mode != self._mode_before):
-            changed = Reason(ReasonCode.MODE_CHANGED, (mode_name(t.custom_mode),))
+        self._mode_before = t.mode.custom_mode if self._mode_before is None else self._mode_before
+        if not is_ours(t.mode.custom_mode) and (self._mode_seen or t.mode.custom_mode != self._mode_before):
+            changed = Reason(ReasonCode.MODE_CHANGED, (mode_name(t.mode.custom_mode),))
             self.reason = Reason(ReasonCode.ARMING_GIVEN_UP, details=(changed,))
             return Outcome.GIVEN_UP, None
         if now_s - self._start_s < self.STREAM_S:
             return Outcome.PENDING, None
         if not self._mode_seen:
-            if not (is_ours(t.custom_mode) and t.heartbeat_s > self._mode.asked_s > -math.inf):
-                return self._ask(self._mode, now_s, Reason(ReasonCode.MODE_UNCHANGED, (mode_name(t.custom_mode),)), t)
+            if not (is_ours(t.mode.custom_mode) and t.mode.heartbeat_s > self._mode.asked_s > -math.inf):
+                return self._ask(self._mode, now_s, Reason(ReasonCode.MODE_UNCHANGED, (mode_name(t.mode.custom_mode),)), t)
             self._mode_seen = True
-        if t.armed:
+        if t.mode.armed:
             return Outcome.ARMED, None
         return self._ask(self._arm, now_s, Reason(ReasonCode.MOTORS_STAY_OFF), t)
 

@@ -3,33 +3,27 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 from uav_recon.autopilot.firmware.profile import FirmwareProfile
 from uav_recon.autopilot.link.autopilot_identity import AutopilotIdentity
 from uav_recon.autopilot.link.duplicate_autopilot import DuplicateAutopilotDetector
 from uav_recon.autopilot.link.link_alerts import TWO, LinkAlerts
+from uav_recon.autopilot.link.link_status import LinkStatus
 from uav_recon.autopilot.link.stale_frame_filter import StaleFrameFilter
 from uav_recon.autopilot.link.timesync import TimeSyncFilter
 from uav_recon.autopilot.mavlink.allow_list import NOT_AN_AUTOPILOT, AllowListFilter
 from uav_recon.autopilot.mavlink.codec import Decoder, Encoder
 from uav_recon.autopilot.mavlink.messages import (
-    Ack,
-    Attitude,
-    EstimatorStatus,
     Firmware,
     GimbalAttitude,
     Heartbeat,
-    LandedState,
-    LocalPosition,
     Message,
-    OriginSet,
     ParameterValue,
     Received,
-    StatusText,
-    SystemStatus,
     TimesyncMessage,
 )
-from uav_recon.autopilot.mavlink.telemetry import Telemetry
+from uav_recon.autopilot.mavlink.telemetry import Telemetry, rebooted, updated
 from uav_recon.autopilot.mavlink.tlog import FrameLog
 from uav_recon.clock import RateKeeper
 from uav_recon.interfaces import ByteLink
@@ -38,7 +32,6 @@ from uav_recon.types.pose import StampedPose
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
 
-_WARNING = 4
 _DEAF_S = 1.7
 _SLOW_TRIP_S, _SLOW_FOR_S = 0.2, 10.0  # 0.1 s each way: at 0.8 m/s the vehicle lags by 0.08 m more
 _SET_MESSAGE_INTERVAL, _REQUEST_MESSAGE = 511, 512
@@ -54,7 +47,8 @@ class VehicleLink:
 
     Methods never block and never raise on received data.
 
-    firmware: profile of the firmware on the other end. gate: filter for senders.
+    firmware: profile of the firmware on the other end. gate: filter for senders. ``telemetry`` and ``status`` are the values
+    of this moment: what the autopilot reported, and what the link itself observed.
     """
 
     def __init__(
@@ -85,35 +79,29 @@ class VehicleLink:
         self._polled = [(identifier, RateKeeper(rate_hz, start_s)) for identifier, rate_hz in firmware.polled_hz]
         self._asked_parameters: set[str] = set()
         self.telemetry = Telemetry()
+        self.status = LinkStatus()
         self.alerts = LinkAlerts(self._own)
-
-    @property
-    def time_known(self) -> bool:
-        """True if the autopilot's clock is known."""
-        return self._timesync.converged
 
     def receive(self, now_s: float) -> None:
         """Process the received bytes."""
         try:
             data = self._bytes.read()
         except OSError as error:
-            self.telemetry.failure = Reason(ReasonCode.LINK_ERROR, (error.strerror or str(error),))
+            self._note_failure(error)
             return
-        self.telemetry.failure = None
+        if self.status.failure:
+            self.status = replace(self.status, failure=None)
         old_frames = self._decoder.mavlink1_frames
         for received in self._decoder.feed(data):
             self._log.record(now_s, received.frame)
             self._on_frame(received, now_s)
-        self._notice_slowness(now_s)
-        self.telemetry.duplicate_autopilot = self._duplicates.detected(now_s)
-        if self.telemetry.duplicate_autopilot:
-            self.alerts.note(TWO)
+        self._update_status(now_s)
         if self._decoder.mavlink1_frames > old_frames:
             self.alerts.note(Reason(ReasonCode.INTRUDER_MAVLINK1))
         self._gate.refuse("MAVLink 1", self._decoder.mavlink1_frames - old_frames)
 
-    def _notice_slowness(self, now_s: float) -> None:
-        """Update whether the link is slow.
+    def _update_status(self, now_s: float) -> None:
+        """Update whether the clock is known, the link slow, and the autopilot the only one.
 
         A link counts as slow until it has been quick for a while: each change of the speed limit costs a stop.
         """
@@ -121,7 +109,12 @@ class VehicleLink:
         if trip_s > _SLOW_TRIP_S:
             self._slow_s = now_s
             self.alerts.note(Reason(ReasonCode.LINK_SLOW, (trip_s,)))
-        self.telemetry.slow = now_s - self._slow_s < _SLOW_FOR_S
+        duplicate = self._duplicates.detected(now_s)
+        if duplicate:
+            self.alerts.note(TWO)
+        known, slow, status = self._timesync.converged, now_s - self._slow_s < _SLOW_FOR_S, self.status
+        if (known, slow, duplicate) != (status.time_known, status.slow, status.duplicate_autopilot):
+            self.status = replace(status, time_known=known, slow=slow, duplicate_autopilot=duplicate)
 
     def keep_alive(self, now_s: float) -> None:
         """Send our heartbeat, and the request for the autopilot's clock.
@@ -153,11 +146,11 @@ class VehicleLink:
 
         Nothing is sent before that clock is known, while it is doubtful, or to another autopilot.
         """
-        if not self.time_known or self.telemetry.identity_fault:
+        if not self.status.time_known or self.status.identity_fault:
             return
         time_us = self._timesync.autopilot_ns(pose.stamp_s) // 1000
         self._send(self._encoder.odometry(pose, time_us, self.firmware.pose_frame), now_s)
-        self.telemetry.pose_fed_s = now_s
+        self.status = replace(self.status, pose_fed_s=now_s)
 
     def stream(self, cleared: ClearedSetpoint, now_s: float, gimbal: bool) -> None:
         """Send a cleared setpoint, and at most ten times a second its camera pitch."""
@@ -211,18 +204,21 @@ class VehicleLink:
         try:
             self._bytes.write(frame)
         except OSError as error:
-            self.telemetry.failure = Reason(ReasonCode.LINK_ERROR, (error.strerror or str(error),))
+            self._note_failure(error)
             return
         self._log.record(now_s, frame)
+
+    def _note_failure(self, error: OSError) -> None:
+        self.status = replace(self.status, failure=Reason(ReasonCode.LINK_ERROR, (error.strerror or str(error),)))
 
     def _on_frame(self, received: Received, now_s: float) -> None:
         """Process a frame that the gate admits, after the vehicle's first heartbeat.
 
         Of the autopilot's frames, only those are processed that are not stale.
         """
-        t, message = self.telemetry, received.message
+        message = received.message
         if (received.system, received.component) == self._own:
-            t.own_id_in_use = True
+            self.status = replace(self.status, own_id_in_use=True)
             self.alerts.update(received)
             return
         if not self._gate.admits(received):
@@ -230,72 +226,55 @@ class VehicleLink:
             return
         from_autopilot = self._gate.is_autopilot(received)
         if isinstance(message, Heartbeat) and from_autopilot and message.autopilot != NOT_AN_AUTOPILOT:
-            t.system = received.system
-        if t.system == 0 or message is None:
+            self.telemetry = replace(self.telemetry, system=received.system)
+        if self.telemetry.system == 0 or message is None:
             return
         if from_autopilot:
-            self._duplicates.update(received, now_s)
-            dated = isinstance(message, TimesyncMessage) and message.tc1_ns != 0  # its round trip shows how late it is
-            if not self._stale_filter.is_newest(received.frame, now_s) and not (
-                dated or t.duplicate_autopilot
-            ):  # of two, neither is older
-                t.stale_frames += 1
-                return
-            t.received_s = now_s
-            self._identity.update(now_s, self._timesync.lost)
-            self._on_message(message, now_s)
+            self._on_autopilot_frame(received, message, now_s)
         elif isinstance(message, GimbalAttitude):
-            t.camera_pitch_down_rad = message.pitch_down_rad
+            self.telemetry = updated(self.telemetry, message, now_s)
+
+    def _on_autopilot_frame(self, received: Received, message: Message, now_s: float) -> None:
+        self._duplicates.update(received, now_s)
+        dated = isinstance(message, TimesyncMessage) and message.tc1_ns != 0  # its round trip shows how late it is
+        newest = self._stale_filter.is_newest(received.frame, now_s)
+        if not (newest or dated or self.status.duplicate_autopilot):  # of two autopilots, neither message is older
+            self.status = replace(self.status, stale_frames=self.status.stale_frames + 1)
+            return
+        self.telemetry = replace(self.telemetry, received_s=now_s)
+        self._identity.update(now_s, self._timesync.lost)
+        self._on_message(message, now_s)
 
     def _on_message(self, message: Message, now_s: float) -> None:
-        t = self.telemetry
+        """Update the telemetry with a message, and the parts of the link that need it."""
         match message:
             case Heartbeat():
-                self._take_state(message, now_s)
+                self._on_heartbeat(message, now_s)
+                return
             case TimesyncMessage():
                 self._synchronise(message, now_s)
-            case EstimatorStatus():
-                t.estimator_good = message.position_good
-            case LandedState():
-                t.on_ground_s = now_s if message.on_ground else -math.inf
-            case SystemStatus():
-                t.prearm_good, t.battery_fraction, t.battery_s = message.prearm_good, message.battery_fraction, now_s
-            case LocalPosition():
-                t.position_m, t.velocity_mps = message.position_m, message.velocity_mps
-            case Attitude():
-                t.quat_wxyz = message.quat_wxyz
-            case OriginSet():
-                t.origin_known = True
             case Firmware():
-                t.version = message.version
                 self._identity.told(message.uid)
-                t.identity_fault = self._identity.fault
-            case StatusText():
-                t.warning = message.text if message.severity <= _WARNING else t.warning
-            case GimbalAttitude():
-                t.camera_pitch_down_rad = message.pitch_down_rad
-            case ParameterValue():
-                if message.name in self._asked_parameters:
-                    t.parameters[message.name] = message
-            case Ack():
-                t.refused_command = message.command if message.result not in (0, 5) else t.refused_command
+                self.status = replace(self.status, identity_fault=self._identity.fault)
+            case ParameterValue() if message.name not in self._asked_parameters:
+                return
+        self.telemetry = updated(self.telemetry, message, now_s)
 
-    def _take_state(self, message: Heartbeat, now_s: float) -> None:
+    def _on_heartbeat(self, message: Heartbeat, now_s: float) -> None:
         """Update armed state and mode.
 
         The motors count as off only when no current heartbeat reports them running. With two autopilots, a mode that is not
         ours has precedence over ours, so that a human pilot always wins, and ours over a landing, so that no sender can keep us
         from requesting one.
         """
-        t, told = self.telemetry, self._duplicates.told(now_s)
-        armed = [mode for runs, mode in told if runs]
+        armed = [mode for runs, mode in self._duplicates.told(now_s) if runs]
         if armed and not message.armed:
             return
-        t.heartbeat_s, t.firmware_family = now_s, message.autopilot
-        t.armed, t.custom_mode = message.armed, message.custom_mode
-        if t.duplicate_autopilot:
-            rules = self.firmware
-            t.custom_mode = min(armed or [t.custom_mode], key=lambda mode: rules.is_ours(mode) + 2 * rules.is_landing(mode))
+        if self.status.duplicate_autopilot:
+            rules, modes = self.firmware, armed or [message.custom_mode]
+            mode = min(modes, key=lambda mode: rules.is_ours(mode) + 2 * rules.is_landing(mode))
+            message = replace(message, custom_mode=mode)
+        self.telemetry = updated(self.telemetry, message, now_s)
 
     def _synchronise(self, message: TimesyncMessage, now_s: float) -> None:
         """Learn from answers; answer requests in the autopilot's OWN clock, once it is known.
@@ -304,14 +283,18 @@ class VehicleLink:
         an offset of zero, and one that uses stamps unchanged is right as well.
         """
         if message.tc1_ns == 0:
-            if self.time_known:
-                self._send(self._encoder.timesync(self._timesync.autopilot_ns(now_s), message.ts1_ns), now_s)
-                asked_ago_ns = self._timesync.autopilot_ns(now_s) - message.ts1_ns
-                self.telemetry.clock_answers += abs(asked_ago_ns) <= _PROMPT_NS  # it learns nothing from a late copy
+            if self._timesync.converged:
+                self._answer(message.ts1_ns, now_s)
             return
         self._timesync.observe(message.ts1_ns, message.tc1_ns, int(now_s * _NS))
-        if self._timesync.restarts > self.telemetry.reboots:
-            self.telemetry.reboots = self._timesync.restarts
+        if self._timesync.restarts > self.status.reboots:
+            self.status = replace(self.status, reboots=self._timesync.restarts)
             self._stale_filter = StaleFrameFilter()
-            self.telemetry.origin_known = self.telemetry.estimator_good = self.telemetry.prearm_good = False
-            self.telemetry.parameters.clear()
+            self.telemetry = rebooted(self.telemetry)
+
+    def _answer(self, asked_ns: int, now_s: float) -> None:
+        """Send our answer to a request of the autopilot; it learns nothing from a late copy."""
+        clock_ns = self._timesync.autopilot_ns(now_s)
+        self._send(self._encoder.timesync(clock_ns, asked_ns), now_s)
+        prompt = abs(clock_ns - asked_ns) <= _PROMPT_NS
+        self.status = replace(self.status, clock_answers=self.status.clock_answers + prompt)

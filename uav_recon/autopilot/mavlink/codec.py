@@ -41,6 +41,7 @@ from uav_recon.autopilot.mavlink.messages import (
     SystemStatus,
     TimesyncMessage,
 )
+from uav_recon.types.frames import frozen
 from uav_recon.types.pose import StampedPose
 from uav_recon.types.trajectory import Setpoint
 
@@ -245,12 +246,12 @@ def _system_status(health: int, battery_remaining: int) -> Message:
 def _local_position(*numbers: float) -> Message | None:
     if not all(map(math.isfinite, numbers)):
         return None
-    return LocalPosition(np.array(swap_world(numbers[:3])), np.array(swap_world(numbers[3:])))
+    return LocalPosition(frozen(np.array(swap_world(numbers[:3]))), frozen(np.array(swap_world(numbers[3:]))))
 
 
 def _attitude(*quat: float) -> Message | None:
     good = abs(math.hypot(*quat) - 1.0) < 1e-2  # False if any element is not finite
-    return Attitude(np.array(swap_attitude(quat))) if good else None
+    return Attitude(frozen(np.array(swap_attitude(quat)))) if good else None
 
 
 def _firmware(number: int, uid: int, uid2: tuple[int, ...]) -> Message:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 from uav_recon.autopilot.link.vehicle_link import VehicleLink
 from uav_recon.autopilot.mavlink.messages import ParameterValue
@@ -27,7 +28,7 @@ class ParameterCheck:
         self._read_once = False
         self._read_s = math.inf
         self._reboots = 0
-        self._heeded: dict[str, ParameterValue] = {}
+        self._heeded: Mapping[str, ParameterValue] = {}
         self._changed: Reason | None = None
 
     def missing(self, now_s: float, link: VehicleLink) -> Reason | None:
@@ -35,13 +36,12 @@ class ParameterCheck:
 
         Call it every step on the ground; it never blocks.
         """
-        t = link.telemetry
-        if t.system == 0:
+        if link.telemetry.system == 0:
             return Reason(ReasonCode.NO_AUTOPILOT_PARAMETERS)
-        if t.reboots != self._reboots:
+        if link.status.reboots != self._reboots:
             self._inquiry = self._everything()
             self._read_once = False
-            self._reboots = t.reboots
+            self._reboots = link.status.reboots
         self._inquiry.step(now_s, link)
         if not self._inquiry.done:
             self._read_s = now_s
@@ -59,7 +59,7 @@ class ParameterCheck:
         Nothing is requested: a firmware reports a change to everybody.
         """
         if (told := link.telemetry.parameters) != self._heeded:
-            self._heeded = dict(told)
+            self._heeded = told
             faulty = [one for one in self._faulty(link) if one.name in told]
             self._changed = Reason(ReasonCode.PARAMETER_CHANGED, details=(self._reason(faulty, link),)) if faulty else None
         return self._changed

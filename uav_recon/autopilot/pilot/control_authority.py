@@ -9,8 +9,8 @@ import math
 from dataclasses import dataclass
 
 from uav_recon.autopilot.firmware.profile import FirmwareProfile
-from uav_recon.autopilot.link.link_alerts import TWO
-from uav_recon.autopilot.mavlink.telemetry import Telemetry
+from uav_recon.autopilot.link.link_status import LinkStatus
+from uav_recon.autopilot.mavlink.telemetry import ModeReport, Telemetry
 from uav_recon.types.reason import Reason, autopilot_text
 from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.vehicle import FlightPhase
@@ -55,56 +55,71 @@ class ControlAuthority:
         """Return True while that time is not over."""
         return now_s - self._arm_asked_s < _LATE_ARM_S
 
-    def watch(self, phase: FlightPhase, t: Telemetry, now_s: float) -> ControlLoss | None:
-        """Return the consequence of the autopilot's state for the present phase, None for nothing.
-
-        Motors are ours only in the attempt that requested them.
-        """
-        rebooted = t.reboots != self._reboots
-        self._reboots = t.reboots
+    def watch(self, phase: FlightPhase, t: Telemetry, status: LinkStatus, now_s: float) -> ControlLoss | None:
+        """Return the consequence of the autopilot's state for the present phase, None for nothing."""
+        rebooted = status.reboots != self._reboots
+        self._reboots = status.reboots
         if phase in _IDLE:
             self._idle_s = now_s
-        if phase in (*_IDLE, FlightPhase.ARMING) and t.armed and self._arm_asked_s <= self._idle_s:
-            ours = self._firmware.is_ours(t.custom_mode)
-            if (ours or self._firmware.is_landing(t.custom_mode)) and self.motors_may_start(now_s):
-                return ControlLoss(FlightPhase.LANDING, Reason(ReasonCode.ARMED_LATE))
-            return yielded(Reason(ReasonCode.ARMED_BY_OTHER), stop_heartbeats=ours)  # ours: by us, before a restart
-        if t.identity_fault and phase in (FlightPhase.ARMING, *IN_THE_AIR):
-            return yielded(t.identity_fault, stop_heartbeats=True)
-        if phase in IN_THE_AIR and rebooted:
-            return yielded(Reason(ReasonCode.AUTOPILOT_RESTARTED))
-        if phase in IN_THE_AIR and now_s - t.received_s > _LINK_LOST_S:
-            return yielded(Reason(ReasonCode.AUTOPILOT_SILENT), stop_heartbeats=True)
+        return (
+            self._unrequested_motors(phase, t.mode, now_s)
+            or _lost_autopilot(phase, t, status, rebooted, now_s)
+            or self._changed_mode(phase, t)
+        )
+
+    def _unrequested_motors(self, phase: FlightPhase, mode: ModeReport, now_s: float) -> ControlLoss | None:
+        """Check motors that run before the take-off.
+
+        They are ours only in the attempt that requested them.
+        """
+        if phase not in (*_IDLE, FlightPhase.ARMING) or not mode.armed or self._arm_asked_s > self._idle_s:
+            return None
+        ours = self._firmware.is_ours(mode.custom_mode)
+        if (ours or self._firmware.is_landing(mode.custom_mode)) and self.motors_may_start(now_s):
+            return ControlLoss(FlightPhase.LANDING, Reason(ReasonCode.ARMED_LATE))
+        return yielded(Reason(ReasonCode.ARMED_BY_OTHER), stop_heartbeats=ours)  # ours: by us, before a restart
+
+    def _changed_mode(self, phase: FlightPhase, t: Telemetry) -> ControlLoss | None:
+        """Check that the vehicle still flies in our mode."""
         if phase is not FlightPhase.FLYING:
             return None
-        if not t.armed:
+        if not t.mode.armed:
             return ControlLoss(FlightPhase.LANDED, Reason(ReasonCode.DISARMED_IN_FLIGHT))
-        if self._firmware.is_landing(t.custom_mode):
+        if self._firmware.is_landing(t.mode.custom_mode):
             return ControlLoss(FlightPhase.LANDING, Reason(ReasonCode.AUTOPILOT_LANDS, details=autopilot_text(t.warning)))
-        if not self._firmware.is_ours(t.custom_mode):
-            return yielded(Reason(ReasonCode.MODE_CHANGED, (self._firmware.mode_name(t.custom_mode),)))
+        if not self._firmware.is_ours(t.mode.custom_mode):
+            return yielded(Reason(ReasonCode.MODE_CHANGED, (self._firmware.mode_name(t.mode.custom_mode),)))
         return None
 
-    def reselected_message(self, t: Telemetry, now_s: float) -> Reason | None:
+    def reselected_message(self, mode: ModeReport, now_s: float) -> Reason | None:
         """Return a message for a human who selected our mode again, None for nothing.
 
         Control is not taken again.
         """
-        ours = t.armed and self._firmware.is_ours(t.custom_mode) and now_s - self._yielded_s > _BACK_S
-        return Reason(ReasonCode.CONTROL_RETURNED, (self._firmware.mode_name(t.custom_mode),)) if ours else None
+        ours = mode.armed and self._firmware.is_ours(mode.custom_mode) and now_s - self._yielded_s > _BACK_S
+        return Reason(ReasonCode.CONTROL_RETURNED, (self._firmware.mode_name(mode.custom_mode),)) if ours else None
 
-    def operator_lost(self, t: Telemetry, now_s: float) -> ControlLoss | None:
+    def operator_lost(self, mode: ModeReport, status: LinkStatus, now_s: float) -> ControlLoss | None:
         """Check a vehicle that was yielded: if the mode that caused it was forged, no one flies it.
 
         A mode that a human chose stays without our heartbeats.
         """
         self._yielded_s = min(self._yielded_s, now_s)
-        if t.identity_fault or t.duplicate_autopilot:
-            return yielded(t.identity_fault or TWO, Reason(ReasonCode.FAILSAFE_LANDS), stop_heartbeats=True)
-        back = t.armed and self._firmware.is_ours(t.custom_mode) and now_s - self._yielded_s <= _BACK_S
-        if not back:
-            return None
-        return yielded(Reason(ReasonCode.MODE_STILL_OURS), Reason(ReasonCode.FAILSAFE_LANDS), stop_heartbeats=True)
+        back = mode.armed and self._firmware.is_ours(mode.custom_mode) and now_s - self._yielded_s <= _BACK_S
+        why = status.autopilot_fault or (Reason(ReasonCode.MODE_STILL_OURS) if back else None)
+        return yielded(why, Reason(ReasonCode.FAILSAFE_LANDS), stop_heartbeats=True) if why else None
+
+
+def _lost_autopilot(phase: FlightPhase, t: Telemetry, status: LinkStatus, rebooted: bool, now_s: float) -> ControlLoss | None:
+    """Check that the autopilot is the one that is flown, did not restart, and is not silent."""
+    in_the_air = phase in IN_THE_AIR
+    if status.identity_fault and (in_the_air or phase is FlightPhase.ARMING):
+        return yielded(status.identity_fault, stop_heartbeats=True)
+    if in_the_air and rebooted:
+        return yielded(Reason(ReasonCode.AUTOPILOT_RESTARTED))
+    if in_the_air and now_s - t.received_s > _LINK_LOST_S:
+        return yielded(Reason(ReasonCode.AUTOPILOT_SILENT), stop_heartbeats=True)
+    return None
 
 
 def yielded(*why: Reason, stop_heartbeats: bool = False) -> ControlLoss:

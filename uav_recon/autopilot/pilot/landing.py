@@ -49,11 +49,11 @@ class Landing:
         YIELDED: somebody chose another mode, or the autopilot does not react to our requests.
         """
         t, firmware = link.telemetry, link.firmware
-        if not t.armed:
+        if not t.mode.armed:
             return ControlLoss(FlightPhase.LANDED, None)
-        lands = firmware.is_landing(t.custom_mode)
-        if not (lands or firmware.is_ours(t.custom_mode)):
-            return yielded(Reason(ReasonCode.MODE_CHANGED, (firmware.mode_name(t.custom_mode),)))
+        lands = firmware.is_landing(t.mode.custom_mode)
+        if not (lands or firmware.is_ours(t.mode.custom_mode)):
+            return yielded(Reason(ReasonCode.MODE_CHANGED, (firmware.mode_name(t.mode.custom_mode),)))
         current = self._mode_is_current(t, now_s)
         stands = not self._lifted and now_s - t.on_ground_s <= _GROUND_FRESH_S
         if stands and current and now_s - self._disarm_asked_s >= _AGAIN_S:
@@ -62,7 +62,7 @@ class Landing:
         if lands:
             self.seen = True
             self._in_vain_s = math.inf
-            self._watch_descent(float(t.position_m[2]), now_s)
+            self._watch_descent(float(t.estimate.position_m[2]), now_s)
             return None
         self.alert = Reason(ReasonCode.LAND_REQUESTED) if self.seen else self.alert
         self._in_vain_s = min(self._in_vain_s, now_s + _NO_REACTION_S)
@@ -98,4 +98,4 @@ class Landing:
             self._deaf_s = now_s
         self._wait_s = min(self._wait_s, now_s)
         waited = now_s - self._wait_s >= _MODE_WAIT_S
-        return t.heartbeat_s > max(self._asked_s, self._deaf_s) and (waited or now_s - t.heartbeat_s < _MODE_FRESH_S)
+        return t.mode.heartbeat_s > max(self._asked_s, self._deaf_s) and (waited or now_s - t.mode.heartbeat_s < _MODE_FRESH_S)

@@ -184,10 +184,11 @@ class Pilot:
         self._may_arm = self._may_arm or self._mission_input.goal(now_s) is not Goal.FLY
 
     def _judge(self, now_s: float) -> None:
-        loss = self._authority.watch(self.phase, self._link.telemetry, now_s)
+        t, status = self._link.telemetry, self._link.status
+        loss = self._authority.watch(self.phase, t, status, now_s)
         if self.phase is FlightPhase.YIELDED and not self._link.mute:
-            loss = self._authority.operator_lost(self._link.telemetry, now_s)
-            self._note = self._authority.reselected_message(self._link.telemetry, now_s) or self._note
+            loss = self._authority.operator_lost(t.mode, status, now_s)
+            self._note = self._authority.reselected_message(t.mode, now_s) or self._note
         if loss is not None:
             self._lose(loss)
         if self._lift_off is not None and self.phase in (FlightPhase.ARMING, FlightPhase.FLYING):
@@ -197,7 +198,7 @@ class Pilot:
                 self._action,
                 self._failsafe.step(self._situation.health(now_s, self._refusal_timer.refused_s)),
             )
-            if low is not None and not self._link.time_known:
+            if low is not None and not self._link.status.time_known:
                 low = low.with_detail(Reason(ReasonCode.CLOCK_UNCERTAIN))
             self._low = low
             self._note = self._low if self._action > before else self._note
@@ -222,7 +223,7 @@ class Pilot:
             self._mission_input.reject_trajectory()
 
     def _lose(self, loss: ControlLoss) -> None:
-        self._enter(loss.phase, loss.why, landing_seen=self._firmware.is_landing(self._link.telemetry.custom_mode))
+        self._enter(loss.phase, loss.why, landing_seen=self._firmware.is_landing(self._link.telemetry.mode.custom_mode))
         if loss.stop_heartbeats:
             self._link.stop_heartbeats()
 
@@ -255,7 +256,7 @@ class Pilot:
             self.phase = FlightPhase.ARMING
             self._note = None
             self._arming = self._firmware.arming(now_s)
-            self._lift_off = TakeoffMonitor(float(self._link.telemetry.position_m[2]))
+            self._lift_off = TakeoffMonitor(float(self._link.telemetry.estimate.position_m[2]))
             self._failsafe = Failsafe(self._patience)
             self._action = FailsafeAction.FLY
             self._low = None
@@ -265,7 +266,7 @@ class Pilot:
     def _arm(self, now_s: float) -> None:
         arming, t = self._arming, self._link.telemetry
         unfit = self._failsafe.step(self._situation.health(now_s, self._refusal_timer.refused_s))[0] is FailsafeAction.LAND
-        ended = self._land_wanted or (TWO if t.duplicate_autopilot else None)
+        ended = self._land_wanted or (TWO if self._link.status.duplicate_autopilot else None)
         if arming is None or ended or self._mission_input.goal(now_s) is not Goal.FLY or unfit:
             self._abandon_arming(ended or Reason(ReasonCode.ARMING_WITHDRAWN))
             return
@@ -285,7 +286,7 @@ class Pilot:
     def _abandon_arming(self, why: Reason | None) -> None:
         """Return to READY, or start a landing if the motors may have started in between."""
         self._may_arm = False
-        self._enter(FlightPhase.LANDING if self._link.telemetry.armed else FlightPhase.READY, why)
+        self._enter(FlightPhase.LANDING if self._link.telemetry.mode.armed else FlightPhase.READY, why)
 
     def _fly(self, now_s: float) -> None:
         wanted = Reason(ReasonCode.MISSION_LAND) if self._mission_input.goal(now_s) is Goal.LAND else None

@@ -33,17 +33,18 @@ class PreflightSetup:
 
     def missing(self, now_s: float) -> Reason | None:
         """Return what is missing before arming, None for nothing. Also reads the parameters back."""
-        t, parameters = self._link.telemetry, self._parameters.missing(now_s, self._link)
-        missing = self._link.firmware.missing_for_arming(t, self._link.time_known, now_s)
+        parameters = self._parameters.missing(now_s, self._link)
+        t, status = self._link.telemetry, self._link.status
+        missing = self._link.firmware.missing_for_arming(t, status, now_s)
         if missing and t.system != 0 and now_s - self._asked_s >= _AGAIN_S:
             self._asked_s = now_s
             self._ask(now_s)
-        return (t.failure or missing) if missing else parameters
+        return (self._link.status.failure or missing) if missing else parameters  # a request may have failed just now
 
     def _ask(self, now_s: float) -> None:
         t, firmware = self._link.telemetry, self._link.firmware
         self._link.request_streams(now_s, firmware.streams_hz, () if t.version else firmware.asked_once)
         if self._gimbal:
             self._link.claim_gimbal(now_s)
-        if not t.origin_known and not firmware.missing_for_origin(t, self._link.time_known, now_s):
+        if not t.readiness.origin_known and not firmware.missing_for_origin(t, self._link.status, now_s):
             self._link.send_origin(now_s, self._origin.lat_deg, self._origin.lon_deg, self._origin.alt_m)

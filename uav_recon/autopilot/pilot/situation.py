@@ -60,7 +60,7 @@ class SituationBuilder:
             return GuardInputs(now_s, self._position_m, 0.0, np.eye(3), math.inf, intent_age_s, 0, free, ahead)
         body_from_odom, yaw_rad = pose.odom_from_body.rotation().T, pose.odom_from_body.yaw_rad()
         age_s = now_s - pose.stamp_s
-        slow = pose.health is not PoseHealth.GOOD or self._link.telemetry.slow
+        slow = pose.health is not PoseHealth.GOOD or self._link.status.slow
         return GuardInputs(
             now_s, self._position_m, yaw_rad, body_from_odom, age_s, intent_age_s, pose.map_epoch, free, ahead, slow
         )
@@ -68,12 +68,9 @@ class SituationBuilder:
     def health(self, now_s: float, refused_s: float) -> FailsafeInputs:
         """Return the failsafe's inputs. refused_s: duration of refusals without a motion."""
         inside = self._guard.envelope.fence.holds(self._position_m)
-        pose_s = min(self._poses.sound_s, self._link.telemetry.pose_fed_s)  # no other poses are used for flight
-        lost = (
-            (TWO if self._link.telemetry.duplicate_autopilot else None)
-            or self._parameters.changed(self._link)
-            or self._poses.lost
-        )
+        pose_s = min(self._poses.sound_s, self._link.status.pose_fed_s)  # no other poses are used for flight
+        two = TWO if self._link.status.duplicate_autopilot else None
+        lost = two or self._parameters.changed(self._link) or self._poses.lost
         ages_s = (now_s - pose_s, self._mandate.age_s(now_s), self._lookout.depth_age_s(now_s))
         return FailsafeInputs(now_s, *ages_s, inside, self.refusals, lost, self._poses.wrong, refused_s)
 
@@ -86,15 +83,15 @@ class SituationBuilder:
         if pose is not None:
             world_from_body, velocity = pose.odom_from_body, pose.velocity_odom_mps
         else:
-            world_from_body, velocity = Pose(t.quat_wxyz, t.position_m), t.velocity_mps
+            world_from_body, velocity = Pose(t.estimate.quat_wxyz, t.estimate.position_m), t.estimate.velocity_mps
         return VehicleState(
             stamp_s=now_s,
             world_from_body=world_from_body,
             velocity_world_mps=velocity,
-            armed=t.armed,
-            mode=self._link.firmware.mode_name(t.custom_mode) if math.isfinite(t.heartbeat_s) else "",
+            armed=t.mode.armed,
+            mode=self._link.firmware.mode_name(t.mode.custom_mode) if math.isfinite(t.mode.heartbeat_s) else "",
             phase=phase,
-            battery_fraction=t.battery_at(now_s),
+            battery_fraction=t.battery.fraction_at(now_s),
             human_in_control=phase is FlightPhase.YIELDED,
             camera_pitch_down_rad=t.camera_pitch_down_rad if gimbal else math.nan,
             trajectory_id=-1 if trajectory is None else trajectory.identifier,
@@ -102,7 +99,7 @@ class SituationBuilder:
             note=_shortened(note),
             operator_received_s=operator_s,
             max_speed_mps=self._guard.bounds.retreat_speed_mps
-            if t.slow or (pose and pose.health is not PoseHealth.GOOD)
+            if self._link.status.slow or (pose and pose.health is not PoseHealth.GOOD)
             else math.inf,
             world_from_rest=self._steering.odom_from_rest,
         )

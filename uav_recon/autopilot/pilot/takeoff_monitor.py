@@ -38,11 +38,11 @@ class TakeoffMonitor:
 
         The autopilot's own estimate decides.
         """
-        climbed_m, took_s = float(t.position_m[2]) - self._ground_m, now_s - self._begun_s
+        climbed_m, took_s = float(t.estimate.position_m[2]) - self._ground_m, now_s - self._begun_s
         self.lifted = self.lifted or climbed_m >= self.LIFTED_M
         if self.lifted or took_s < 0.0:
             return None
-        tilt_rad = _tilt_rad(*t.quat_wxyz.tolist())
+        tilt_rad = _tilt_rad(*t.estimate.quat_wxyz.tolist())
         if tilt_rad > _TILT_RAD:
             return Reason(ReasonCode.TILTED, (math.degrees(tilt_rad),))
         return Reason(ReasonCode.CLIMB_TOO_SLOW, (max(climbed_m, 0.0), took_s)) if took_s > self._within_s else None
