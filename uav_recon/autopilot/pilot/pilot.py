@@ -5,27 +5,26 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from uav_recon.autopilot.firmware.profile import ARM, ArmingSequence, FirmwareProfile, Outcome
-from uav_recon.autopilot.link.link_alerts import TWO
+from uav_recon.autopilot.firmware.profile import FirmwareProfile, Outcome
 from uav_recon.autopilot.link.vehicle_link import VehicleLink
 from uav_recon.autopilot.mavlink.allow_list import AllowListFilter
 from uav_recon.autopilot.mavlink.tlog import FrameLog, NoLog
 from uav_recon.autopilot.parameters.preflight_check import NoParameterCheck, ParameterCheck
 from uav_recon.autopilot.pilot.control_authority import IN_THE_AIR, ControlAuthority, ControlLoss
+from uav_recon.autopilot.pilot.failsafe_monitor import FailsafeMonitor
 from uav_recon.autopilot.pilot.landing import Landing
 from uav_recon.autopilot.pilot.mission_input import MissionInput
 from uav_recon.autopilot.pilot.pose_feed import PoseFeed
 from uav_recon.autopilot.pilot.preflight import Origin, PreflightSetup
-from uav_recon.autopilot.pilot.refusal_timer import RefusalTimer
 from uav_recon.autopilot.pilot.setpoint_selection import SetpointSelector
 from uav_recon.autopilot.pilot.situation import SituationBuilder
 from uav_recon.autopilot.pilot.statustext_reporter import StatusTextReporter
 from uav_recon.autopilot.pilot.surroundings import Surroundings
-from uav_recon.autopilot.pilot.takeoff_monitor import TakeoffMonitor
+from uav_recon.autopilot.pilot.takeoff_sequence import TakeoffSequence
 from uav_recon.clock import RateKeeper
 from uav_recon.interfaces import ByteLink, Channel, Clock
-from uav_recon.safety.failsafe import Failsafe, FailsafeAction, FailsafeTimeouts
-from uav_recon.safety.guard import Guard
+from uav_recon.safety.failsafe import FailsafeAction, FailsafeTimeouts
+from uav_recon.safety.guard import Guard, GuardInputs
 from uav_recon.safety.pose_gate import PoseGate
 from uav_recon.safety.recently_seen_space import RecentlySeenSpace
 from uav_recon.types.maps import FreeSpace
@@ -106,18 +105,12 @@ class Pilot:
         self._situation = SituationBuilder(
             link, guard, self._poses, self._mission_input, self._surroundings, self._selector, parameters
         )
-        self._refusal_timer = RefusalTimer(patience.land_timeout_s)
-        self._failsafe = Failsafe(patience)
-        self._action = FailsafeAction.FLY
-        self._low: Reason | None = None  # why its action is not FLY
+        self._takeoff = TakeoffSequence(link, self._authority)
+        self._failsafe = FailsafeMonitor(patience)
         self.phase = FlightPhase.CONNECTING
         self._note: Reason | None = None
         self._reporter = StatusTextReporter(link)
-        self._arming: ArmingSequence | None = None
         self._landing: Landing | None = None
-        self._lift_off: TakeoffMonitor | None = None
-        self._takeoff_fault: Reason | None = None  # why the take-off fails
-        self._may_arm = True  # a refused arming is not tried again before the mission has withdrawn FLY
         self._land_wanted: Reason | None = None
         self._held = False
         self._operator_s = -math.inf
@@ -127,8 +120,11 @@ class Pilot:
         """Run one step: receive, feed poses, check, act, send a setpoint, report."""
         now_s = self._clock.now_s()
         self._link.receive(now_s)
-        self._listen(now_s)
-        self._judge(now_s)
+        self._feed_poses(now_s)
+        self._read_mission(now_s)
+        self._check_authority(now_s)
+        self._check_takeoff(now_s)
+        self._check_failsafe(now_s)
         self._advance(now_s)
         if self._tick.due(now_s):
             self._stream(now_s)
@@ -168,7 +164,8 @@ class Pilot:
 
     # ---- receive and check -------------------------------------------------------------------------------------
 
-    def _listen(self, now_s: float) -> None:
+    def _feed_poses(self, now_s: float) -> None:
+        """Feed new poses to the autopilot, and update what is seen from them."""
         if self._poses.step(now_s):
             self._note = Reason(ReasonCode.POSE_SOURCE_RESET)
             self._selector.rebase(self._situation.situation(now_s), _RESET_REST_S)
@@ -177,13 +174,18 @@ class Pilot:
         self._surroundings.step(self._poses.pose, now_s)
         if self.phase in IN_THE_AIR:  # while it arms it stands, and does not evade
             self._selector.evasion.update(self._surroundings.sudden_obstacle)
+
+    def _read_mission(self, now_s: float) -> None:
+        """Read the mission's intent, and what it ends: a hold, or the ban on another take-off."""
         fault = self._mission_input.update(now_s)
         if fault:
             self._note = _refused(fault)
         self._held = self._held and not self._mission_input.operator_lost(now_s)
-        self._may_arm = self._may_arm or self._mission_input.goal(now_s) is not Goal.FLY
+        if self._mission_input.goal(now_s) is not Goal.FLY:
+            self._takeoff.withdraw()
 
-    def _judge(self, now_s: float) -> None:
+    def _check_authority(self, now_s: float) -> None:
+        """Check whether the vehicle is still ours."""
         t, status = self._link.telemetry, self._link.status
         loss = self._authority.watch(self.phase, t, status, now_s)
         if self.phase is FlightPhase.YIELDED and not self._link.mute:
@@ -191,19 +193,21 @@ class Pilot:
             self._note = self._authority.reselected_message(t.mode, now_s) or self._note
         if loss is not None:
             self._lose(loss)
-        if self._lift_off is not None and self.phase in (FlightPhase.ARMING, FlightPhase.FLYING):
-            self._takeoff_fault = self._lift_off.fault(now_s, self._link.telemetry)
-        if self.phase is FlightPhase.FLYING:
-            before, (self._action, low) = (
-                self._action,
-                self._failsafe.step(self._situation.health(now_s, self._refusal_timer.refused_s)),
-            )
-            if low is not None and not self._link.status.time_known:
-                low = low.with_detail(Reason(ReasonCode.CLOCK_UNCERTAIN))
-            self._low = low
-            self._note = self._low if self._action > before else self._note
-            if self._poses.pose is not None and self._action < FailsafeAction.RETREAT:
-                self._selector.was_at(self._poses.pose.odom_from_body)
+
+    def _check_takeoff(self, now_s: float) -> None:
+        """Check whether the vehicle lifts itself, and stays level."""
+        if self.phase in (FlightPhase.ARMING, FlightPhase.FLYING):
+            self._takeoff.watch_climb(now_s)
+
+    def _check_failsafe(self, now_s: float) -> None:
+        """Update the failsafe action in flight; before a retreat, record the positions for it."""
+        if self.phase is not FlightPhase.FLYING:
+            return
+        uncertain = None if self._link.status.time_known else Reason(ReasonCode.CLOCK_UNCERTAIN)
+        if self._failsafe.update(self._situation.health(now_s, self._failsafe.refused_s), uncertain):
+            self._note = self._failsafe.reason
+        if self._poses.pose is not None and self._failsafe.action < FailsafeAction.RETREAT:
+            self._selector.was_at(self._poses.pose.odom_from_body)
 
     # ---- act --------------------------------------------------------------------------------------------------
 
@@ -214,11 +218,10 @@ class Pilot:
         """
         self.phase = phase
         self._note = why or self._note
-        self._arming = None
         if why is not None:
             self._reporter.say(why, self._clock.now_s())
         if phase is FlightPhase.LANDING:
-            self._landing = Landing(landing_seen, lifted=self._lift_off is None or self._lift_off.lifted)
+            self._landing = Landing(landing_seen, lifted=self._takeoff.lifted)
         if phase in (FlightPhase.LANDED, FlightPhase.YIELDED):
             self._mission_input.reject_trajectory()
 
@@ -230,9 +233,7 @@ class Pilot:
     def _advance(self, now_s: float) -> None:
         """Run one step of the sequence of the present phase."""
         if self.phase is FlightPhase.CONNECTING:
-            missing = self._preflight.missing(now_s)
-            self.phase = FlightPhase.CONNECTING if missing else FlightPhase.READY
-            self._note = missing
+            self._connect(now_s)
         elif self.phase is FlightPhase.READY:
             self._stand_ready(now_s)
         elif self.phase is FlightPhase.ARMING:
@@ -242,63 +243,66 @@ class Pilot:
         elif self.phase is FlightPhase.LANDING:
             self._land(now_s)
 
+    def _connect(self, now_s: float) -> None:
+        self._note = self._preflight.missing(now_s)
+        self.phase = FlightPhase.CONNECTING if self._note else FlightPhase.READY
+
     def _stand_ready(self, now_s: float) -> None:
         if self._preflight.missing(now_s):
             self.phase = FlightPhase.CONNECTING
-        elif self._mission_input.goal(now_s) is Goal.FLY and self._may_arm and not self._land_wanted:
+        elif self._mission_input.goal(now_s) is Goal.FLY and self._takeoff.allowed and not self._land_wanted:
             here = self._situation.situation(now_s)
             blocked = self._guard.takeoff_fault(here, self._airframe.hover_height_m)
             if blocked:
-                self._abandon_arming(Reason(ReasonCode.TAKEOFF_REFUSED, details=(blocked,)))
-                return
-            self._again_s = math.inf
-            self._link.alerts.begin()
-            self.phase = FlightPhase.ARMING
-            self._note = None
-            self._arming = self._firmware.arming(now_s)
-            self._lift_off = TakeoffMonitor(float(self._link.telemetry.estimate.position_m[2]))
-            self._failsafe = Failsafe(self._patience)
-            self._action = FailsafeAction.FLY
-            self._low = None
-            self._refusal_timer = RefusalTimer(self._patience.land_timeout_s, self._situation.refusals)
-            self._selector.rebase(here, rest_s=0.0)
+                self._abandon_takeoff(Reason(ReasonCode.TAKEOFF_REFUSED, details=(blocked,)))
+            else:
+                self._begin_flight(here)
+
+    def _begin_flight(self, here: GuardInputs) -> None:
+        """Start a take-off; nothing is remembered of the flight before."""
+        self.phase = FlightPhase.ARMING
+        self._note = None
+        self._again_s = math.inf
+        self._link.alerts.begin()
+        self._takeoff.begin(here.now_s)
+        self._failsafe = FailsafeMonitor(self._patience, self._situation.refusals)
+        self._selector.rebase(here, rest_s=0.0)
 
     def _arm(self, now_s: float) -> None:
-        arming, t = self._arming, self._link.telemetry
-        unfit = self._failsafe.step(self._situation.health(now_s, self._refusal_timer.refused_s))[0] is FailsafeAction.LAND
-        ended = self._land_wanted or (TWO if self._link.status.duplicate_autopilot else None)
-        if arming is None or ended or self._mission_input.goal(now_s) is not Goal.FLY or unfit:
-            self._abandon_arming(ended or Reason(ReasonCode.ARMING_WITHDRAWN))
-            return
-        outcome, command = arming.step(now_s, t)
-        if outcome is Outcome.ARMED:
+        unfit = self._failsafe.prevents_takeoff(self._situation.health(now_s, self._failsafe.refused_s))
+        wanted = self._mission_input.goal(now_s) is Goal.FLY and not unfit
+        outcome = self._takeoff.arm(now_s, wanted, self._land_wanted)
+        if outcome is Outcome.GIVEN_UP:
+            self._abandon_takeoff(self._takeoff.abort_reason)
+        elif outcome is Outcome.ARMED:
             self.phase = FlightPhase.FLYING
             self._note = None
-            if not arming.streams:
+            if not self._takeoff.streams:
                 self._selector.rebase(self._situation.situation(now_s), rest_s=0.0)
-        elif outcome is Outcome.GIVEN_UP:
-            self._abandon_arming(arming.reason)
-        elif command is not None:
-            if command == ARM:
-                self._authority.asked_to_arm(now_s)
-            self._link.command(now_s, command[0], *command[1])
 
-    def _abandon_arming(self, why: Reason | None) -> None:
+    def _abandon_takeoff(self, why: Reason | None) -> None:
         """Return to READY, or start a landing if the motors may have started in between."""
-        self._may_arm = False
+        self._takeoff.forbid()
         self._enter(FlightPhase.LANDING if self._link.telemetry.mode.armed else FlightPhase.READY, why)
 
     def _fly(self, now_s: float) -> None:
-        wanted = Reason(ReasonCode.MISSION_LAND) if self._mission_input.goal(now_s) is Goal.LAND else None
-        wanted = _ANEW if now_s - self._again_s >= _RESET_REST_S else wanted
-        wanted = Reason(ReasonCode.TAKEOFF_GIVEN_UP, details=(self._takeoff_fault,)) if self._takeoff_fault else wanted
-        blocked = self._selector.blocked
-        blocked = self._low.with_detail(blocked) if self._low is not None and blocked is not None else blocked
-        why = self._land_wanted or (self._low if self._action is FailsafeAction.LAND else None) or blocked or wanted
-        brakes = self._action is FailsafeAction.LAND and not self._land_wanted and not self._selector.at_rest
+        why = self._landing_reason(now_s)
+        brakes = self._failsafe.action is FailsafeAction.LAND and not self._land_wanted and not self._selector.at_rest
         if why and not brakes:  # a firmware that gets LAND in motion chooses its own stopping point, farther on
             self._enter(FlightPhase.LANDING, why)
             self._land(now_s)
+
+    def _landing_reason(self, now_s: float) -> Reason | None:
+        """Return why the flight must end, by importance; None while it may continue."""
+        blocked, low = self._selector.blocked, self._failsafe.reason
+        return (
+            self._land_wanted
+            or self._failsafe.landing_reason
+            or (low.with_detail(blocked) if low is not None and blocked is not None else blocked)
+            or self._takeoff.climb_fault
+            or (_ANEW if now_s - self._again_s >= _RESET_REST_S else None)
+            or (Reason(ReasonCode.MISSION_LAND) if self._mission_input.goal(now_s) is Goal.LAND else None)
+        )
 
     def _land(self, now_s: float) -> None:
         landing = self._landing = self._landing or Landing(seen=False)
@@ -314,20 +318,20 @@ class Pilot:
 
         It is the guard's answer to the trajectory, or its hold.
         """
-        arming = self.phase is FlightPhase.ARMING and self._arming is not None and self._arming.streams
+        arming = self.phase is FlightPhase.ARMING and self._takeoff.streams
         landing = self.phase is FlightPhase.LANDING and self._landing is not None and not self._landing.seen
         if not (arming or landing or self.phase is FlightPhase.FLYING):
             return
         linked = now_s - self._link.telemetry.received_s <= _LINK_HOLD_S
         steered = linked and not self._held and self.phase is FlightPhase.FLYING
         cleared, refusal = self._selector.select(
-            self._action if steered else FailsafeAction.HOLD, self._situation.situation(now_s)
+            self._failsafe.action if steered else FailsafeAction.HOLD, self._situation.situation(now_s)
         )
-        self._refusal_timer.update(self._situation.refusals, self._selector.moves, now_s)
+        self._failsafe.count_refusals(self._situation.refusals, self._selector.moves, now_s)
         if refusal is not None:
             self._note = _refused(refusal.reason)
-        if self._lift_off is not None and self.phase is FlightPhase.FLYING and cleared.setpoint.velocity_mps[2] > 0.0:
-            self._lift_off.begin(now_s)
+        if self.phase is FlightPhase.FLYING and cleared.setpoint.velocity_mps[2] > 0.0:
+            self._takeoff.begin_climb(now_s)
         self._link.stream(cleared, now_s, self._airframe.gimbal)
 
     def _tell(self, now_s: float) -> None:

@@ -1,0 +1,52 @@
+"""Failsafe monitor: the failsafe action of a flight, its reason, and the time of refusals."""
+
+from __future__ import annotations
+
+from uav_recon.autopilot.pilot.refusal_timer import RefusalTimer
+from uav_recon.safety.failsafe import Failsafe, FailsafeAction, FailsafeInputs, FailsafeTimeouts
+from uav_recon.types.reason import Reason
+
+
+class FailsafeMonitor:
+    """The failsafe of one flight.
+
+    refusals: number of refusals before it. ``action``: the action in flight; FLY until the vehicle flies. ``reason``: why it is
+    not FLY.
+    """
+
+    def __init__(self, timeouts: FailsafeTimeouts, refusals: int = 0) -> None:
+        self._failsafe = Failsafe(timeouts)
+        self._refusal_timer = RefusalTimer(timeouts.land_timeout_s, refusals)
+        self.action = FailsafeAction.FLY
+        self.reason: Reason | None = None
+
+    @property
+    def refused_s(self) -> float:
+        """Duration in seconds of refusals without a motion in between."""
+        return self._refusal_timer.refused_s
+
+    @property
+    def landing_reason(self) -> Reason | None:
+        """Reason for a landing, None unless the action is LAND."""
+        return self.reason if self.action is FailsafeAction.LAND else None
+
+    def prevents_takeoff(self, inputs: FailsafeInputs) -> bool:
+        """Return True if a flight would have to end at once.
+
+        Call it every step before the flight.
+        """
+        return self._failsafe.step(inputs)[0] is FailsafeAction.LAND
+
+    def update(self, inputs: FailsafeInputs, detail: Reason | None) -> bool:
+        """Update action and reason in flight; return True if the action became more severe.
+
+        detail: what is added to the reason.
+        """
+        before = self.action
+        self.action, reason = self._failsafe.step(inputs)
+        self.reason = reason.with_detail(detail) if reason is not None and detail is not None else reason
+        return self.action > before
+
+    def count_refusals(self, refusals: int, moving: bool, now_s: float) -> None:
+        """Record the number of refusals, and whether a motion is flown at this instant."""
+        self._refusal_timer.update(refusals, moving, now_s)
