@@ -71,14 +71,16 @@ class BatteryPolicy:
         need = min_charge_for(flight_s(self._way_m, self._pace_mps), self._burn.per_s(self._now_s))
         return need if self._burn.is_reliable(self._now_s) else max(need, LOW)
 
-    def ends(self, starting: bool, flying: bool) -> Reason | None:
-        """Return why there is no flight, or why it ends; None for nothing.
+    def takeoff_refusal(self) -> Reason | None:
+        """Return why no flight begins, None for nothing.
 
         For a gauge that never reported a value the autopilot decides.
         """
-        if starting and self.left < TAKE_OFF:
-            return Reason(ReasonCode.BATTERY_TAKEOFF, (100.0 * self.left, 100.0 * TAKE_OFF))
-        return Reason(ReasonCode.BATTERY_LAND, (100.0 * self.left,)) if flying and self.left <= LAND_AT else None
+        return Reason(ReasonCode.BATTERY_TAKEOFF, (100.0 * self.left, 100.0 * TAKE_OFF)) if self.left < TAKE_OFF else None
+
+    def landing_reason(self) -> Reason | None:
+        """Return why a flight ends where it is, None for nothing."""
+        return Reason(ReasonCode.BATTERY_LAND, (100.0 * self.left,)) if self.left <= LAND_AT else None
 
     def why(self) -> Reason:
         """Return why the vehicle returns, as a reason with figures."""

@@ -7,6 +7,16 @@ import numpy as np
 from uav_recon.interfaces import Clock, Executor, Journal
 from uav_recon.mission.async_planning import AsyncPlanner
 from uav_recon.mission.battery_policy import BatteryPolicy
+from uav_recon.mission.detectors import (
+    DeadPlannerDetector,
+    Detector,
+    LowBatteryDetector,
+    MapCorrectionDetector,
+    MissingOperatorDetector,
+    MissionEvent,
+    RefusedTrajectoryDetector,
+    Response,
+)
 from uav_recon.mission.events import Facts, observe
 from uav_recon.mission.flight_track import FlightTrack
 from uav_recon.mission.landing_site import LandingSite
@@ -25,10 +35,9 @@ from uav_recon.types.maps import VoxelMap
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.trajectory import Goal, Intent
-from uav_recon.types.vehicle import FlightPhase, VehicleState
+from uav_recon.types.vehicle import VehicleState
 
 FRAME_TIMEOUT_S = 1.0
-PLAN_LATE_S = 20.0  # a planner that has not answered for this long is treated as dead
 VIEW_LATE_S = 0.6  # a view is given up if no frame came within this time
 PROGRESS_PERIOD_S = 0.2
 _CALLED_HOME = Reason(ReasonCode.OPERATOR_RETURN)
@@ -58,25 +67,27 @@ class Conductor:
         self._course = FlightTrack(orders.camera_pitch_down_rad)
         self._executor = TrajectoryExecutor(stages.motion, self._course, self._captures, self._log)
         self._ascent = Takeoff(self._executor, stages.motion, orders.takeoff_height_m)
-        decider = AsyncPlanner(
+        planner = AsyncPlanner(
             stages.planner, stages.motion, stages.retreat, executor, orders.plan_cost_s, orders.view_spacing_m
         )
-        self._planner = decider
-        self._survey = Survey(stages, wires, orders, self._executor, decider, self._log)
+        self._survey = Survey(stages, wires, orders, self._executor, planner, self._log)
         site = LandingSite(orders.takeoff_height_m, -orders.vehicle_height_m / 2, orders.clear_radius_m)
-        self._homeward = ReturnHome(self._executor, decider, self._log, site)
+        self._homeward = ReturnHome(self._executor, planner, self._log, site)
         self._battery = BatteryPolicy(self._course, site.home, orders.clearance_m)
+        self._operator_watchdog = OperatorWatchdog(orders.operator_timeout_s)
+        self._map_correction = MapCorrectionDetector(wires.correction)
+        self._detectors: tuple[Detector, ...] = (
+            RefusedTrajectoryDetector(self._course),
+            MissingOperatorDetector(self._operator_watchdog),
+            DeadPlannerDetector(planner),
+            LowBatteryDetector(self._battery),
+        )
         self.phase = Phase.IDLE
         self.map: VoxelMap | None = None
         self._frame_sequence = 0
         self._frame_s = -np.inf
-        # the present value is of another flight
-        self._map_epoch = 0
-        self._correction_sequence = wires.correction.sequence()
-        self._refusals = 0
         self._map_publisher = MapPublisher(wires)
         self._reported_s = -np.inf
-        self._operator_watchdog = OperatorWatchdog(orders.operator_timeout_s)
         self._go_home: Reason | None = None  # the reason to go home, whichever other reasons there are
         self._start = self._abort = self._hold = self._released = self._arrived = False
         half_m, top_m = orders.vehicle_height_m / 2, orders.takeoff_height_m + orders.clear_radius_m  # home is clear above too
@@ -111,20 +122,17 @@ class Conductor:
         self._log.aborted = self._log.aborted or reason
 
     def step(self) -> None:
-        """Run one step: frame, map, events, phase, motion, and the message to the pilot."""
+        """Run one step: map, events, phase, motion, and the message to the pilot."""
         now_s = self._clock.now_s()
         vehicle = self._channels.vehicle.latest()
-        self._hear_of_a_new_map(now_s, vehicle)
+        self._rebuild_corrected_map(now_s, vehicle)
         self._map_newest_frame(now_s)
         if vehicle is not None:
-            self._course.follow(vehicle)
-            self._stages.motion.allow(vehicle.max_speed_mps)
-            self._stages.retreat.allow(vehicle.max_speed_mps)
-            self._hear_guard(now_s, vehicle)
-            self._hear_operator(now_s, vehicle)
-            self._hear_release(now_s, vehicle)
-            self._hear_no_planner(now_s)
-            self._hear_battery(now_s, vehicle)
+            self._follow(now_s, vehicle)
+            for detector in self._detectors:
+                for event in detector.detect(now_s, vehicle):
+                    self._respond(event, now_s, vehicle)
+            self._continue_released(now_s, vehicle)
             self._log.update(self.phase, vehicle, self._operator_watchdog.missing if self._start else None)
             self._change_phase(advance(self.phase, observe(self._facts(now_s, vehicle))), now_s)
             self._act(now_s, vehicle)
@@ -132,19 +140,17 @@ class Conductor:
             self._change_phase(Phase.DONE, now_s)
         self._publish(now_s)
 
-    # -- detect -------------------------------------------------------------------------------------------------------
+    # -- map ----------------------------------------------------------------------------------------------------------
 
-    def _hear_of_a_new_map(self, now_s: float, vehicle: VehicleState | None) -> None:
-        """Handle a map correction: hold, rebuild the map, and look round.
+    def _rebuild_corrected_map(self, now_s: float, vehicle: VehicleState | None) -> None:
+        """After a map correction: hold, rebuild the map, and look round.
 
         Positions where the vehicle flew are free.
         """
-        sequence = self._channels.correction.sequence()
-        correction = self._channels.correction.latest() if sequence != self._correction_sequence else None
-        self._correction_sequence = sequence
-        if correction is None or correction.map_epoch == self._map_epoch:
+        correction = self._map_correction.detect()
+        if correction is None:
             return
-        self._map_epoch = self._executor.map_epoch = correction.map_epoch
+        self._executor.map_epoch = correction.map_epoch
         self._stages.voxels.reset(correction.map_epoch)
         half_m = self._parameters.vehicle_height_m / 2
         for crumb in self._course.breadcrumbs:
@@ -164,7 +170,7 @@ class Conductor:
         if posed is None:
             return
         self._frame_sequence = sequence
-        if posed.map_epoch != self._map_epoch:
+        if posed.map_epoch != self._executor.map_epoch:
             return  # its pose does not fit the map, so it is ignored
         self._frame_s = now_s
         self._stages.voxels.integrate(posed)
@@ -181,24 +187,32 @@ class Conductor:
         """
         return self.phase is Phase.SURVEY and self._stages.budget.worth(posed, self._log.views_left)
 
-    def _hear_guard(self, now_s: float, vehicle: VehicleState) -> None:
-        """Handle a refused trajectory: hover where the guard stopped the vehicle, and plan again."""
-        if vehicle.refusals > self._refusals and self._course.trajectory is not None:
-            self._log.refusal(now_s, vehicle.note or Reason(ReasonCode.REFUSED))
+    # -- respond ------------------------------------------------------------------------------------------------------
+
+    def _follow(self, now_s: float, vehicle: VehicleState) -> None:
+        """Record the vehicle's position, speed limit and charge."""
+        self._course.follow(vehicle)
+        self._stages.motion.allow(vehicle.max_speed_mps)
+        self._stages.retreat.allow(vehicle.max_speed_mps)
+        self._battery.update(now_s, vehicle, self.map)
+
+    def _respond(self, event: MissionEvent, now_s: float, vehicle: VehicleState) -> None:
+        response, reason = event.response, event.reason
+        if response is Response.LAND or (response is Response.REFUSE_TAKEOFF and self._start and self.phase is Phase.READY):
+            self.request_abort(reason)
+        elif response is Response.RETURN:
+            self.request_return(reason)
+        elif response is Response.REPLAN:
+            self._log.refusal(now_s, reason)
             self._executor.hold(now_s, vehicle)
             self._survey.stopped(now_s)
             self._homeward.replan()
-        self._refusals = vehicle.refusals
+        elif response is Response.NOTE:
+            self._log.refusal(now_s, reason)
+        elif response is Response.NOTE_IN_HOLD and self._hold:
+            self._log.note = reason
 
-    def _hear_operator(self, now_s: float, vehicle: VehicleState) -> None:
-        """Update the operator watchdog. An operator who is lost cannot hold the vehicle either."""
-        news = self._operator_watchdog.update(now_s, vehicle.operator_received_s, flying=vehicle.armed)
-        if news:
-            self._log.refusal(now_s, news)
-        if self._operator_watchdog.lost:
-            self.request_return(self._operator_watchdog.lost)
-
-    def _hear_release(self, now_s: float, vehicle: VehicleState) -> None:
+    def _continue_released(self, now_s: float, vehicle: VehicleState) -> None:
         """Continue after a hold from where the pilot held the vehicle, which is not on the course."""
         if self._released and self.phase is Phase.HOLD:
             self._executor.hold(now_s, vehicle)
@@ -206,23 +220,7 @@ class Conductor:
             self._ascent.begin_again()
         self._released = False
 
-    def _hear_no_planner(self, now_s: float) -> None:
-        """Abort if the planner is dead: every trajectory comes from it, the way home too."""
-        if self._planner.waiting_s(now_s) > PLAN_LATE_S:
-            self.request_abort(Reason(ReasonCode.PLANNER_SILENT, (PLAN_LATE_S,)))
-
-    def _hear_battery(self, now_s: float, vehicle: VehicleState) -> None:
-        """Abort a take-off or land in place if the battery requires it.
-
-        If a held vehicle would turn back, the operator is informed.
-        """
-        steward = self._battery
-        steward.update(now_s, vehicle, self.map)
-        starting, flying = self._start and self.phase is Phase.READY, vehicle.phase is FlightPhase.FLYING
-        if ends := steward.ends(starting, flying):
-            self.request_abort(ends)
-        elif self._hold and flying and steward.left < steward.required_charge:
-            self._log.note = steward.why()
+    # -- decide -------------------------------------------------------------------------------------------------------
 
     def _facts(self, now_s: float, vehicle: VehicleState) -> Facts:
         return Facts(
