@@ -1,4 +1,4 @@
-"""Detectors: each watches one source and returns the events that need a response in this step."""
+"""Detectors: each watches one source and yields the events that need a response now."""
 
 from __future__ import annotations
 
@@ -108,7 +108,7 @@ class LowBatteryDetector:
 
 
 class MapCorrectionDetector:
-    """Detects a correction with a new map epoch; one from before this mission is of another flight."""
+    """Detects a new map epoch; a correction from before this mission is of another flight."""
 
     def __init__(self, channel: Channel[MapCorrection]) -> None:
         self._channel = channel
