@@ -38,6 +38,11 @@ def violation(flown: Setpoint, last: Setpoint, dt_s: float, blocked: np.ndarray[
     numbers = [flown.position_m, flown.velocity_mps, flown.acceleration_mps2, [flown.yaw_rad, flown.yaw_rate_radps]]
     if not np.isfinite(np.concatenate([*numbers, [flown.camera_pitch_down_rad]])).all():
         return "not finite"
+    return misplaced(flown, blocked) or too_fast(flown) or unsteady(flown, last, dt_s)
+
+
+def misplaced(flown: Setpoint, blocked: np.ndarray[tuple[int, int], np.dtype[np.float64]]) -> str:
+    """What is wrong with where a setpoint is and where it would stop; '' for nothing."""
     stop = flown.position_m + flown.velocity_mps * np.linalg.norm(flown.velocity_mps) / 4.0
     for place in (flown.position_m, stop):
         floor_m = -0.2 if np.hypot(*place[:2]) <= 0.5 + 1e-6 else 0.2
@@ -48,10 +53,18 @@ def violation(flown: Setpoint, last: Setpoint, dt_s: float, blocked: np.ndarray[
         level = np.hypot(*(blocked[:, :2] - place[:2]).T)
         if np.any((level <= HULL_RADIUS_M - 1e-6) & (np.abs(blocked[:, 2] - place[2]) <= 0.1 - 1e-6)):
             return f"in what is not known free at {place}"
+    return ""
+
+
+def too_fast(flown: Setpoint) -> str:
+    """What is wrong with a setpoint's motion; '' for nothing."""
     if np.linalg.norm(flown.velocity_mps) > 1.0 + 1e-5 or np.linalg.norm(flown.acceleration_mps2) > 2.0 + 1e-5:
         return "too fast"
-    if abs(flown.yaw_rate_radps) > 0.8 + 1e-5:
-        return "turns too fast"
+    return "turns too fast" if abs(flown.yaw_rate_radps) > 0.8 + 1e-5 else ""
+
+
+def unsteady(flown: Setpoint, last: Setpoint, dt_s: float) -> str:
+    """What is wrong with the step from the setpoint before; '' for nothing."""
     if np.linalg.norm(flown.position_m - last.position_m) > 1.0 * dt_s + 0.02 + 1e-6:
         return "jumps"
     if np.linalg.norm(flown.velocity_mps - last.velocity_mps) > 2.0 * dt_s + 0.05 + 1e-6:
@@ -101,6 +114,22 @@ def undue(wanted: SetpointProposal, here: GuardInputs, range_m: float) -> str:
     return "into a wall" if forward > 0.99 * speed and way_m > range_m - 0.1 + 1e-6 else ""
 
 
+def wild(rng: np.random.Generator) -> SetpointProposal:
+    """Random numbers of every size."""
+    p, v, a = (rng.choice([rng.normal(0, 3), rng.choice(AWKWARD)], 3) for _ in range(3))
+    return proposal(p, v, a, float(rng.choice(AWKWARD)), float(rng.normal()))
+
+
+def near(
+    rng: np.random.Generator, last: Setpoint, dt_s: float, goal_mps: np.ndarray[tuple[int], np.dtype[np.float64]] | None
+) -> SetpointProposal:
+    """A small step from the last setpoint, with a random push, or one towards a velocity."""
+    way = rng.uniform(-0.01, 0.01, 3)
+    push = rng.uniform(-0.06, 0.06, 3) if goal_mps is None else np.clip(goal_mps - last.velocity_mps, -0.03, 0.03)
+    p, v, a = last.position_m + last.velocity_mps * dt_s + way, last.velocity_mps + push, rng.uniform(-1, 1, 3)
+    return proposal(p, v, a, last.yaw_rad + rng.uniform(-0.04, 0.04), rng.uniform(-0.9, 0.9))
+
+
 def attack(count: int, seed: int) -> tuple[Counter[str], list[str]]:
     """What became of each proposal, and the violations."""
     rng = np.random.default_rng(seed)
@@ -143,14 +172,7 @@ def attack(count: int, seed: int) -> tuple[Counter[str], list[str]]:
             ahead.stamp_s = now - frame_age_s
             if looks:
                 sight.add(frame(5.0, now), Pose.from_yaw(rng.uniform(-3, 3), last.position_m))
-            if not far:
-                way = rng.uniform(-0.01, 0.01, 3)
-                push = np.clip(goal - last.velocity_mps, -0.03, 0.03) if calm else rng.uniform(-0.06, 0.06, 3)
-                p, v, a = last.position_m + last.velocity_mps * dt_s + way, last.velocity_mps + push, rng.uniform(-1, 1, 3)
-                wanted = proposal(p, v, a, last.yaw_rad + rng.uniform(-0.04, 0.04), rng.uniform(-0.9, 0.9))
-            else:
-                p, v, a = (rng.choice([rng.normal(0, 3), rng.choice(AWKWARD)], 3) for _ in range(3))
-                wanted = proposal(p, v, a, float(rng.choice(AWKWARD)), float(rng.normal()))
+            wanted = wild(rng) if far else near(rng, last, dt_s, goal if calm else None)
             wanted = dataclasses.replace(wanted, retreating=retreating, evading=evading)
             here = dataclasses.replace(
                 usual, now_s=now, ahead=None if unseen else ahead, intent_age_s=intent_age_s, pose_age_s=pose_age_s, slow=slow

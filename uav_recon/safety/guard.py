@@ -142,36 +142,48 @@ class Guard:
         return None if situation.free.admits(here, top) else Reason(ReasonCode.TAKEOFF_COLUMN_NOT_FREE)
 
     def _fault(self, proposal: SetpointProposal, situation: GuardInputs) -> Reason | None:
-        wanted, envelope, bounds = proposal.setpoint, self.envelope, self.bounds
-        if not _is_finite(wanted):
+        """Return why a proposal is not flown: the first check that fails, None if all pass."""
+        last = self._last
+        if not _is_finite(proposal.setpoint):
             return Reason(ReasonCode.SETPOINT_NOT_FINITE)
-        if self._last is None:
+        if last is None:
             return Reason(ReasonCode.NO_SETPOINT_YET)
+        motion = _motion_of(proposal.setpoint, situation.now_s)
+        speed_mps = math.hypot(*motion.velocity_mps)
+        stopping_point_m = self.envelope.stopping_point(motion.position_m, motion.velocity_mps)
+        return (
+            self._pose_fault(proposal, situation)
+            or self._limit_fault(proposal, speed_mps, situation)
+            or self._fence_fault(motion, stopping_point_m)
+            or self._steps.after(last, motion, self.envelope)[1]
+            or self._space_fault(last, motion, stopping_point_m, situation)
+            or self._depth_fault(motion, speed_mps, proposal.retreating, situation)
+        )
+
+    def _pose_fault(self, proposal: SetpointProposal, situation: GuardInputs) -> Reason | None:
+        """Check that there is a fresh pose, on the map for which the motion was planned."""
         if situation.now_s < self._rest_until_s:
             return Reason(ReasonCode.POSE_RESET)
-        if not -_FUTURE_S <= situation.pose_age_s <= bounds.pose_timeout_s:
+        if not -_FUTURE_S <= situation.pose_age_s <= self.bounds.pose_timeout_s:
             return Reason(ReasonCode.POSE_STALE)
         if proposal.map_epoch != situation.map_epoch:
             return Reason(ReasonCode.TRAJECTORY_MAP_EPOCH, (proposal.map_epoch, situation.map_epoch))
-        motion = _motion_of(wanted, situation.now_s)
-        speed_mps, push_mps2 = math.hypot(*motion.velocity_mps), math.hypot(*_floats(wanted.acceleration_mps2))
+        return None
+
+    def _limit_fault(self, proposal: SetpointProposal, speed_mps: float, situation: GuardInputs) -> Reason | None:
+        """Check speed, silence of the mission at this speed, acceleration and yaw rate."""
+        wanted, envelope, bounds = proposal.setpoint, self.envelope, self.bounds
         max_speed_mps = bounds.retreat_speed_mps if proposal.retreating or situation.slow else envelope.max_speed_mps
         if not speed_mps <= (bounds.margins.slow_mps if proposal.evading else max_speed_mps) + 1e-6:
             return Reason(ReasonCode.SPEED_LIMIT, (speed_mps,))
         if not proposal.retreating and self._silent(speed_mps, situation.intent_age_s):
             return Reason(ReasonCode.MISSION_STALE)
+        push_mps2 = math.hypot(*_floats(wanted.acceleration_mps2))
         if not push_mps2 <= envelope.max_acceleration_mps2 + 1e-6:
             return Reason(ReasonCode.ACCELERATION_LIMIT, (push_mps2,))
         if not abs(wanted.yaw_rate_radps) <= envelope.max_yaw_rate_radps + 1e-6:
             return Reason(ReasonCode.YAW_RATE_LIMIT, (wanted.yaw_rate_radps,))
-        stopping_point_m = envelope.stopping_point(motion.position_m, motion.velocity_mps)
-        if not envelope.admits(motion.position_m, stopping_point_m):
-            return Reason(ReasonCode.OUTSIDE_FENCE, motion.position_m)
-        return (
-            self._steps.after(self._last, motion, envelope)[1]
-            or self._space_fault(self._last, motion, stopping_point_m, situation)
-            or self._depth_fault(motion, speed_mps, proposal.retreating, situation)
-        )
+        return None
 
     def _silent(self, speed_mps: float, intent_age_s: float) -> bool:
         """Return True if the mission is silent for too long at this speed.
@@ -181,6 +193,10 @@ class Guard:
         braking_m = speed_mps**2 / (2.0 * self.envelope.max_acceleration_mps2)
         heard = -_FUTURE_S <= intent_age_s <= self.bounds.intent_timeout_s
         return not (heard and speed_mps * intent_age_s + braking_m <= max(self.bounds.silence_way_m, braking_m))
+
+    def _fence_fault(self, motion: ClearedMotion, stopping_point_m: Vec3) -> Reason | None:
+        inside = self.envelope.admits(motion.position_m, stopping_point_m)
+        return None if inside else Reason(ReasonCode.OUTSIDE_FENCE, motion.position_m)
 
     def _space_fault(
         self, last: ClearedMotion, motion: ClearedMotion, stopping_point_m: Vec3, situation: GuardInputs
