@@ -43,6 +43,8 @@ from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
 
 if TYPE_CHECKING:
+    from uav_recon.autopilot.pilot.pilot import Pilot
+    from uav_recon.mission.conductor import Conductor
     from uav_recon.recording.rerun_recorder import Recorder
 
 T = TypeVar("T")
@@ -175,6 +177,108 @@ class HookedExecutor:
         """Do nothing: work runs inline."""
 
 
+class LockstepFlight:
+    """The components of one flight on one manual clock; step() runs one iteration of all loops."""
+
+    def __init__(self, options: SimOptions, config: Config, scene: Scene, hook: LockstepHook, timelapse: bool) -> None:
+        quick = options.mapper == "depth-only"
+        self._config = config
+        self._folder = options.out
+        self._hook = hook
+        self._clock = ManualClock(START_S)
+        self._pace, self.channels = (COARSE_STEPS, direct_channels()) if quick else (FINE_STEPS, memory_channels())
+        ours, theirs = pipe()
+        self._world = make_world(options.world(config.runtime.folder), scene, theirs, self._clock.now_s, self._pace)
+        hook.enter(self._world, self.channels, START_S)
+        factory.warm_up(config)
+        self._mapper = _mapper(options, config)
+        self._tlog, self._journal = MemoryTlog(self._folder / "flight.tlog"), FlightLog(self._folder)
+        self._link, self._executor = hook.link(ours), HookedExecutor(InlineExecutor(self._clock), hook)
+        self._pilot = self._make_pilot()
+        self._perception = factory.make_perception(config, self.channels, self._clock)
+        self.conductor = self._make_conductor()
+        self._watchers: list[Recorder | Timelapse] = []  # the recorder stores states of the surface, too
+        if config.recording.rerun:
+            self._watchers.append(factory.make_recorder(config, self.channels, self._folder, self._clock))
+        elif timelapse:
+            self._watchers.append(Timelapse(self._folder, self.channels.surface, self._clock))
+        self.conductor.request_start()
+        self._mission_rate, self._record_rate = RateKeeper(MISSION_RATE_HZ, START_S), RateKeeper(RECORDER_RATE_HZ, START_S)
+        self._operator_rate, self._commands = RateKeeper(1.0, START_S), MemoryChannel(GivenCommand)
+        self._steps = 0
+
+    @property
+    def simulated_s(self) -> float:
+        """Simulated time since the start."""
+        return self._steps * self._pace.iteration_s
+
+    def step(self, land: Callable[[], bool], screen: ProgressDisplay) -> None:
+        """Run one iteration: simulator, perception, mission, pilot, recorders."""
+        self._steps += 1
+        now_s = START_S + self.simulated_s
+        self._clock.advance_to(now_s)
+        self._hook.turn(now_s)
+        self._step_world(now_s)
+        self._step_perception()
+        self._step_mission(now_s, land)
+        self._step_pilot(now_s)
+        if self._record_rate.due(now_s):
+            for watcher in self._watchers:
+                watcher.step()
+            screen.show()
+
+    def save(self, console: Console) -> None:
+        """Train the final model and write all results of the flight."""
+        if self.conductor.map is not None:
+            save_map(self._folder, self.conductor.map)
+        with StepDisplay(console).step("landed: training the final model and meshing"):
+            self._mapper.finish(self._folder)
+        self._journal.refused_views(self._clock.now_s(), self._mapper.refused())
+        self._journal.close()
+        self._tlog.close()
+        for watcher in self._watchers:
+            watcher.close()
+        self._world.truth_log.save(self._folder / "truth.npz", self._world)
+
+    def _step_world(self, now_s: float) -> None:
+        self._world.step(now_s)
+        if self._world.frame_due(now_s):
+            self._world.develop(self._world.begin_frame(now_s))
+
+    def _step_perception(self) -> None:
+        if self._hook.restarts("perception"):
+            self._perception = factory.make_perception(self._config, self.channels, self._clock)
+        if self._hook.runs("perception"):
+            self._perception.step()
+
+    def _step_mission(self, now_s: float, land: Callable[[], bool]) -> None:
+        if self._hook.restarts("mission"):
+            self.conductor = self._make_conductor()
+            self.conductor.request_start()
+        if self._mission_rate.due(now_s) and self._hook.runs("mission"):
+            if land():
+                self.conductor.request_abort(Reason(ReasonCode.OPERATOR_LAND))
+            if self._hook.holds():
+                self.conductor.request_hold()
+            self.conductor.step()
+
+    def _step_pilot(self, now_s: float) -> None:
+        if self._hook.restarts("pilot"):
+            self._pilot = self._make_pilot()
+        if self._hook.runs("pilot"):
+            if self._operator_rate.due(now_s) and self._hook.attends():
+                operator_factory.make_command_handler(self.channels, self._pilot, self._commands, self._clock).serve("status")
+            self._pilot.step()
+
+    def _make_pilot(self) -> Pilot:
+        return factory.make_pilot(self._config, self.channels, self._link, self._tlog, self._clock)
+
+    def _make_conductor(self) -> Conductor:
+        return factory.make_conductor(
+            self._config, self.channels, self._mapper, self._executor, self._journal, self._clock, time.perf_counter
+        )
+
+
 def fly_in_lockstep(
     options: SimOptions, config: Config, scene: Scene, console: Console, land: Callable[[], bool], timelapse: bool = True,
     meddler: LockstepHook = NO_HOOK,
@@ -184,74 +288,17 @@ def fly_in_lockstep(
     land: returns True if the operator wants to land now. timelapse: store states of the surface, from which recall over
     time is computed. The last argument is the hook of this flight.
     """
-    clock, quick = ManualClock(START_S), options.mapper == "depth-only"
-    pace, wires = (COARSE_STEPS, direct_channels()) if quick else (FINE_STEPS, memory_channels())
-    ours, theirs = pipe()
-    world = make_world(options.world(config.runtime.folder), scene, theirs, clock.now_s, pace)
-    meddler.enter(world, wires, START_S)
-    factory.warm_up(config)
-    mapper = _mapper(options, config)
-    log, journal = MemoryTlog(options.out / "flight.tlog"), FlightLog(options.out)
-    link, executor = meddler.link(ours), HookedExecutor(InlineExecutor(clock), meddler)
-    pilot = factory.make_pilot(config, wires, link, log, clock)
-    perception = factory.make_perception(config, wires, clock)
-    conductor = factory.make_conductor(config, wires, mapper, executor, journal, clock, time.perf_counter)
-    watchers: list[Recorder | Timelapse] = []  # the recorder stores states of the surface, too
-    if config.recording.rerun:
-        watchers.append(factory.make_recorder(config, wires, options.out, clock))
-    elif timelapse:
-        watchers.append(Timelapse(options.out, wires.surface, clock))
-    conductor.request_start()
-    mission_rate, record_rate = RateKeeper(MISSION_RATE_HZ, START_S), RateKeeper(RECORDER_RATE_HZ, START_S)
-    operator_rate, orders = RateKeeper(1.0, START_S), MemoryChannel(GivenCommand)
-    steps = 0
+    flight = LockstepFlight(options, config, scene, meddler, timelapse)
     started_s, processor_s = time.perf_counter(), time.process_time()
-    with ProgressDisplay(console, wires) as screen:
-        while not meddler.over(conductor.finished) and steps * pace.iteration_s < LONGEST_S:
-            steps += 1
-            now_s = START_S + steps * pace.iteration_s
-            clock.advance_to(now_s)
-            meddler.turn(now_s)
-            world.step(now_s)
-            if world.frame_due(now_s):
-                world.develop(world.begin_frame(now_s))
-            if meddler.restarts("perception"):
-                perception = factory.make_perception(config, wires, clock)
-            if meddler.runs("perception"):
-                perception.step()
-            if meddler.restarts("mission"):
-                conductor = factory.make_conductor(config, wires, mapper, executor, journal, clock, time.perf_counter)
-                conductor.request_start()
-            if mission_rate.due(now_s) and meddler.runs("mission"):
-                if land():
-                    conductor.request_abort(Reason(ReasonCode.OPERATOR_LAND))
-                if meddler.holds():
-                    conductor.request_hold()
-                conductor.step()
-            if meddler.restarts("pilot"):
-                pilot = factory.make_pilot(config, wires, link, log, clock)
-            if meddler.runs("pilot"):
-                if operator_rate.due(now_s) and meddler.attends():
-                    operator_factory.make_command_handler(wires, pilot, orders, clock).serve("status")
-                pilot.step()
-            if record_rate.due(now_s):
-                for watcher in watchers:
-                    watcher.step()
-                screen.show()
-        conductor.close()
+    with ProgressDisplay(console, flight.channels) as screen:
+        while not meddler.over(flight.conductor.finished) and flight.simulated_s < LONGEST_S:
+            flight.step(land, screen)
+        flight.conductor.close()
     wall_s, processor_s = time.perf_counter() - started_s, time.process_time() - processor_s
-    if conductor.map is not None:
-        save_map(options.out, conductor.map)
-    with StepDisplay(console).step("landed: training the final model and meshing"):
-        mapper.finish(options.out)
-    journal.refused_views(clock.now_s(), mapper.refused())
-    journal.close()
-    log.close()
-    for watcher in watchers:
-        watcher.close()
-    world.truth_log.save(options.out / "truth.npz", world)
-    fault = None if conductor.finished else f"the flight did not end within {LONGEST_S:.0f} s of simulated time"
-    return LockstepResult(fault, steps * pace.iteration_s, wall_s, processor_s)
+    flight.save(console)
+    ended = flight.conductor.finished
+    fault = None if ended else f"the flight did not end within {LONGEST_S:.0f} s of simulated time"
+    return LockstepResult(fault, flight.simulated_s, wall_s, processor_s)
 
 
 @contextmanager
