@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 from types import FrameType
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -29,6 +30,9 @@ from uav_recon.interfaces import Channel, Clock
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.vehicle import FlightPhase, VehicleState
+
+if TYPE_CHECKING:
+    from uav_recon.mapping.neural.worker.mapper_client import ProcessMapper
 
 LOG = logging.getLogger(__name__)
 
@@ -196,11 +200,8 @@ def mission(config_path: Path, flight: Path | None) -> int:
 
     Returns exit code 0 for any end of the flight.
     """
-    from uav_recon.mapping.neural.keyframes.normal_prior import PriorError
-    from uav_recon.mapping.neural.worker.mapper_client import ProcessMapper
     from uav_recon.mission.operator_commands import OperatorCommandReceiver
     from uav_recon.recording.flight_log import FlightLog, outcome_text
-    from uav_recon.recording.flight_report import FlightInfo, build_report, publish
     from uav_recon.recording.map_file import save_map
 
     stop, clock, config = Stop(), MonotonicClock(), factory.load_config(config_path)
@@ -210,28 +211,23 @@ def mission(config_path: Path, flight: Path | None) -> int:
     folder = flight_folder(config, flight)
     configuration.save(config, folder / "config.toml")
     compile_kernels(kernel_jobs.mission_jobs(config.planner.variant), config_path, log_progress(LOG), lambda: stop.asked)
-    safety, camera = config.safety, config.camera
-    low, high = np.array(safety.fence_min_m), np.array(safety.fence_max_m)
-    try:
-        mapper = ProcessMapper(config.mapper, low, high, camera.depth_noise_px, camera.baseline_m, folder)
-    except PriorError as error:
-        raise UserError(str(error), EXIT_CONFIG) from None
+    mapper = _start_mapper(config, folder)
     recorder = _start_recorder(config_path, folder)
     journal, executor = FlightLog(folder), ThreadExecutor("planner", PLANNER_PATIENCE_S)
     try:
         factory.warm_up(config)
         conductor = factory.make_conductor(config, wires, mapper, executor, journal, clock, time.perf_counter)
         systemd_notify.ready()
-        rate, waiting = RateKeeper(MISSION_RATE_HZ, clock.now_s()), WaitNotice("mission", clock.now_s())
-        while not conductor.finished:
+        waiting = WaitNotice("mission", clock.now_s())
+
+        def step() -> None:
             waiting.update(clock.now_s(), missing_processes(wires, clock.now_s()))
             if stop.asked:
                 conductor.request_abort(Reason(ReasonCode.OPERATOR_LAND))
             orders.pass_on(conductor, mapper.ready(), config.mission.autostart)
             conductor.step()
-            systemd_notify.watchdog()
-            rate.due(clock.now_s())
-            clock.sleep_until(rate.next_s())
+
+        _loop(step, MISSION_RATE_HZ, clock, lambda: conductor.finished)
         aborted = conductor.close()
         if conductor.map is not None:
             save_map(folder, conductor.map)
@@ -242,9 +238,7 @@ def mission(config_path: Path, flight: Path | None) -> int:
         journal.refused_views(clock.now_s(), mapper.refused())
         journal.close()
         _stop_recorder(recorder)
-    mount = "gimbal" if camera.mount == "gimbal" else f"fixed:{camera.pitch_down_deg:g}"
-    card = FlightInfo(folder.name, config.planner.variant, config.link.autopilot, mount)
-    publish(build_report(folder, card, clock.now_s() - begun_s), folder)
+    _write_report(config, folder, clock.now_s() - begun_s)
     LOG.info("%s", outcome_text(aborted))
     return 0
 
@@ -292,6 +286,30 @@ def _loop(step: Callable[[], None], rate_hz: float, clock: MonotonicClock, done:
         systemd_notify.watchdog()
         rate.due(clock.now_s())
         clock.sleep_until(rate.next_s())
+
+
+def _start_mapper(config: Config, folder: Path) -> ProcessMapper:
+    """Start the mapper's process.
+
+    Raises UserError with exit code 78 if the normal prior cannot be used.
+    """
+    from uav_recon.mapping.neural.keyframes.normal_prior import PriorError
+    from uav_recon.mapping.neural.worker.mapper_client import ProcessMapper
+
+    safety, camera = config.safety, config.camera
+    low, high = np.array(safety.fence_min_m), np.array(safety.fence_max_m)
+    try:
+        return ProcessMapper(config.mapper, low, high, camera.depth_noise_px, camera.baseline_m, folder)
+    except PriorError as error:
+        raise UserError(str(error), EXIT_CONFIG) from None
+
+
+def _write_report(config: Config, folder: Path, wall_s: float) -> None:
+    from uav_recon.recording.flight_report import FlightInfo, build_report, publish
+
+    mount = "gimbal" if config.camera.mount == "gimbal" else f"fixed:{config.camera.pitch_down_deg:g}"
+    card = FlightInfo(folder.name, config.planner.variant, config.link.autopilot, mount)
+    publish(build_report(folder, card, wall_s), folder)
 
 
 def _start_recorder(config_path: Path, folder: Path) -> subprocess.Popen[bytes]:

@@ -48,21 +48,19 @@ class OdometryHealthMonitor:
         """
         rate_hz = self._rate_hz()
         slower_s = min(max(1.0 / rate_hz - _USUAL_S, 0.0), _SLOWER_S)
-        whose = ReasonCode.POSES_DISAGREE if on_trial else ReasonCode.NO_POSE
-        if age_s > min(_SILENT_S + slower_s, self._lost_s):
-            return PoseHealth.LOST, Reason(whose, (age_s,))
-        if rate_hz < _TOO_FEW_HZ:
-            return PoseHealth.LOST, Reason(ReasonCode.FEW_POSES, (rate_hz,))
-        if on_trial or age_s > _LATE_S + slower_s:
-            return PoseHealth.DEGRADED, Reason(whose, (age_s,))
-        if rate_hz < _FEW_HZ:
-            return PoseHealth.DEGRADED, Reason(ReasonCode.FEW_POSES, (rate_hz,))
-        if not inertial:
-            return PoseHealth.DEGRADED, Reason(ReasonCode.NO_IMU)
+        late = Reason(ReasonCode.POSES_DISAGREE if on_trial else ReasonCode.NO_POSE, (age_s,))
+        few = Reason(ReasonCode.FEW_POSES, (rate_hz,))
         mean = sum(self._surprises) / max(len(self._surprises), 1)
-        if len(self._surprises) == _SURPRISES and mean > _SURPRISE:
-            return PoseHealth.DEGRADED, Reason(ReasonCode.IMU_DISAGREES, (mean,))
-        return PoseHealth.GOOD, None
+        surprised = len(self._surprises) == _SURPRISES and mean > _SURPRISE
+        checks = (
+            (age_s > min(_SILENT_S + slower_s, self._lost_s), PoseHealth.LOST, late),
+            (rate_hz < _TOO_FEW_HZ, PoseHealth.LOST, few),
+            (on_trial or age_s > _LATE_S + slower_s, PoseHealth.DEGRADED, late),
+            (rate_hz < _FEW_HZ, PoseHealth.DEGRADED, few),
+            (not inertial, PoseHealth.DEGRADED, Reason(ReasonCode.NO_IMU)),
+            (surprised, PoseHealth.DEGRADED, Reason(ReasonCode.IMU_DISAGREES, (mean,))),
+        )
+        return next(((health, reason) for fails, health, reason in checks if fails), (PoseHealth.GOOD, None))
 
     def quality(self, health: PoseHealth, age_s: float, source: int) -> int:
         """Return the quality from 0 to 100: the lower of the source's and the health's.

@@ -98,13 +98,7 @@ class CommandHandler:
             return self._refusal_of_start(phase)
         if phase in _ON_THE_GROUND:
             return Reason(ReasonCode.NOT_FLYING, (phase.value, order.value))
-        if phase is FlightPhase.ARMING and order is not OperatorCommand.LAND:
-            return Reason(ReasonCode.TAKING_OFF)
-        if phase is FlightPhase.LANDING and order is not OperatorCommand.LAND:
-            return Reason(ReasonCode.LANDING_IS_FINAL)
-        if order is OperatorCommand.RETURN and not self._mission_receives():
-            return Reason(ReasonCode.MISSION_CANNOT_RETURN)
-        return None
+        return None if order is OperatorCommand.LAND else self._refusal_in_flight(order, phase)
 
     def _refusal_of_start(self, phase: FlightPhase) -> Reason | None:
         if phase in (FlightPhase.LANDING, FlightPhase.LANDED):
@@ -112,6 +106,15 @@ class CommandHandler:
         if phase is FlightPhase.CONNECTING:
             return Reason(ReasonCode.NOT_READY, details=self._note(Reason(ReasonCode.STARTING)))
         return None if self._mission_receives() else Reason(ReasonCode.MISSION_NOT_RUNNING)
+
+    def _refusal_in_flight(self, order: OperatorCommand, phase: FlightPhase) -> Reason | None:
+        if phase is FlightPhase.ARMING:
+            return Reason(ReasonCode.TAKING_OFF)
+        if phase is FlightPhase.LANDING:
+            return Reason(ReasonCode.LANDING_IS_FINAL)
+        if order is OperatorCommand.RETURN and not self._mission_receives():
+            return Reason(ReasonCode.MISSION_CANNOT_RETURN)
+        return None
 
     def _carry_out(self, order: OperatorCommand) -> str:
         if order is OperatorCommand.LAND:

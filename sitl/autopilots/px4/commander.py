@@ -193,19 +193,16 @@ class Px4Commander:
 
         Also decides the PREARM bit of SYS_STATUS.
         """
-        if self._wanted is Px4Mode.OFFBOARD and not self.stream.available(condition.now_s):
-            return "No offboard signal"
-        if self._wanted in (Px4Mode.LAND, Px4Mode.RTL):
-            return "Mode not suitable for takeoff"
-        if self._wanted in _NEED_POSITION and not condition.position_valid:
-            return "Position estimate required"
-        if self._wanted is Px4Mode.LOITER and not self.has_global(condition.now_s):
-            return "Global position estimate required"
-        if condition.battery <= self._battery_low:
-            return "Low battery"
-        if self._rc_needed and condition.rc_lost_s > self._rc_loss_s:
-            return "No manual control input"
-        return ""
+        wanted, now_s = self._wanted, condition.now_s
+        refusals = {
+            "No offboard signal": wanted is Px4Mode.OFFBOARD and not self.stream.available(now_s),
+            "Mode not suitable for takeoff": wanted in (Px4Mode.LAND, Px4Mode.RTL),
+            "Position estimate required": wanted in _NEED_POSITION and not condition.position_valid,
+            "Global position estimate required": wanted is Px4Mode.LOITER and not self.has_global(now_s),
+            "Low battery": condition.battery <= self._battery_low,
+            "No manual control input": self._rc_needed and condition.rc_lost_s > self._rc_loss_s,
+        }
+        return next((text for text, holds in refusals.items() if holds), "")
 
     def has_global(self, now_s: float) -> bool:
         """Return True if the global position is valid.

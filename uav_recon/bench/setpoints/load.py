@@ -13,13 +13,15 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from uav_recon import config as configuration
 from uav_recon.app import processes
 from uav_recon.app.flight_channels import file_channels
 from uav_recon.bench.mapper import seeded_views, training_run
+from uav_recon.interfaces import Channel
+from uav_recon.types.camera import PosedFrame
 
 LEARNING = "learning"  # a file of this name shows that the whole load is running
 BUSY_THREADS, VIEWS, STEPS_PER_VIEW = 4, 8, 20
@@ -33,42 +35,48 @@ def load_machine(config_path: Path, folder: Path, with_pilot: bool) -> None:
     scene = seeded_views.load(options)
     training_run.warm_up(scene.keyframes[0])
     wires = file_channels(configuration.load(config_path).runtime.folder)
-
-    def learn() -> None:
-        trainer = training_run.make_trainer(scene, STEPS_PER_VIEW, seed=0)
-        for view in itertools.chain(scene.keyframes, itertools.repeat(None)):
-            if view is not None:
-                trainer.add(view)
-            trainer.train(STEPS_PER_VIEW)
-            trainer.surface()
-            (folder / LEARNING).touch()
-
-    def be_busy() -> None:
-        for number in itertools.count():
-            sum(k * number for k in range(1000))
-
-    def write() -> None:
-        while True:
-            with (folder / "disk").open("wb") as file:
-                for _ in range(_BLOCKS):
-                    file.write(_BLOCK)
-                    file.flush()
-                    os.fsync(file.fileno())
-
-    def publish() -> None:
-        for view in itertools.cycle(scene.keyframes):
-            wires.frames.publish(view)
-            time.sleep(_FRAMES_S)
-
-    for work in (learn, write, publish, *[be_busy] * BUSY_THREADS):
-        _beside(work)
+    _beside(_learn, scene, folder)
+    _beside(_write, folder)
+    _beside(_publish, scene.keyframes, wires.frames)
+    for _ in range(BUSY_THREADS):
+        _beside(_be_busy)
     if with_pilot:
         processes.pilot(config_path, folder / "flight")
     signal.pause()
 
 
-def _beside(work: Callable[[], None]) -> None:
-    threading.Thread(target=work, name=work.__name__, daemon=True).start()
+def _learn(scene: seeded_views.MapperScene, folder: Path) -> None:
+    trainer = training_run.make_trainer(scene, STEPS_PER_VIEW, seed=0)
+    for view in itertools.chain(scene.keyframes, itertools.repeat(None)):
+        if view is not None:
+            trainer.add(view)
+        trainer.train(STEPS_PER_VIEW)
+        trainer.surface()
+        (folder / LEARNING).touch()
+
+
+def _write(folder: Path) -> None:
+    while True:
+        with (folder / "disk").open("wb") as file:
+            for _ in range(_BLOCKS):
+                file.write(_BLOCK)
+                file.flush()
+                os.fsync(file.fileno())
+
+
+def _publish(views: Sequence[PosedFrame], frames: Channel[PosedFrame]) -> None:
+    for view in itertools.cycle(views):
+        frames.publish(view)
+        time.sleep(_FRAMES_S)
+
+
+def _be_busy() -> None:
+    for number in itertools.count():
+        sum(k * number for k in range(1000))
+
+
+def _beside(work: Callable[..., None], *arguments: object) -> None:
+    threading.Thread(target=work, args=arguments, name=work.__name__.strip("_"), daemon=True).start()
 
 
 if __name__ == "__main__":
