@@ -166,7 +166,7 @@ class Trial:
 def warm_up() -> None:
     """Import what no mutant changes, and load its kernels."""
     importlib.import_module("hypothesis.strategies")
-    for name in ("maps", "nearby", "trajectory", "polygon"):
+    for name in ("maps", "min_range_grid", "trajectory", "polygon"):
         importlib.import_module(f"uav_recon.types.{name}")
     (Pose.from_yaw(0.1, np.zeros(3)) @ Pose.identity()).apply(np.zeros((2, 3)))
 
