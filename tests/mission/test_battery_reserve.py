@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 from uav_recon.mission.battery_gauge import BatteryGaugeFilter
 from uav_recon.mission.battery_reserve import (
     AROUND_S,
-    LAND_AT,
+    LAND_AT_SHARE,
     LANDING_S,
-    MARGIN,
+    MARGIN_FACTOR,
     PACE_MPS,
-    TAKE_OFF,
+    TAKE_OFF_SHARE,
     ConsumptionEstimator,
     flight_s,
     min_charge_for,
@@ -57,13 +57,13 @@ def test_a_far_place_is_left_earlier_than_a_near_one(one_m: float, other_m: floa
     near_m, far_m = sorted((one_m, other_m))
     near, far = (min_charge_for(flight_s(way_m, math.inf), per_s) for way_m in (near_m, far_m))
     assert near <= far
-    assert far - near == pytest.approx(MARGIN * per_s * (far_m - near_m) / PACE_MPS, abs=1e-9)
+    assert far - near == pytest.approx(MARGIN_FACTOR * per_s * (far_m - near_m) / PACE_MPS, abs=1e-9)
 
 
 @given(WAYS_M, RATES, RATES)
 def test_what_burns_faster_is_left_earlier_and_never_below_where_it_lands(way_m: float, one: float, other: float) -> None:
     slow, fast = (min_charge_for(flight_s(way_m, math.inf), per_s) for per_s in sorted((one, other)))
-    assert LAND_AT < slow <= fast
+    assert LAND_AT_SHARE < slow <= fast
 
 
 @settings(deadline=None)
@@ -85,7 +85,7 @@ def test_whatever_a_gauge_says_the_figures_are_figures(words: list[float]) -> No
         charge.update(0.5 * k, word, flying=True)
         burn.update(0.5 * k, charge.left, flying=True)
         assert 0.0005 <= burn.per_s(0.5 * k) <= 0.2
-        assert LAND_AT < min_charge_for(flight_s(10.0, math.inf), burn.per_s(0.5 * k)) < 20.0
+        assert LAND_AT_SHARE < min_charge_for(flight_s(10.0, math.inf), burn.per_s(0.5 * k)) < 20.0
 
 
 def test_before_anything_is_measured_a_battery_of_eight_minutes_is_feared() -> None:
@@ -134,4 +134,4 @@ def test_on_the_ground_everything_begins_anew() -> None:
 
 
 def test_what_is_left_of_a_battery_that_may_take_off_covers_a_flight() -> None:
-    assert pytest.approx(0.356) == TAKE_OFF
+    assert pytest.approx(0.356) == TAKE_OFF_SHARE

@@ -69,9 +69,9 @@ def text() -> str:
 
 
 def _lines(model: type[BaseModel]) -> list[str]:
-    meanings = _meanings(model)
+    words = meanings(model)
     return [
-        f"# {key} = {_value(field)}   # {'; '.join(filter(None, (meanings.get(key), _allowed(field))))}"
+        f"# {key} = {_value(field)}   # {'; '.join(filter(None, (words.get(key), _allowed(field))))}"
         for key, field in model.model_fields.items()
     ]
 
@@ -101,7 +101,7 @@ def _allowed(field: FieldInfo) -> str:
     return ", ".join(words)
 
 
-def _meanings(model: type[BaseModel]) -> dict[str, str]:
+def meanings(model: type[BaseModel]) -> dict[str, str]:
     """Return the comment behind each field in the source."""
     found: dict[str, str] = {}
     name = ""

@@ -41,9 +41,10 @@ if TYPE_CHECKING:  # each process imports only the stages that it runs
     from uav_recon.safety.recently_seen_space import RecentlySeenSpace
 
 CAMERA_WAIT_S = 240.0
-NARROW_M = 0.15  # clearance of the hull on paths to where planner.clearance_m leads no more
-INSIDE_M = 0.03  # a motion stays this much farther inside the fence than the guard requires
-RETREAT_M = 0.10  # clearance of the hull on the last possible paths home: the vehicle flew there, even if the map differs
+NARROW_M = 0.15  #: plan: clearance of the hull on paths to where planner.clearance_m leads no more
+INSIDE_M = 0.03  #: plan: a motion stays this much farther inside the fence than the guard requires
+#: plan: clearance of the hull on the last possible paths home: the vehicle flew there, even if the map differs
+RETREAT_M = 0.10
 
 
 def load_config(path: Path) -> Config:

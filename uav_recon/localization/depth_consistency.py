@@ -26,34 +26,32 @@ from uav_recon.types.pose import Pose
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
 
-_ALONE = 0.05  # max. share of isolated pixels; valid frames have 0.004
-_MISFIT, _MAX_FARTHER = (
-    0.20,
-    0.05,
-)  # max. misfits to the previous frame, and those farther than expected, as shares; valid: 0.07, 0.03
-_REFIT = 0.10  # max. share of misfits after a rejected frame: a frame that follows a wrong one may fit by chance
-_MIN_SHIFT_LOSS = (
-    0.03  # misfits added by a shift, as a share of the points; shifted frames that fit: 0.000; valid: 0.18 in 3 of 4
-)
+_ALONE_SHARE = 0.05  #: reject: a frame with more isolated pixels; valid frames have 0.4 %
+_MISFIT_SHARE = 0.20  #: reject: a frame with more misfits to the previous one, unless few are farther; valid: 7 %
+_MAX_FARTHER_SHARE = 0.05  #: reject: a frame with many misfits, and more that are farther than expected; valid: 3 %
+#: reject: a frame with more misfits after a rejected one: a frame that follows a wrong one may fit by chance
+_REFIT_SHARE = 0.10
+#: reject: after a rejected frame, one that a shift makes no worse; shifted frames: 0 %, valid: 18 % in 3 of 4
+_MIN_SHIFT_LOSS_SHARE = 0.03
 _REJECTION_POSE = ViewSelection(
     0.10, math.cos(math.radians(3.0))
 )  # the camera pose is that of the first rejected frame, so that its cause would be seen
-_CALM = 3  # frames in a row that fit from there
-_HIDDEN = 0.5  # max. share of points with something in front of them: a person that comes near hides fewer
-_ASIDE, _MAX_PAUSE_S = (
-    0.02,
-    0.6,
-)  # max. share of points gained by a shift within this time; valid frames after such a pause: 0.014
-_DRIFT_M = 0.15  # min. shift of odom against half a minute ago that counts as drift; valid: 0.09 m
-_MANY, _EXPLAINED = 100, 0.75  # min. points, and min. share of them that a shift explains: a person explains fewer
-_MAX = 0.9  # the same share where much may have come between
-_TOLD = 2  # views that must report a shift
-_HIDING = 0.22  # max. nearer points that something in front explains, if at most _FARTHER are farther; else odom has moved
-_FARTHER = 0.02
-_SEEN_THROUGH = 0.4  # share of an older view's points that are not there: more than a person leaves behind; valid: 0.10
-_RUNNING = 3  # frames in a row that must report drift
-_KEPT_S = 2.0  # a reported drift holds for this time
-_FROZEN_M, _FROZEN_COS = 0.04, math.cos(math.radians(1.0))  # camera motion between two frames that are bit-identical
+_CALM = 3  #: reject: after a rejected frame, until this many in a row fit from where it was taken
+_HIDDEN_SHARE = 0.5  #: reject: a frame with something in front of more points: a person that comes near hides fewer
+_ASIDE_SHARE = 0.02  #: reject: a frame of which a shift makes more points fit; valid frames after such a pause: 1.4 %
+_MAX_PAUSE_S = 0.6  #: reject: a shift is looked for only against an image that is not older
+_DRIFT_M = 0.15  #: land: odom has moved by more against half a minute ago: drift; valid: 0.09 m
+_MANY = 100  #: land: min. points that must be compared for that
+_EXPLAINED_SHARE = 0.75  #: land: min. share of points that the shift explains: a person explains fewer
+_MAX_SHARE = 0.9  #: land: the same where much may have come between
+_TOLD = 2  #: land: views that must show the shift: one alone can be wrong
+_HIDING_SHARE = 0.22  #: land: at most this many points nearer, and few farther: something in front; else odom has moved
+_FARTHER_SHARE = 0.02  #: land: more points than this farther: odom has moved, and nothing hides them
+_SEEN_THROUGH_SHARE = 0.4  #: land: points of an older view that are not there: more than a person leaves behind; valid: 10 %
+_RUNNING = 3  #: land: frames in a row that must show drift
+_KEPT_S = 2.0  #: land: a drift that was shown holds for this time
+_FROZEN_M = 0.04  #: reject: a frame equal to the last bit to one that the camera took farther away: it is frozen
+_FROZEN_COS = math.cos(math.radians(1.0))  #: reject: the same, turned by more
 
 
 class DepthConsistencyMonitor:
@@ -86,15 +84,15 @@ class DepthConsistencyMonitor:
         seen = (frame.stamp_s, frame.depth_m, frame.depth_intrinsics, odom_from_depth)
         newest, others = self._past_views.compare_newest(*seen), self._past_views.compare_oldest(*seen, OVERLAPPING)
         overlapping = next(others, None)
-        alone, frozen = isolated_pixel_fraction(frame.depth_m) > _ALONE, self._frozen(frame.depth_m, odom_from_depth)
+        alone, frozen = isolated_pixel_fraction(frame.depth_m) > _ALONE_SHARE, self._frozen(frame.depth_m, odom_from_depth)
         doubted = self._doubted is not None
         asked = newest is not None and (newest.age_s <= _MAX_PAUSE_S or doubted)
-        aside = asked and self._past_views.gain_aside(*seen[1:]) > _ASIDE
+        aside = asked and self._past_views.gain_aside(*seen[1:]) > _ASIDE_SHARE
         if not doubted:
             fits = _follows(newest) or _follows(overlapping)  # or something in front of it has left
         else:
             fits = any(
-                _fits(then) and self._past_views.loss_aside(then, *seen[1:]) >= _MIN_SHIFT_LOSS
+                _fits(then) and self._past_views.loss_aside(then, *seen[1:]) >= _MIN_SHIFT_LOSS_SHARE
                 for then in (newest, overlapping)
             )
             fits |= self._is_over(_fits(newest) and not (alone or frozen or aside), odom_from_depth)
@@ -107,9 +105,9 @@ class DepthConsistencyMonitor:
             self._calm = 0
             self._drift_rate.update(frame, odom_from_depth)
             moved = (
-                _moved(self._past_views.compare_oldest(*seen, ALIKE), _EXPLAINED)
-                or _moved(self._past_views.compare_oldest(*seen, ALIKE_LATELY), _EXPLAINED)
-                or _moved(itertools.chain(filter(None, [overlapping]), others), _MAX)
+                _moved(self._past_views.compare_oldest(*seen, ALIKE), _EXPLAINED_SHARE)
+                or _moved(self._past_views.compare_oldest(*seen, ALIKE_LATELY), _EXPLAINED_SHARE)
+                or _moved(itertools.chain(filter(None, [overlapping]), others), _MAX_SHARE)
             )
             self._hear(frame.stamp_s, moved or _seen_through(overlapping) or self._drift_message())
             self._past_views.remember(*seen)
@@ -165,12 +163,12 @@ def _follows(then: ViewComparison | None) -> bool:
     """
     if then is None:
         return False
-    return then.nearer <= _HIDDEN and (then.nearer + then.farther <= _MISFIT or then.farther <= _MAX_FARTHER)
+    return then.nearer <= _HIDDEN_SHARE and (then.nearer + then.farther <= _MISFIT_SHARE or then.farther <= _MAX_FARTHER_SHARE)
 
 
 def _fits(then: ViewComparison | None) -> TypeGuard[ViewComparison]:
     """Return True if nearly all points are unchanged, of enough points to notice missing ones."""
-    return then is not None and then.count >= _MANY and then.nearer + then.farther <= _REFIT
+    return then is not None and then.count >= _MANY and then.nearer + then.farther <= _REFIT_SHARE
 
 
 def _moved(oldest: Iterator[ViewComparison], explained: float) -> Reason | None:
@@ -181,7 +179,7 @@ def _moved(oldest: Iterator[ViewComparison], explained: float) -> Reason | None:
     """
 
     def says(then: ViewComparison) -> bool:
-        hidden = then.nearer <= _HIDING and then.farther <= _FARTHER
+        hidden = then.nearer <= _HIDING_SHARE and then.farther <= _FARTHER_SHARE
         sure = then.explained >= explained and then.count >= _MANY and not hidden
         return sure and float(np.linalg.norm(then.shift_m)) >= _DRIFT_M
 
@@ -193,6 +191,6 @@ def _moved(oldest: Iterator[ViewComparison], explained: float) -> Reason | None:
 
 def _seen_through(then: ViewComparison | None) -> Reason | None:
     """Return a message if the camera looks through surfaces that were seen, None for nothing."""
-    if then is None or then.farther < _SEEN_THROUGH:
+    if then is None or then.farther < _SEEN_THROUGH_SHARE:
         return None
     return Reason(ReasonCode.SURFACES_GONE, (then.farther, then.age_s))

@@ -15,11 +15,14 @@ from uav_recon.localization.imu_integration import Quaternion, Vector
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.pose import StampedPose
 
-_OLDEST_S, _FUTURE_S = 1.0, 0.01
-_SAME_STAMP_S = 1e-4
-_FARTHEST_M, _LARGEST_VARIANCE = 1e4, 1e4  # per element, m² or rad²: a source that claims this knows nothing
-_STEP_M = 0.03  # a vehicle follows a step of its odometry at once
-_PLAUSIBLE_NIS = 22.46  # 99.9 % of the innovations of six elements (chi-square)
+_OLDEST_S = 1.0  #: reject: an older pose of the source
+_FUTURE_S = 0.01  #: reject: a pose of the source stamped later than the clock by this
+_SAME_STAMP_S = 1e-4  #: reject: a pose whose stamp differs from another's by less: it is the same again
+_FARTHEST_M = 1e4  #: reject: a pose farther from odom's origin on an axis
+_LARGEST_VARIANCE_SI = 1e4  #: reject: a pose that claims a larger variance, in m² or rad²: its source knows nothing
+_STEP_M = 0.03  #: brake: no pose moves odometry by more at once: a vehicle follows such a step
+#: reject: the weight of a pose falls above this: 99.9 % of the innovations of six elements (chi-square) are below
+_PLAUSIBLE_NIS = 22.46
 
 
 class PoseRejection(str, Enum):
@@ -66,13 +69,14 @@ class PoseGates:
     horizon (tilt_rad), which both source and track know. speed_mps: limit of the speed implied by the previous pose.
     """
 
-    jump_m: float = 0.10
-    farthest_m: float = 0.5
+    jump_m: float = 0.10  #: reject: a pose farther from the track than sigmas, but never for less than this
+    farthest_m: float = 0.5  #: reject: a pose farther from the track than this, whatever its covariance
+    #: reject: an attitude farther from the track's than sigmas, but never for less than this
     turn_rad: float = math.radians(8.0)
-    tilt_rad: float = math.radians(3.0)
-    farthest_rad: float = math.radians(30.0)
-    sigmas: float = 3.0
-    speed_mps: float = 2.0
+    tilt_rad: float = math.radians(3.0)  #: reject: the same for its tilt of the horizon, which both source and track know
+    farthest_rad: float = math.radians(30.0)  #: reject: an attitude farther from the track's than this, whatever its covariance
+    sigmas: float = 3.0  #: reject: standard deviations of the innovation beyond which a pose does not fit the track
+    speed_mps: float = 2.0  #: reject: a pose that the previous one reaches only by a higher speed
 
     def leap(self, residual: FloatArray, spread: FloatArray) -> PoseRejection | None:
         """Return the reason why a pose does not fit the track, '' if it fits.
@@ -100,7 +104,7 @@ def pose_fault(pose: StampedPose, now_s: float) -> PoseRejection | None:
     """Return the fault of a pose by itself, None for nothing."""
     if pose.covariance.shape != (6, 6) or not (math.isfinite(pose.stamp_s) and np.isfinite(pose.covariance).all()):
         return PoseRejection.NOT_FINITE
-    if np.abs(pose.odom_from_body.translation_m).max() > _FARTHEST_M or np.abs(pose.covariance).max() > _LARGEST_VARIANCE:
+    if np.abs(pose.odom_from_body.translation_m).max() > _FARTHEST_M or np.abs(pose.covariance).max() > _LARGEST_VARIANCE_SI:
         return PoseRejection.OUT_OF_RANGE
     if pose.quality <= 0:
         return PoseRejection.QUALITY

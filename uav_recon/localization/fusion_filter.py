@@ -28,11 +28,14 @@ from uav_recon.types.camera import ImuSample
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.pose import Pose, StampedPose, WorldFromOdom
 
-_CREDIBLE_M = 0.1  # max. standard deviation of a track that may contradict a pose source
-_TURN_OF_MAP_RAD = math.radians(12.0)  # a larger turn is no correction of a map, but a tracker that has lost its heading
-_STEADY_RAD = math.radians(3.0)  # max. standard deviation of a heading that a gyro still knows, long after the position is lost
+_CREDIBLE_M = 0.1  #: reject: max. standard deviation of a track that may contradict a pose source
+#: reject: a larger turn is no correction of a map, but a tracker that has lost its heading
+_TURN_OF_MAP_RAD = math.radians(12.0)
+#: reject: max. standard deviation of a heading that a gyro still knows, long after the position is lost
+_STEADY_RAD = math.radians(3.0)
 _LARGEST_DRIFT = np.repeat((10.0**2, math.pi**2), 3)  # m², rad²: max. claimed variance of a source that is passed on
-_OVERTURNED_RAD = math.radians(30.0)  # no gyro loses this much
+#: reject: a smaller tilt of track against source is gravity taken for acceleration; no gyro loses this much
+_OVERTURNED_RAD = math.radians(30.0)
 
 
 class FusionFilter:

@@ -30,10 +30,11 @@ from uav_recon.localization.imu_integration import (
 from uav_recon.types.camera import ImuSample
 from uav_recon.types.frames import FloatArray
 
-_HISTORY_S = 2.0  # time for which late poses and frames are possible
-_IMU_GAP_S = 0.05
-_FASTEST_RADPS, _HARDEST_MPS2 = 35.0, 160.0  # any gyro (2000 degrees/s) and any accelerometer (16 g) saturates there
-_FUTURE_S = 0.01
+_HISTORY_S = 2.0  #: reject: late poses and frames are possible for this time
+_IMU_GAP_S = 0.05  #: brake: retreat_speed_mps after a longer gap of the inertial samples, as without an IMU
+_FASTEST_RADPS = 35.0  #: reject: inertial samples beyond: any gyro (2000 degrees/s) saturates there
+_HARDEST_MPS2 = 160.0  #: reject: inertial samples beyond: any accelerometer (16 g) saturates there
+_FUTURE_S = 0.01  #: reject: inertial samples stamped later than the clock by this
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,15 +20,18 @@ from uav_recon.types.pose import Pose
 _FADES_S = 2.5  # time constant: the weight of an observation falls by a factor e
 _PRIOR_S3 = 0.5  # weight of the prior, which is zero drift: that of half of near patches in 1 s of a view 1 s old, ...
 _DOUBT_S3 = 1.5  # ... and three times that before drift is reported: few observations of a direction may be noise
-_LONGEST_STEP_S = 0.5
-_SETTLES_S = 3.0  # odom settles after it begins: views of that time are not stored
-_EVERY_S, _MEMORY_S = 1.0, 3.0  # interval and max. age of stored views: while the camera turns, some of them stays in view
-_FEWEST, _WITHIN = 40, 0.6  # min. patches that both see, and min. share of them within reach: beside a person it is 0.7
+_LONGEST_STEP_S = 0.5  #: internal: a longer pause between frames counts as this
+_SETTLES_S = 3.0  #: land: no drift is measured for this time after odom begins: it settles
+_EVERY_S = 1.0  #: internal: interval of stored views
+_MEMORY_S = 3.0  #: internal: max. age of stored views: while the camera turns, some of them stay in view
+_FEWEST = 40  #: land: min. patches that both views see, for a comparison to count
+_WITHIN_SHARE = 0.6  #: land: min. share of them within reach: beside a person it is 70 %
 _POINT_WEIGHT = 2.0  # weight of tracked points against patches: a point measures both image directions
-_VALID_DRIFT_MPS = 0.012  # limit of the drift rate: valid odom shows 0.010 at most, and ...
-_TILT_RAD = 0.020  # ... across its path as much as its speed times such a tilt; measured: 0.011
-_YOUNGEST_S = 0.3  # min. age of tracked points ...
-_FEWEST_POINTS, _POINTS_WITHIN = 10, 0.5  # ... min. number of them, and min. share within reach
+_VALID_DRIFT_MPS = 0.012  #: land: odom drifts along its path by more; valid: at most 0.010 m/s
+_TILT_RAD = 0.020  #: land: added to it across the path: the speed times this tilt; measured: 0.011
+_YOUNGEST_S = 0.3  #: land: min. age of tracked points that count
+_FEWEST_POINTS = 10  #: land: min. number of them
+_POINTS_WITHIN_SHARE = 0.5  #: land: min. share of them within reach
 
 
 class _View(NamedTuple):
@@ -112,7 +115,7 @@ class DriftRateEstimator:
             self._flown += step_s * age_s * (odom_from_depth.translation_m - view.place_m)
             self._flown_s2 += step_s * age_s**2
             count, within, held, moved = normal_equations(view.patches, *seen, age_s * velocity_mps)
-            if count >= _FEWEST and within >= _WITHIN * count:
+            if count >= _FEWEST and within >= _WITHIN_SHARE * count:
                 self._held += step_s * age_s**2 / count * held
                 self._moved += step_s * age_s / count * moved
         if self._settled and (not self._views or frame.stamp_s - self._views[-1].stamp_s >= _EVERY_S):
@@ -125,7 +128,7 @@ class DriftRateEstimator:
         old = seen.age_s >= _YOUNGEST_S
         fits = old & (left_m <= REACH_M + REACH_SHARE * seen.range_m)
         count = int(fits.sum())
-        if count < max(_FEWEST_POINTS, _POINTS_WITHIN * int(old.sum())):
+        if count < max(_FEWEST_POINTS, _POINTS_WITHIN_SHARE * int(old.sum())):
             return
         along, age_s, weight = seen.along[fits], seen.age_s[fits], weight_at(seen.range_m[fits])
         self._held += _POINT_WEIGHT * step_s / count * np.einsum("nai,naj,n->ij", along, along, weight * age_s**2)

@@ -20,7 +20,8 @@ from uav_recon.types.camera import Intrinsics
 from uav_recon.types.frames import AnyArray, Float32Array, FloatArray
 from uav_recon.types.pose import Pose
 
-_EVERY_S, _MEMORY_S = 0.5, 30.0
+_EVERY_S = 0.5  #: internal: interval of stored views
+_MEMORY_S = 30.0  #: internal: max. age of stored views
 
 
 @dataclass(frozen=True, slots=True)

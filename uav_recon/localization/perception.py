@@ -17,7 +17,9 @@ from uav_recon.types.camera import Frame, PosedFrame
 from uav_recon.types.min_range_grid import MinRangeGrid
 from uav_recon.types.pose import Pose, PoseHealth, StampedPose
 
-_WAITING_FRAMES = 4  # at 15 Hz this is more than the longest wait
+_OLDEST_FRAME_S = 1.0  #: reject: an older frame
+_FUTURE_S = 0.01  #: reject: a frame stamped later than the clock by this
+_WAITING_FRAMES = 4  #: reject: the oldest of more frames that wait for a pose: at 15 Hz this is more than the longest wait
 
 
 class Perception:
@@ -91,7 +93,7 @@ class Perception:
         frame = self._camera.poll()
         if frame is None:
             return
-        timely = now_s - 1.0 <= frame.stamp_s <= now_s + 0.01
+        timely = now_s - _OLDEST_FRAME_S <= frame.stamp_s <= now_s + _FUTURE_S
         if not (timely and frame.stamp_s > self._newest_frame_s):
             self.dropped_frames += 1
             return

@@ -9,14 +9,18 @@ from uav_recon.types.pose import PoseHealth
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
 
-_USUAL_S = 1.0 / 15.0  # usual interval of poses
-_SLOWER_S = 0.2  # max. extension of the allowed silence where poses come less often than usual
-_LATE_S, _SILENT_S = 0.20, 0.25  # age of the newest pose at which to fly slowly, and to stop
-_WINDOW_S = 1.0
-_FEW_HZ, _TOO_FEW_HZ = 8.0, 4.0  # EKF2 diverges at 2 to 5 poses a second (HAZARDS, B10)
-_SURPRISE = 15.0  # max. mean over the newest poses of the squared innovation, whose expected value is six
-_SURPRISES = 10
-_DEGRADED_QUALITY, _LOST_QUALITY = 60, 20  # the autopilot refuses below 20 (EKF2_EV_QMIN, VISO_QUAL_MIN)
+_USUAL_S = 1.0 / 15.0  #: internal: usual interval of poses
+_SLOWER_S = 0.2  #: hold: _LATE_S and _SILENT_S are longer by at most this where poses come less often than usual
+_LATE_S = 0.20  #: brake: retreat_speed_mps while the newest pose is older
+_SILENT_S = 0.25  #: hold: the newest pose is older: it counts as lost, and pose_timeout_s and pose_land_s run
+_WINDOW_S = 1.0  #: internal: time over which the rate of poses is measured
+_FEW_HZ = 8.0  #: brake: retreat_speed_mps while fewer poses come
+_TOO_FEW_HZ = 4.0  #: hold: fewer poses come: they count as lost; EKF2 diverges at 2 to 5 poses a second (HAZARDS, B10)
+_MAX_MEAN_NIS = 15.0  #: brake: retreat_speed_mps above this mean of the newest squared innovations, whose expected value is six
+_SURPRISES = 10  #: brake: number of innovations in that mean: one alone may be an outlier
+_DEGRADED_QUALITY = 60  # quality that the autopilot gets at most, with a degraded pose
+#: reject: quality that the autopilot gets with a lost pose: it refuses below this (EKF2_EV_QMIN, VISO_QUAL_MIN)
+_LOST_QUALITY = 20
 
 
 class OdometryHealthMonitor:
@@ -37,7 +41,7 @@ class OdometryHealthMonitor:
     def fused(self, stamp_s: float, nis: float) -> None:
         """Record a fused pose with its normalized innovation squared."""
         self._stamps_s.append(stamp_s)
-        self._surprises.append(min(nis, 10.0 * _SURPRISE))
+        self._surprises.append(min(nis, 10.0 * _MAX_MEAN_NIS))
         while self._stamps_s[0] <= stamp_s - _WINDOW_S:
             self._stamps_s.popleft()
 
@@ -51,7 +55,7 @@ class OdometryHealthMonitor:
         late = Reason(ReasonCode.POSES_DISAGREE if on_trial else ReasonCode.NO_POSE, (age_s,))
         few = Reason(ReasonCode.FEW_POSES, (rate_hz,))
         mean = sum(self._surprises) / max(len(self._surprises), 1)
-        surprised = len(self._surprises) == _SURPRISES and mean > _SURPRISE
+        surprised = len(self._surprises) == _SURPRISES and mean > _MAX_MEAN_NIS
         checks = (
             (age_s > min(_SILENT_S + slower_s, self._lost_s), PoseHealth.LOST, late),
             (rate_hz < _TOO_FEW_HZ, PoseHealth.LOST, few),

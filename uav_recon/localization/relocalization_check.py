@@ -11,9 +11,17 @@ from dataclasses import dataclass
 from uav_recon.localization.filter_pose_gates import PoseMeasurement
 from uav_recon.localization.imu_integration import conjugate, logarithm, multiply, rotate
 
-_SLIP_M, _SLIP_RAD = 0.05, math.radians(3.0)  # between two poses, max. difference from the motion of the track
-_WIDER_M, _WIDER_RAD = 0.10, math.radians(8.0)  # the same where there are no inertial samples
-_SPEED_MPS, _TURN_RADPS = 2.0, math.radians(90.0)
+_SLIP_M = 0.05  #: reject: poses of a new track that differ by more from the motion of the old one between them
+_SLIP_RAD = math.radians(3.0)  #: reject: the same for the attitude
+_WIDER_M = 0.10  #: reject: the same without inertial samples, beyond what _SPEED_MPS explains
+_WIDER_RAD = math.radians(8.0)  #: reject: the same for the attitude, beyond what _TURN_RADPS explains
+_SPEED_MPS = 2.0  #: reject: no vehicle is faster
+_TURN_RADPS = math.radians(90.0)  #: reject: no vehicle turns faster
+_MAP_STEP_POSES = 4  #: reject: fewer agreeing poses in a row are no step of the source's map; for a track that was never lost
+_MAP_STEP_S = 0.2  #: reject: nor do they within less than this time
+#: reject: fewer poses in a row that agree do not end a loss: a wrong relocalization is worse than none (HAZARDS, B2)
+_AFTER_LOSS_POSES = 12
+_AFTER_LOSS_S = 1.0  #: reject: nor do they within less than this time
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,8 +32,8 @@ class ConsistencyRequirement:
     over_s: float
 
 
-MAP_STEP = ConsistencyRequirement(4, 0.2)  # the track was never lost: a step of the source's map
-AFTER_LOSS = ConsistencyRequirement(12, 1.0)  # the track was lost: a wrong relocalization is worse than none (HAZARDS, B2)
+MAP_STEP = ConsistencyRequirement(_MAP_STEP_POSES, _MAP_STEP_S)
+AFTER_LOSS = ConsistencyRequirement(_AFTER_LOSS_POSES, _AFTER_LOSS_S)
 
 
 class RelocalizationCheck:

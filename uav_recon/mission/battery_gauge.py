@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 from collections import deque
 
-_LASTS_S = 3.0  # a real fall lasts longer than this; a sag under load and a wrong value do not
-_RISE = 0.10  # max. rise: the battery is not charged in flight, but a voltage gauge recovers this much of a sag
-_LOST_S = 5.0
+_LASTS_S = 3.0  #: reject: a fall of the gauge that lasts for less: a sag under load, or a wrong value
+#: reject: a larger rise: no battery is charged in flight, but a voltage gauge recovers this much of a sag
+_MAX_RISE_SHARE = 0.10
+_LOST_S = 5.0  #: return: no plausible value of the battery for longer
 
 
 class BatteryGaugeFilter:
@@ -34,7 +35,7 @@ class BatteryGaugeFilter:
         if not flying:
             self._heard.clear()
             self.left = math.nan
-        if not 0.0 <= share <= 1.0 or share > self.left + _RISE:  # NaN is rejected
+        if not 0.0 <= share <= 1.0 or share > self.left + _MAX_RISE_SHARE:  # NaN is rejected
             return
         self._received_s = now_s
         if not self._heard or share != self._heard[-1][1]:

@@ -7,7 +7,14 @@ import math
 import numpy as np
 
 from uav_recon.mission.battery_gauge import BatteryGaugeFilter
-from uav_recon.mission.battery_reserve import LAND_AT, LOW, TAKE_OFF, ConsumptionEstimator, flight_s, min_charge_for
+from uav_recon.mission.battery_reserve import (
+    LAND_AT_SHARE,
+    LOW_SHARE,
+    TAKE_OFF_SHARE,
+    ConsumptionEstimator,
+    flight_s,
+    min_charge_for,
+)
 from uav_recon.mission.flight_track import FlightTrack
 from uav_recon.mission.return_distance import return_distance_m
 from uav_recon.types.frames import FloatArray
@@ -16,9 +23,10 @@ from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.vehicle import VehicleState
 
-_LOOK_S = 1.0  # interval at which the path home is measured
-_SLOWER = 0.8  # planned speed as a share of the guard's limit
-_SLOW_S = 3.0  # a lower limit for this long is expected to stay; brief ones occur when poses and IMU disagree
+_LOOK_S = 1.0  #: internal: interval at which the path home is measured
+_SLOWER_SHARE = 0.8  #: return: expected speed on the way home, of a lower limit of the guard: planned speeds keep below it
+#: return: a lower speed limit that lasts longer is expected to stay; brief ones occur when poses and IMU disagree
+_SLOW_S = 3.0
 
 
 class BatteryPolicy:
@@ -43,7 +51,7 @@ class BatteryPolicy:
         """Read the gauge and the vehicle's position. Call it after FlightTrack.follow."""
         self._now_s = now_s
         self._quick_s = now_s if vehicle.max_speed_mps == math.inf else self._quick_s
-        self._pace_mps = _SLOWER * vehicle.max_speed_mps if now_s - self._quick_s >= _SLOW_S else math.inf
+        self._pace_mps = _SLOWER_SHARE * vehicle.max_speed_mps if now_s - self._quick_s >= _SLOW_S else math.inf
         self._charge.update(now_s, vehicle.battery_fraction, flying=vehicle.armed)
         self._burn.update(now_s, self._charge.left, flying=vehicle.armed)
         if vehicle.armed and now_s - self._looked_s >= _LOOK_S:
@@ -66,21 +74,21 @@ class BatteryPolicy:
     def required_charge(self) -> float:
         """Share at which the vehicle has to turn back.
 
-        It covers the way home, and is at least LOW while consumption cannot be estimated.
+        It covers the way home, and is at least LOW_SHARE while consumption cannot be estimated.
         """
         need = min_charge_for(flight_s(self._way_m, self._pace_mps), self._burn.per_s(self._now_s))
-        return need if self._burn.is_reliable(self._now_s) else max(need, LOW)
+        return need if self._burn.is_reliable(self._now_s) else max(need, LOW_SHARE)
 
     def takeoff_refusal(self) -> Reason | None:
         """Return why no flight begins, None for nothing.
 
         For a gauge that never reported a value the autopilot decides.
         """
-        return Reason(ReasonCode.BATTERY_TAKEOFF, (100.0 * self.left, 100.0 * TAKE_OFF)) if self.left < TAKE_OFF else None
+        return Reason(ReasonCode.BATTERY_TAKEOFF, (100.0 * self.left, 100.0 * TAKE_OFF_SHARE)) if self.left < TAKE_OFF_SHARE else None
 
     def landing_reason(self) -> Reason | None:
         """Return why a flight ends where it is, None for nothing."""
-        return Reason(ReasonCode.BATTERY_LAND, (100.0 * self.left,)) if self.left <= LAND_AT else None
+        return Reason(ReasonCode.BATTERY_LAND, (100.0 * self.left,)) if self.left <= LAND_AT_SHARE else None
 
     def why(self) -> Reason:
         """Return why the vehicle returns, as a reason with figures."""

@@ -8,21 +8,26 @@ from __future__ import annotations
 import math
 from collections import deque
 
-LAND_AT = 0.20  # the autopilot lands there by itself, firmware_params/: the mission must not plan with less
-LOW = 0.30  # the vehicle returns at this level while consumption cannot be estimated
-MARGIN = 1.3
-SHORTEST_FLIGHT_S = 60.0  # duration of the shortest flight: a climb, a look round and a landing
+LAND_AT_SHARE = 0.20  #: land: the autopilot lands there by itself, firmware_params/: the mission must not plan with less
+LOW_SHARE = 0.30  #: return: at this charge while consumption cannot be estimated
+MARGIN_FACTOR = 1.3  #: return: factor on the charge that the way home is expected to take
+SHORTEST_FLIGHT_S = 60.0  #: refuse: a take-off without the charge for this: a climb, a look round and a landing
 # Measured on 50 ways home, flown in the hall and in eight houses, 0.5 to 9 m long: 6 s and 1.1 s per metre at most, braking,
 # planning and turns on the spot included; 1 to 2 s more for each stop to plan again (four: 13 s for 3.5 m); at most 9 s from
 # over the pad to motors off. A narrow passage of a metre or two is flown at 0.2 m/s.
-PACE_MPS, AROUND_S, LANDING_S = 0.6, 8.0, 9.0
-_MIN_MPS = 0.05
+PACE_MPS = 0.6  #: return: mean speed on the way home
+AROUND_S = 8.0  #: return: time on the way home that does not depend on its length
+LANDING_S = 9.0  #: return: time from over the pad to motors off
+_MIN_MPS = 0.05  #: return: the way home is never expected to be slower
 
-_WHILE_S = 30.0  # a gauge is observed for this time before it is used for estimates
-_PRIOR_PER_S, _PRIOR_S = 0.002, 60.0  # a battery of eight minutes, as if the first minute had consumed at this rate
-_FLOOR_PER_S = 0.0005  # a battery of half an hour: no quadrotor of this size hovers on less
-_MAX_STEP = 0.03  # a larger step between two values is a jump of the gauge, not consumption
-_GRAIN = 0.01
+_WHILE_S = 30.0  #: return: a gauge is observed for this time before it is used for estimates; until then at LOW_SHARE
+_PRIOR_PER_S = 0.002  #: return: consumption of a battery of eight minutes, expected before any is measured
+_PRIOR_S = 60.0  #: return: the measured consumption counts as if this time before it had consumed as expected
+_FLOOR_PER_S = 0.0005  #: return: a battery of half an hour: no quadrotor of this size hovers on less
+_MAX_STEP_SHARE = 0.03  #: reject: a larger step between two values is a jump of the gauge, not consumption
+_GRAIN_SHARE = 0.01  #: return: step of the gauge, taken off the recent consumption, so that none is made up
+#: refuse: a take-off with less charge: the shortest flight would already end below LAND_AT_SHARE
+TAKE_OFF_SHARE = LAND_AT_SHARE + MARGIN_FACTOR * SHORTEST_FLIGHT_S * _PRIOR_PER_S
 
 
 def flight_s(way_m: float, pace_mps: float) -> float:
@@ -34,14 +39,11 @@ def flight_s(way_m: float, pace_mps: float) -> float:
 
 
 def min_charge_for(seconds: float, per_s: float) -> float:
-    """Return the share that a flight of this duration needs at its start: landing is at LAND_AT.
+    """Return the share that a flight of this duration needs at its start.
 
-    per_s: consumption per second.
+    Landing is at LAND_AT_SHARE. per_s: consumption per second.
     """
-    return LAND_AT + MARGIN * seconds * per_s
-
-
-TAKE_OFF = min_charge_for(SHORTEST_FLIGHT_S, _PRIOR_PER_S)  # below it no flight is worth starting
+    return LAND_AT_SHARE + MARGIN_FACTOR * seconds * per_s
 
 
 class ConsumptionEstimator:
@@ -63,7 +65,7 @@ class ConsumptionEstimator:
             self._begun_s = math.inf
             self._prior_per_s = _PRIOR_PER_S
         elif not math.isnan(left):
-            slipped = abs(left - self._left) > _MAX_STEP
+            slipped = abs(left - self._left) > _MAX_STEP_SHARE
             if slipped or self._begun_s == math.inf:
                 self._begin(now_s, left)
             self._watch(now_s, left)
@@ -94,4 +96,4 @@ class ConsumptionEstimator:
 
     def _of_late(self, now_s: float) -> float:
         """Return the recent consumption, less one step of the gauge, so that none is made up."""
-        return (self._lately[0][1] - self._lately[-1][1] - _GRAIN) / _WHILE_S if self.is_reliable(now_s) else 0.0
+        return (self._lately[0][1] - self._lately[-1][1] - _GRAIN_SHARE) / _WHILE_S if self.is_reliable(now_s) else 0.0

@@ -37,9 +37,9 @@ from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.trajectory import Goal, Intent
 from uav_recon.types.vehicle import VehicleState
 
-FRAME_TIMEOUT_S = 1.0
-VIEW_LATE_S = 0.6  # a view is given up if no frame came within this time
-PROGRESS_PERIOD_S = 0.2
+FRAME_TIMEOUT_S = 1.0  #: hold: no depth frame for longer: the map ahead is not renewed
+VIEW_LATE_S = 0.6  #: plan: a view is given up if no frame came within this time
+PROGRESS_PERIOD_S = 0.2  #: internal: interval of the progress report
 _CALLED_HOME = Reason(ReasonCode.OPERATOR_RETURN)
 
 

@@ -17,7 +17,7 @@ from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.vehicle import FlightPhase, VehicleState
 
-PLAN_LATE_S = 20.0  # a planner that has not answered for this long is treated as dead
+PLAN_LATE_S = 20.0  #: land: a planner that has not answered for longer is treated as dead: the way home comes from it too
 
 
 class Response(Enum):

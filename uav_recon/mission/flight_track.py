@@ -11,11 +11,12 @@ from uav_recon.types.frames import FloatArray, IntArray
 from uav_recon.types.trajectory import Setpoint, Trajectory
 from uav_recon.types.vehicle import VehicleState
 
-BREADCRUMB_M = 0.2
-ARRIVED_M = 0.15
-ASTRAY_M, ASTRAY_RAD = 0.5, 0.6  # larger than the lag behind setpoints; a vehicle that its pilot holds is farther off
-LATE_S = 5.0  # an autopilot that is still away after this will not come nearer by waiting
-THERE_M = 0.3  # max. distance from a position to land there
+BREADCRUMB_M = 0.2  #: internal: distance between breadcrumbs
+ARRIVED_M = 0.15  #: plan: farther from the trajectory's end the vehicle is not at rest there
+ASTRAY_M = 0.5  #: plan: farther off the trajectory no view is taken; larger than the lag, smaller where the pilot holds
+ASTRAY_RAD = 0.6  #: plan: the same for the heading
+LATE_S = 5.0  #: plan: a vehicle that is still away after this counts as at rest: waiting brings it no nearer
+THERE_M = 0.3  #: land: no landing at a position that is farther away
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,10 +11,12 @@ import numpy as np
 from uav_recon.types.frames import BoolArray, FloatArray, IntArray
 from uav_recon.types.maps import FREE, OCCUPIED, VoxelMap
 
-PATCH_M, REACH_M, STEP_M = 1.2, 5.0, 0.2  # one metre, plus the errors of voxels and of a landing
-_STANDS_M = 0.15  # height over the floor; below, depth noise is part of the floor
-_FEWEST = 2  # min. touching voxels: single ones are speckles
-_FLOOR_SHARE = 0.5  # min. share of a patch, other than home, whose floor was seen
+PATCH_M = 1.2  #: land: edge of the square that must be free: one metre, plus the errors of voxels and of a landing
+REACH_M = 5.0  #: land: no site farther away is looked for
+STEP_M = 0.2  #: land: distance between the sites that are tried
+_STANDS_M = 0.15  #: land: what is this high over the floor stands on it; below, depth noise is part of the floor
+_FEWEST = 2  #: land: fewer touching voxels are speckles, and no obstacle
+_FLOOR_SHARE = 0.5  #: land: no site, other than home, with less of its floor seen
 
 
 class LandingSite:

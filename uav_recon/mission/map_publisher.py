@@ -9,7 +9,8 @@ from uav_recon.mission.mission_setup import MissionChannels
 from uav_recon.types.maps import FreeSpace, VoxelMap
 from uav_recon.types.trajectory import Trajectory
 
-MAP_PERIOD_S, FREE_PERIOD_S = 1.0, 0.2
+MAP_PERIOD_S = 1.0  #: internal: interval of the map for viewers
+FREE_PERIOD_S = 0.2  #: internal: interval of the free space for the guard
 
 
 class MapPublisher:

@@ -10,9 +10,9 @@ import math
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
 
-WARN_S = 5.0  # silence until the warning
-BACK_S = 5.0  # operator heartbeats without such a gap that end a warning: a single one does not, so none comes twice
-_FUTURE_S = 0.1
+WARN_S = 5.0  #: warn: operator silent for longer; on the ground no flight begins
+BACK_S = 5.0  #: warn: ends after heartbeats for this time without a gap: a single one does not end it, so none comes twice
+_FUTURE_S = 0.1  #: reject: a heartbeat of the operator stamped later than the clock by this
 
 
 class OperatorWatchdog:

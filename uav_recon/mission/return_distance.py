@@ -7,7 +7,7 @@ import numpy as np
 from uav_recon.types.frames import BoolArray, FloatArray, IntArray
 from uav_recon.types.maps import VoxelMap
 
-_CORNERS = 64  # max. number of checked positions of a path: a longer path has fewer of them per metre
+_CORNERS = 64  #: internal: max. number of checked positions of a path: a longer path has fewer of them per metre
 
 
 def return_distance_m(way: FloatArray, voxels: VoxelMap | None, clearance_m: float) -> float:

@@ -10,8 +10,9 @@ import numpy as np
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.tasks import ViewPath, Viewpoint
 
-AHEAD_M = 0.5  # distance to the position ahead that the nose points at
-OFF_RAD = math.radians(25.0)  # max. deviation: half of the camera's view, less the hull's own width
+AHEAD_M = 0.5  #: plan: distance of the position ahead on the way home that the nose points at
+#: plan: turns on the way home where the nose is farther off: half of the camera's view, less the hull's own width
+OFF_RAD = math.radians(25.0)
 
 
 def yaw_along_path(path: ViewPath, yaw_rad: float) -> ViewPath:

@@ -23,10 +23,11 @@ from uav_recon.types.tasks import PlanRequest, Viewpoint
 from uav_recon.types.trajectory import Setpoint, Trajectory
 from uav_recon.types.vehicle import VehicleState
 
-_PLACES = 3  # landing positions that are tried, then home is the least bad
-_JUDGED_M = 2.0  # level distance: from farther away, the noise of a floor seen at a flat angle looks like an obstacle
-_REFUSED = 3  # number of paths that the guard or the map may stop
-_QUICK_S, _WORTH_S = 2.0, 8.0  # a path is planned again if a higher speed is allowed for the first and the second remains
+_PLACES = 3  #: land: landing positions that are tried; then home is the least bad
+_JUDGED_M = 2.0  #: plan: from farther away, level, no obstacle is recognised: noise of a floor at a flat angle looks like one
+_REFUSED = 3  #: land: elsewhere than at home, after the guard or the map stopped more paths than this
+_QUICK_S = 2.0  #: plan: the way home is planned again if a higher speed is allowed for this time and _WORTH_S remain
+_WORTH_S = 8.0  #: plan: with less time left a higher speed saves nothing
 
 
 class ReturnHome:

@@ -20,12 +20,12 @@ from uav_recon.types.tasks import NothingLeft, PlanRequest
 from uav_recon.types.trajectory import Setpoint, Trajectory
 from uav_recon.types.vehicle import VehicleState
 
-RETHINK_S = 0.5  # pause after a plan that could not be flown, and at least between two in motion
-MAX_FAILED_PLANS = 5
-SAME_PLACE_M = 0.05
-AHEAD_S = 1.6  # a plan leaves its predecessor this long before that one's end: no braking in between
-STOPPED_AGAIN_S = 5.0  # two stops within this: the space ahead was not seen lately, so the vehicle looks round
-LEAD_S = 0.25  # from a plan's start to the instant at which it leaves the present motion, added to its declared cost
+RETHINK_S = 0.5  #: plan: pause after a plan that could not be flown, and at least between two in motion
+MAX_FAILED_PLANS = 5  #: return: after this many plans in a row that could not be flown
+SAME_PLACE_M = 0.05  #: plan: a motion that ends nearer to the present one's end is not worth leaving it
+AHEAD_S = 1.6  #: plan: a plan leaves its predecessor this long before that one's end, so that it does not brake in between
+STOPPED_AGAIN_S = 5.0  #: plan: two stops within this time: the space ahead was not seen lately, so the vehicle looks round
+LEAD_S = 0.25  #: plan: from a plan's start to the instant at which it leaves the present motion, added to its declared cost
 
 
 class Survey:

@@ -8,7 +8,8 @@ from uav_recon.interfaces import MotionPlannerInterface
 from uav_recon.mission.trajectory_execution import TrajectoryExecutor
 from uav_recon.types.vehicle import FlightPhase, VehicleState
 
-LIFT_M, LIFTED_M = 0.3, 0.2  # height of the lift, and the height that counts as off the floor
+LIFT_M = 0.3  #: plan: height of the first climb: the setpoint must not climb away from an autopilot that ramps up its thrust
+LIFTED_M = 0.2  #: plan: below it the vehicle is not off the floor, and does not climb on to the flight height
 
 
 class Takeoff:

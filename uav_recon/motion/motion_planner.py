@@ -28,13 +28,12 @@ from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.tasks import PlanMode, ViewPath, Viewpoint
 from uav_recon.types.trajectory import Setpoint, Trajectory
 
-TOLERANCE_M = 0.05  # half a voxel: a map change of this size does not stop a motion ...
-PLANNED_M = 0.01  # ... but no motion is planned with less than the clearance minus this
+TOLERANCE_M = 0.05  #: brake: the clearance of the rest of a motion falls by more in a newer map; less is half a voxel
+PLANNED_M = 0.01  #: refuse: a plan whose clearance is smaller by more than this
 NEAR_VIEW = (0.10, float(np.radians(2.0)))  # tolerance of the band at a view, m and rad; smoothing and late frames add to it
-NARROW_EXTRA_CLEARANCE_M = (
-    0.1  # kept on a narrow path beyond the usual clearance where there is room: the vehicle's path error reduces it
-)
-NARROW_MPS = 0.2  # speed on a narrow path with only the usual clearance: the faster a vehicle is, the later it follows bends
+#: plan: kept on a narrow path beyond the usual clearance where there is room: path error reduces it
+NARROW_EXTRA_CLEARANCE_M = 0.1
+NARROW_MPS = 0.2  #: brake: speed on a narrow path with only the usual clearance: the faster it is, the later it follows bends
 BRAKE_SHARE = 0.9  # share of the limits: the rest covers the step of the integration
 OVERRUN_SHARES = (
     0.0,

@@ -16,7 +16,7 @@ from uav_recon.types.reason import Reason
 from uav_recon.types.tasks import ViewPath
 from uav_recon.types.trajectory import Setpoint, Trajectory
 
-SLOW_SHARE = 0.8  # share of the guard's limit with a degraded pose: the transition between motions adds to the speed
+SLOW_SHARE = 0.8  #: brake: planned speed with a degraded pose, of retreat_speed_mps: the transition between motions adds to it
 
 
 class SpeedLimitedPlanner:

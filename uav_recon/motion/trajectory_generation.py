@@ -30,7 +30,7 @@ from uav_recon.types.trajectory import Trajectory
 
 OPEN_M = 0.3  # full speed where the clearance exceeds the planning clearance by this
 SPREAD_M = 0.2  # the speed limit of a tight place applies this far before and behind it: smoothing mixes neighbours
-RUN_ON_MPS = 0.2  # the limit from obstacles ahead is never lower: a vehicle has to make progress
+RUN_ON_MPS = 0.2  #: brake: the speed limit of run_on_s is never lower: a vehicle has to make progress
 SHARE = 0.97  # share of the acceleration limits: the rest covers the distance between nodes ...
 FULL = 0.995  # ... and share of the speed limits
 BRAKING = 0.7  # share of the acceleration with which a motion that is entered too fast brakes

@@ -16,7 +16,8 @@ from uav_recon.config import Config
 from uav_recon.motion.time_scaling import STEP_S
 from uav_recon.types.frames import BoolArray, FloatArray
 
-BLIND_SHARE = 0.9  # share of the guard's limit outside the camera's view: the transition to a new motion adds to the speed
+#: brake: planned speed outside the camera's view, of blind_speed_mps: the transition to a new motion adds to it
+BLIND_SHARE = 0.9
 SHARE = 0.85  # share of a level camera's tangents: the body leans where it gains speed
 SLACK = 0.05  # share of speed and tangents, for the errors of smoothing and sampling
 GRAVITY_MPS2 = 9.81

@@ -17,7 +17,8 @@ from uav_recon.types.vehicle import FlightPhase, MissionProgress, VehicleState
 
 T = TypeVar("T")
 
-SILENT_S = 2.0  # a mission whose newest intent is older receives no commands
+SILENT_S = 2.0  #: refuse: a command to a mission whose newest intent is older
+_FUTURE_S = 0.1  #: refuse: the same if its stamp is later than the clock by this
 _ON_THE_GROUND = (FlightPhase.CONNECTING, FlightPhase.READY, FlightPhase.LANDED)
 
 
@@ -144,7 +145,7 @@ class CommandHandler:
     def _mission_receives(self) -> bool:
         intent = _newest(self._intent)
         age_s = math.inf if intent is None else self._clock.now_s() - intent.stamp_s
-        return -0.1 <= age_s <= SILENT_S
+        return -_FUTURE_S <= age_s <= SILENT_S
 
 
 def _newest(channel: Channel[T]) -> T | None:

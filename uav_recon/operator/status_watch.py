@@ -13,7 +13,8 @@ from uav_recon.interfaces import Clock
 from uav_recon.operator.client import CallError
 from uav_recon.operator.status import Status
 
-PERIOD_S, MAX_LOST = 1.0, 3  # a restarted pilot answers before three answers are lost
+PERIOD_S = 1.0  # interval of the requests
+MAX_LOST = 3  #: warn: the watch ends after this many missing answers in a row: a restarted pilot answers before
 
 
 class Page(Protocol):

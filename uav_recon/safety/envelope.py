@@ -12,7 +12,7 @@ from uav_recon.types.polygon import Polygon, Vec2
 
 Vec3 = tuple[float, float, float]
 
-_ROUNDING_M = 1e-9
+_ROUNDING_M = 1e-9  #: internal: tolerance for the rounding of sums at the fence
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,8 +51,8 @@ class Envelope:
     max_acceleration_mps2: float
     max_yaw_rate_radps: float
     pad_m: Vec3 = (0.0, 0.0, 0.0)
-    pad_radius_m: float = 0.5
-    pad_depth_m: float = 0.2
+    pad_radius_m: float = 0.5  #: refuse: below the inset floor only within this distance of the pad, for take-off and landing
+    pad_depth_m: float = 0.2  #: refuse: a setpoint farther below the pad, on which a landing ends
 
     def __post_init__(self) -> None:
         limits = (self.max_speed_mps, self.max_acceleration_mps2, self.max_yaw_rate_radps, self.pad_radius_m)

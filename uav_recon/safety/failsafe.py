@@ -12,10 +12,12 @@ from enum import IntEnum
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
 
+#: retreat: ends after this time without a cause, so that a failing source does not make it begin again and again
 _HEALTH_S = 2.0
-_RETREAT_BEGUN_S = 0.2  # a younger retreat has not moved yet: a mission that is back after its five seconds flies on at once
-_OUTSIDE_S = 3.0  # after a push over the fence itself the vehicle must be back within this, or the flight ends
-_REFUSALS, _REFUSALS_S = 3, 1.0  # a mission with this many refusals within this time (s) is ignored for a while
+_RETREAT_BEGUN_S = 0.2  #: retreat: a younger one ends at once: it has not moved yet, and a mission that is back flies on
+_OUTSIDE_S = 3.0  #: land: outside the fence itself for longer; a push over it must be corrected within this time
+_REFUSALS = 3  #: hold: this many refusals within _REFUSALS_S; the mission is ignored for a while
+_REFUSALS_S = 1.0  #: hold: time within which _REFUSALS count together
 
 
 class FailsafeAction(IntEnum):

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from uav_recon.safety.envelope import Vec3
 from uav_recon.types.maps import FreeSpace
 
-_ROUNDING = 1e-9
+_ROUNDING_M = 1e-9  #: internal: tolerance for the rounding of sums, in m and m²
 _STANDING = 1e-30  # square of the length of a leg that counts as standing
 
 
@@ -39,7 +39,8 @@ class FreeSpaceCheck:
         way = [self._in_voxels(place_m) for place_m in way_m]
         met = ((a, b, voxel) for a, b in itertools.pairwise(way) for voxel in self._touched(a, b))
         return all(
-            c in self._touched(way[0], way[0]) and sum((q - p) * (r - p) for p, q, r in zip(a, b, c, strict=True)) <= _ROUNDING
+            c in self._touched(way[0], way[0])
+            and sum((q - p) * (r - p) for p, q, r in zip(a, b, c, strict=True)) <= _ROUNDING_M
             for a, b, c in met
         )
 
@@ -49,7 +50,7 @@ class FreeSpaceCheck:
         For each column, these are the voxels that it passes while the column is within its radius, from root to root of
         |column - a - share (b - a)| = radius.
         """
-        wide, high, (x, y, z), (dx, dy, dz) = self._wide + _ROUNDING, self._high + _ROUNDING, a, map(operator.sub, b, a)
+        wide, high, (x, y, z), (dx, dy, dz) = self._wide + _ROUNDING_M, self._high + _ROUNDING_M, a, map(operator.sub, b, a)
         rows, columns = _between(x, b[0], wide), _between(y, b[1], wide)
         if self._is_open(rows, columns, _between(z, z + dz, high)):
             return  # true for nearly every path that is flown

@@ -22,8 +22,8 @@ from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.trajectory import Refusal, Setpoint
 
 _MAKER = object()
-_STILL_MPS = 0.02  # a slower motion needs no free path
-_FUTURE_S = 0.1  # a stamp later than the clock by this is of another boot
+_STILL_MPS = 0.02  #: refuse: a faster motion without fresh depth and a free path in it; a slower one is a hold
+_FUTURE_S = 0.1  #: refuse: pose, intent or depth stamped later than the clock by this: its stamp is of another boot
 
 
 class ClearedSetpoint:

@@ -13,8 +13,8 @@ import numpy as np
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.min_range_grid import MinRangeGrid
 
-_BESIDE_M = 0.05  # a return this far beside the hull's path still counts
-_MIN_SHARE = 0.2  # min. share of pixels: a frame with fewer returns is invalid (dark, covered or too near)
+_BESIDE_M = 0.05  #: brake: a return this far beside the hull's path still counts as in its way
+_MIN_SHARE = 0.2  #: reject: a depth frame with returns in a smaller share of its pixels: dark, covered or too near
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -27,8 +27,8 @@ class Margins:
 
     stop_clearance_m: float
     fast_clearance_m: float
-    slow_mps: float = 0.5
-    reaction_s: float = 0.25
+    slow_mps: float = 0.5  #: brake: max. speed towards an obstacle closer than fast_clearance_m, and of a step aside
+    reaction_s: float = 0.25  #: brake: time flown on before braking begins; its distance is taken off the free path
 
 
 class ForwardDepth:

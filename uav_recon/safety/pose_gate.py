@@ -11,14 +11,17 @@ from uav_recon.types.pose import StampedPose
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
 
-_MAX_AGE_S = 0.15  # older odometry is never sent: the estimator would drop it, or take it for new
-_FUTURE_S = 0.05
-_JUMP_M, _WIDEST_M = 0.10, 0.30  # max. distance from the prediction of pose and velocity: three sigma, within these bounds
-_TURN_RAD = math.radians(8.0)
-_PUSH_MPS2 = 1.0  # acceleration that the prediction does not know
-_FASTEST_MPS, _LARGEST = 2.0, 1e4  # in any unit, no number is larger; NaN is rejected too
-_PATIENCE = 3  # rejections in a row after which the track is lost
-_PROOF, _PROOF_S = 20, 1.0  # a new track is accepted after this many poses that agree, over this time
+_MAX_AGE_S = 0.15  #: reject: an older pose: the autopilot's estimator would drop it, or take it for new
+_FUTURE_S = 0.05  #: reject: a pose stamped later than the clock by this
+_JUMP_M = 0.10  #: reject: a pose farther from the prediction than three sigma, but never for less than this: noise
+_WIDEST_M = 0.30  #: reject: a pose farther from the prediction than this, whatever sigma is claimed
+_TURN_RAD = math.radians(8.0)  #: reject: a turn between poses by more, beyond what twice the limit of the yaw rate explains
+_PUSH_MPS2 = 1.0  #: reject: acceleration that a pose may show beyond its prediction, which does not know it
+_FASTEST_MPS = 2.0  #: reject: a distance between poses that only a faster vehicle flies
+_LARGEST_SI = 1e4  #: reject: a pose with a larger number in any unit, or NaN
+_PATIENCE = 3  #: reject: after this many rejections in a row the track is lost, and a new one must be proved
+_PROOF = 20  #: reject: a new track of fewer poses that agree
+_PROOF_S = 1.0  #: reject: a new track that agrees for less time
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,6 +110,8 @@ def _unfit(pose: StampedPose, now_s: float) -> Reason | None:
         return Reason(ReasonCode.POSE_AGE, (now_s - pose.stamp_s,))
     if pose.velocity_odom_mps.shape != (3,) or pose.covariance.shape != (6, 6):
         return Reason(ReasonCode.POSE_MALFORMED)
-    if not (np.abs(np.hstack((pose.odom_from_body.translation_m, pose.velocity_odom_mps, *pose.covariance))) <= _LARGEST).all():
+    if not (
+        np.abs(np.hstack((pose.odom_from_body.translation_m, pose.velocity_odom_mps, *pose.covariance))) <= _LARGEST_SI
+    ).all():
         return Reason(ReasonCode.POSE_OUT_OF_RANGE)
     return None if pose.quality > 0 else Reason(ReasonCode.POSE_NO_QUALITY)

@@ -14,8 +14,8 @@ from uav_recon.types.frames import FloatArray
 from uav_recon.types.min_range_grid import MinRangeGrid, in_view
 from uav_recon.types.pose import Pose
 
-_VIEWS = 160  # spread over the memory: ten seconds of them at 15 Hz
-_BEFORE_M = 0.05  # free space ends this far before a return
+_VIEWS = 160  #: internal: stored views, spread over blind_memory_s: ten seconds of them at 15 Hz
+_BEFORE_M = 0.05  #: refuse: a motion outside the view into space nearer to a seen return than this, which is range noise
 
 
 class RecentlySeenSpace:

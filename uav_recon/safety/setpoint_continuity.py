@@ -9,8 +9,13 @@ from uav_recon.safety.envelope import Envelope, Vec3
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
 
-_LONGEST_S = 0.5  # the autopilot gives up on a stream that paused for longer
-_MAX = (0.02, 0.05, math.degrees(0.03), 0.02)
+_LONGEST_S = 0.5  #: refuse: a longer pause allows no larger step: the autopilot gives up on such a stream
+#: refuse: a position step beyond the speed limit by more, summed over setpoints: enough for a late clock
+_MAX_POSITION_STEP_M = 0.02
+_MAX_VELOCITY_STEP_MPS = 0.05  #: refuse: a velocity step beyond the acceleration limit by more, likewise
+_MAX_HEADING_STEP_DEG = math.degrees(0.03)  #: refuse: a heading step beyond the yaw rate limit by more, likewise
+_MAX_OFF_VELOCITY_M = 0.02  #: refuse: a position farther from where the velocities lead: they would not tell of it
+_MAX = (_MAX_POSITION_STEP_M, _MAX_VELOCITY_STEP_MPS, _MAX_HEADING_STEP_DEG, _MAX_OFF_VELOCITY_M)
 _CODES = (ReasonCode.POSITION_STEP, ReasonCode.VELOCITY_STEP, ReasonCode.HEADING_STEP, ReasonCode.POSITION_OFF_VELOCITY)
 
 

@@ -12,7 +12,9 @@ import math
 
 from uav_recon.autopilot.firmware.profile import (
     ARM,
+    ARM_AGAIN_S,
     DO_SET_MODE,
+    MODE_AGAIN_S,
     Command,
     FirmwareProfile,
     Outcome,
@@ -28,8 +30,8 @@ from uav_recon.types.reason import Reason, autopilot_text
 from uav_recon.types.reason_code import ReasonCode
 
 TAKE_OFF = 22
-CLIMB_M = 0.5  # height of the climb by command; from there on setpoints are followed
-MIN_VERSION = (4, 5, 2)  # before it, VISO_DELAY_MS had no effect
+CLIMB_M = 0.5  #: land: height of the climb by command, to be reached within CLIMB_S; from there on setpoints are followed
+MIN_VERSION = (4, 5, 2)  #: refuse: arming with an older ArduPilot: before it, VISO_DELAY_MS had no effect
 _SUPPORTED = SupportedFirmware("ArduPilot", family=3, oldest=MIN_VERSION)
 LOCAL_FRD = 20  # MAV_FRAME: odometry in any other is dropped without a message
 _CUSTOM_MODE_ENABLED = 1.0
@@ -92,15 +94,16 @@ class ArduPilotArmingSequence:
     The climb is requested once. A mode that is neither the initial one nor ours was chosen by someone else.
     """
 
-    LIFT_S = 5.0  # a real vehicle has climbed 0.2 m 3.95 s after the command: its motors alone take three
-    ARRIVED_M, CLIMB_S = 0.10, 12.0
+    LIFT_S = 5.0  #: land: not lifted in this time; a real vehicle takes 3.95 s: its motors alone take three
+    ARRIVED_M = 0.10  #: land: the climb may end this far below CLIMB_M
+    CLIMB_S = 12.0  #: land: the climb by command takes longer
 
     def __init__(self, now_s: float) -> None:
         self.streams = False
         self.reason: Reason | None = None
         self._start_s = now_s
-        self._mode = Request(FLY, 2.5)
-        self._arm = Request(ARM, 5.0)
+        self._mode = Request(FLY, MODE_AGAIN_S)
+        self._arm = Request(ARM, ARM_AGAIN_S)
         self._mode_before: int | None = None
         self._mode_seen = False
         self._ground_m = math.nan

@@ -17,7 +17,10 @@ from uav_recon.types.reason import Reason, autopilot_text
 from uav_recon.types.reason_code import ReasonCode
 
 DO_SET_MODE, ARM_DISARM = 176, 400
-_HEARTBEAT_S, _POSE_S = 3.0, 0.5
+_HEARTBEAT_S = 3.0  #: refuse: arming, if the autopilot's last heartbeat is older
+MODE_AGAIN_S = 2.5  #: refuse: the mode is requested again after this time, Request.tries times, then arming is given up
+ARM_AGAIN_S = 5.0  #: refuse: the same for the motors
+_POSE_S = 0.5  #: refuse: arming, if the last pose sent to the autopilot is older
 
 Command = tuple[int, tuple[float, ...]]
 Version = tuple[int, int, int]
@@ -140,7 +143,7 @@ class Request:
 
     command: Command
     patience_s: float
-    tries: int = 3
+    tries: int = 3  #: refuse: the attempt to arm ends after this many requests for mode or motors: a lost frame is no refusal
     asked: int = 0
     asked_s: float = -math.inf
 

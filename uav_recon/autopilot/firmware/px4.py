@@ -10,7 +10,9 @@ import math
 
 from uav_recon.autopilot.firmware.profile import (
     ARM,
+    ARM_AGAIN_S,
     DO_SET_MODE,
+    MODE_AGAIN_S,
     Command,
     FirmwareProfile,
     Outcome,
@@ -33,9 +35,11 @@ FLY: Command = (DO_SET_MODE, (_CUSTOM_MODE_ENABLED, _OFFBOARD))
 LAND: Command = (DO_SET_MODE, (_CUSTOM_MODE_ENABLED, _AUTO, _AUTO_LAND))
 
 LOCAL_NED = 1  # MAV_FRAME: PX4 does not use a heading in LOCAL_FRD, so no global position, no Hold and no arming
-CLOCK_ANSWERS = 500  # answers until PX4 accepts stamps: fifty seconds
-MIN_VERSION = (1, 15, 4)  # before 1.15.2, LAND without a global position flew to local (0, 0)
-UNKNOWN_VERSION = (1, 18, 0)  # its handling of our messages is not known: AUTOPILOTS covers versions up to 1.17
+#: refuse: arming on a link that repeats frames, until PX4 got this many answers and accepts stamps: fifty seconds
+CLOCK_ANSWERS = 500
+#: refuse: arming with an older PX4: before 1.15.2, LAND without a global position flew to local (0, 0)
+MIN_VERSION = (1, 15, 4)
+UNKNOWN_VERSION = (1, 18, 0)  #: refuse: arming with this PX4 or a newer one: AUTOPILOTS covers versions up to 1.17
 _SUPPORTED = SupportedFirmware("PX4", family=12, oldest=MIN_VERSION, unknown=UNKNOWN_VERSION)
 
 STREAMS_HZ = (
@@ -97,14 +101,14 @@ class Px4ArmingSequence:
     A mode that is neither the initial one nor ours was chosen by someone else.
     """
 
-    STREAM_S = 1.0
+    STREAM_S = 1.0  #: refuse: no request for OFFBOARD before setpoints stream for this time: PX4 refuses it
 
     def __init__(self, now_s: float) -> None:
         self.streams = True
         self.reason: Reason | None = None
         self._start_s = now_s
-        self._mode = Request(FLY, 2.5)
-        self._arm = Request(ARM, 5.0)
+        self._mode = Request(FLY, MODE_AGAIN_S)
+        self._arm = Request(ARM, ARM_AGAIN_S)
         self._mode_before: int | None = None
         self._mode_seen = False
 

@@ -10,8 +10,9 @@ import math
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
 
-_SILENCE_S = 0.5  # a cable is not unplugged and plugged into another vehicle in less time
-_AGAIN_S = 0.5
+#: release: after a longer silence another uid counts: a cable is not plugged into another vehicle in less time
+_SILENCE_S = 0.5
+_AGAIN_S = 0.5  #: internal: interval of the requests for the uid
 
 
 class AutopilotIdentity:

@@ -13,15 +13,17 @@ from dataclasses import dataclass
 from uav_recon.autopilot.mavlink.framing import kind_of, payload_of
 from uav_recon.autopilot.mavlink.messages import Heartbeat, Received
 
-_STAMPED = (31, 32)  # ATTITUDE_QUATERNION and LOCAL_POSITION_NED begin with milliseconds since boot
-_WRAP_S = 2.0**32 / 1000.0
-_APART_S = 0.8  # clocks farther apart are two; frames of one are at most half a second late
-_LIVED_S, _SILENT_S = 0.6, 0.4  # a clock counts after the first and until the second: longer than a restart mixes frames
-_MAX_CLOCKS = 3
-_CHANGES, _WITHIN_S = 6, 3.0  # changes of a mode: frames that are 0.3 s late make five of one switch
-_AGAIN_S = 1.0
-_CALM_S = 2.0
-_TOLD_S = 0.25  # a state reported within this time is current: a vehicle reports its mode ten times a second
+_STAMPED = (31, 32)  #: internal: ids of ATTITUDE_QUATERNION and LOCAL_POSITION_NED, which begin with milliseconds since boot
+_WRAP_S = 2.0**32 / 1000.0  #: internal: a boot clock of 32 bits restarts after this
+_APART_S = 0.8  #: hold: boot clocks farther apart are two autopilots: frames of one are at most half a second late
+_LIVED_S = 0.6  #: hold: a second boot clock counts after this time: a restart mixes frames for less
+_SILENT_S = 0.4  #: hold: a boot clock that is silent for longer no longer counts
+_MAX_CLOCKS = 3  #: hold: more boot clocks than this are several autopilots, however young the clocks are
+_CHANGES = 6  #: hold: this many mode changes within _WITHIN_S: frames that are 0.3 s late make five of one switch
+_WITHIN_S = 3.0  #: hold: time within which _CHANGES count together
+_AGAIN_S = 1.0  #: internal: a heartbeat repeated within this time is a copy, and no change of mode
+_CALM_S = 2.0  #: hold: ends this long after the last sign of a second autopilot
+_TOLD_S = 0.25  #: internal: a reported mode is current for this time: a vehicle reports it ten times a second
 
 
 @dataclass(slots=True)

@@ -9,9 +9,11 @@ import math
 
 from uav_recon.autopilot.mavlink.framing import kind_of, payload_of
 
-_NUMBERS = 256  # sequence numbers of MAVLink, which then restart at 0
-_AGAIN_S = 1.0  # max. delay of a copy; in half of it a busy sender passes half of the sequence numbers
-_SILENCE_S = 0.5  # after this silence any number is accepted: a sender may have restarted, or two share an id
+_NUMBERS = 256  #: internal: sequence numbers of MAVLink, which then restart at 0
+#: reject: a copy of an old frame within this time; in half of it a busy sender passes half of the sequence numbers
+_AGAIN_S = 1.0
+#: reject: a frame with an old number; after this silence any is accepted: a sender may have restarted, or two share an id
+_SILENCE_S = 0.5
 
 
 class StaleFrameFilter:

@@ -8,11 +8,15 @@ from __future__ import annotations
 import statistics
 from collections import deque
 
-_NS = 1_000_000_000
+_NS = 1_000_000_000  #: internal: a second
+_SAMPLES = 10  #: refuse: arming before this many prompt exchanges: the autopilot's clock is not known
+_PROMPT_S = 0.025  #: reject: an exchange with a longer round trip, which is too uncertain
+#: reject: an exchange that is farther off the estimated clock; until it is settled no poses are sent
 _CONTRADICTS_NS = _NS // 10
-_END_NS = 1 << 62  # 146 years: a clock that continues from there soon exceeds 63 bits
-_LATEST, _LONGEST_NS = 20, 2 * _NS  # exchanges that measure the speed of the link; max. round trip of two seconds
-_ENOUGH = 5  # consecutive exchanges that agree with each other and contradict the estimate
+_END_NS = 1 << 62  #: reject: an autopilot's clock beyond 146 years: one that continues from there soon exceeds 63 bits
+_LATEST = 20  #: brake: exchanges whose median round trip tells whether the link is slow
+_LONGEST_NS = 2 * _NS  #: reject: a longer round trip is not counted in that median
+_ENOUGH = 5  #: reject: an estimate of the clock that this many exchanges in a row, which agree with each other, contradict
 
 
 class TimeSyncFilter:
@@ -26,7 +30,7 @@ class TimeSyncFilter:
     ``usual_trip_s``: median of the last twenty exchanges of any duration; 0 before there are twenty.
     """
 
-    def __init__(self, samples_needed: int = 10, round_trip_s: float = 0.025, window: int = 64) -> None:
+    def __init__(self, samples_needed: int = _SAMPLES, round_trip_s: float = _PROMPT_S, window: int = 64) -> None:
         self._needed = samples_needed
         self._round_trip_ns = int(round_trip_s * _NS)
         self._samples: deque[tuple[int, int]] = deque(maxlen=window)  # (round trip, offset), ns

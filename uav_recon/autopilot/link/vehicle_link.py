@@ -32,11 +32,14 @@ from uav_recon.types.pose import StampedPose
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
 
-_DEAF_S = 1.7
-_SLOW_TRIP_S, _SLOW_FOR_S = 0.2, 10.0  # 0.1 s each way: at 0.8 m/s the vehicle lags by 0.08 m more
-_SET_MESSAGE_INTERVAL, _REQUEST_MESSAGE = 511, 512
+_DEAF_S = 1.7  #: release: after a longer silence of the autopilot our heartbeats stop, so that its failsafe lands
+_SLOW_TRIP_S = 0.2  #: brake: retreat_speed_mps at a longer round trip: with 0.1 s each way, at 0.8 m/s, it lags by 0.08 m more
+_SLOW_FOR_S = 10.0  #: brake: a link counts as slow this long after it was: each change of the speed limit costs a stop
+_SET_MESSAGE_INTERVAL = 511  # ids of commands
+_REQUEST_MESSAGE = 512
 _NS = 1_000_000_000
-_PROMPT_NS = 25_000_000  # max. delay of a useful answer; with more, its round trip is too long to learn from
+#: refuse: a later answer does not count towards CLOCK_ANSWERS, without which PX4 is not armed: it learns nothing from it
+_PROMPT_NS = 25_000_000
 # Heartbeat (one lost ends no flight); TIMESYNC, and that while its clock is lost; gimbal, maximum.
 _CHATTER_HZ = (5.0, 10.0, 50.0, 10.0)
 _AUTOPILOT_VERSION = 148.0

@@ -14,8 +14,8 @@ from pathlib import Path
 from uav_recon.interfaces import Executor
 
 UNITS_PER_S = 100_000  # MAVLink counts tens of microseconds since 2015-01-01
-AHEAD_S = 10.0  # the file is this far beyond our used stamps; less than the minute by which a frame may be late
-LATE_S = 60.0  # a new sender may be this far behind us (mavlink.io, Message Signing)
+AHEAD_S = 10.0  #: internal: the file is this far beyond our used stamps; less than the minute by which a frame may be late
+LATE_S = 60.0  #: reject: the first frame of a sender that is farther behind us (mavlink.io, Message Signing)
 _EPOCH_S = 1420070400.0
 _END = 1 << 48
 

@@ -28,8 +28,8 @@ from uav_recon.autopilot.mavlink.messages import (
 )
 from uav_recon.types.frames import FloatArray, frozen
 
-_BATTERY_FRESH_S = 1.0  # it is reported twice a second
-_WARNING = 4  # MAV_SEVERITY
+_BATTERY_FRESH_S = 1.0  #: reject: an older value of the battery; it is reported twice a second
+_WARNING = 4  #: internal: MAV_SEVERITY up to which a text is kept, to be shown with a refusal
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,7 +15,7 @@ from uav_recon.autopilot.mavlink.allow_list import AllowListFilter
 from uav_recon.interfaces import ByteLink, Clock
 from uav_recon.types.link_url import BAUDS, EVERYWHERE
 
-PEER_SILENT_S = 3.0  # by then the pilot has given up a flight: only after it may the vehicle use another address
+PEER_SILENT_S = 3.0  #: reject: another address of the vehicle before this silence: by then the pilot has given up a flight
 _READ_BUDGET = 1 << 16
 _LOOK_AGAIN_S = 0.1  # opening costs microseconds, and without the line the vehicle is not controlled
 

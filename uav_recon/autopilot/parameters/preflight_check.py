@@ -12,7 +12,8 @@ from uav_recon.autopilot.parameters.reader import ParameterEncoding, ParameterRe
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
 
-_AGAIN_S, _FAULT_AGAIN_S = 30.0, 3.0  # a person at a ground station may change, or correct, any of them
+_AGAIN_S = 30.0  #: internal: interval of reading the parameters back: a person at a ground station may change any of them
+_FAULT_AGAIN_S = 3.0  #: internal: the same while one differs, and may be corrected
 
 
 class ParameterCheck:

@@ -12,14 +12,14 @@ from uav_recon.types.trajectory import Setpoint, Trajectory
 
 IDENTIFIER = -2  # identifier of the pilot's own trajectory; a mission counts from one
 
-_APART_M = 0.2
-_MAX = 5000  # a kilometre; beyond it the older half is dropped
-_LONGEST_S = 60.0  # max. duration of a path: a retreat ends in a landing after land_timeout_s, which is not longer than this
-_STEP_S = 0.05
-_SMOOTH_S = 0.4  # width of each of two box averages: speed over width bounds the acceleration
+_APART_M = 0.2  #: internal: distance between breadcrumbs
+_MAX = 5000  #: internal: stored breadcrumbs, a kilometre; beyond it the older half is dropped
+_LONGEST_S = 60.0  #: retreat: longest path: a retreat ends in a landing after land_timeout_s, which is not longer than this
+_STEP_S = 0.05  #: internal: interval of the samples of a path back
+_SMOOTH_S = 0.4  #: retreat: width of each of two box averages over a path back: speed over width bounds the acceleration
 _SHARE = 0.9  # share of the allowed speed: sampling adds the rest
-_TURNING = 2  # factor by which it is slower until the nose points ahead; until then it flies where it has just been
-_TURN_RADPS = 0.7
+_TURNING = 2  #: retreat: slower by this factor until the nose points ahead: until then it flies where it has just been
+_TURN_RADPS = 0.7  #: retreat: yaw rate with which the nose turns ahead
 
 
 class Breadcrumbs:

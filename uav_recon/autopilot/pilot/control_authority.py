@@ -18,9 +18,10 @@ from uav_recon.types.vehicle import FlightPhase
 _IDLE = (FlightPhase.CONNECTING, FlightPhase.READY)
 IN_THE_AIR = (FlightPhase.FLYING, FlightPhase.LANDING)
 
-_LATE_ARM_S = 5.0
-_LINK_LOST_S = 3.0
-_BACK_S = 1.0  # after a mode that was not ours: no human gives the vehicle back this soon
+_LATE_ARM_S = 5.0  #: land: motors that start within this time after our request are ours, even if it was withdrawn
+_LINK_LOST_S = 3.0  #: release: autopilot silent for longer in flight; our heartbeats stop, and its failsafe lands
+#: release: our mode again within this time after another: no human gives the vehicle back this soon, it was forged
+_BACK_S = 1.0
 
 
 @dataclass(frozen=True, slots=True)

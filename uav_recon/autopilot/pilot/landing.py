@@ -16,13 +16,19 @@ from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.vehicle import FlightPhase
 
-_AGAIN_S = 0.7  # a fifth of all frames may be lost, the answer late; a human's mode is always seen before the next request
-_MODE_FRESH_S, _MODE_WAIT_S = 0.05, 0.1  # an operator who asks to land waits for 0.15 s at most
-_SILENCE_S = 0.5  # a human may have taken over unseen in a longer silence
-_NO_REACTION_S = 5.0  # seven requests, and the answer to the last
+#: land: requested again after this: a fifth of all frames may be lost; a human's mode is always seen before the next request
+_AGAIN_S = 0.7
+_MODE_FRESH_S = 0.05  #: land: requested only if the mode was reported within this time, so that no human's mode is overridden
+#: land: after this wait an older report of the mode is enough: an operator who asks to land waits for 0.15 s at most
+_MODE_WAIT_S = 0.1
+_SILENCE_S = 0.5  #: land: not requested after a longer silence before a new report: a human may have taken over unseen
+#: release: LAND not obeyed for longer, seven requests and the answer to the last; the autopilot's failsafe lands
+_NO_REACTION_S = 5.0
+#: land: a vehicle that has not lifted is disarmed only if its autopilot reported the ground within this time
 _GROUND_FRESH_S = 0.5
-_STUCK_S, _STILL_M = 10.0, 0.05
-_WANDER_MPS = 0.03  # drift of an estimate at rest; a landing descends ten times as fast
+_STUCK_S = 10.0  #: warn: a landing that has not descended for longer does not end by itself
+_STILL_M = 0.05  #: warn: a smaller change of height is no descent
+_WANDER_MPS = 0.03  #: warn: a slower change of height is drift of an estimate at rest; a landing descends ten times as fast
 
 
 class Landing:

@@ -15,9 +15,11 @@ from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.trajectory import Trajectory
 
-_REST_MPS = 0.05
-_LARGEST = 1e6  # m, m/s, m/s², rad, rad/s: no flight needs more, and no arithmetic overflows below it
-_FINEST_M, _COARSEST_M = 0.01, 2.0  # voxel edge of known-free space
+_REST_MPS = 0.05  #: refuse: a trajectory that is faster at its end: each must end at rest
+#: refuse: a trajectory with a larger number in any unit: no flight needs it, and arithmetic may overflow above
+_LARGEST_SI = 1e6
+_FINEST_M = 0.01  #: reject: known-free space with smaller voxels, which are no size to check a hull with
+_COARSEST_M = 2.0  #: reject: known-free space with larger voxels
 
 
 def trajectory_fault(trajectory: Trajectory) -> Reason | None:
@@ -31,7 +33,7 @@ def trajectory_fault(trajectory: Trajectory) -> Reason | None:
         return Reason(ReasonCode.TRAJECTORY_NO_TIME_AXIS)
     if not all(bool(np.isfinite(array).all()) for array in vectors + scalars):
         return Reason(ReasonCode.TRAJECTORY_NOT_FINITE)
-    if any(bool((np.abs(array) > _LARGEST).any()) for array in vectors + scalars):
+    if any(bool((np.abs(array) > _LARGEST_SI).any()) for array in vectors + scalars):
         return Reason(ReasonCode.TRAJECTORY_OUT_OF_RANGE)
     if not float(np.linalg.norm(trajectory.velocity_mps[-1])) <= _REST_MPS:
         return Reason(ReasonCode.TRAJECTORY_NOT_AT_REST)
@@ -44,7 +46,7 @@ def is_valid_free_space(space: FreeSpace) -> bool:
     It is a grid of voxels of a size comparable with a hull, and has a bit for each.
     """
     grid, bits = space.grid, space.bits
-    if grid.origin_world_m.shape != (3,) or not bool((np.abs(grid.origin_world_m) <= _LARGEST).all()):
+    if grid.origin_world_m.shape != (3,) or not bool((np.abs(grid.origin_world_m) <= _LARGEST_SI).all()):
         return False
     if not _FINEST_M <= grid.resolution_m <= _COARSEST_M or min(grid.shape) < 1:
         return False
@@ -54,4 +56,4 @@ def is_valid_free_space(space: FreeSpace) -> bool:
 def is_valid_range_grid(nearby: MinRangeGrid) -> bool:
     """Return True if a range grid has rows and columns of cells, and a field of view."""
     cells, (wide, high) = nearby.range_m, nearby.half_tan
-    return cells.ndim == 2 and cells.size > 0 and 0.0 < wide <= _LARGEST and 0.0 < high <= _LARGEST
+    return cells.ndim == 2 and cells.size > 0 and 0.0 < wide <= _LARGEST_SI and 0.0 < high <= _LARGEST_SI

@@ -9,7 +9,7 @@ from uav_recon.interfaces import Channel
 from uav_recon.types.reason import Reason
 from uav_recon.types.trajectory import Goal, Intent, Trajectory
 
-_FUTURE_S = 0.1
+_FUTURE_S = 0.1  #: reject: an intent stamped later than the clock by this: its stamp is of another boot
 
 Key = tuple[int, float]
 

@@ -17,22 +17,20 @@ from uav_recon.types.trajectory import Setpoint, Trajectory
 
 IDENTIFIER = -3  # identifier of the step aside
 
-_FRESH_S = 0.5
-_MANY_CELLS = 8  # with fewer cells it must be seen twice within _FRESH_S: one frame alone may be wrong
-_STOP_M = 1.6  # distance of the body's centre from a sudden obstacle within which the vehicle stops
-_COMING_MPS = 0.25  # min. approach speed
-_EVADE_M = 2.5  # an approaching obstacle farther away is ignored
-_STEP_M, _STEP_MPS = 1.2, 0.5
-_LATE_S = 0.5  # its motion is smoothed, and followed with a lag
-_PASS_M = 0.4  # min. passing distance of the body's centre, which is hull and error: below it a step leads into the obstacle
-_CLEARANCES_M = (
-    (0.20, 0.10),
-    (0.10, 0.03),
-    (0.0, 0.0),
-)  # clearance beside the hull, inside the inset: plans, paths back, guard
-_AFTER_S = 1.0  # after the step no trajectory is flown for this time
+_FRESH_S = 0.5  #: evade: an obstacle that was not seen within this time no longer counts
+_MANY_CELLS = 8  #: evade: with fewer cells it must be seen twice within _FRESH_S: one frame alone may be wrong
+_STOP_M = 1.6  #: evade: stops for a sudden obstacle within this distance of the body's centre
+_COMING_MPS = 0.25  #: evade: steps aside from an obstacle that approaches at least this fast; a slower one is only stopped for
+_EVADE_M = 2.5  #: evade: an approaching obstacle farther away than this is ignored
+_STEP_M = 1.2  #: evade: length of a step aside
+_STEP_MPS = 0.5  #: evade: speed of a step aside
+_LATE_S = 0.5  #: evade: a step takes effect after this time: its motion is smoothed, and followed with a lag
+_PASS_M = 0.4  #: evade: no step that passes the obstacle closer to the body's centre: with hull and error it leads into it
+#: evade: clearance beside the hull, and inside the inset, tried in this order: of plans, of paths back, of the guard
+_CLEARANCES_M = ((0.20, 0.10), (0.10, 0.03), (0.0, 0.0))
+_AFTER_S = 1.0  #: hold: after a step aside no trajectory is flown for this time
 _AHEAD_S = np.linspace(0.2, 4.0, 20)
-_WAYS = 16
+_WAYS = 16  #: internal: number of directions of a step aside that are tried
 _AROUND = np.array([(0.0, 0.0, 0.0), *((math.cos(a), math.sin(a), 0.0) for a in np.arange(8) * math.tau / 8)])
 
 

@@ -35,10 +35,10 @@ from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.trajectory import Goal, Intent
 from uav_recon.types.vehicle import FlightPhase, VehicleState
 
-_LINK_HOLD_S = 0.5
-_TICK_S = 0.01
+_LINK_HOLD_S = 0.5  #: hold: autopilot silent for longer: it may no longer follow the setpoints
+_TICK_S = 0.01  # max. wait for a frame within a control step
 _ASKED = Reason(ReasonCode.STOP_REQUESTED)
-_RESET_REST_S = 1.0
+_RESET_REST_S = 1.0  #: land: this long after odometry restarted in flight; until then it holds, as the map may no longer fit
 _ANEW = Reason(ReasonCode.ODOMETRY_RESTARTED)  # the mission cannot know which part of the map still fits
 
 

@@ -9,7 +9,7 @@ from uav_recon.autopilot.link.vehicle_link import VehicleLink
 from uav_recon.autopilot.parameters.preflight_check import NoParameterCheck, ParameterCheck
 from uav_recon.types.reason import Reason
 
-_AGAIN_S = 2.0
+_AGAIN_S = 2.0  #: internal: interval of the requests for what is missing before arming
 
 
 @dataclass(frozen=True, slots=True)

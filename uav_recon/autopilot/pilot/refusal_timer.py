@@ -7,7 +7,9 @@ from __future__ import annotations
 
 import math
 
-_MOTION_S = 1.0  # a motion counts if flown for this time without a refusal; a shorter one precedes many a refusal
+#: land: a motion flown for this time without a refusal ends the time that land_timeout_s limits; a shorter one precedes many a
+#: refusal
+_MOTION_S = 1.0
 
 
 class RefusalTimer:

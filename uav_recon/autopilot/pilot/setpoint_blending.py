@@ -10,8 +10,9 @@ import numpy as np
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.trajectory import Setpoint, Trajectory
 
-_LARGEST_GAP_M = 0.5  # more than a push causes; a trajectory that begins farther away is left for the guard to reject
-_LARGEST_TURN_RAD = 0.5
+#: refuse: a trajectory that begins farther away is not joined, and the guard refuses it; a push causes less
+_LARGEST_GAP_M = 0.5
+_LARGEST_TURN_RAD = 0.5  #: refuse: the same for a heading that is farther off
 _SHORTEST_S = 1.0
 _MEAN_SPEED_MPS = 0.08
 _MEAN_TURN_RADPS = 0.15

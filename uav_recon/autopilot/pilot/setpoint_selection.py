@@ -22,15 +22,16 @@ from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.trajectory import Refusal, Setpoint, Trajectory
 
-_MAX_RETREAT_PATHS = (
-    3  # paths back that are tried, each from rest: the cause of a refusal may pass, as a late pose or a late step of ours
-)
-_SETTLES_S = 1.0  # pause after a refusal, until the vehicle rests too: it follows its setpoints late
-_STANDS_M = 0.3  # an obstacle this close in front of the hull at a refusal is permanent: no other path is tried
-_MAX_DEVIATION_M = (
-    0.35  # level deviation beyond or beside the newest setpoint after _SOON_S: a push. Undisturbed: within 0.17 m
-)
-_SOON_S, _PACED_S, _LED_MPS = 0.3, 0.2, 0.2  # by the trend of the last _PACED_S, while setpoints are faster than _LED_MPS
+#: land: this many paths back were refused, each from rest; fewer may be due to a late pose or a late step of ours
+_MAX_RETREAT_PATHS = 3
+_SETTLES_S = 1.0  #: retreat: pause after a refused path, until the vehicle rests too: it follows its setpoints late
+#: land: an obstacle this close in front of the hull where a path back is refused is permanent; no other is tried
+_STANDS_M = 0.3
+#: hold: deviation beyond or beside the newest setpoint, level, in _SOON_S: a push; undisturbed at most 0.17 m
+_MAX_DEVIATION_M = 0.35
+_SOON_S = 0.3  #: hold: the deviation is predicted for this time: a push grows until setpoints no longer lead on
+_PACED_S = 0.2  #: hold: the deviation is predicted by its trend over this time
+_LED_MPS = 0.2  #: hold: with slower setpoints the present deviation counts: at a hold the vehicle swings
 _LONGEST_AGE_S = 0.1  # max. age of a setpoint that is extrapolated by its velocity
 _HOVER_SHARE = 0.9  # share of the hover height: the first breadcrumb this high ends the climb
 

@@ -20,7 +20,7 @@ from uav_recon.types.pose import Pose, PoseHealth
 from uav_recon.types.reason import Reason
 from uav_recon.types.vehicle import FlightPhase, VehicleState
 
-_LONGEST_NOTE = 200
+_LONGEST_NOTE = 200  #: internal: characters of a message; a longer one is reported without its details
 
 
 class SituationBuilder:

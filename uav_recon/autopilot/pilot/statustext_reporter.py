@@ -7,7 +7,7 @@ import math
 from uav_recon.autopilot.link.vehicle_link import VehicleLink
 from uav_recon.types.reason import Reason
 
-_APART_S = 1.0  # min. interval: a mission that is refused thirty times a second causes one message
+_APART_S = 1.0  #: warn: at most one message in this time: a mission that is refused thirty times a second causes one
 
 
 class StatusTextReporter:

@@ -15,11 +15,13 @@ from uav_recon.types.frames import FloatArray, IntArray
 from uav_recon.types.min_range_grid import MinRangeGrid, in_view
 from uav_recon.types.pose import Pose
 
-_MEMORY_S = 0.8
-_VIEWS = 6  # number of views within that time, at even intervals
-_INSIDE_M, _INSIDE_SHARE = 0.20, 0.04  # min. distance before earlier returns, plus a share of the range: pose error and noise
-_REACH_M = 3.0  # distance from the body's centre; what is farther away is not relevant yet
-_CELLS, _SAYING = 2, 2  # min. returns of an obstacle, and min. views that looked past each of them
+_MEMORY_S = 0.8  #: evade: an obstacle is new where the views of this time looked past
+_VIEWS = 6  #: evade: number of views within that time, at even intervals
+_INSIDE_M = 0.20  #: evade: a new return is at least this much nearer than earlier ones: pose error and noise are less
+_INSIDE_SHARE = 0.04  #: evade: the same, added as a share of the range
+_REACH_M = 3.0  #: evade: a return farther from the body's centre is not relevant yet
+_CELLS = 2  #: evade: an obstacle has at least this many returns: one alone may be noise
+_SAYING = 2  #: evade: at least this many views looked past each of them: one view alone may be wrong
 
 
 @dataclass(frozen=True, slots=True, eq=False)

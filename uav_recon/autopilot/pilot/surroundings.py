@@ -16,8 +16,9 @@ from uav_recon.types.maps import FreeSpace
 from uav_recon.types.min_range_grid import MinRangeGrid
 from uav_recon.types.pose import StampedPose
 
-_FUTURE_S = 0.1
-_PAST_S, _BESIDE_S = 0.5, 0.04  # poses are stored for this time; max. difference between the stamps of a frame and its pose
+_FUTURE_S = 0.1  #: reject: depth stamped later than the clock by this
+_PAST_S = 0.5  #: internal: poses are stored for this time, to be matched with frames
+_BESIDE_S = 0.04  #: reject: depth farther in time from every pose: it shows neither seen space nor sudden obstacles
 
 
 class Surroundings:

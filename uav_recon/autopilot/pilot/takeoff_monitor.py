@@ -11,7 +11,8 @@ from uav_recon.autopilot.mavlink.telemetry import Telemetry
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
 
-_TILT_RAD = math.radians(15.0)
+_TILT_RAD = math.radians(15.0)  #: land: a larger tilt before the vehicle has lifted
+_WITHIN_S = 4.0  #: land: not lifted within this time: PX4 by itself stops the motors after five seconds
 
 
 class TakeoffMonitor:
@@ -21,9 +22,9 @@ class TakeoffMonitor:
     the motors after five.
     """
 
-    LIFTED_M = 0.2
+    LIFTED_M = 0.2  #: land: a vehicle that is not this high in time cannot lift itself, and must not continue to try
 
-    def __init__(self, ground_m: float, within_s: float = 4.0) -> None:
+    def __init__(self, ground_m: float, within_s: float = _WITHIN_S) -> None:
         self._ground_m = ground_m
         self._within_s = within_s
         self._begun_s = math.inf
