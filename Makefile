@@ -49,8 +49,8 @@ SOAK ?= G9-2h
 soak:
 	$(PYTHON) -m uav_recon faults --only $(SOAK) --real-time --autopilot px4 --seeds 1 --out flights/$(SOAK)
 
-# results/README.md, results/history.csv, docs/hazards.md and the figures in README.md, from results/claims.toml and
-# results/current/*.json. Writes nothing if nothing was measured since.
+# results/README.md, results/history.csv, docs/hazards.md, docs/limits.md and the figures in README.md, from results/claims.toml,
+# results/current/*.json and marked constants. Writes nothing if nothing was measured or changed since.
 results:
 	$(PYTHON) -m results.generate
 

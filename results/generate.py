@@ -11,6 +11,7 @@ from pathlib import Path
 
 from results.claims import ROOT, ClaimError, evaluate, load_claims, load_results
 from results.hazards_page import hazards_page
+from results.limits_page import limits_page
 from results.pages import history, insert_block, readme_block, results_page
 
 HISTORY = "results/history.csv"
@@ -27,6 +28,7 @@ def pages(root: Path = ROOT) -> dict[str, str]:
         HISTORY: history(past.read_text(encoding="utf-8") if past.exists() else "", outcomes),
         "README.md": insert_block((root / "README.md").read_text(encoding="utf-8"), readme_block(outcomes)),
         "docs/hazards.md": hazards_page(results, root),
+        "docs/limits.md": limits_page(root),
     }
 
 

@@ -37,6 +37,7 @@ the pilot process; a person is called the human pilot. Other terms: [glossary](g
 - Limits are counted from the beginning of the fault unless they say otherwise. A limit in brackets is that of ArduCopter.
 - "Flown" says how a scenario can be flown. "Last result" gives passed and flown flights, and the commit; "–" means that
   there is no result file for the scenario yet. Older figures: [results/README.md](../results/README.md).
+- The numbers at which the software reacts: [limits.md](limits.md).
 
 In every flight, whatever the fault: no contact and a clearance of {clear:g} m or more (scenarios may set another); at most
 {overshoot:g} m outside the fence; in every setpoint sent no NaN and no value beyond the limits of speed, acceleration, yaw
