@@ -84,7 +84,9 @@ class BatteryPolicy:
 
         For a gauge that never reported a value the autopilot decides.
         """
-        return Reason(ReasonCode.BATTERY_TAKEOFF, (100.0 * self.left, 100.0 * TAKE_OFF_SHARE)) if self.left < TAKE_OFF_SHARE else None
+        if self.left < TAKE_OFF_SHARE:
+            return Reason(ReasonCode.BATTERY_TAKEOFF, (100.0 * self.left, 100.0 * TAKE_OFF_SHARE))
+        return None
 
     def landing_reason(self) -> Reason | None:
         """Return why a flight ends where it is, None for nothing."""
