@@ -1,7 +1,6 @@
-"""Read the channels of a flight.
+"""Read the channels of a flight: files in its runtime folder, readable for its group.
 
-Channels are files in the runtime folder that hold the newest value of each kind. The second argument is the runtime folder
-of a flight, for example /run/uav_recon; without it this example publishes its own values.
+The second argument is this folder, for example /run/uav_recon; without it this example publishes its own values.
 """
 
 import sys
@@ -13,7 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from uav_recon import Pose
-from uav_recon.app.flight_channels import file_channels
+from uav_recon.app.flight_channels import PERCEPTION_WRITES, file_channels, read_only_channels
+from uav_recon.errors import UserError
 from uav_recon.types.pose import StampedPose
 
 DURATION_S = 2.0
@@ -21,7 +21,7 @@ DURATION_S = 2.0
 
 def publish(folder: Path) -> None:
     """Publish odometry at 30 Hz: half a turn per second on a circle of 1 m."""
-    odom, start_s = file_channels(folder).odom, time.monotonic()
+    odom, start_s = file_channels(folder, PERCEPTION_WRITES).odom, time.monotonic()
     while (elapsed_s := time.monotonic() - start_s) < DURATION_S:
         angle_rad = np.pi * elapsed_s
         position_m = np.array([np.cos(angle_rad), np.sin(angle_rad), 1.2])
@@ -32,7 +32,7 @@ def publish(folder: Path) -> None:
 
 def read(folder: Path, out: str) -> None:
     """Poll the channels at 100 Hz for DURATION_S."""
-    channels, read, rows = file_channels(folder), 0, []
+    channels, read, rows = read_only_channels(folder), 0, []
     end_s = time.monotonic() + DURATION_S
     while time.monotonic() < end_s:
         newest = channels.odom.latest()  # never blocks; a reader that is slow misses values
@@ -46,15 +46,14 @@ def read(folder: Path, out: str) -> None:
 
 def main(out: str = "odom.csv", folder: str = "") -> None:
     """Read a flight's channels, or those that this example publishes."""
-    if folder:
-        read(Path(folder), out)
-        return
     with tempfile.TemporaryDirectory() as temporary:
-        publisher = threading.Thread(target=publish, args=(Path(temporary),))
-        publisher.start()
-        read(Path(temporary), out)
-        publisher.join()
+        if not folder:
+            threading.Thread(target=publish, args=(Path(temporary),), daemon=True).start()
+        read(Path(folder or temporary), out)
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    try:
+        main(*sys.argv[1:])
+    except UserError as error:  # this user may not read, or the flight is of another build
+        sys.exit(str(error))

@@ -1,10 +1,13 @@
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import json
+import os
 import struct
+import tempfile
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from enum import Enum
 from pathlib import Path
 from typing import Any
@@ -14,7 +17,16 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from uav_recon.channels import FileChannel, MemoryChannel, decode, encode
+from uav_recon.channels import (
+    ChannelError,
+    FileChannel,
+    MemoryChannel,
+    ReadOnlyFileChannel,
+    create_file,
+    decode,
+    encode,
+    layout_hash,
+)
 from uav_recon.types.camera import Frame, ImuSample, Intrinsics, PosedFrame
 from uav_recon.types.maps import GridSpec, SurfaceElements, TriangleMesh, VoxelMap
 from uav_recon.types.pose import Pose, StampedPose
@@ -108,12 +120,14 @@ def test_every_value_is_decoded_unchanged(value: Any) -> None:
 @pytest.mark.parametrize("value", VALUES, ids=lambda value: type(value).__name__)
 def test_memory_and_file_channels_behave_the_same(value: Any, tmp_path: Path) -> None:
     memory, file = MemoryChannel(type(value)), FileChannel(tmp_path / "x.channel", type(value))
-    for channel in (memory, file):
-        assert channel.latest() is None
-        assert channel.sequence() == 0
-        channel.publish(value)
-        _same(value, channel.latest())
-        assert channel.sequence() == 1
+    readers = memory, file, ReadOnlyFileChannel(tmp_path / "x.channel", type(value))
+    assert [reader.latest() for reader in readers] == [None] * 3
+    assert [reader.sequence() for reader in readers] == [0] * 3
+    memory.publish(value)
+    file.publish(value)
+    for reader in readers:
+        _same(value, reader.latest())
+        assert reader.sequence() == 1
 
 
 def _intent(stamp_s: float) -> Intent:
@@ -125,13 +139,13 @@ def path(tmp_path: Path) -> Path:
     return tmp_path / "intent.channel"
 
 
-def _stamp(channel: FileChannel[Intent]) -> float | None:
+def _stamp(channel: FileChannel[Intent] | ReadOnlyFileChannel[Intent]) -> float | None:
     value = channel.latest()
     return None if value is None else value.stamp_s
 
 
 def test_a_reader_sees_the_newest_value_of_another_process(path: Path) -> None:
-    writer, reader = FileChannel(path, Intent), FileChannel(path, Intent)
+    writer, reader = FileChannel(path, Intent), ReadOnlyFileChannel(path, Intent)
     for k in range(5):
         writer.publish(_intent(k))
     assert _stamp(reader) == 4.0
@@ -140,7 +154,7 @@ def test_a_reader_sees_the_newest_value_of_another_process(path: Path) -> None:
 
 def test_a_restarted_writer_continues_the_sequence(path: Path) -> None:
     FileChannel(path, Intent).publish(_intent(1.0))
-    reader = FileChannel(path, Intent)
+    reader = ReadOnlyFileChannel(path, Intent)
     assert _stamp(reader) == 1.0
     FileChannel(path, Intent).publish(_intent(2.0))
     assert _stamp(reader) == 2.0
@@ -161,17 +175,17 @@ def _overwrite(path: Path, offset: int, data: bytes) -> None:
         file.write(data)
 
 
-HEAD = struct.Struct("<8sqIIq")
+HEAD = struct.Struct("<8s8sqIIq")
 
 
 def test_a_torn_record_gives_the_previous_value(path: Path) -> None:
-    writer, reader = FileChannel(path, Intent), FileChannel(path, Intent)
+    writer, reader = FileChannel(path, Intent), ReadOnlyFileChannel(path, Intent)
     writer.publish(_intent(1.0))
     assert _stamp(reader) == 1.0
     writer.publish(_intent(2.0))
     _overwrite(path, HEAD.size - 8, struct.pack("<q", -1))  # as left by a writer that died during the write
     assert _stamp(reader) == 1.0
-    assert _stamp(FileChannel(path, Intent)) is None
+    assert _stamp(ReadOnlyFileChannel(path, Intent)) is None
     writer.publish(_intent(3.0))
     assert _stamp(reader) == 3.0
 
@@ -181,13 +195,14 @@ def test_a_torn_record_gives_the_previous_value(path: Path) -> None:
     [
         lambda path: _overwrite(path, HEAD.size + 20, b"\xff\xff"),
         lambda path: _overwrite(path, 0, b"NOTMINE!"),
-        lambda path: _overwrite(path, 16, struct.pack("<I", 1 << 31)),
-        lambda path: _overwrite(path, 20, struct.pack("<I", 12345)),
+        lambda path: _overwrite(path, 24, struct.pack("<I", 1 << 31)),
+        lambda path: _overwrite(path, 28, struct.pack("<I", 12345)),
+        lambda path: _overwrite(path, 8, b"NOTMINE!"),
     ],
-    ids=["payload", "magic", "length", "crc"],
+    ids=["payload", "format", "length", "crc", "layout"],
 )
 def test_a_damaged_record_gives_the_previous_value(path: Path, spoil: Callable[[Path], None]) -> None:
-    writer, reader = FileChannel(path, Intent), FileChannel(path, Intent)
+    writer, reader = FileChannel(path, Intent), ReadOnlyFileChannel(path, Intent)
     writer.publish(_intent(1.0))
     assert _stamp(reader) == 1.0
     writer.publish(_intent(2.0))
@@ -198,9 +213,161 @@ def test_a_damaged_record_gives_the_previous_value(path: Path, spoil: Callable[[
 def test_a_symlink_in_the_runtime_folder_is_not_followed(path: Path, tmp_path: Path) -> None:
     (tmp_path / "elsewhere").write_bytes(b"precious")
     path.symlink_to(tmp_path / "elsewhere")
-    with pytest.raises(OSError, match="symbolic link"):
-        FileChannel(path, Intent)
+    for variant in (FileChannel, ReadOnlyFileChannel):
+        with pytest.raises(OSError, match="symbolic link"):
+            variant(path, Intent)
     assert (tmp_path / "elsewhere").read_bytes() == b"precious"
+
+
+@dataclasses.dataclass(frozen=True)
+class Odometry:
+    stamp_s: float
+    speed_mps: float
+
+
+def build(name: str, *fields: tuple[str, Any]) -> Any:
+    """Return a value type of another build."""
+    return dataclasses.make_dataclass(name, fields, frozen=True)
+
+
+OTHER_BUILDS = {
+    "unit": build("Odometry", ("stamp_s", float), ("speed_kmh", float)),
+    "order": build("Odometry", ("speed_mps", float), ("stamp_s", float)),
+    "type": build("Odometry", ("stamp_s", float), ("speed_mps", int)),
+    "more": build("Odometry", ("stamp_s", float), ("speed_mps", float), ("quality", int)),
+}
+
+
+@pytest.mark.parametrize("name", OTHER_BUILDS)
+def test_a_reader_of_another_build_is_refused(name: str, path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    FileChannel(path, OTHER_BUILDS[name]).publish(OTHER_BUILDS[name](*range(5)[: 3 if name == "more" else 2]))
+    reader = ReadOnlyFileChannel(path, Odometry)
+    found, wanted = (layout_hash(kind, 1 << 16).hex() for kind in (OTHER_BUILDS[name], Odometry))
+    line = f"{path}: written by another build: layout {found}, want layout {wanted} in format b'UAVCHAN2'"
+    with pytest.raises(ChannelError) as refused:
+        reader.check()
+    assert str(refused.value) == line
+    for _ in range(3):
+        assert reader.latest() is None
+        assert reader.sequence() == 0
+    assert caplog.messages == [line], "in a loop it is logged once"
+
+
+def test_a_writer_of_another_build_is_not_read_and_ours_is_again(path: Path) -> None:
+    FileChannel(path, Odometry).publish(Odometry(1.0, 2.0))
+    reader = ReadOnlyFileChannel(path, Odometry)
+    other = FileChannel(path, OTHER_BUILDS["unit"])
+    assert reader.latest() is None, "the file has no value any more"
+    other.publish(OTHER_BUILDS["unit"](2.0, 7.2))
+    assert reader.latest() is None
+    with pytest.raises(ChannelError):
+        reader.check()
+    ours = FileChannel(path, Odometry)
+    reader.check()
+    assert reader.latest() is None
+    ours.publish(Odometry(3.0, 2.0))
+    assert reader.latest() == Odometry(3.0, 2.0)
+    assert reader.sequence() == 3
+
+
+def test_another_capacity_and_another_file_format_are_refused(path: Path) -> None:
+    FileChannel(path, Intent, capacity_bytes=200)
+    with pytest.raises(ChannelError, match="written by another build: layout"):
+        ReadOnlyFileChannel(path, Intent).check()
+    _overwrite(path, 0, b"UAVCHAN1")
+    with pytest.raises(ChannelError, match="written by another build: format b'UAVCHAN1', want layout"):
+        ReadOnlyFileChannel(path, Intent).check()
+
+
+def test_layouts_differ_in_enum_values_dtypes_and_nested_fields() -> None:
+    array = {dtype: build("A", ("a", np.ndarray[Any, np.dtype[dtype]])) for dtype in (np.float32, np.float64)}  # type: ignore[valid-type]
+    enums = [build("B", ("b", Enum("E", {"ON": value}))) for value in ("on", "yes")]
+    nested = [build("C", ("c", tuple[kind, ...] | None)) for kind in (*array.values(), *enums)]  # type: ignore[valid-type]
+    hashes = [layout_hash(kind, 64) for kind in (*KINDS, *array.values(), *enums, *nested)]
+    assert len(set(hashes)) == len(hashes)
+    assert layout_hash(build("A", ("a", np.ndarray[Any, np.dtype[np.float32]])), 64) == layout_hash(array[np.float32], 64)
+
+
+def test_a_reader_that_is_first_waits_for_the_file_and_its_writer(path: Path) -> None:
+    reader = ReadOnlyFileChannel(path, Intent)
+    assert reader.latest() is None
+    assert not path.exists(), "a reader creates nothing"
+    create_file(path)
+    reader.check()
+    assert reader.latest() is None
+    assert reader.sequence() == 0
+    FileChannel(path, Intent).publish(_intent(1.0))
+    assert _stamp(reader) == 1.0
+
+
+def test_a_reader_cannot_change_the_file(path: Path) -> None:
+    writer = FileChannel(path, Intent)
+    writer.publish(_intent(1.0))
+    reader, before = ReadOnlyFileChannel(path, Intent), path.read_bytes()
+    with pytest.raises(PermissionError, match=r"intent\.channel: opened read-only"):
+        reader.publish(_intent(2.0))
+    assert reader._map is not None
+    with pytest.raises(TypeError):
+        reader._map[:8] = bytes(8)
+    assert path.read_bytes() == before
+    (mapping,) = [line for line in Path("/proc/self/maps").read_text().splitlines() if str(path) in line and " r--s " in line]
+    assert mapping
+
+
+@contextlib.contextmanager
+def user(uid: int, gid: int) -> Iterator[None]:
+    """Be another user."""
+    groups = os.getgroups()
+    os.setgroups([])
+    os.setegid(gid)
+    os.seteuid(uid)
+    try:
+        yield
+    finally:
+        os.seteuid(0)
+        os.setegid(0)
+        os.setgroups(groups)
+
+
+@pytest.fixture
+def flight_folder() -> Iterator[Path]:
+    """Yield a folder of user and group 4001 like systemd's: mode 0750, files are made with umask 0077."""
+    with tempfile.TemporaryDirectory() as name:  # other users may not enter tmp_path
+        os.chown(name, 4001, 4001)
+        Path(name).chmod(0o750)
+        before = os.umask(0o077)
+        yield Path(name)
+        os.umask(before)
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root may become another user")
+def test_a_member_of_the_group_reads_and_anybody_else_does_not(flight_folder: Path) -> None:
+    path = flight_folder / "intent.channel"
+    with user(4001, 4001):
+        writer = FileChannel(path, Intent)
+        writer.publish(_intent(1.0))
+    assert path.stat().st_mode & 0o777 == 0o640
+    with user(4002, 4001):
+        reader = ReadOnlyFileChannel(path, Intent)
+        assert _stamp(reader) == 1.0
+        with pytest.raises(PermissionError):
+            FileChannel(path, Intent)
+        with pytest.raises(PermissionError):
+            path.unlink()
+    flight_folder.chmod(0o755)
+    with user(4002, 4002), pytest.raises(PermissionError):
+        ReadOnlyFileChannel(path, Intent)
+    writer.publish(_intent(2.0))
+    assert _stamp(reader) == 2.0
+
+
+def test_a_file_of_the_previous_build_becomes_readable_for_the_group(path: Path) -> None:
+    path.write_bytes(b"UAVCHAN1" + bytes(100))
+    path.chmod(0o600)
+    create_file(path)
+    assert path.stat().st_mode & 0o777 == 0o640
+    with pytest.raises(ChannelError, match="UAVCHAN1"):
+        ReadOnlyFileChannel(path, Intent).check()
 
 
 KINDS: list[type[Any]] = sorted({type(value) for value in VALUES}, key=lambda kind: kind.__name__)
@@ -258,6 +425,8 @@ def test_no_hostile_writer_crashes_a_reader(
 ) -> None:
     """A record with a valid checksum and invalid content is read as None, without an exception."""
     path = tmp_path_factory.getbasetemp() / "hostile.channel"
-    reader = FileChannel(path, kind)
-    _overwrite(path, 0, HEAD.pack(b"UAVCHAN1", sequence, len(data), zlib.crc32(data), sequence) + data)
+    FileChannel(path, kind, capacity_bytes=300)
+    reader = ReadOnlyFileChannel(path, kind, capacity_bytes=300)
+    head = HEAD.pack(b"UAVCHAN2", layout_hash(kind, 300), sequence, len(data), zlib.crc32(data), sequence)
+    _overwrite(path, 0, head + data)
     assert reader.latest() is None

@@ -44,7 +44,7 @@ class Hover:
     def __init__(self, config: Config, autopilot: Autopilot, start_s: float) -> None:
         self._config = config
         self._autopilot = autopilot
-        self._wires = file_channels(config.runtime.folder)
+        self._wires = file_channels(config.runtime.folder, frozenset({"odom", "nearby", "intent", "free"}))
         self._motion = factory.make_motion(config, config.planner.clearance_m)
         self._motion.warm_up()
         self._poses, self._depth, self._intents = (RateKeeper(hz, start_s) for hz in (_POSES_HZ, _DEPTH_HZ, _INTENT_HZ))

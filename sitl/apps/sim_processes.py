@@ -16,7 +16,7 @@ from rich.console import Console
 
 from sitl.apps.progress_display import ProgressDisplay
 from sitl.runtime.die_with_parent import die_with_parent_command
-from uav_recon.app.flight_channels import file_channels
+from uav_recon.app.flight_channels import read_only_channels
 from uav_recon.errors import UserError
 from uav_recon.types.vehicle import FlightPhase
 
@@ -63,7 +63,7 @@ class SimProcesses:
         self._logs = logs
         self._runtime = runtime
         self._console = console
-        self._wires = file_channels(runtime)
+        self._wires = read_only_channels(runtime)
         self._begun_s = begun_s
         self._children: list[_Child] = []
         self._interrupts = 0

@@ -23,7 +23,7 @@ ALL = mutants()
 def test_each_of_two_hundred_is_refused_at_start_by_one_line_that_names_key_and_limit(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("uav_recon.app.processes.file_channels", lambda folder: pytest.fail("it began to run"))
+    monkeypatch.setattr("uav_recon.app.processes.file_channels", lambda folder, writes: pytest.fail("it began to run"))
     path = tmp_path / "config.toml"
     assert len(ALL) >= 200
     for mutant in ALL:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from uav_recon.channels import FileChannel, MemoryChannel
+from uav_recon.channels import ChannelError, FileChannel, MemoryChannel, ReadOnlyFileChannel, create_file
 from uav_recon.errors import EXIT_CONFIG, UserError
 from uav_recon.interfaces import Channel
 from uav_recon.types.camera import PosedFrame
@@ -34,6 +37,25 @@ class FlightChannels:
     nearby: Channel[MinRangeGrid]
 
 
+PERCEPTION_WRITES = frozenset({"odom", "frames", "correction", "nearby"})
+PILOT_WRITES = frozenset({"vehicle"})
+MISSION_WRITES = frozenset({"intent", "progress", "voxels", "surface", "plan", "free"})
+_KIBIBYTE, _MEBIBYTE = 1 << 10, 1 << 20
+_FILES: dict[str, tuple[Any, int]] = {  # type of the value and capacity in bytes
+    "odom": (StampedPose, 64 * _KIBIBYTE),
+    "frames": (PosedFrame, 16 * _MEBIBYTE),
+    "vehicle": (VehicleState, 64 * _KIBIBYTE),
+    "intent": (Intent, 4 * _MEBIBYTE),
+    "progress": (MissionProgress, 64 * _KIBIBYTE),
+    "voxels": (VoxelMap, 64 * _MEBIBYTE),
+    "surface": (SurfaceElements, 32 * _MEBIBYTE),
+    "plan": (ViewPath, _MEBIBYTE),
+    "correction": (MapCorrection, _MEBIBYTE),
+    "free": (FreeSpace, 4 * _MEBIBYTE),
+    "nearby": (MinRangeGrid, 64 * _KIBIBYTE),
+}
+
+
 def memory_channels() -> FlightChannels:
     """Return channels within one process."""
     return FlightChannels(
@@ -43,26 +65,51 @@ def memory_channels() -> FlightChannels:
     )  # fmt: skip
 
 
-def file_channels(folder: Path) -> FlightChannels:
-    """Return channels between processes: memory-mapped files in the runtime folder.
+def file_channels(folder: Path, writes: frozenset[str]) -> FlightChannels:
+    """Return channels between the processes of a flight: files in the runtime folder.
 
-    Raises UserError if it cannot be written.
+    writes: names of the channels that this process publishes; the others are mapped read-only. All files are created, so none
+    is opened in flight. A file of another build is not read and is logged, as its writer may start later.
+    Raises UserError if the folder cannot be written.
     """
-    megabyte = 1 << 20
+    kinds = {name: FileChannel if name in writes else ReadOnlyFileChannel for name in _FILES}
+    with made_writable(folder):
+        for name, (_, capacity_bytes) in _FILES.items():
+            create_file(_path(folder, name), capacity_bytes)
+        return FlightChannels(**{name: kinds[name](_path(folder, name), *of) for name, of in _FILES.items()})
+
+
+@contextlib.contextmanager
+def made_writable(folder: Path) -> Iterator[None]:
+    """Create the runtime folder if needed; an OSError inside becomes a UserError that names it."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        return FlightChannels(
-            odom=FileChannel(folder / "odom.channel", StampedPose),
-            frames=FileChannel(folder / "frames.channel", PosedFrame, 16 * megabyte),
-            vehicle=FileChannel(folder / "vehicle.channel", VehicleState),
-            intent=FileChannel(folder / "intent.channel", Intent, 4 * megabyte),
-            progress=FileChannel(folder / "progress.channel", MissionProgress),
-            voxels=FileChannel(folder / "voxels.channel", VoxelMap, 64 * megabyte),
-            surface=FileChannel(folder / "surface.channel", SurfaceElements, 32 * megabyte),
-            plan=FileChannel(folder / "plan.channel", ViewPath, megabyte),
-            correction=FileChannel(folder / "correction.channel", MapCorrection, megabyte),
-            free=FileChannel(folder / "free.channel", FreeSpace, 4 * megabyte),
-            nearby=FileChannel(folder / "nearby.channel", MinRangeGrid),
-        )
+        yield
     except OSError as error:
         raise UserError(f"runtime.folder {folder}: cannot be written ({error.strerror})", EXIT_CONFIG) from None
+
+
+def read_only_channels(folder: Path) -> FlightChannels:
+    """Return the channels of a flight for a program that only reads.
+
+    It may run as any user of the flight's group. Files that do not exist yet are opened later.
+
+    Raises UserError if this user may not read them, or another build has written one.
+    """
+    try:
+        channels = {name: ReadOnlyFileChannel(_path(folder, name), *of) for name, of in _FILES.items()}
+        for channel in channels.values():
+            channel.check()
+    except PermissionError as error:
+        raise UserError(
+            f"{error.filename}: not allowed: be root, the user of the flight, or in its group", EXIT_CONFIG
+        ) from None
+    except OSError as error:
+        raise UserError(f"runtime.folder {folder}: cannot be read ({error.strerror})", EXIT_CONFIG) from None
+    except ChannelError as error:
+        raise UserError(str(error), EXIT_CONFIG) from None
+    return FlightChannels(**channels)
+
+
+def _path(folder: Path, name: str) -> Path:
+    return folder / f"{name}.channel"

@@ -6,8 +6,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from uav_recon.app.flight_channels import FlightChannels
-from uav_recon.channels import FileChannel
+from uav_recon.app.flight_channels import FlightChannels, made_writable
+from uav_recon.channels import FileChannel, ReadOnlyFileChannel, create_file
 from uav_recon.clock import MonotonicClock
 from uav_recon.config import Config
 from uav_recon.errors import EXIT_CONFIG, UserError
@@ -22,15 +22,29 @@ if TYPE_CHECKING:  # the mission and the command line need no pilot
     from uav_recon.autopilot.pilot.pilot import Pilot
 
 
+def operator_command_sender(folder: Path) -> Channel[GivenCommand]:
+    """Return the channel of commands to the mission, for the pilot.
+
+    The pilot receives them from operators. Raises UserError like file_channels.
+    """
+    return _operator_channel(folder, FileChannel)
+
+
 def operator_command_receiver(folder: Path) -> Channel[GivenCommand]:
-    """Return the channel of commands from the pilot, which receives them, to the mission.
+    """Return the channel of commands to the mission, for the mission.
 
     Raises UserError like file_channels.
     """
-    try:
-        return FileChannel(folder / "operator.channel", GivenCommand)
-    except OSError as error:
-        raise UserError(f"runtime.folder {folder}: cannot be written ({error.strerror})", EXIT_CONFIG) from None
+    return _operator_channel(folder, ReadOnlyFileChannel)
+
+
+def _operator_channel(
+    folder: Path, variant: type[FileChannel[GivenCommand] | ReadOnlyFileChannel[GivenCommand]]
+) -> Channel[GivenCommand]:
+    path = folder / "operator.channel"
+    with made_writable(folder):
+        create_file(path)
+        return variant(path, GivenCommand)
 
 
 def operator_socket(config: Config) -> Path:
@@ -45,7 +59,7 @@ def make_command_handler(wires: FlightChannels, pilot: Pilot, orders: Channel[Gi
 
 def make_command_socket(config: Config, wires: FlightChannels, pilot: Pilot, clock: Clock) -> CommandSocket:
     """Open the command socket at the pilot. Raises UserError if it cannot be opened."""
-    clerk = make_command_handler(wires, pilot, operator_command_receiver(config.runtime.folder), clock)
+    clerk = make_command_handler(wires, pilot, operator_command_sender(config.runtime.folder), clock)
     try:
         return CommandSocket(operator_socket(config), clerk.serve, clock)
     except CommandSocketError as error:

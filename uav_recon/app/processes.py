@@ -19,7 +19,14 @@ import numpy as np
 
 from uav_recon import config as configuration
 from uav_recon.app import factory, kernel_jobs, memory_lock, operator_factory, systemd_notify
-from uav_recon.app.flight_channels import file_channels
+from uav_recon.app.flight_channels import (
+    MISSION_WRITES,
+    PERCEPTION_WRITES,
+    PILOT_WRITES,
+    file_channels,
+    made_writable,
+    read_only_channels,
+)
 from uav_recon.app.kernel_cache import compile_kernels, log_progress
 from uav_recon.app.option_validation import UsageError, readable
 from uav_recon.app.wait_notice import WaitNotice, missing_processes
@@ -77,9 +84,12 @@ def flight_folder(config: Config, flight: Path | None) -> Path:
 def claim(name: str, config: Config) -> None:
     """Become the only process of this name on this machine, until it ends.
 
-    Raises UserError with exit code 75 if there is another one.
+    Creates the runtime folder. Call it before the channels are opened: their writer is the only one. Raises UserError with exit
+    code 75 if there is another one, with 78 if the folder cannot be written.
     """
-    claim_file(config.runtime.folder / f"{name}.lock", f"another {name} process already runs in {config.runtime.folder}")
+    folder = config.runtime.folder
+    with made_writable(folder):
+        claim_file(folder / f"{name}.lock", f"another {name} process already runs in {folder}")
 
 
 def claim_file(path: Path, otherwise: str) -> int:
@@ -105,8 +115,8 @@ def pilot(config_path: Path, flight: Path | None) -> int:
     from uav_recon.autopilot.mavlink.transport import LinkError, open_link
 
     stop, clock, config = Stop(), MonotonicClock(), factory.load_config(config_path)
-    wires = file_channels(config.runtime.folder)
     claim("pilot", config)
+    wires = file_channels(config.runtime.folder, PILOT_WRITES)
     gate = factory.make_allow_list_filter(config.link, clock)
     try:
         link = open_link(config.link.url, gate, clock, config.link.peer_host)
@@ -148,8 +158,8 @@ def perception(config_path: Path) -> int:
     It also ends when the camera is gone, with a UserError.
     """
     stop, clock, config = Stop(), MonotonicClock(), factory.load_config(config_path)
-    wires = file_channels(config.runtime.folder)
     claim("perception", config)
+    wires = file_channels(config.runtime.folder, PERCEPTION_WRITES)
 
     def compile_ahead() -> None:
         compile_kernels([kernel_jobs.PERCEPTION], config_path, log_progress(LOG), lambda: stop.asked)
@@ -205,9 +215,9 @@ def mission(config_path: Path, flight: Path | None) -> int:
     from uav_recon.recording.map_file import save_map
 
     stop, clock, config = Stop(), MonotonicClock(), factory.load_config(config_path)
-    wires, begun_s = file_channels(config.runtime.folder), clock.now_s()
-    orders = OperatorCommandReceiver(operator_factory.operator_command_receiver(config.runtime.folder), begun_s)
     claim("mission", config)
+    wires, begun_s = file_channels(config.runtime.folder, MISSION_WRITES), clock.now_s()
+    orders = OperatorCommandReceiver(operator_factory.operator_command_receiver(config.runtime.folder), begun_s)
     folder = flight_folder(config, flight)
     configuration.save(config, folder / "config.toml")
     compile_kernels(kernel_jobs.mission_jobs(config.planner.variant), config_path, log_progress(LOG), lambda: stop.asked)
@@ -244,9 +254,9 @@ def mission(config_path: Path, flight: Path | None) -> int:
 
 
 def record(config_path: Path, flight: Path | None) -> int:
-    """Subscribe to the channels and record them until SIGTERM."""
+    """Subscribe to the channels, read-only, and record them until SIGTERM."""
     stop, clock, config = Stop(), MonotonicClock(), factory.load_config(config_path)
-    wires = file_channels(config.runtime.folder)
+    wires = read_only_channels(config.runtime.folder)
     recorder = factory.make_recorder(config, wires, flight_folder(config, flight), clock)
     waiting = WaitNotice("record", clock.now_s())
 

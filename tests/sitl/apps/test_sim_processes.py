@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from uav_recon.app.flight_channels import file_channels
+from uav_recon.app.flight_channels import PILOT_WRITES, file_channels
 from uav_recon.types.pose import Pose
 from uav_recon.types.vehicle import FlightPhase, VehicleState
 
@@ -140,7 +140,7 @@ def launch(tmp_path: Path) -> Iterator[Callable[[], Flight]]:
 def say(folder: Path, phase: FlightPhase) -> None:
     """Publish a vehicle state as the pilot does."""
     state = VehicleState(1.0, Pose.identity(), np.zeros(3), True, "OFFBOARD", phase, 0.9, False, float("nan"), -1, 0, None)
-    file_channels(folder).vehicle.publish(state)
+    file_channels(folder, PILOT_WRITES).vehicle.publish(state)
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])

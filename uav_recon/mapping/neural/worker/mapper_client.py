@@ -14,7 +14,7 @@ import time
 from collections import Counter
 from pathlib import Path
 
-from uav_recon.channels import FileChannel
+from uav_recon.channels import ReadOnlyFileChannel
 from uav_recon.clock import RateKeeper
 from uav_recon.config import MapperConfig
 from uav_recon.mapping.keyframe_store import KeyframeFolder
@@ -81,7 +81,7 @@ class ProcessMapper:
             "folder": str(folder),
         }
         self._keyframes = KeyframeFolder(folder / KEYFRAMES)
-        self._channel = FileChannel(folder / SURFACE_FILE, SurfaceElements, SURFACE_BYTES)
+        self._channel = ReadOnlyFileChannel(folder / SURFACE_FILE, SurfaceElements, SURFACE_BYTES)
         self._notes: queue.Queue[PosedFrame | MapCorrection | Path | Message] = queue.Queue()
         self._epoch: int | None = None  # map epoch, once there is one
         self._ready = threading.Event()
