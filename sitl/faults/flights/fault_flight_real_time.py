@@ -46,7 +46,7 @@ class Supervised(SimProcesses):
         """Fly. Raises UserError if the world process fails."""
         try:
             for name in self._commands:
-                self._start(name, self._commands[name])
+                self.start(name)
                 self._pids[name] = self._child(name).process.pid
             self._roster.tell(self._pids, self._exits)
             while self._child("world").process.poll() is None:
@@ -74,7 +74,7 @@ class Supervised(SimProcesses):
         for name, due_s in list(self._due_s.items()):
             if name not in kept_down and time.monotonic() >= due_s:
                 del self._due_s[name]
-                self._start(name, self._commands[name])
+                self.start(name)
                 self._pids[name] = self._child(name).process.pid
                 self._roster.tell(self._pids, self._exits)
 

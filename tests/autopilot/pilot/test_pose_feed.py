@@ -69,10 +69,11 @@ def test_a_record_that_is_being_written_is_fed_once_it_is_whole(tmp_path: Path) 
     """Its writer was preempted between the head and the data."""
     writer, reader = (FileChannel(tmp_path / "odom.channel", StampedPose) for _ in range(2))
     feed, fed = _feed(reader)
+    assert writer._map is not None
     for n in range(4):
         writer.publish(_pose(n * STEP_S))
         whole = bytes(writer._map)
-        writer._map[24:32] = struct.pack("<q", -1)
+        writer._map[32:40] = struct.pack("<q", -1)
         assert not feed.step(n * STEP_S + 0.001)
         assert len(fed) == n
         writer._map[:] = whole
