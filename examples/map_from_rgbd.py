@@ -12,8 +12,10 @@ from uav_recon import Camera, OccupancyMapper, Pose, warm_up
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.maps import FREE, OCCUPIED
 
-ROOM_MIN_M, ROOM_MAX_M = np.zeros(3), np.array([5.0, 4.0, 2.5])
-CABINET_MIN_M, CABINET_MAX_M = np.array([3.4, 2.6, 0.0]), np.array([4.2, 4.0, 1.6])
+ROOM_MIN_M = np.zeros(3)
+ROOM_MAX_M = np.array([5.0, 4.0, 2.5])
+CABINET_MIN_M = np.array([3.4, 2.6, 0.0])
+CABINET_MAX_M = np.array([4.2, 4.0, 1.6])
 
 
 def render(camera: Camera, world_from_camera: Pose) -> FloatArray:

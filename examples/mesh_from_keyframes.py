@@ -12,7 +12,8 @@ from uav_recon import Camera, NeuralMapper, Pose, warm_up
 from uav_recon.types.camera import Intrinsics
 from uav_recon.types.frames import ByteArray, FloatArray
 
-ROOM_MIN_M, ROOM_MAX_M = np.zeros(3), np.array([4.0, 3.0, 2.5])
+ROOM_MIN_M = np.zeros(3)
+ROOM_MAX_M = np.array([4.0, 3.0, 2.5])
 
 
 def cast(lens: Intrinsics, world_from_camera: Pose) -> tuple[FloatArray, FloatArray]:

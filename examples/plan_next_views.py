@@ -9,8 +9,11 @@ from uav_recon import Camera, NothingLeft, OccupancyMapper, Pose, ViewPlanner, w
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.maps import OCCUPIED
 
-ROOM_MIN_M, ROOM_MAX_M = np.zeros(3), np.array([6.0, 4.0, 2.5])
-WALL_MIN_M, WALL_MAX_M = np.array([3.0, 0.0, 0.0]), np.array([3.2, 2.4, 2.5])  # hides the other half of the room
+ROOM_MIN_M = np.zeros(3)
+ROOM_MAX_M = np.array([6.0, 4.0, 2.5])
+# hides the other half of the room
+WALL_MIN_M = np.array([3.0, 0.0, 0.0])
+WALL_MAX_M = np.array([3.2, 2.4, 2.5])
 
 
 def render(camera: Camera, world_from_camera: Pose) -> FloatArray:

@@ -13,7 +13,10 @@ import numpy as np
 
 from uav_recon.sensors.stream_format import CameraSpec, StreamHeader, StreamReader, StreamWriter
 
-WIDTH, HEIGHT, RATE_HZ, DURATION_S = 424, 240, 30.0, 2.0
+WIDTH = 424
+HEIGHT = 240
+RATE_HZ = 30.0
+DURATION_S = 2.0
 
 
 def main(out: str = "camera.stream") -> None:

@@ -19,7 +19,9 @@ from sitl.world.pose_tracker import SimulatedTracker
 from sitl.world.step_sizes import FINE_STEPS, StepSizes
 
 F64 = NDArray[np.float64]
-PAD_HEIGHT_M, PAD_RADIUS_M = 0.4, 0.6  # clearance is not measured below this height at the pad or in a landing
+# clearance is not measured below this height at the pad or in a landing
+PAD_HEIGHT_M = 0.4
+PAD_RADIUS_M = 0.6
 BODY_ABOVE_FLOOR_M = 0.10
 
 

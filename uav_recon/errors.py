@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-EXIT_FAILURE, EXIT_USAGE, EXIT_SECOND_COPY, EXIT_CONFIG = 1, 2, 75, 78
+EXIT_FAILURE = 1
+EXIT_USAGE = 2
+EXIT_SECOND_COPY = 75
+EXIT_CONFIG = 78
 
 
 class UserError(Exception):

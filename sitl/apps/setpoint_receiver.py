@@ -35,7 +35,9 @@ from uav_recon.types.vehicle import FlightPhase
 
 GIVE_UP_S = 180.0  # timeout for the first setpoint in flight
 SETTLE_S = 1.0  # from the first setpoint in flight to the start of the measurement
-_POSES_HZ, _DEPTH_HZ, _INTENT_HZ = 30.0, 15.0, 20.0
+_POSES_HZ = 30.0
+_DEPTH_HZ = 15.0
+_INTENT_HZ = 20.0
 
 
 class Hover:

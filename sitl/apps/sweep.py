@@ -26,7 +26,8 @@ from uav_recon.bench.machine_calibration import Calibration, calibrate
 from uav_recon.bench.result_file import result_header
 from uav_recon.errors import EXIT_USAGE, UserError
 
-RANDOM, BUILT_IN = "random", "built-in"  # scene names: a new flat for each seed; the room of `sim`
+RANDOM = "random"  # name of a scene: a new flat for each seed
+BUILT_IN = "built-in"  # name of a scene: the room of `sim`
 BAD_SHOWN = 20
 MEDIANS = ("flight_s", "path_m", "views", "explored", "recall_90_s", "times_real")
 

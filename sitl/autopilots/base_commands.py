@@ -12,10 +12,16 @@ from sitl.autopilots.autopilot_state import AutopilotState
 from sitl.autopilots.mavlink_codec import ReceivedMessage, packet
 from sitl.autopilots.mavlink_server import MavlinkServer
 
-ACCEPTED, TEMPORARILY_REJECTED, DENIED, UNSUPPORTED, FAILED = 0, 1, 2, 3, 4
+ACCEPTED = 0
+TEMPORARILY_REJECTED = 1
+DENIED = 2
+UNSUPPORTED = 3
+FAILED = 4
 FORCE = 21196.0  # second parameter of MAV_CMD_COMPONENT_ARM_DISARM that overrides all checks
 FORCE_SET = 512  # bit of a setpoint's type mask: its accelerations are forces
-NO_YAW, NO_YAW_RATE = 1024, 2048  # bits of a setpoint's type mask
+# bits of a setpoint's type mask
+NO_YAW = 1024
+NO_YAW_RATE = 2048
 
 
 class BaseCommands(ABC):

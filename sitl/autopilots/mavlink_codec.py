@@ -14,7 +14,10 @@ from typing import Any, NamedTuple
 
 from pymavlink.dialects.v20 import common as mavlink
 
-_START, _HEADER_BYTES, _CHECK_BYTES, _SIGNATURE_BYTES = 0xFD, 10, 2, 13
+_START = 0xFD
+_HEADER_BYTES = 10
+_CHECK_BYTES = 2
+_SIGNATURE_BYTES = 13
 _HEADER = struct.Struct("<BBBBBBB3s")
 _CHECK = struct.Struct("<H")
 

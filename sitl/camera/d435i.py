@@ -22,7 +22,8 @@ from sitl.runtime.jit import kernel
 from sitl.scene.rasterizer import Renderer, Rendering
 from uav_recon.sensors.stream_format import CameraSpec, StreamHeader
 
-WIDTH, HEIGHT = 424, 240
+WIDTH = 424
+HEIGHT = 240
 RANGE_M = (0.3, 6.0)
 FAR_MARGIN_M = 0.6  # rendered beyond the range, because noise may move such a surface into it
 BASELINE_M = 0.050
@@ -30,7 +31,8 @@ DISPARITY_ERROR_PX = 0.08
 MATCHED_BINNING = 2  # width of the matched image divided by that of the delivered one
 CORRELATION_SIGMA_PX = 1.5
 CORRELATION_TAPS = 9
-GRAZING_COS, GRAZING_SPREAD = 0.175, 0.02
+GRAZING_COS = 0.175
+GRAZING_SPREAD = 0.02
 MOUNT_M = (0.10, 0.0, 0.0)  # depth imager in the body
 COLOUR_FROM_DEPTH_M = (0.015, 0.0, 0.0)
 

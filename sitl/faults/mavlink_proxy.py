@@ -10,7 +10,10 @@ from typing import Protocol, TypeVar
 
 T = TypeVar("T")
 DelayedItems = list[tuple[float, T]]  # result of an injector: (delay in seconds, item) each; empty if the item is lost
-_START, _HEADER, _CHECK, _SIGNATURE = 0xFD, 10, 2, 13
+_START = 0xFD
+_HEADER = 10
+_CHECK = 2
+_SIGNATURE = 13
 
 
 class Bytes(Protocol):

@@ -13,7 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-RUNNING, DOWN = "running.json", "down.json"
+RUNNING = "running.json"
+DOWN = "down.json"
 
 
 @dataclass(frozen=True, slots=True)

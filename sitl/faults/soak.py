@@ -19,11 +19,10 @@ from sitl.faults.table.acceptance_limits import NO_FAILSAFE, STEADY, STREAMS, do
 from sitl.faults.table.scenario import Limit, Scenario
 from sitl.runtime.die_with_parent import die_with_parent_command
 
-RESUME_PERIOD_S, RESUME_FOR_S, RESUME_COUNT = (
-    30.0,
-    5.0,
-    10,
-)  # the mission continues every RESUME_PERIOD_S, for RESUME_FOR_S, RESUME_COUNT times
+# the mission continues every RESUME_PERIOD_S, for RESUME_FOR_S, RESUME_COUNT times
+RESUME_PERIOD_S = 30.0
+RESUME_FOR_S = 5.0
+RESUME_COUNT = 10
 HEAP_FLUCTUATION_MB = 2.3  # range of perception's heap size while frames are allocated and freed
 _DOWN_S = 60.0  # from the land command until the motors stop
 

@@ -19,7 +19,10 @@ from sitl.real_firmware.request_queue import COMPONENT, SYSTEM, RequestQueue
 from sitl.real_firmware.true_trajectory import PositionResolution, TrueTrajectory
 
 _SIMULATOR_IDS = (251, 1)  # system and component id of the simulator, which only requests messages and sets parameters
-_BOOT_S, _SILENT_S, _ASK_S, _POLL_S = 60.0, 5.0, 1.0, 0.02
+_BOOT_S = 60.0
+_SILENT_S = 5.0
+_ASK_S = 1.0
+_POLL_S = 0.02
 _ARMED = 128
 _STREAMS_HZ = (
     (mavlink.MAVLINK_MSG_ID_HEARTBEAT, 50.0),  # so that mode changes are recorded without delay

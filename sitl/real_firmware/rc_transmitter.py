@@ -11,8 +11,11 @@ from sitl.autopilots.base_autopilot import VehicleTruth
 from sitl.geometry.quaternion import yaw_of
 
 _PULSES = struct.Struct("<8H")  # pulses of channels 1 to 8, µs; 0 leaves a channel unchanged
-_MIDDLE_US, _MAX_US = 1500, 300
-_TILT_US_PER_MPS, _THROTTLE_US_PER_M, _THROTTLE_US_PER_MPS = 300.0, 250.0, 200.0
+_MIDDLE_US = 1500
+_MAX_US = 300
+_TILT_US_PER_MPS = 300.0
+_THROTTLE_US_PER_M = 250.0
+_THROTTLE_US_PER_MPS = 200.0
 _PERIOD_S = 0.02
 
 

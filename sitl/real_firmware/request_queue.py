@@ -9,7 +9,9 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from sitl.autopilots.mavlink_codec import Packet, ReceivedMessage, packet
 
-SYSTEM, COMPONENT = 1, 1  # default ids of both firmwares
+# default ids of both firmwares
+SYSTEM = 1
+COMPONENT = 1
 _LATER = (mavlink.MAV_RESULT_TEMPORARILY_REJECTED, mavlink.MAV_RESULT_IN_PROGRESS)
 
 

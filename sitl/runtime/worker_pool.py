@@ -19,7 +19,8 @@ from sitl.runtime.die_with_parent import set_parent_death_signal
 P = ParamSpec("P")
 T = TypeVar("T")
 
-GRACE_S, SIGTERM_PERIOD_S = 5.0, 0.25  # time to clean up between SIGTERM and SIGKILL; interval of the SIGTERMs
+GRACE_S = 5.0  # time to clean up between SIGTERM and SIGKILL
+SIGTERM_PERIOD_S = 0.25  # interval of the SIGTERMs
 
 
 class WorkerPool:

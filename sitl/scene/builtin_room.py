@@ -16,10 +16,13 @@ from sitl.scene import mesh, primitives, texture
 from sitl.scene.mesh import Mesh, joined
 from sitl.scene.primitives import MeshBuilder
 
-LENGTH_M, WIDTH_M, HEIGHT_M = 8.0, 3.0, 2.5
+LENGTH_M = 8.0
+WIDTH_M = 3.0
+HEIGHT_M = 2.5
 ROOM_START: tuple[float, ...] = (0.9, 1.5, 1.2, 0.0)  # x, y, z (m), yaw (degrees)
 FINE_M = 0.024
-_SOURCES, _DIMENSIONS = (mesh, primitives, texture), {"vertices": 2, "faces": 2, "rgb": 2}
+_SOURCES = (mesh, primitives, texture)
+_DIMENSIONS = {"vertices": 2, "faces": 2, "rgb": 2}
 
 
 def built_in_room(fine: bool = True) -> Mesh:

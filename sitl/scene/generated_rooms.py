@@ -15,7 +15,8 @@ from sitl.scene.furniture import Piece
 from sitl.scene.mesh import Mesh, joined
 from sitl.scene.primitives import MeshBuilder
 
-AREA_M2, HEIGHT_M = (12.0, 70.0), (2.3, 3.2)
+AREA_M2 = (12.0, 70.0)
+HEIGHT_M = (2.3, 3.2)
 DOOR_M = (0.9, 1.6)  # width
 NARROWEST_M = 2.0  # minimum width of a room
 FREE_START_M = 0.5  # distance from the take-off position to walls and furniture on the floor (not to hanging lamps)

@@ -17,9 +17,11 @@ from sitl.runtime.array_cache import Arrays, cache_folder, cached, key
 
 WORTH_FACES = 50_000  # smaller meshes are rendered fast enough
 MAX_ERROR_M2 = 1e-12  # (1 µm)², times the area with which Open3D weights the quadrics
-TOLERANCE_M, MAX_OUTLIER_SHARE = 0.001, 1e-5  # camera resolution; share of points that may be farther off than that
+TOLERANCE_M = 0.001  # camera resolution
+MAX_OUTLIER_SHARE = 1e-5  # share of points that may be farther off than that
 MAX_FACE_ERROR_M = 0.0004  # merged triangles farther than this from the original are removed, originals that far off restored
-ROUNDS, SAMPLES = 3, 200_000
+ROUNDS = 3
+SAMPLES = 200_000
 VERSION = 1
 F32 = NDArray[np.float32]
 I32 = NDArray[np.int32]

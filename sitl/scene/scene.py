@@ -20,7 +20,8 @@ from sitl.scene.mesh_sampling import dense_points, height_below, row_points
 from sitl.scene.rasterizer import Renderer
 from uav_recon.sensors.stream_format import CameraSpec
 
-HULL_RADIUS_M, HULL_HEIGHT_M = 0.20, 0.20
+HULL_RADIUS_M = 0.20
+HULL_HEIGHT_M = 0.20
 BODY_ABOVE_FLOOR_M = 0.5 * HULL_HEIGHT_M  # the hull stands on the floor
 START_MARGIN_M = 0.15
 TAKEOFF_HEIGHT_M = 1.10

@@ -29,8 +29,12 @@ from sitl.truth.line_of_sight import LineOfSight
 from uav_recon.sensors.stream_format import CameraSpec
 
 VERSION = 3
-POSES, HELD_OUT, SAMPLES = 600, 100, 300_000
-POSE_SEED, HELD_OUT_SEED, SAMPLE_SEED = 20240317, 20240318, 20240319
+POSES = 600
+HELD_OUT = 100
+SAMPLES = 300_000
+POSE_SEED = 20240317
+HELD_OUT_SEED = 20240318
+SAMPLE_SEED = 20240319
 STEP_M = 0.10  # spacing of the reachable grid and size of the free cells
 REACH_CLEARANCE_M = 0.35
 LOWEST_M = 0.40  # minimum height of the vehicle's centre above the floor

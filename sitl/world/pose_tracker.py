@@ -12,11 +12,17 @@ from numpy.typing import NDArray
 from sitl.geometry.quaternion import Quat, Vec3, from_small_rotation, multiply
 
 RATE_HZ = 15.0
-DRIFT_M, DRIFT_RAD, DRIFT_TIME_S = 0.01, math.radians(0.3), 20.0
-WHITE_M, WHITE_RAD = 0.002, math.radians(0.1)
-DELAY_S, DELAY_SPREAD_S, DELAY_MIN_S = 0.060, 0.020, 0.010
+DRIFT_M = 0.01
+DRIFT_RAD = math.radians(0.3)
+DRIFT_TIME_S = 20.0
+WHITE_M = 0.002
+WHITE_RAD = math.radians(0.1)
+DELAY_S = 0.060
+DELAY_SPREAD_S = 0.020
+DELAY_MIN_S = 0.010
 F64 = NDArray[np.float64]
-_DRIFT, _WHITE = np.repeat([DRIFT_M, DRIFT_RAD], 3), np.repeat([WHITE_M, WHITE_RAD], 3)
+_DRIFT = np.repeat([DRIFT_M, DRIFT_RAD], 3)
+_WHITE = np.repeat([WHITE_M, WHITE_RAD], 3)
 _VARIANCE = np.repeat([DRIFT_M**2 + WHITE_M**2, DRIFT_RAD**2 + WHITE_RAD**2], 3)
 
 

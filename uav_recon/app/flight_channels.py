@@ -40,7 +40,8 @@ class FlightChannels:
 PERCEPTION_WRITES = frozenset({"odom", "frames", "correction", "nearby"})
 PILOT_WRITES = frozenset({"vehicle"})
 MISSION_WRITES = frozenset({"intent", "progress", "voxels", "surface", "plan", "free"})
-_KIBIBYTE, _MEBIBYTE = 1 << 10, 1 << 20
+_KIBIBYTE = 1 << 10
+_MEBIBYTE = 1 << 20
 _FILES: dict[str, tuple[Any, int]] = {  # type of the value and capacity in bytes
     "odom": (StampedPose, 64 * _KIBIBYTE),
     "frames": (PosedFrame, 16 * _MEBIBYTE),

@@ -13,7 +13,8 @@ from uav_recon.app import factory
 from uav_recon.app.kernel_cache import KernelJob
 from uav_recon.config import VariantName
 
-HERE, MAPPER = __name__, "mapper"
+HERE = __name__
+MAPPER = "mapper"
 PERCEPTION = KernelJob("perception", f"{HERE}:perception", 21)
 
 

@@ -7,7 +7,10 @@ import gc
 import mmap
 import resource
 
-_CURRENT, _FUTURE, _ON_FAULT = 1, 2, 4  # MCL_* of linux/mman.h, on x86 and Arm
+# MCL_* of linux/mman.h, on x86 and Arm
+_CURRENT = 1
+_FUTURE = 2
+_ON_FAULT = 4
 
 
 def lock_memory_and_freeze_gc() -> bool:

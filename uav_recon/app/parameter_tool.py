@@ -29,8 +29,12 @@ from uav_recon.interfaces import ByteLink, Clock
 
 T = TypeVar("T")
 
-EXIT_DIFFERENT, EXIT_SILENT = 1, 69
-HEARTBEAT_S, SAID_S, FRESH_S, TURN_S = 10.0, 1.5, 3.0, 0.02
+EXIT_DIFFERENT = 1
+EXIT_SILENT = 69
+HEARTBEAT_S = 10.0
+SAID_S = 1.5
+FRESH_S = 3.0
+TURN_S = 0.02
 WRITE_TRIES = 3  # for one parameter
 _HEARTBEAT = 0  # message id
 _IN_USE = re.compile("in use|busy", re.IGNORECASE)

@@ -36,9 +36,15 @@ if TYPE_CHECKING:
     from uav_recon.mapping.neural.training_data import TrainingData
     from uav_recon.mapping.neural.watertight.watertight_mesh import ClosedMesh
 
-REFINED, MESH_PLY, MESH_GLB = "refined", "mesh.ply", "mesh.glb"
-STOP_FILE, LOCK_FILE = ".stop", ".lock"
-STEPS, VOXEL_M, SAVE_EVERY_S, PROCESSES = (1, 1_000_000), (0.005, 0.05), (1.0, 3600.0), (1, 64)
+REFINED = "refined"
+MESH_PLY = "mesh.ply"
+MESH_GLB = "mesh.glb"
+STOP_FILE = ".stop"
+LOCK_FILE = ".lock"
+STEPS = (1, 1_000_000)
+VOXEL_M = (0.005, 0.05)
+SAVE_EVERY_S = (1.0, 3600.0)
+PROCESSES = (1, 64)
 PROCESS_GB = 1.0  # memory that one process may use
 RAYS = {"cpu": 1024, "cuda": 4096}  # rays per step and process
 SLICE_STEPS = 20  # steps between two checks of the clock and of Ctrl-C

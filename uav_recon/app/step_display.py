@@ -13,7 +13,8 @@ from contextlib import contextmanager
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-QUICK_S, PERIOD_S = 2.0, 10.0  # a step that ends within the first prints nothing; then a line each period
+QUICK_S = 2.0  # a step that ends within the first prints nothing
+PERIOD_S = 10.0  # between lines
 Report = Callable[[int, int], None]  # amount done, total amount
 
 

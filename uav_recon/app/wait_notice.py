@@ -13,7 +13,8 @@ from uav_recon.interfaces import Channel
 from uav_recon.types.pose import StampedPose
 from uav_recon.types.vehicle import VehicleState
 
-FIRST_S, PERIOD_S = 2.0, 15.0  # from the start of the wait to the first line; between lines
+FIRST_S = 2.0  # from the start of the wait to the first line
+PERIOD_S = 15.0  # between lines
 SILENT_S = 2.0  # a value older than this counts as none
 
 

@@ -14,7 +14,8 @@ import numpy as np
 from scipy import ndimage
 
 # medians of the two jobs on the reference machine: properties of that machine, not of this project
-REFERENCE_EDT_S, REFERENCE_SORT_S = 0.0375, 0.0045
+REFERENCE_EDT_S = 0.0375
+REFERENCE_SORT_S = 0.0045
 
 
 @dataclass(frozen=True, slots=True)

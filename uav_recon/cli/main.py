@@ -17,9 +17,11 @@ from uav_recon.cli.config import config
 from uav_recon.cli.exit_codes import end
 from uav_recon.cli.params import params
 
-FLY, REVIEW, MEASURE, IN_FLIGHT, VEHICLE = (
-    "Fly in simulation", "Review a flight", "Measure", "Operate a flight", "On the vehicle",
-)  # fmt: skip
+FLY = "Fly in simulation"
+REVIEW = "Review a flight"
+MEASURE = "Measure"
+IN_FLIGHT = "Operate a flight"
+VEHICLE = "On the vehicle"
 
 app = typer.Typer(
     cls=Commands,

@@ -19,7 +19,8 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-EXIT_NOBODY, FLOWN = 69, Path("/etc/uav_recon/config.toml")
+EXIT_NOBODY = 69
+FLOWN = Path("/etc/uav_recon/config.toml")
 
 ConfigOption = Annotated[
     Path, typer.Option("--config", metavar="FILE", readable=False, help="Config that names the pilot's socket.")

@@ -22,7 +22,11 @@ SWEEP_EXAMPLES = (
     "uav-recon sweep --flights 20",
     "uav-recon sweep --scenes built-in,random --radii 0.15,0.20 --json sweep.json",
 )
-SCENE, VEHICLE, CAMERA, PLANNER, RUN = "Scene", "Vehicle and autopilot", "Camera", "Mapping and planning", "Run"
+SCENE = "Scene"
+VEHICLE = "Vehicle and autopilot"
+CAMERA = "Camera"
+PLANNER = "Mapping and planning"
+RUN = "Run"
 CameraOption = Annotated[
     str,
     typer.Option(

@@ -8,7 +8,9 @@ from uav_recon.geometry.jit import kernel
 from uav_recon.types.frames import AnyArray
 
 _WIDEST_PX = 60  # max. width of the sampled image
-_ALONE_M, _ALONE_SHARE = 0.06, 0.03  # min. difference of an isolated pixel, plus a share of the range: no surface has it
+# min. difference of an isolated pixel, plus a share of the range: no surface has it
+_ALONE_M = 0.06
+_ALONE_SHARE = 0.03
 _FEWEST = 60  # min. pixels that can be judged
 
 

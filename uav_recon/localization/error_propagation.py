@@ -15,7 +15,12 @@ from uav_recon.geometry.jit import kernel
 from uav_recon.localization.imu_integration import Quaternion, Vector
 from uav_recon.types.frames import FloatArray
 
-_POSITION, _VELOCITY, _ATTITUDE, _BIAS, _OFFSET = 0, 3, 6, 9, 12  # index of the first element of each in the error
+# index of the first element of each in the error
+_POSITION = 0
+_VELOCITY = 3
+_ATTITUDE = 6
+_BIAS = 9
+_OFFSET = 12
 
 
 @kernel

@@ -40,11 +40,14 @@ from uav_recon.types.frames import FloatArray
 
 WHITE_SHARE = 0.15  # share of white noise in a claimed variance; the rest is drift
 DRIFT_TIME_S = 20.0  # correlation time of a source's drift
-_SMALLEST_M2, _LARGEST_M2 = 0.002**2, 0.08**2
-_SMALLEST_RAD2, _LARGEST_RAD2 = 0.0005**2, 0.1**2
+_SMALLEST_M2 = 0.002**2
+_LARGEST_M2 = 0.08**2
+_SMALLEST_RAD2 = 0.0005**2
+_LARGEST_RAD2 = 0.1**2
 _MEASURED = [0, 1, 2, 6, 7, 8]  # elements of the error that a pose measures
 SEEN = np.ix_(_MEASURED, _MEASURED)  # their block of a covariance (15, 15)
-_NOTHING, _H = np.zeros(15), np.eye(15)[_MEASURED]
+_NOTHING = np.zeros(15)
+_H = np.eye(15)[_MEASURED]
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,12 +21,20 @@ from uav_recon.types.camera import Frame
 from uav_recon.types.frames import AnyArray, BoolArray, ByteArray, FloatArray
 from uav_recon.types.pose import Pose
 
-_MAX, _APART_PX = 120, 5  # max. number of points; a grid cell of this edge with a point gets no new one
-_WIDEST_PX, _NARROWEST_PX = 320, 40  # max. width of the reduced image; images with a side shorter than this are not used
-_WINDOW_PX, _LEVELS = 9, 2
-_MIN_TEXTURE, _BLOCK_PX = 30e-6, 7  # min. eigenvalue of the gradients (OpenCV's cornerMinEigenVal): texture in both directions
+_MAX = 120  # max. number of points
+_APART_PX = 5  # a grid cell of this edge with a point gets no new one
+_WIDEST_PX = 320  # max. width of the reduced image
+_NARROWEST_PX = 40  # images with a side shorter than this are not used
+_WINDOW_PX = 9
+_LEVELS = 2
+# min. eigenvalue of the gradients (OpenCV's cornerMinEigenVal): texture in both directions
+_MIN_TEXTURE = 30e-6
+_BLOCK_PX = 7
 _RETURNS_PX = 0.5  # max. distance between a point and its position after tracking forward and back
-_EVERY_S, _OLDEST_S, _PAUSE_S = 0.5, 2.0, 0.5  # search interval, max. age of a point, max. pause between images
+# search interval, max. age of a point, max. pause between images
+_EVERY_S = 0.5
+_OLDEST_S = 2.0
+_PAUSE_S = 0.5
 _NEAREST_M = 0.2
 
 

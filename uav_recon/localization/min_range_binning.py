@@ -13,7 +13,8 @@ from uav_recon.types.frames import Float32Array, FloatArray, IntArray
 from uav_recon.types.min_range_grid import MinRangeGrid
 from uav_recon.types.pose import Pose
 
-_ROWS, _COLUMNS = 12, 16
+_ROWS = 12
+_COLUMNS = 16
 _SUPPORT = 4  # returns that a cell's distance needs, so that a single speckle does not count
 _FULL_SHARE = 0.5  # min. share of a cell's pixels with a return for a full cell
 _WIDEST_PX = 320  # max. width of the used depth image; more pixels would only cost time

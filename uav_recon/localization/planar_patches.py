@@ -15,14 +15,21 @@ from uav_recon.geometry.jit import kernel
 from uav_recon.localization.point_to_plane import seen_at
 from uav_recon.types.frames import AnyArray
 
-_ROWS, _COLUMNS = 18, 24  # patches of an image
+# patches of an image
+_ROWS = 18
+_COLUMNS = 24
 _NARROWEST_PX = 2  # min. distance from the middle of a patch to its rim
-_SPAN_PER_M, _WIDEST = 0.007, 0.03  # that distance as a share of the image width: per metre of range, and at most
-_UNEVEN, _UNEVEN_SHARE = 0.012, 0.01  # max. deviation from the plane: 1/m, plus a share of the inverse depth; noise has 0.004
+# that distance as a share of the image width: per metre of range, and at most
+_SPAN_PER_M = 0.007
+_WIDEST = 0.03
+_UNEVEN = 0.012  # 1/m, max. deviation from the plane; noise has 0.004
+_UNEVEN_SHARE = 0.01  # ... plus this share of the inverse depth
 _FACING_COS = 0.15  # a patch seen at a flatter angle, or from behind, is not compared
 _SAME_COS = 0.8  # min. cosine between normals of the same surface
 _FAR_M = 3.0  # stereo noise grows with the square of the range: at this range the weight is 1/2, at twice as far 1/17
-REACH_M, REACH_SHARE = 0.06, 0.03  # max. distance from the expected surface, plus a share of the range: noise and pose
+# max. distance from the expected surface, plus a share of the range: noise and pose
+REACH_M = 0.06
+REACH_SHARE = 0.03
 
 
 @kernel

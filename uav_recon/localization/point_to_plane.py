@@ -8,17 +8,27 @@ from uav_recon.geometry.jit import kernel
 from uav_recon.types.frames import AnyArray, FloatArray
 
 MIN_POINTS = 60  # min. points that both see
-_ROWS, _COLUMNS = 18, 24  # points of an image
+# points of an image
+_ROWS = 18
+_COLUMNS = 24
 _NEAREST_M = 0.1  # a point nearer than this, or behind, is in no image
 MOST = _ROWS * _COLUMNS
 _SPAN_PX = 2  # distance from a point to the pixels that give its normal
-_FIT_M, _FIT_SHARE = 0.06, 0.03  # limit of a zero residual, plus a share of the range: noise and pose error together
+# limit of a zero residual, plus a share of the range: noise and pose error together
+_FIT_M = 0.06
+_FIT_SHARE = 0.03
 _WITHIN = 0.8  # share of the farthest point's depth: beyond, a point may leave the sensor's range
 _PRIOR = 0.03  # share of the points: the weight of a prior for zero shift in each direction
 _ROUNDS = 4
-_SHARP_M, _SHARP_PER_M = 0.04, 0.010  # two images a moment apart agree to this, plus this times the square of the range
+# two images a moment apart agree to this, plus this times the square of the range
+_SHARP_M = 0.04
+_SHARP_PER_M = 0.010
 _SUSPICIOUS = 0.01  # share of misfits below which no shift is searched for
-_STEP, _ACROSS, _DOWN, _FARTHEST = 0.04, 2, 3, 6  # shifts, as shares of width or height; smaller ones look like drift
+# shifts, as shares of width or height; smaller ones look like drift
+_STEP = 0.04
+_ACROSS = 2
+_DOWN = 3
+_FARTHEST = 6
 _HALF = 9  # min. number of shifts that can be evaluated
 _SOME = 5  # points; a smaller gain is noise: of 130 on a floor, up to 3 in valid images
 

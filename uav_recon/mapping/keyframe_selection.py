@@ -26,7 +26,9 @@ FIXED_POINT_SCALE = (
 )
 COUNTED_FLAG = 1 << 15  # flag bit of a voxel that was already counted in the current frame
 BUDGET_RESERVE_FACTOR = 2.5  # factor on the share of a view: leaves budget for the views that planned tasks will need
-BASELINE_M, BASELINE_RAD = 0.25, 0.25  # a frame closer than both to the last keyframe adds nothing new
+# a frame closer than both to the last keyframe adds nothing new
+BASELINE_M = 0.25
+BASELINE_RAD = 0.25
 
 
 class KeyframeSelection:

@@ -20,7 +20,10 @@ from uav_recon.types.pose import MapCorrection, Pose
 
 JPEG_QUALITY = 95
 PNG_COMPRESSION = 1
-HEAD, BETWEEN, TAIL = '{"depth_unit_m": 0.001, "keyframes": [\n', ",\n", "\n]}\n"  # of poses.json: one line per keyframe
+# of poses.json: one line per keyframe
+HEAD = '{"depth_unit_m": 0.001, "keyframes": [\n'
+BETWEEN = ",\n"
+TAIL = "\n]}\n"
 
 
 class KeyframeError(Exception):

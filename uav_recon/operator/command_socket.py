@@ -23,7 +23,8 @@ Answer = dict[str, Any]
 MAX_CLIENTS = 4  #: refuse: more clients at once: no client may use up the pilot's descriptors
 LONGEST_LINE = 1024  #: refuse: a request of more bytes
 PATIENCE_S = 2.0  #: refuse: a client that has not sent its request within this time
-_SO_PEERGROUPS, _GROUPS_BYTES = 59, 1024  # unix(7); the socket module does not name it
+_SO_PEERGROUPS = 59  # unix(7); the socket module does not name it
+_GROUPS_BYTES = 1024
 _CREDENTIALS = struct.Struct("3i")  # pid, uid, gid
 _LONGEST_PATH = 107
 

@@ -34,7 +34,8 @@ _TABLE: dict[str, tuple[float, ...]] = {
     "convoy": (0.5, 1.5, 1.5, 1.0, 10, 15, 1.0, 4.0),  # 20 m2
 }
 # side of a square with the area of the floor: the range of rooms for which the rules below were derived
-SMALLEST_M, LARGEST_M = 4.2, 8.1
+SMALLEST_M = 4.2
+LARGEST_M = 8.1
 
 
 def derived(config: PlannerConfig, fence_min_m: FloatArray, fence_max_m: FloatArray, camera: CameraGeometry) -> PlannerConfig:

@@ -22,7 +22,9 @@ from uav_recon.types.maps import SurfaceElements
 from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.tasks import PlanMode, TaskKind
 
-MAX_FRONTIERS, MAX_TASKS = 24, 40  # the nearest ones: the horizon executes only the first few
+# the nearest ones: the horizon executes only the first few
+MAX_FRONTIERS = 24
+MAX_TASKS = 40
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -13,7 +13,8 @@ from uav_recon.recording.software_renderer import RenderView, corner_view, facin
 from uav_recon.types.frames import ByteArray, FloatArray, IntArray
 from uav_recon.types.maps import TriangleMesh
 
-WIDTH, HEIGHT = 1200, 800
+WIDTH = 1200
+HEIGHT = 800
 _DPI = 100
 
 

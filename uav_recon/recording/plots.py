@@ -15,8 +15,13 @@ from uav_recon.recording.flight_log import PhaseRecord, Timeline
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.maps import FREE, OCCUPIED, VoxelMap
 
-INK, SOFT, GRID = "#1f2933", "#7b8794", "#e4e7eb"
-BLUE, ORANGE, GREEN, RED = "#2563eb", "#ea7317", "#16a34a", "#dc2626"
+INK = "#1f2933"
+SOFT = "#7b8794"
+GRID = "#e4e7eb"
+BLUE = "#2563eb"
+ORANGE = "#ea7317"
+GREEN = "#16a34a"
+RED = "#dc2626"
 _DPI = 150
 _WIDTH_IN = 8.0
 _PHASE_SHADES = ("#f5f7fa", "#ffffff")

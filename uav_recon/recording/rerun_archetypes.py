@@ -24,7 +24,10 @@ Drawing = list[tuple[str, Any]]
 _JPEG_QUALITY = 75
 _MAX_POINTS = 20_000
 _IMAGE_PLANE_M = 0.25
-_GREEN, _ORANGE, _BLUE, _GREY = (22, 163, 74), (234, 115, 23), (37, 99, 235), (123, 135, 148)
+_GREEN = (22, 163, 74)
+_ORANGE = (234, 115, 23)
+_BLUE = (37, 99, 235)
+_GREY = (123, 135, 148)
 
 
 def scene(fence_world_m: FloatArray) -> Drawing:

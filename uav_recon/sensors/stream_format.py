@@ -21,7 +21,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 MAGIC = b"UAVSTRM1"
-FRAME_SLOTS, IMU_SLOTS, POSE_SLOTS = 4, 2048, 256
+FRAME_SLOTS = 4
+IMU_SLOTS = 2048
+POSE_SLOTS = 256
 HEADER_BYTES = 4096
 
 HEADER = np.dtype(

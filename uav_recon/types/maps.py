@@ -8,7 +8,9 @@ import numpy as np
 
 from uav_recon.types.frames import BoolArray, ByteArray, Float32Array, FloatArray, IntArray, frozen
 
-UNKNOWN, FREE, OCCUPIED = 0, 1, 2
+UNKNOWN = 0
+FREE = 1
+OCCUPIED = 2
 TILE = 8  # columns along x and y of a tile, the unit in which changes of a map are recorded
 LARGEST_DISTANCE_VOXELS = 15  # its square fits a byte
 

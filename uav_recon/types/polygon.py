@@ -10,7 +10,9 @@ from dataclasses import dataclass, field
 
 Vec2 = tuple[float, float]
 
-_SMALLEST_M, _LARGEST_M = 2.0, 500.0  # a fence outside these limits was written in another unit
+# a fence outside these limits was written in another unit
+_SMALLEST_M = 2.0
+_LARGEST_M = 500.0
 
 
 @dataclass(frozen=True, slots=True)

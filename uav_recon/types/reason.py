@@ -16,7 +16,10 @@ from uav_recon.types.reason_code import ReasonCode, Value
 
 STATUSTEXT_BYTES = 50  # size of MAVLink's text field
 _NUMBER = r"[-+.\de]+%?|inf%?|nan%?"
-_MAX_VALUES, _MAX_CHARACTERS, _MAX_DETAILS, _MAX_DEPTH = 8, 100, 16, 6
+_MAX_VALUES = 8
+_MAX_CHARACTERS = 100
+_MAX_DETAILS = 16
+_MAX_DEPTH = 6
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,7 +15,9 @@ from sitl.autopilots.mavlink_codec import ReceivedMessage, packet
 from sitl.autopilots.mavlink_server import MavlinkServer
 from sitl.geometry.quaternion import Quat, Vec3, from_euler
 
-_NO_POSITION, _NO_VELOCITY, _NO_ACCELERATION = 0b111, 0b111000, 0b111000000
+_NO_POSITION = 0b111
+_NO_VELOCITY = 0b111000
+_NO_ACCELERATION = 0b111000000
 _STILL: Vec3 = (0.0, 0.0, 0.0)
 
 

@@ -21,7 +21,11 @@ _CAPABILITIES = (
 )
 _VERSION_4_8_0_DEV = 4 << 24 | 8 << 16
 _UID = 0x5349544C41500801
-_UNINITIALISED, _CONSTANT, _BLIND, _FOLLOWING = 0x400, 0xA5, 0x25, 0x33F  # EKF_STATUS_REPORT; the last two measured
+# EKF_STATUS_REPORT; the last two measured
+_UNINITIALISED = 0x400
+_CONSTANT = 0xA5
+_BLIND = 0x25
+_FOLLOWING = 0x33F
 _VISION_HEALTHY_S = 0.3  # maximum age of the last pose
 
 

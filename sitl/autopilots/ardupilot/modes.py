@@ -16,15 +16,23 @@ from sitl.autopilots.base_commands import ACCEPTED, FAILED
 _SETTLED_S = 25.0  # from boot until the pre-arm checks can pass
 _EKF_FAILSAFE_S = 0.8  # from the loss of the flags to LAND
 _PAUSE_S = 4.0  # LAND_WITH_DELAY_MS: time of hover before the descent of a failsafe's LAND
-_BREACH, _SILENT = "Fence breached", "Companion silent"
+_BREACH = "Fence breached"
+_SILENT = "Companion silent"
 _WITHOUT_PAUSE = (_BREACH, _SILENT)  # failsafes that land without the pause
 _PREARM_REPORT_PERIOD_S = 30.0  # interval at which a failing pre-arm check is reported
-_LAND, _ALWAYS_LAND, _BRAKE_OR_LAND = 1, 2, 4
-_RADIO_LAND, _GCS_LAND = 3, 5
-_ALT_MAX, _CIRCLE = 1, 2  # FENCE_TYPE
+_LAND = 1
+_ALWAYS_LAND = 2
+_BRAKE_OR_LAND = 4
+_RADIO_LAND = 3
+_GCS_LAND = 5
+# FENCE_TYPE
+_ALT_MAX = 1
+_CIRCLE = 2
 _KEEP_PILOTS_MODES = 16  # FS_OPTIONS
 
-CRITICAL, WARNING, INFO = 2, 4, 6
+CRITICAL = 2
+WARNING = 4
+INFO = 6
 
 
 class ArduPilotMode(IntEnum):

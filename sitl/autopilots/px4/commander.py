@@ -19,7 +19,10 @@ _PREARM_AFTER_ORIGIN_S = 5.0
 _POSE_LOSS_HYSTERESIS_S = 0.6  # from the loss of the position flag to LAND (measured: 0.6 to 0.9 s)
 _STREAM_LOSS_REACTION_S = (0.1, 0.8)  # in addition to COM_OF_LOSS_T (measured: 0.6 to 1.3 s in total)
 
-EMERGENCY, CRITICAL, WARNING, INFO = 0, 2, 4, 6
+EMERGENCY = 0
+CRITICAL = 2
+WARNING = 4
+INFO = 6
 
 
 class Px4Mode(IntEnum):

@@ -11,7 +11,8 @@ from pymavlink.dialects.v20 import common as mavlink
 from sitl.faults.injectors.base import Capabilities, InjectionContext, Injector
 from sitl.faults.mavlink_proxy import DelayedItems, ProxyInterface, frames, message_id
 
-_COMMAND_LONG, SYS_STATUS = 76, 1
+_COMMAND_LONG = 76
+SYS_STATUS = 1
 
 
 class PacketLoss(Injector):

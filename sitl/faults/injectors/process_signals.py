@@ -14,7 +14,9 @@ from typing import cast
 from sitl.faults.injectors.base import Capabilities, InjectionContext, Injector
 from sitl.faults.process_registry import ProcessRegistry, child_of, send
 
-MAPPER, RECORDER = "mapping.neural.worker.mapper_process", "uav_recon\0record"  # words in their command lines
+# words in their command lines
+MAPPER = "mapping.neural.worker.mapper_process"
+RECORDER = "uav_recon\0record"
 
 
 class ProcessStopped(Injector):

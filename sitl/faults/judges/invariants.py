@@ -15,8 +15,13 @@ from sitl.faults.judges.statustext_checks import statustext_missing
 Indices = NDArray[np.int64]
 
 CONTACT_M = 1e-3
-AIRBORNE_M, UNATTENDED_S = 0.15, 60.0
-_STEP_M, _SPEED_MPS, _PUSH_MPS2, _TURN_RADPS = 0.03, 0.06, 1e-3, 1e-3  # tolerances for single-precision values and for 30 Hz
+AIRBORNE_M = 0.15
+UNATTENDED_S = 60.0
+# tolerances for single-precision values and for 30 Hz
+_STEP_M = 0.03
+_SPEED_MPS = 0.06
+_PUSH_MPS2 = 1e-3
+_TURN_RADPS = 1e-3
 _HEADING_RAD = 0.03
 _INSIDE_M = 0.02
 _TURN_S = 1.0 / 60.0

@@ -13,7 +13,8 @@ from sitl.faults.flight_evidence import FlightEvidence
 from sitl.faults.injectors.base import TAKEN_OVER
 
 _LAND = (176, 21)  # DO_SET_MODE and NAV_LAND
-_HEARD_S, _FLIES_S = 0.02, 0.1  # from a heartbeat's arrival to the reaction; transit time of a command
+_HEARD_S = 0.02  # from a heartbeat's arrival to the reaction
+_FLIES_S = 0.1  # transit time of a command
 
 
 def mode_taken_back(e: FlightEvidence) -> float:

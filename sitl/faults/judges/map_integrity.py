@@ -10,10 +10,13 @@ from numpy.typing import NDArray
 
 from sitl.faults.injectors.base import Capabilities, InjectionContext, Injector
 
-FREED, CLAIMED, AGAIN = "known occupied freed", "voxels marked free", "frames mapped again"
+FREED = "known occupied freed"
+CLAIMED = "voxels marked free"
+AGAIN = "frames mapped again"
 UNDER_WAY_S = 0.4  # after the beginning: earlier frames are mapped, and the guard has received the map
 SETTLED_S = 0.5  # from the beginning until the published map contains the frames then in transit
-_FREE, _OCCUPIED = 1, 2
+_FREE = 1
+_OCCUPIED = 2
 
 
 class MapIntegrityCheck(Injector):

@@ -17,11 +17,15 @@ Measure = Callable[[FlightEvidence], float]
 _STILL_MPS = 0.02  # a setpoint below this speed is at rest
 _BRAKING_MPS2 = 0.8  # a smaller mean deceleration is not braking
 _RESTING_MPS = 0.12  # a vehicle below this speed is at rest; gusts included
-_ASIDE_M, _BACK_M = 0.2, 0.3  # from the flown path, whose corners are rounded (0.15 m measured); from the position left
-_LED_MPS, _LED_RADPS = 0.05, 0.05  # a setpoint above one of these translates or rotates
+_ASIDE_M = 0.2  # from the flown path, whose corners are rounded (0.15 m measured)
+_BACK_M = 0.3  # from the position left
+# a setpoint above one of these translates or rotates
+_LED_MPS = 0.05
+_LED_RADPS = 0.05
 _BEFORE_S = 1.5  # of earlier setpoints, for the vehicle's delay
 _FLOWN_M = 2.0  # from the pad; every completed mission goes at least 3.4 m
-_ARM, _SET_MODE = 400, 176
+_ARM = 400
+_SET_MODE = 176
 
 
 def held_after(late_s: float = 0.0) -> Measure:

@@ -9,7 +9,10 @@ import numpy as np
 
 SETTLING = 0.2  # share of the time in which a process may still allocate its working memory
 _HOUR_S = 3600.0
-_WIDTH, _HEIGHT, _MARGIN, _LINE = 760.0, 260.0, 40.0, 18.0
+_WIDTH = 760.0
+_HEIGHT = 260.0
+_MARGIN = 40.0
+_LINE = 18.0
 _COLOURS = ("#12805c", "#1f6feb", "#b42318", "#9a6700", "#8250df")
 
 

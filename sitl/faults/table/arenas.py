@@ -17,14 +17,19 @@ from sitl.scene.primitives import MeshBuilder
 from sitl.scene.scene import Scene, scene_from_mesh
 from sitl.scene.texture import plain, wood
 
-LENGTH_M, WIDTH_M, HEIGHT_M = 10.0, 7.0, 2.8
+LENGTH_M = 10.0
+WIDTH_M = 7.0
+HEIGHT_M = 2.8
 START = (1.4, 3.5, 1.2, 0.0)
 PEN = (0.4, 1.0, 0.0, 8.4, 6.0, 2.6)
 SMALL_M = (5.8, 2.8, 2.4)  # of both rooms together; explored quickly
 GALLERY_M = (32.0, 3.5, 2.8)
 STAGE_M = (2.9, 0.6)  # x at which it begins, and its height
-GAP, GAP_WIDTH_M = Gap(1.2, 2.2), 0.9
-_WALLS, _FLOOR, _GREY = plain((0.80, 0.80, 0.75)), wood((0.55, 0.42, 0.30)), plain((0.50, 0.50, 0.55))
+GAP = Gap(1.2, 2.2)
+GAP_WIDTH_M = 0.9
+_WALLS = plain((0.80, 0.80, 0.75))
+_FLOOR = wood((0.55, 0.42, 0.30))
+_GREY = plain((0.50, 0.50, 0.55))
 
 
 @functools.cache  # a campaign uses the same few scenes repeatedly

@@ -68,7 +68,9 @@ PARAMETERS = (  # of each firmware, with values that it allows
     (("GF_ACTION", 2), ("FENCE_ACTION", 0)),
     (("COM_RC_OVERRIDE", 1), ("GUID_TIMEOUT", 3.0)),
 )
-_ARM, _ORIGIN, _VERSION = 400, 48, 148
+_ARM = 400
+_ORIGIN = 48
+_VERSION = 148
 PUSH_MPS2 = 5.0 / 2.0  # 5 N on a vehicle of 2 kg
 
 TABLE_E = (

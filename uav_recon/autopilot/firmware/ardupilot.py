@@ -35,7 +35,8 @@ MIN_VERSION = (4, 5, 2)  #: refuse: arming with an older ArduPilot: before it, V
 _SUPPORTED = SupportedFirmware("ArduPilot", family=3, oldest=MIN_VERSION)
 LOCAL_FRD = 20  # MAV_FRAME: odometry in any other is dropped without a message
 _CUSTOM_MODE_ENABLED = 1.0
-_GUIDED, _LAND = 4, 9
+_GUIDED = 4
+_LAND = 9
 _MODES = {
     0: "STABILIZE", 1: "ACRO", 2: "ALT_HOLD", 3: "AUTO", 4: "GUIDED", 5: "LOITER", 6: "RTL", 7: "CIRCLE", 9: "LAND",
     11: "DRIFT", 13: "SPORT", 14: "FLIP", 15: "AUTOTUNE", 16: "POSHOLD", 17: "BRAKE", 18: "THROW", 19: "AVOID_ADSB",

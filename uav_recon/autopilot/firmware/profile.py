@@ -16,7 +16,8 @@ from uav_recon.autopilot.mavlink.telemetry import Telemetry
 from uav_recon.types.reason import Reason, autopilot_text
 from uav_recon.types.reason_code import ReasonCode
 
-DO_SET_MODE, ARM_DISARM = 176, 400
+DO_SET_MODE = 176
+ARM_DISARM = 400
 _HEARTBEAT_S = 3.0  #: refuse: arming, if the autopilot's last heartbeat is older
 MODE_AGAIN_S = 2.5  #: refuse: the mode is requested again after this time, Request.tries times, then arming is given up
 ARM_AGAIN_S = 5.0  #: refuse: the same for the motors

@@ -27,7 +27,9 @@ from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
 
 _CUSTOM_MODE_ENABLED = 1.0
-_OFFBOARD, _AUTO, _AUTO_LAND = 6, 4, 6
+_OFFBOARD = 6
+_AUTO = 4
+_AUTO_LAND = 6
 _MAIN_MODES = {1: "MANUAL", 2: "ALTCTL", 3: "POSCTL", 4: "AUTO", 5: "ACRO", 6: "OFFBOARD", 7: "STABILIZED", 8: "RATTITUDE"}
 _AUTO_MODES = {1: "READY", 2: "TAKEOFF", 3: "LOITER", 4: "MISSION", 5: "RTL", 6: "LAND", 8: "FOLLOW", 9: "PRECLAND"}
 

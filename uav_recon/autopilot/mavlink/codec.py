@@ -287,8 +287,10 @@ def _origin() -> Message:
 
 _EKF_FOLLOWS = 0x33F  # attitude, velocities, positions and their predictions (measured)
 _EKF_DOES_NOT = wire.EKF_CONST_POS_MODE | wire.EKF_UNINITIALIZED
-_ODOMETRY, _SETPOINT = wire.MAVLink_odometry_message, wire.MAVLink_set_position_target_local_ned_message
-_HEARTBEAT, _TIMESYNC = wire.MAVLink_heartbeat_message, wire.MAVLink_timesync_message
+_ODOMETRY = wire.MAVLink_odometry_message
+_SETPOINT = wire.MAVLink_set_position_target_local_ned_message
+_HEARTBEAT = wire.MAVLink_heartbeat_message
+_TIMESYNC = wire.MAVLink_timesync_message
 _READ: tuple[tuple[Any, tuple[str, ...], Callable[..., Message | None]], ...] = (
     (wire.MAVLink_heartbeat_message, ("type", "autopilot", "base_mode", "custom_mode"), _heartbeat),
     (wire.MAVLink_command_ack_message, ("command", "result"), Ack),

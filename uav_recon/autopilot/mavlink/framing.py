@@ -18,8 +18,12 @@ __all__ = [
     "payload_of", "sender_of", "wire",
 ]  # fmt: skip
 
-MAGIC_1, MAGIC_2 = 0xFE, 0xFD
-_HEADER_1, _HEADER_2, _CHECKSUM, _SIGNATURE = 6, 10, 2, 13
+MAGIC_1 = 0xFE
+MAGIC_2 = 0xFD
+_HEADER_1 = 6
+_HEADER_2 = 10
+_CHECKSUM = 2
+_SIGNATURE = 13
 _HEAD = struct.Struct("<BBBBBBBHB")  # magic, length, two flags, sequence, system, component, kind (24 bits)
 _CHECK = struct.Struct("<H")
 

@@ -11,8 +11,11 @@ from uav_recon.autopilot.link.vehicle_link import VehicleLink
 from uav_recon.autopilot.mavlink.messages import ParameterValue
 
 _REAL32 = 9  # MAV_PARAM_TYPE
-_INT, _FLOAT = struct.Struct("<i"), struct.Struct("<f")
-WINDOW, PATIENCE_S, TRIES = 8, 0.5, 8  # max. requests at once; timeout; tries per parameter, with one datagram in five lost
+_INT = struct.Struct("<i")
+_FLOAT = struct.Struct("<f")
+WINDOW = 8  # max. requests at once
+PATIENCE_S = 0.5  # timeout
+TRIES = 8  # tries per parameter, with one datagram in five lost
 
 
 @dataclass(frozen=True, slots=True)

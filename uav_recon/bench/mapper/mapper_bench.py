@@ -19,8 +19,11 @@ from uav_recon.bench.mapper import mapper_tables, seeded_views, training_run, ts
 from uav_recon.evaluation.triangle_surface import TriangleSurface
 
 PRINTED_WIDTH = 100  # if the output is not a terminal
-VIEWS, STEPS = (4, 2000), (1, 200)
-CENTIMETRES, DEGREES = 10.0, 5.0  # max. standard deviation of the pose noise
+VIEWS = (4, 2000)
+STEPS = (1, 200)
+# max. standard deviation of the pose noise
+CENTIMETRES = 10.0
+DEGREES = 5.0
 MAX_EV = 2.0
 SIGMA_SEEDS = 3  # the median of the paper's sigma varies by a tenth between seeds
 

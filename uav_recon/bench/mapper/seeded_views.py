@@ -22,8 +22,11 @@ if TYPE_CHECKING:
     from sitl.apps.scene_captures import SceneCaptures
     from sitl.camera.d435i import Model, Noise
 
-TRUTH_POINTS, TRUTH_SEED = 300_000, 20240319
-HELD_OUT, HELD_OUT_STRIDE = 20, 4  # images, and pixel spacing in the comparison
+TRUTH_POINTS = 300_000
+TRUTH_SEED = 20240319
+# images, and pixel spacing in the comparison
+HELD_OUT = 20
+HELD_OUT_STRIDE = 4
 CAMERAS = ("d435i", "wide")
 DEPTH_RANGE_M = (0.3, 6.0)
 VIEW_PERIOD_S = 0.5

@@ -25,12 +25,15 @@ from uav_recon.types.camera import PosedFrame
 from uav_recon.types.frames import Float32Array
 
 RECALLS = (0.90, 0.95, 0.99)
-RECALL_EVERY, RECALL_STEPS = 10, 1000  # steps between two evaluations of the recall, and max. steps
+# steps between two evaluations of the recall, and max. steps
+RECALL_EVERY = 10
+RECALL_STEPS = 1000
 SAMPLES = 300_000
 FAR_M = 0.10  # surface farther than this from ground truth is hallucinated
 WITHIN_M = 0.05
 PARTIAL_SHARE = 0.375  # share of the views after which the uncertainty is evaluated
-MESH_VOXEL_M, WHOLE_VOXEL_M = 0.02, 0.05
+MESH_VOXEL_M = 0.02
+WHOLE_VOXEL_M = 0.05
 ROOM_RUNS = 7
 COLOUR_SIGMAS: tuple[UncertaintyName, ...] = ("colour", "paper")
 

@@ -14,7 +14,8 @@ from uav_recon.types.camera import PosedFrame
 
 VOXEL_M = 0.02
 TRUNCATION_VOXELS = 4.0
-BLOCK, BLOCKS = 8, 40_000
+BLOCK = 8
+BLOCKS = 40_000
 DEPTH_MAX_M = 6.0
 
 

@@ -14,7 +14,8 @@ from uav_recon.types.camera import BODY_FROM_OPTICAL, Intrinsics
 from uav_recon.types.frames import Float32Array, FloatArray
 from uav_recon.types.pose import Pose
 
-LOW_M, HIGH_M = np.array([-5.0, -3.0, 0.0]), np.array([5.0, 3.0, 3.0])
+LOW_M = np.array([-5.0, -3.0, 0.0])
+HIGH_M = np.array([5.0, 3.0, 3.0])
 MAX_RANGE_M = 4.5
 STEP_M = 0.15  # between two images
 LENS = Intrinsics.from_fov(320, 240, np.radians(87.0), np.radians(71.0))

@@ -30,7 +30,9 @@ RESOLUTION_M = 0.1
 # In such a stream a zero means "no return within the range", so space is free up to the range. From a real camera a zero is
 # a hole, and the space is unknown. A depth of this many ranges frees up to the range and marks nothing occupied.
 FAR_RANGES = 4.0
-SIZE, STRIDE = "640x480", 2  # defaults
+# defaults
+SIZE = "640x480"
+STRIDE = 2
 MAX_STRIDE = 8
 _NO_COLOUR = np.zeros((1, 1, 3), dtype=np.uint8)
 

@@ -45,7 +45,9 @@ MOUNTS_RAD: dict[Mount, tuple[float, float]] = {
 VIEWS_LEFT = 1000
 WARM_FRAMES = 20
 # laps of a frame, and the stages that are sums of laps
-SEARCH, VIEWPOINTS, TOUR = ("frontiers", "space"), ("views",), ("ways", "order")
+SEARCH = ("frontiers", "space")
+VIEWPOINTS = ("views",)
+TOUR = ("ways", "order")
 STAGES: dict[str, tuple[str, ...]] = {
     "fusion": ("fusion",),
     "distance": ("distance",),

@@ -24,8 +24,12 @@ from uav_recon.interfaces import Channel
 from uav_recon.types.camera import PosedFrame
 
 LEARNING = "learning"  # a file of this name shows that the whole load is running
-BUSY_THREADS, VIEWS, STEPS_PER_VIEW = 4, 8, 20
-_BLOCK, _BLOCKS = os.urandom(1 << 22), 16  # 4 MiB blocks, and their number in one file
+BUSY_THREADS = 4
+VIEWS = 8
+STEPS_PER_VIEW = 20
+# 4 MiB blocks, and their number in one file
+_BLOCK = os.urandom(1 << 22)
+_BLOCKS = 16
 _FRAMES_S = 0.1
 
 

@@ -37,7 +37,10 @@ LIMITS_MS = {"p99": 50.0, "p99.9": 75.0, "max": 250.0}
 AUTOPILOTS = ("px4", "ardupilot")
 _LOADED_S = 300.0  # compiling may take long
 _MARGIN_S = 240.0  # added to the measured time: boot, parameters, take-off
-_PILOT_NICE, _RECEIVER_NICE, _RECORDER_NICE = -10, -5, 10  # as in the systemd units, if permitted
+# as in the systemd units, if permitted
+_PILOT_NICE = -10
+_RECEIVER_NICE = -5
+_RECORDER_NICE = 10
 _PILOT_FIFO = 50  # CPUSchedulingPriority of its unit
 
 

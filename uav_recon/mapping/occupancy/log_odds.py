@@ -11,9 +11,11 @@ from uav_recon.types.maps import FREE, OCCUPIED, TILE, UNKNOWN
 # Evidence in steps of log-odds. One frame never frees a voxel: it takes two clear observations or four doubtful ones (two of
 # either kind if the noise of the sensor is negligible against a voxel). One solid hit at close range marks a voxel occupied,
 # a thin or distant one needs two frames. The clamps bound how long a change takes.
-FREE_AT, OCCUPIED_AT = -4, 2
+FREE_AT = -4
+OCCUPIED_AT = 2
 CLEAR_STEPS = 2
-MIN_LOG_ODDS, MAX_LOG_ODDS = -10, 12
+MIN_LOG_ODDS = -10
+MAX_LOG_ODDS = 12
 NOISE_SIGMAS = 2.5  # a surface may be nearer than its measured depth by up to this many sigmas
 EXACT_SHARE = 0.1  # a sensor is exact if its noise (NOISE_SIGMAS, at the largest range) is below this share of a voxel
 

@@ -31,7 +31,9 @@ from uav_recon.types.maps import TILE
 
 PartArray = NDArray[np.int32]
 
-DETACHED, ORPHAN = 0, -1  # values of parent; otherwise the parent's number + 1; the root is its own parent
+# values of parent; otherwise the parent's number + 1; the root is its own parent
+DETACHED = 0
+ORPHAN = -1
 
 
 class ReachableSpace:

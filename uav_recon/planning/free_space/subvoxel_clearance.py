@@ -14,8 +14,12 @@ import numpy as np
 from uav_recon.geometry.jit import kernel
 from uav_recon.types.frames import ByteArray, FloatArray, IntArray
 
-LOW, HIGH, SIDES2 = 0, 3, 6  # indices in a clearance box (7,): lower corner, upper corner, squared distance to voxel sides
-CLEAR, OUTSIDE = -1, -2
+# indices in a clearance box (7,): lower corner, upper corner, squared distance to voxel sides
+LOW = 0
+HIGH = 3
+SIDES2 = 6
+CLEAR = -1
+OUTSIDE = -2
 
 
 def clearance_box(shape: tuple[int, int, int], low: IntArray, high: IntArray, needed2: int) -> FloatArray:

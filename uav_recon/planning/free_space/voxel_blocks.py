@@ -21,13 +21,18 @@ LinkArray = NDArray[np.uint32]
 EDGE = 4  # voxels along the edge of a block
 MAX_PARTS = 8
 
-ONE, _FOUR, _SIXTEEN = np.uint64(1), np.uint64(4), np.uint64(16)
+ONE = np.uint64(1)
+_FOUR = np.uint64(4)
+_SIXTEEN = np.uint64(16)
 _K0 = np.uint64(0x1111111111111111)  # voxels with k = 0, with k = 3, ...
 _K3 = np.uint64(0x8888888888888888)
 _J0 = np.uint64(0x000F000F000F000F)
 _J3 = np.uint64(0xF000F000F000F000)
 ALL = np.uint64(0xFFFFFFFFFFFFFFFF)
-_NOT_K0, _NOT_K3, _NOT_J0, _NOT_J3 = ALL ^ _K0, ALL ^ _K3, ALL ^ _J0, ALL ^ _J3
+_NOT_K0 = ALL ^ _K0
+_NOT_K3 = ALL ^ _K3
+_NOT_J0 = ALL ^ _J0
+_NOT_J3 = ALL ^ _J3
 
 SIDES = np.array(
     [(i, j, k) for i in (-1, 0, 1) for j in (-1, 0, 1) for k in (-1, 0, 1) if (i, j, k) != (0, 0, 0)], dtype=np.int64

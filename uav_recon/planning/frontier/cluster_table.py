@@ -18,7 +18,9 @@ _FIRST_ROWS = 256
 _AROUND = 5  # blocks along each side of the square that is searched first
 OPENING = 150  # voxels; a cluster with less unknown space beyond it is a gap in front of a wall ...
 FARTHER = 100.0  # ... and its distance counts this many voxels more
-POOL, SPARE = 0, 1  # indices of ClusterTable.fill
+# indices of ClusterTable.fill
+POOL = 0
+SPARE = 1
 
 
 class ClusterTable:

@@ -20,7 +20,10 @@ BLOCK = 2 * TILE  # columns along x and y
 MIN_CELLS = 20  # fewer connected cells (0.2 m² at 0.1 m) are a speck on a surface or a sampling gap, not worth a flight
 MAX_EXTENT_M = 1.2  # along the first principal component: up to this extent one view from the shell covers a cluster
 _STACK = 64  # max. pending halves; a component of a block never needs as many
-_I, _J, _K = 25, 20, (1 << 20) - 1  # bit positions and mask of a cell's packed indices in its block
+# bit positions and mask of a cell's packed indices in its block
+_I = 25
+_J = 20
+_K = (1 << 20) - 1
 
 
 @kernel

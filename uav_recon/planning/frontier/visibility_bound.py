@@ -21,7 +21,9 @@ Int32Array = NDArray[np.int32]
 Targets = tuple[Float32Array, Int32Array, IntArray, IntArray]
 # bits of a target as seen from an eye. TURNED: an open side faces the eye, in range. FITTING: also visible at some heading.
 # FRAMED: also in the image
-FITTING, FRAMED, TURNED = 1, 2, 4
+FITTING = 1
+FRAMED = 2
+TURNED = 4
 HASH_SIZE = 4096  # size of a hash table, a power of two
 
 

@@ -17,7 +17,10 @@ from uav_recon.types.frames import BoolArray, ByteArray, Float32Array, FloatArra
 
 Scene = tuple[ByteArray, tuple[int, int, int], FloatArray]  # distance2 raveled, its shape, the lens
 Blockers = tuple[Int32Array, Int32Array]  # blockers: a hash table of them, and the list in order
-UNASKED, CLEAR, HIDDEN = 0, 1, 2  # result of the ray to a target
+# result of the ray to a target
+UNASKED = 0
+CLEAR = 1
+HIDDEN = 2
 
 
 @kernel

@@ -13,7 +13,9 @@ import numpy as np
 from uav_recon.geometry.jit import kernel
 from uav_recon.types.frames import AnyArray, BoolArray, Float32Array, FloatArray
 
-SEEN_SIGMAS, SEEN_MARGIN_M = 2.0, 0.02  # a depth image sees a point within SEEN_SIGMAS * sigma_z + SEEN_MARGIN_M ...
+# a depth image sees a point within SEEN_SIGMAS * sigma_z + SEEN_MARGIN_M ...
+SEEN_SIGMAS = 2.0
+SEEN_MARGIN_M = 0.02
 SEEN_MIN_COSINE = 0.15  # ... of a surface that faces it
 
 

@@ -17,7 +17,9 @@ CELL_SIGMA = 0.2  # sigma of a cell: two images of it show different parts ...
 CELLS_WORTH = 0.5  # ... weight of a cell, because errors of neighbouring cells are correlated
 SCALE = 0.1  # a difference with half weight; reduces the effect of what only one view sees in a cell
 MAX_LOG_GAIN = 1.0
-FEWEST_RAYS, MAX_WHITE_SHARE = 1.5, 0.1  # limits for a cell whose mean colour is valid
+# limits for a cell whose mean colour is valid
+FEWEST_RAYS = 1.5
+MAX_WHITE_SHARE = 0.1
 ROUNDS = 4
 REVISITED = 3  # older views updated per new view
 

@@ -20,11 +20,10 @@ from uav_recon.types.frames import AnyArray, BoolArray, Float32Array, FloatArray
 
 KEPT_VIEWS = MAX_VIEWS * 3 // 4  # number of views kept when memory is full
 SOME_RAYS = 6500  # rays of a view that are used to determine what it shows
-VALIDATION_VIEWS, VALIDATION_POINTS, VALIDATION_RAYS = (
-    64,
-    600,
-    40,
-)  # validation of a view: other views, points of it, rays of each other view
+# validation of a view: other views, points of it, rays of each other view
+VALIDATION_VIEWS = 64
+VALIDATION_POINTS = 600
+VALIDATION_RAYS = 40
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -21,9 +21,13 @@ FEWEST_SHARE = 0.01  # minimum share of pixels with depth
 FEWEST_RAYS = 32  # minimum number of rays from them
 INSIDE_SHARE = 0.2  # minimum share of end points in the box
 STRIDE = 8  # every STRIDE-th valid pixel is checked
-WIDEST, NARROWEST = 3.2, 0.04  # limits of bearings x/z, y/z: range of a ray record; minimum extent of an image
-FEWEST_VIEWS, FEWEST_VOTES = 4, 100  # minimum numbers before a view can contradict the map
-VIEW_SHARE, LENS_SHARE = 0.2, 0.15  # refuted share that rejects a view: in the view itself; in the recent views of its lens
+WIDEST = 3.2  # max. bearing x/z or y/z: range of a ray record
+NARROWEST = 0.04  # min. extent of an image in bearings
+# minimum numbers before a view can contradict the map
+FEWEST_VIEWS = 4
+FEWEST_VOTES = 100
+VIEW_SHARE = 0.2  # refuted share that rejects a view: in the view itself
+LENS_SHARE = 0.15  # ... in the recent views of its lens
 MEMORY = 0.8  # decay of the votes per view: about five views count
 
 

@@ -18,10 +18,15 @@ from uav_recon.mapping.neural.keyframes.surfels import NORMAL, POINT, VARIANCE, 
 from uav_recon.types.frames import BoolArray, FloatArray, IntArray
 from uav_recon.types.pose import Pose
 
-GIVEN_SIGMA_M, GIVEN_SIGMA_RAD = 0.012, np.deg2rad(0.5)  # prior sigma of given poses ...
+# prior sigma of given poses ...
+GIVEN_SIGMA_M = 0.012
+GIVEN_SIGMA_RAD = np.deg2rad(0.5)
 PRIOR_WEIGHT_VIEWS = 3.0  # ... and the weight of this prior in views
-MIN_SIGMA_M, MIN_SIGMA_RAD = 0.002, np.deg2rad(0.06)
-MAX_M, MAX_RAD = 0.10, np.deg2rad(5.0)  # a view that needs a larger correction is not moved
+MIN_SIGMA_M = 0.002
+MIN_SIGMA_RAD = np.deg2rad(0.06)
+# a view that needs a larger correction is not moved
+MAX_M = 0.10
+MAX_RAD = np.deg2rad(5.0)
 PATCH_SIGMA_M = 0.01  # sigma of a surfel across its plane: surfaces are not planar, and errors of neighbours are correlated
 DEPTH_SHARE = 0.1  # share of the depth variance that remains after smoothing
 SCALES_M = (0.08, 0.04, 0.02)  # distances with half weight, one per iteration
@@ -29,7 +34,9 @@ FULL_RAYS = 4.0  # a surfel does not improve with more rays
 MIN_NORMAL_COSINE = 0.9  # minimum cosine between the normals of a surfel and its cell
 JOINT_VIEWS = 8  # views refined together
 FEWEST_SHARED = 20  # minimum number of shared cells for views refined together
-MIN_STEP_M, MIN_STEP_RAD = 0.0003, np.deg2rad(0.01)  # smaller steps do not justify recomputing a view's surfels
+# smaller steps do not justify recomputing a view's surfels
+MIN_STEP_M = 0.0003
+MIN_STEP_RAD = np.deg2rad(0.01)
 COMMON_M = 0.001  # drift of the whole map above which it is removed
 
 

@@ -13,8 +13,11 @@ from uav_recon.types.camera import Frame, Intrinsics
 from uav_recon.types.frames import AnyArray, ByteArray, Float32Array, FloatArray, IntArray
 
 COLUMNS = 10  # bearing x, y; depth; normal x, y, z (camera; 0 = none); r, g, b; has colour
-BEARING_UNIT, DEPTH_UNIT_M, NORMAL_UNIT = 1e-4, 2.5e-4, 1 / 32767
-DEPTH_NEAREST_M, DEPTH_FARTHEST_M = 0.15, 8.0
+BEARING_UNIT = 1e-4
+DEPTH_UNIT_M = 2.5e-4
+NORMAL_UNIT = 1 / 32767
+DEPTH_NEAREST_M = 0.15
+DEPTH_FARTHEST_M = 8.0
 WINDOW = 4  # pixels in each direction
 SIDE = 2 * WINDOW + 1
 HOLE = np.float32(1e9)  # inverse depth of a pixel without a return: outside every gate

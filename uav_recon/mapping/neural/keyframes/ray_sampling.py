@@ -12,10 +12,15 @@ from uav_recon.mapping.neural.sdf_numba.network import TRUNCATION_M
 from uav_recon.types.frames import AnyArray, BoolArray, Float32Array, IntArray
 
 RAYS = 1024
-NEAR, FREE = 4, 3  # samples per ray: near the measured surface, and in the air in front of it
-SURFACE_POINTS, COLOUR_POINTS = 384, 1024  # rays used for gradient and normal; maximum number of colour points
-RECENT_VIEWS, RECENT_SHARE = 5, 0.3
-NEAR_BEFORE_M, NEAR_BEHIND_M = np.float32(0.10), np.float32(0.05)
+# samples per ray: near the measured surface, and in the air in front of it
+NEAR = 4
+FREE = 3
+SURFACE_POINTS = 384  # rays used for gradient and normal
+COLOUR_POINTS = 1024  # maximum number of colour points
+RECENT_VIEWS = 5
+RECENT_SHARE = 0.3
+NEAR_BEFORE_M = np.float32(0.10)
+NEAR_BEHIND_M = np.float32(0.05)
 NEAREST_FREE_M = np.float32(0.15)
 JITTER_M = np.float32(0.015)
 MIN_COSINE = np.float32(0.15)
@@ -24,10 +29,14 @@ WHITE = 254  # a channel from this level may be saturated
 POSE_SIGMA_M = np.float32(0.01)  # pose error in every measurement: a weight is its variance over the total variance ...
 MIN_TRUST = np.float32(0.3)  # ... but at least this, so that walls measured from a distance are learned too
 
-DISTANCE_FACTOR, FREE_FACTOR, COLOUR_FACTOR = np.float32(10.0), np.float32(2.0), np.float32(5.0)
-EIKONAL_FACTOR, NORMAL_FACTOR = np.float32(0.1), np.float32(0.1)
+DISTANCE_FACTOR = np.float32(10.0)
+FREE_FACTOR = np.float32(2.0)
+COLOUR_FACTOR = np.float32(5.0)
+EIKONAL_FACTOR = np.float32(0.1)
+NORMAL_FACTOR = np.float32(0.1)
 
-_ZERO, _ONE = np.float32(0.0), np.float32(1.0)
+_ZERO = np.float32(0.0)
+_ONE = np.float32(1.0)
 
 
 class Views(NamedTuple):

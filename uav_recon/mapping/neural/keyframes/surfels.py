@@ -16,7 +16,8 @@ from uav_recon.mapping.neural.keyframes.ray_records import BEARING_UNIT, DEPTH_U
 from uav_recon.mapping.neural.keyframes.ray_sampling import TOE, WHITE
 from uav_recon.types.frames import AnyArray, BoolArray, FloatArray, IntArray
 
-CELL_M, DEEP_M = 0.20, 0.25
+CELL_M = 0.20
+DEEP_M = 0.25
 RAYS_USED = 2500
 MAX_OVERLAPPING_VIEWS = 40  # maximum number of views that a view is compared with
 FEWEST_RAYS = 1.5  # minimum weight of a surfel
@@ -24,7 +25,13 @@ FEWEST_RAYS = 1.5  # minimum weight of a surfel
 LOG_LEVEL = np.log(np.arange(256) / 255.0 + float(TOE))  # of the 256 levels of a channel
 
 # columns of a row
-WEIGHT, POINT, NORMAL, VARIANCE, COLOURED, COLOUR, WHITENED = 0, slice(1, 4), slice(4, 7), 7, 8, slice(9, 12), slice(12, 15)
+WEIGHT = 0
+POINT = slice(1, 4)
+NORMAL = slice(4, 7)
+VARIANCE = 7
+COLOURED = 8
+COLOUR = slice(9, 12)
+WHITENED = slice(12, 15)
 COLUMNS = 15
 
 

@@ -12,10 +12,12 @@ from uav_recon.mapping.neural.sdf_numba.network import PARAMETERS, Network, view
 from uav_recon.mapping.neural.sdf_numba.sdf_field import NumbaSdfField
 from uav_recon.types.frames import Float32Array
 
-BETA_1, BETA_2 = np.float32(0.9), np.float32(0.99)
+BETA_1 = np.float32(0.9)
+BETA_2 = np.float32(0.99)
 EPSILON = np.float32(1e-15)  # for the grid, whose gradients are tiny
 WEIGHT_EPSILON = np.float32(1e-8)
-GRID_RATE, WEIGHT_RATE = 2e-2, 4e-3
+GRID_RATE = 2e-2
+WEIGHT_RATE = 4e-3
 PREFETCH_SLOTS = 64  # slots fetched together: they fit into the first-level cache
 
 _ONE = np.float32(1.0)

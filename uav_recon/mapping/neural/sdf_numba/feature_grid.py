@@ -18,7 +18,8 @@ LEVELS = 6
 FEATURES = 2
 ENCODED = LEVELS * FEATURES
 CORNERS = LEVELS * 8
-COARSEST_CELL_M, FINEST_CELL_M = 0.48, 0.04
+COARSEST_CELL_M = 0.48
+FINEST_CELL_M = 0.04
 DENSE_BLOCKS = 20_000  # a level with at most this many blocks is fully allocated: free space needs coarse features too
 POINTS = 64  # points per kernel pass: rows of this length stay in the first-level cache
 

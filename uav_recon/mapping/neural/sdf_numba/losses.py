@@ -31,7 +31,9 @@ STENCIL_M = np.float32(0.02)  # half edge of the cube that holds the tetrahedron
 VARIANCE_SHARE = np.float32(0.02)  # share of the Gaussian loss in the colour loss
 UNKNOWN = np.float32(-1.0)  # an error that no channel determines
 
-_ZERO, _ONE, _TWO = np.float32(0.0), np.float32(1.0), np.float32(2.0)
+_ZERO = np.float32(0.0)
+_ONE = np.float32(1.0)
+_TWO = np.float32(2.0)
 
 
 @fast_kernel

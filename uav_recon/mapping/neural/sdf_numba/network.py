@@ -19,7 +19,9 @@ SHAPE_FEATURES = 15  # features passed from the distance network to the colour n
 COLOUR_IN = SHAPE_FEATURES + ENCODED
 COLOUR_OUT = 3 + 1  # red, green, blue; log variance of their error
 TRUNCATION_M = np.float32(0.10)  # unit of the learned distances
-MIN_LOG_VARIANCE, MAX_LOG_VARIANCE = np.float32(-10.0), np.float32(2.0)  # of a colour
+# of a colour
+MIN_LOG_VARIANCE = np.float32(-10.0)
+MAX_LOG_VARIANCE = np.float32(2.0)
 OUTSIDE_BIAS_M = np.float32(0.05)  # an untrained field is air
 
 

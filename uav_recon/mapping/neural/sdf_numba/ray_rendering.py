@@ -14,13 +14,16 @@ import numpy as np
 from uav_recon.mapping.neural.sdf_interface import SdfField
 from uav_recon.types.frames import BoolArray, Float32Array
 
-NEAREST_M, FARTHEST_M = 0.10, 12.0
+NEAREST_M = 0.10
+FARTHEST_M = 12.0
 EDGE_M = 0.008
 EDGE_SIGMAS = 2.5  # deviations beyond which the opacity is zero
-SHORTEST_STEP_M, LONGEST_STEP_M = 0.01, 0.25
+SHORTEST_STEP_M = 0.01
+LONGEST_STEP_M = 0.25
 STEP_FRACTION = 0.8  # step as a share of the distance: a learned field is not an exact distance
 MIN_SHARE = 0.01  # minimum share of a ray for a colour sample
-MIN_TRANSMITTANCE, MIN_HIT_OPACITY = 0.02, 0.02  # remaining share at which a ray ends; minimum opacity for a hit
+MIN_TRANSMITTANCE = 0.02  # remaining share at which a ray ends
+MIN_HIT_OPACITY = 0.02  # minimum opacity for a hit
 
 Solid = Callable[[Float32Array], BoolArray]
 

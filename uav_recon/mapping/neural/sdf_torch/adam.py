@@ -11,7 +11,8 @@ from torch import Tensor
 
 from uav_recon.mapping.neural.sdf_numba.adam import BETA_1, BETA_2, EPSILON, GRID_RATE, WEIGHT_EPSILON, WEIGHT_RATE
 
-_B1, _B2 = float(BETA_1), float(BETA_2)
+_B1 = float(BETA_1)
+_B2 = float(BETA_2)
 SETTLED = 2000  # steps after which the bias corrections are 1
 
 

@@ -14,7 +14,8 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-LAST, BEFORE = "checkpoint.pt", "checkpoint.before.pt"
+LAST = "checkpoint.pt"
+BEFORE = "checkpoint.before.pt"
 _DIGEST = hashlib.sha256().digest_size
 
 State = dict[str, Tensor]

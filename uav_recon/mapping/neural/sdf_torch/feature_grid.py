@@ -18,7 +18,9 @@ from uav_recon.types.frames import FloatArray
 GROWTH = (FINEST_CELL_M / COARSEST_CELL_M) ** (1.0 / (LEVELS - 1))  # ratio of the cell sizes of successive levels
 MAX_BLOCKS = 400_000_000  # entries of the index, 4 bytes each
 IN_BLOCK = 8 * FEATURES  # numbers per block
-BAND_CELLS, MIN_BAND_M = 4, 0.03  # a level has blocks up to this distance from a measured point
+# a level has blocks up to this distance from a measured point
+BAND_CELLS = 4
+MIN_BAND_M = 0.03
 
 
 class GridError(Exception):

@@ -14,7 +14,9 @@ from uav_recon.mapping.neural.keyframes.ray_sampling import TOE, WHITE, ray_poin
 from uav_recon.mapping.neural.sdf_interface import SdfField
 from uav_recon.types.frames import AnyArray, Float32Array
 
-CELL_M, EDGE = 0.02, 4  # cells are stored in blocks of EDGE³, allocated where something was observed
+# cells are stored in blocks of EDGE³, allocated where something was observed
+CELL_M = 0.02
+EDGE = 4
 FIELD_WEIGHT_RAYS = 0.3  # weight of the field's colour, in rays
 MAX_DEPTH_SIGMA_M = 0.03  # maximum depth sigma of a colour sample: beyond it a colour may belong elsewhere
 BLOCKS = 4096  # initial capacity

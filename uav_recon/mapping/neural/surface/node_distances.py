@@ -18,8 +18,10 @@ from uav_recon.types.frames import AnyArray, Float32Array
 
 MAX_SHARED = 8  # a level with at most this many nodes along a block is interpolated for the whole block
 
-_ZERO, _ONE = np.float32(0.0), np.float32(1.0)
-_STEP, _TWO = np.uint64(1), np.uint64(2)
+_ZERO = np.float32(0.0)
+_ONE = np.float32(1.0)
+_STEP = np.uint64(1)
+_TWO = np.uint64(2)
 
 
 def fill_distances(field: NumbaSdfField, nodes: SparseNodes) -> None:

@@ -16,15 +16,23 @@ import numpy as np
 from uav_recon.geometry.jit import fast_kernel
 from uav_recon.types.frames import AnyArray, Float32Array, FloatArray
 
-INFORMATION_CELL_M, COLOUR_CELL_M = 0.08, 0.10
-END_CELL_M, PLANE_CELL_M, ROUND_CELL_M = 0.05, 0.10, 0.10  # at most half of the margin of IncrementalSurface
+INFORMATION_CELL_M = 0.08
+COLOUR_CELL_M = 0.10
+# at most half of the margin of IncrementalSurface
+END_CELL_M = 0.05
+PLANE_CELL_M = 0.10
+ROUND_CELL_M = 0.10
 ROUND_STRIDE = 4  # every ROUND_STRIDE-th measurement enters the wider mean: many fall into one cell
-COUNT_OFFSET, MIN_DISAGREEMENT = 0.1, 0.05  # added to the number of measurements; disagreement of equal normals
-MIN_PAST_M, MAX_OFFSET_M = 0.001, 0.10  # distance of a surface from its measurements: resolution; value without measurements
+COUNT_OFFSET = 0.1  # added to the number of measurements
+MIN_DISAGREEMENT = 0.05  # disagreement of equal normals
+MIN_PAST_M = 0.001  # distance of a surface from its measurements: resolution
+MAX_OFFSET_M = 0.10  # ... without measurements
 MIN_COUNT = 0.05  # number of measurements below which there are none
 SHARP_SIGMA_M = 0.015  # a measurement with this depth sigma has half the weight of an exact one
 PRIOR_SIGMA_M = 1.0  # sigma of a surface that was never measured
-PRIOR_COLOUR_SIGMA, PRIOR_COUNT = 0.3, 8.0  # sigma of a colour that was never observed, and the weight of this prior in samples
+# sigma of a colour that was never observed, and the weight of this prior in samples
+PRIOR_COLOUR_SIGMA = 0.3
+PRIOR_COUNT = 8.0
 COLOUR_MEMORY = 400.0  # maximum weight in samples: older errors, from an earlier state of the field, decay
 
 

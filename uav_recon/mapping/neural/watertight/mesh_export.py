@@ -19,7 +19,8 @@ from uav_recon.mapping.neural.watertight.texture_baking import baked_texture
 from uav_recon.mapping.neural.watertight.watertight_mesh import ClosedMesh
 from uav_recon.types.frames import FloatArray, IntArray
 
-OBSERVED, UNSEEN = "observed", "unseen"
+OBSERVED = "observed"
+UNSEEN = "unseen"
 UNSEEN_RGBA = (0.45, 0.45, 0.47, 1.0)
 GLTF_FROM_WORLD = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 

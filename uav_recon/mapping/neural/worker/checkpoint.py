@@ -30,8 +30,11 @@ from uav_recon.types.frames import AnyArray
 
 LOG = logging.getLogger(__name__)
 
-STATE, VIEW = "state", "view_{:06d}.npz"
-EVERY_VIEWS, EVERY_STEPS = 8, 2000  # the limit reached first applies: relearning eight views takes a second
+STATE = "state"
+VIEW = "view_{:06d}.npz"
+# the limit reached first applies: relearning eight views takes a second
+EVERY_VIEWS = 8
+EVERY_STEPS = 2000
 OURS = ("uav_recon.mapping.neural.", "uav_recon.types.")  # modules whose classes a state may contain
 OTHERS = {("uav_recon.config", "MapperConfig"), ("collections", "Counter")} | {
     (module, "PosixPath") for module in ("pathlib", "pathlib._local")

@@ -45,7 +45,10 @@ LOG = logging.getLogger(__name__)
 
 BACKLOG = 64  # maximum number of keyframes waiting to be saved
 RESTARTS = 3
-FINISH_S, FINISH_STEP_S, FINISH_VIEW_S = 120.0, 0.1, 2.0  # finish() timeout: constant part, per polish step, per view
+# finish() timeout: constant part, per polish step, per view
+FINISH_S = 120.0
+FINISH_STEP_S = 0.1
+FINISH_VIEW_S = 2.0
 END_S = 5.0
 
 

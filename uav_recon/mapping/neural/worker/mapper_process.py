@@ -35,9 +35,13 @@ from uav_recon.types.maps import SurfaceElements
 LOG = logging.getLogger(__name__)
 
 CHECKPOINT = ".mapper_checkpoint"
-KEYFRAMES, SURFACE_FILE, LOG_FILE, MESH_FILE = "keyframes", ".mapper_surface", "mapper.log", "mesh.ply"
+KEYFRAMES = "keyframes"
+SURFACE_FILE = ".mapper_surface"
+LOG_FILE = "mapper.log"
+MESH_FILE = "mesh.ply"
 SURFACE_BYTES = 48 << 20  # a sparse file: a room of 30 m² needs 3 MB
-NICENESS, OOM_SCORE_ADJ = 10, 1000
+NICENESS = 10
+OOM_SCORE_ADJ = 1000
 IDLE_SURFACE_STEPS = 60  # idle steps between two surfaces
 
 Message = dict[str, Any]
