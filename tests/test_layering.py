@@ -7,7 +7,7 @@ from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-BASE = {"types", "interfaces", "config", "clock", "channels", "geometry"}
+BASE = {"types", "interfaces", "config", "clock", "channels", "geometry", "json_codec"}
 STAGES = ("sensors", "localization", "mapping", "planning", "motion", "recording")
 ALLOWED = {
     "__init__": {"types", "mapping", "planning", "app"},
@@ -15,6 +15,7 @@ ALLOWED = {
     "types": set(),
     "errors": set(),
     "config_constraints": set(),
+    "json_codec": set(),
     "interfaces": {"types"},
     "geometry": {"types"},
     "clock": {"types", "interfaces"},
@@ -24,7 +25,7 @@ ALLOWED = {
     "safety": {"types"},
     "autopilot": {"types", "interfaces", "clock", "channels", "config", "safety"},
     "mission": {"types", "interfaces", "clock"},
-    "operator": {"types", "interfaces"},
+    "operator": {"types", "interfaces", "json_codec"},
     "evaluation": {"types", "geometry"},
     "app": {*BASE, *STAGES, "safety", "autopilot", "mission", "operator", "errors"},
     "bench": {*BASE, *STAGES, "evaluation", "app", "errors"},

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import shutil
 import socket
 import sys
@@ -60,7 +59,7 @@ def simulate(options: SimOptions, json: Path | None = None) -> int:
     report = evaluate_flight(options, flight.scene, flight.wall_s, flight.fault, console)
     console.print(summary(report, options.out), markup=False, highlight=False, soft_wrap=True)
     if json is not None:
-        result = {"completed": report.completed, "times_real": flight.times_real, "report": dataclasses.asdict(report)}
+        result = {"completed": report.completed, "times_real": flight.times_real, "report": report}
         result_file.save(json, result)
     if flight.times_real is not None:
         console.print(f"lockstep flight at {flight.times_real:.1f} times real time")

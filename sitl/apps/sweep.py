@@ -17,9 +17,10 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from sitl.apps.kernel_compilation import compile_ahead, flight_jobs
 from sitl.apps.sim_options import CAMERAS, RADII_M, VARIANTS, UsageError, check_jobs, mount_pitch_deg
-from sitl.apps.sweep_case import Case, Record, as_tree, fly_case, from_tree, one_thread
+from sitl.apps.sweep_case import Case, Record, fly_case, one_thread
 from sitl.runtime.worker_pool import worker_pool
 from sitl.scene.scene import GENERATED
+from uav_recon import json_codec
 from uav_recon.app.option_validation import readable, require_writable_file
 from uav_recon.bench import host_info, result_file
 from uav_recon.bench.machine_calibration import Calibration, calibrate
@@ -150,7 +151,7 @@ def _load(path: Path | None) -> list[Record]:
     if path is None:
         return []
     try:
-        return [from_tree(tree) for tree in json.loads(path.read_text(encoding="utf-8"))["flights"]]
+        return [json_codec.from_tree(Record, tree) for tree in json.loads(path.read_text(encoding="utf-8"))["flights"]]
     except FileNotFoundError:
         return []
     except RecursionError:
@@ -161,8 +162,7 @@ def _load(path: Path | None) -> list[Record]:
 
 def _save(path: Path | None, records: list[Record], calibration: Calibration) -> None:
     if path is not None:
-        flights = [as_tree(record) for record in records]
-        result_file.save(path, {"summary": summary(records), "flights": flights}, result_header(calibration))
+        result_file.save(path, {"summary": summary(records), "flights": records}, result_header(calibration))
 
 
 def summary(records: list[Record]) -> dict[str, object]:

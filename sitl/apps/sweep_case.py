@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import os
 import tempfile
 import traceback
@@ -121,16 +120,3 @@ def one_thread() -> None:
     """Limit each process that is started from here on to one core."""
     for name in ONE_THREAD:
         os.environ[name] = "1"
-
-
-def as_tree(record: Record) -> dict[str, object]:
-    """Return the record for JSON."""
-    return dataclasses.asdict(record)
-
-
-def from_tree(tree: dict[str, object]) -> Record:
-    """Return the record of a JSON tree. Raises TypeError for a tree of another shape."""
-    case = tree["case"]
-    if not isinstance(case, dict):
-        raise TypeError("case")
-    return Record(**{**tree, "case": Case(**case)})  # type: ignore[arg-type]

@@ -6,9 +6,7 @@ Run as `python -m sitl.apps.world_process OPTIONS.json`.
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import gc
-import json
 import math
 import signal
 import sys
@@ -39,6 +37,7 @@ from sitl.truth.hull_clearance import HullClearance
 from sitl.world.pose_tracker import SimulatedTracker
 from sitl.world.quadrotor import AirframeDynamics, Quadrotor
 from sitl.world.step_sizes import FINE_STEPS, StepSizes
+from uav_recon import json_codec
 from uav_recon.sensors.stream_format import StreamWriter
 
 STEP_S = 0.004
@@ -68,12 +67,12 @@ class WorldOptions:
 
     def save(self, path: Path) -> None:
         """Write as JSON."""
-        path.write_text(json.dumps(dataclasses.asdict(self)), encoding="utf-8")
+        path.write_text(json_codec.to_line(self), encoding="utf-8")
 
     @staticmethod
     def load(path: Path) -> WorldOptions:
         """Read the options from JSON."""
-        return WorldOptions(**json.loads(path.read_text(encoding="utf-8")))
+        return json_codec.from_text(WorldOptions, path.read_text(encoding="utf-8"))
 
     def scene_of(self) -> Scene:
         """Load the scene. Raises SceneError."""

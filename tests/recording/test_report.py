@@ -74,22 +74,22 @@ def test_a_missing_key_is_named(key: str) -> None:
 def test_an_unknown_or_mistyped_key_is_named() -> None:
     with pytest.raises(ReportError, match=r"safety\.bumps: unknown key"):
         Report.from_tree(tree() | {"safety": tree()["safety"] | {"bumps": 1}})
-    with pytest.raises(ReportError, match="views: must be int, got 'many'"):
+    with pytest.raises(ReportError, match="views: input should be a valid integer, got 'many'"):
         Report.from_tree(tree() | {"views": "many"})
-    with pytest.raises(ReportError, match="views: must be int, got True"):
+    with pytest.raises(ReportError, match="views: input should be a valid integer, got True"):
         Report.from_tree(tree() | {"views": True})
-    with pytest.raises(ReportError, match="planning: must be a table"):
+    with pytest.raises(ReportError, match="planning: input should be an object, got None"):
         Report.from_tree(tree() | {"planning": None})
 
 
 @pytest.mark.parametrize(
     ("key", "value", "said"),
     [
-        ("recall_over_time", 3, r"recall_over_time: must be a list, got 3"),
-        ("recall_over_time", [[1.0, 2, 0.5], [1.0, 2]], r"recall_over_time\[1\]: must be a list of 3"),
-        ("recall_over_time", [[1.0, 2.5, 0.5]], r"recall_over_time\[0\]\[1\]: must be int, got 2.5"),
-        ("time_to_recall_s", [1.0], r"time_to_recall_s: must be a table"),
-        ("time_to_recall_s", {"0.90": "soon"}, r"time_to_recall_s\.0\.90: must be float, got 'soon'"),
+        ("recall_over_time", 3, r"recall_over_time: input should be a valid array, got 3"),
+        ("recall_over_time", [[1.0, 2, 0.5], [1.0, 2]], r"recall_over_time\[1\]\[2\]: missing"),
+        ("recall_over_time", [[1.0, 2.5, 0.5]], r"recall_over_time\[0\]\[1\]: input should be a valid integer, got 2.5"),
+        ("time_to_recall_s", [1.0], r"time_to_recall_s: input should be an object"),
+        ("time_to_recall_s", {"0.90": "soon"}, r"time_to_recall_s\.0\.90: input should be a valid number, got 'soon'"),
     ],
 )
 def test_a_curve_or_a_table_of_the_wrong_shape_is_named(key: str, value: Any, said: str) -> None:

@@ -5,8 +5,6 @@ Every command with `--json` writes its file here, so that `results/generate.py` 
 
 from __future__ import annotations
 
-import dataclasses
-import json
 import os
 import shlex
 import sys
@@ -16,8 +14,7 @@ from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
+from uav_recon import json_codec
 from uav_recon.bench import host_info
 from uav_recon.bench.machine_calibration import Calibration, calibrate
 from uav_recon.errors import EXIT_FAILURE, UserError
@@ -86,10 +83,10 @@ def save(path: Path, values: Mapping[str, Any], header: ResultHeader | None = No
 
     Raises UserError if the file cannot be written.
     """
-    tree = {HEADER: dataclasses.asdict(header or result_header()), **_strict(dict(values))}
+    text = json_codec.to_page({HEADER: header or result_header(), **values})
     temporary = path.with_name(path.name + ".new")
     try:
-        temporary.write_text(json.dumps(tree, indent=1, allow_nan=False, ensure_ascii=False) + "\n", encoding="utf-8")
+        temporary.write_text(text, encoding="utf-8")
         temporary.replace(path)
     except OSError as error:
         raise UserError(f"--json {path}: cannot be written ({error.strerror})", EXIT_FAILURE) from None
@@ -100,13 +97,3 @@ def _short(word: str, folder: Path) -> str:
     if not path.is_absolute():
         return word
     return str(path.relative_to(folder)) if path.is_relative_to(folder) else path.name
-
-
-def _strict(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _strict(inner) for key, inner in value.items()}
-    if isinstance(value, list | tuple):
-        return [_strict(inner) for inner in value]
-    if isinstance(value, np.generic):
-        value = value.item()
-    return None if isinstance(value, float) and not np.isfinite(value) else value

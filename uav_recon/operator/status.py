@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
+from uav_recon import json_codec
 from uav_recon.types.pose import StampedPose
 from uav_recon.types.reason import codes_of, text_of
 from uav_recon.types.vehicle import FlightPhase, MissionProgress, VehicleState
@@ -76,15 +77,13 @@ class Status:
     def told(tree: Any) -> Status:
         """Return the status from the output of as_json. Raises ValueError for anything else."""
         try:
-            status = Status(**tree)
-            status.lines()
-        except (TypeError, ValueError, IndexError) as error:
+            return json_codec.from_tree(Status, tree)
+        except ValueError as error:
             raise ValueError(f"not a status: {error}") from None
-        return status
 
     def as_json(self) -> dict[str, Any]:
         """Return the status as a dict for a line of JSON."""
-        return asdict(self)
+        return dict(json_codec.to_tree(self))
 
     def lines(self) -> list[str]:
         """Return the status as lines for a person."""

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 import logging
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +14,8 @@ from typing import Any
 
 import numpy as np
 
+from uav_recon import json_codec
+from uav_recon.json_codec import Float
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.pose import Pose
 from uav_recon.types.reason import Reason, codes_of, text_of
@@ -29,15 +30,15 @@ _LOG = logging.getLogger(__name__)
 class ProgressSample:
     """One MissionProgress. position_world in metres."""
 
-    stamp_s: float
+    stamp_s: Float
     phase: str
     mode: str
     views: int
-    explored_m3: float
-    path_length_m: float
+    explored_m3: Float
+    path_length_m: Float
     frontiers: int
-    planning_s: float
-    position_world: tuple[float, float, float]
+    planning_s: Float
+    position_world: tuple[Float, Float, Float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,24 +48,24 @@ class PlanRecord:
     hover_wait_s: time that the vehicle hovered waiting for the plan.
     """
 
-    stamp_s: float
+    stamp_s: Float
     mode: str
-    task_s: float
-    step_s: float
+    task_s: Float
+    step_s: Float
     frontiers: int
     tasks: int
     views: int
-    hover_wait_s: float
+    hover_wait_s: Float
 
 
 @dataclass(frozen=True, slots=True)
 class ViewRecord:
     """One keyframe given to the mapper: capture stamp and pose of its depth imager."""
 
-    stamp_s: float
+    stamp_s: Float
     index: int
-    quat_wxyz: tuple[float, float, float, float]
-    translation_m: tuple[float, float, float]
+    quat_wxyz: tuple[Float, Float, Float, Float]
+    translation_m: tuple[Float, Float, Float]
 
     def world_from_depth(self) -> Pose:
         """Return the pose of the depth imager."""
@@ -75,7 +76,7 @@ class ViewRecord:
 class PhaseRecord:
     """A new phase of the mission, with its reason as text and codes."""
 
-    stamp_s: float
+    stamp_s: Float
     phase: str
     note: str
     codes: tuple[str, ...] = ()
@@ -85,7 +86,7 @@ class PhaseRecord:
 class RefusalRecord:
     """A rejection by guard, autopilot or mapper, with its reason as text and codes."""
 
-    stamp_s: float
+    stamp_s: Float
     reason: str
     codes: tuple[str, ...] = ()
 
@@ -94,7 +95,7 @@ class RefusalRecord:
 class RefusedViewsRecord:
     """Keyframes that the mapper rejected during the flight: (reason as text, count) each."""
 
-    stamp_s: float
+    stamp_s: Float
     counts: tuple[tuple[str, int], ...]
 
 
@@ -105,7 +106,7 @@ class OutcomeRecord:
     stop_reason: reason for the end of the survey.
     """
 
-    stamp_s: float
+    stamp_s: Float
     outcome: str
     stop_reason: str
     codes: tuple[str, ...] = ()
@@ -235,9 +236,9 @@ class FlightLog:
         self._file.close()
 
     def _write(self, kind: str, record: Any) -> None:
-        tree = {"event": kind} | {name: _strict(getattr(record, name)) for name in record.__slots__}
+        line = json_codec.to_line({"event": kind} | json_codec.to_tree(record))
         try:
-            self._file.write(json.dumps(tree, allow_nan=False) + "\n")
+            self._file.write(line + "\n")
         except OSError as error:
             if self.lost_lines == 0:
                 _LOG.warning("%s: %s; events are being lost", self.path, error.strerror)
@@ -261,7 +262,7 @@ def read_timeline(folder: Path) -> Timeline:
         try:
             tree = json.loads(line)
             kind = tree.pop("event")
-            found[kind].append(_KINDS[kind](**{name: _read(value) for name, value in tree.items()}))
+            found[kind].append(json_codec.from_tree(_KINDS[kind], tree))
         except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
             torn += 1
     return Timeline(
@@ -274,21 +275,6 @@ def read_timeline(folder: Path) -> Timeline:
         outcomes=tuple(found["outcome"]),
         torn_lines=torn,
     )
-
-
-def _strict(value: Any) -> Any:
-    """Return the value for strict JSON, which has no NaN: non-finite numbers become null."""
-    if isinstance(value, tuple):
-        return [_strict(item) for item in value]
-    if isinstance(value, np.generic):
-        value = value.item()
-    return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
-def _read(value: Any) -> Any:
-    if isinstance(value, list):
-        return tuple(_read(item) for item in value)
-    return math.nan if value is None else value
 
 
 def _vec3(vector: FloatArray) -> tuple[float, float, float]:

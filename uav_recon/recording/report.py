@@ -6,17 +6,13 @@ contacts are null, never zero.
 
 from __future__ import annotations
 
-import dataclasses
 import json
-import math
-import types
-import typing
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import Any
 
-T = TypeVar("T")
+from uav_recon import json_codec
 
 REPORT = "report.json"
 TIMED_RECALLS = ("0.90", "0.95")  # the keys of time_to_recall_s
@@ -140,7 +136,7 @@ class Report:
 
     def to_json(self) -> str:
         """Return strict JSON, in the order of the fields; non-finite numbers become null."""
-        return json.dumps(_strict(dataclasses.asdict(self)), indent=1, allow_nan=False, ensure_ascii=False) + "\n"
+        return json_codec.to_page(self)
 
     @staticmethod
     def from_tree(tree: dict[str, Any]) -> Report:
@@ -148,7 +144,10 @@ class Report:
 
         Raises ReportError naming the first missing, unknown or mistyped key.
         """
-        return _typed(tree, Report, "")
+        try:
+            return json_codec.from_tree(Report, tree)
+        except ValueError as error:
+            raise ReportError(f"report: {error}") from None
 
     @staticmethod
     def load(path: Path) -> Report:
@@ -168,63 +167,3 @@ def save_report(report: Report, folder: Path) -> Path:
     temporary.write_text(report.to_json(), encoding="utf-8")
     temporary.replace(path)
     return path
-
-
-def _strict(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _strict(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_strict(item) for item in value]
-    if hasattr(value, "item"):  # a numpy number
-        value = value.item()
-    return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
-def _typed(tree: Any, kind: type[T], where: str) -> T:
-    """Build a dataclass from a parsed tree, strictly."""
-    if not isinstance(tree, dict):
-        raise ReportError(f"report: {where or 'top level'}: must be a table, got {tree!r}")
-    hints = typing.get_type_hints(kind)
-    prefix = f"{where}." if where else ""
-    for key in tree:
-        if key not in hints:
-            raise ReportError(f"report: {prefix}{key}: unknown key")
-    values = {}
-    for key, hint in hints.items():
-        if key not in tree:
-            raise ReportError(f"report: {prefix}{key}: missing")
-        values[key] = _value(tree[key], hint, prefix + key)
-    return kind(**values)
-
-
-def _value(value: Any, hint: Any, where: str) -> Any:
-    if typing.get_origin(hint) in (types.UnionType, typing.Union):
-        if value is None:
-            return None
-        (hint,) = [inner for inner in typing.get_args(hint) if inner is not type(None)]
-    if typing.get_origin(hint) is Mapping:
-        if not isinstance(value, dict):
-            raise ReportError(f"report: {where}: must be a table, got {value!r}")
-        return {key: _value(item, typing.get_args(hint)[1], f"{where}.{key}") for key, item in value.items()}
-    if typing.get_origin(hint) is tuple:
-        return _row(value, typing.get_args(hint), where)
-    if dataclasses.is_dataclass(hint):
-        return _typed(value, cast("type[Any]", hint), where)
-    if hint is float and isinstance(value, int | float) and not isinstance(value, bool):
-        return float(value)
-    if not isinstance(value, hint) or isinstance(value, bool):
-        raise ReportError(f"report: {where}: must be {hint.__name__}, got {value!r}")
-    return value
-
-
-def _row(value: Any, hints: tuple[Any, ...], where: str) -> tuple[Any, ...]:
-    """Return a typed tuple from a list of any length of one type, or of fixed types.
-
-    hints: (type, ...) with Ellipsis for any length, else one type per element.
-    """
-    if not isinstance(value, list):
-        raise ReportError(f"report: {where}: must be a list, got {value!r}")
-    kinds = hints[:1] * len(value) if hints[-1] is Ellipsis else hints
-    if len(value) != len(kinds):
-        raise ReportError(f"report: {where}: must be a list of {len(kinds)}, got {value!r}")
-    return tuple(_value(item, kind, f"{where}[{n}]") for n, (item, kind) in enumerate(zip(value, kinds, strict=True)))

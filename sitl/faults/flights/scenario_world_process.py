@@ -6,11 +6,10 @@ Run as `python -m sitl.faults.flights.scenario_world_process OPTIONS.json`.
 from __future__ import annotations
 
 import contextlib
-import json
 import pickle
 import sys
 import time
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 from sitl.apps.world_process import WorldOptions, binary_of, make_firmware_world, make_world, run
@@ -28,6 +27,7 @@ from sitl.real_firmware.process import FirmwareError
 from sitl.real_firmware.relay import Relay
 from sitl.runtime.serial_line import SerialLine
 from uav_recon import config as product_config
+from uav_recon import json_codec
 from uav_recon.clock import RateKeeper
 
 LONGEST_WAIT_S = 300.0  # for the onset of the fault; the product compiles its kernels first
@@ -55,7 +55,7 @@ class WorldProcessOptions:
 
     def save(self, path: Path) -> None:
         """Write as JSON."""
-        path.write_text(json.dumps(asdict(self)), encoding="utf-8")
+        path.write_text(json_codec.to_line(self), encoding="utf-8")
 
 
 def fly(order: WorldProcessOptions) -> FlightEvidence:
@@ -112,7 +112,7 @@ def _fly(world: OutsideWorld, relay: Relay | None, meddler: FaultDirector) -> No
 
 def main(order: Path) -> None:
     """Fly with these options; the evidence is written beside the options file."""
-    evidence = fly(WorldProcessOptions(**json.loads(order.read_text(encoding="utf-8"))))
+    evidence = fly(json_codec.from_text(WorldProcessOptions, order.read_text(encoding="utf-8")))
     fresh = order.with_suffix(".new")
     fresh.write_bytes(pickle.dumps(evidence))
     fresh.replace(order.with_suffix(".evidence"))

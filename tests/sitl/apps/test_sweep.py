@@ -9,8 +9,9 @@ import pytest
 
 from sitl.apps.sim_options import UsageError
 from sitl.apps.sweep import SweepOptions, summary, sweep
-from sitl.apps.sweep_case import Case, Record, as_tree, fly_case, from_tree
+from sitl.apps.sweep_case import Case, Record, fly_case
 from sitl.faults.flights.campaign import FaultOptions
+from uav_recon import json_codec
 from uav_recon.errors import UserError
 
 BROKEN = Case("/nowhere", 0, 0.2, "adaptive", "fixed:15", "fast", 8)
@@ -67,7 +68,7 @@ def test_a_failed_flight_is_recorded_with_its_seed() -> None:
 
 def test_a_record_is_read_back_unchanged() -> None:
     record = Record(BROKEN, "completed", "enough", flight_s=12.5, contacts=0)
-    assert from_tree(json.loads(json.dumps(as_tree(record)))) == record
+    assert json_codec.from_text(Record, json_codec.to_line(record)) == record
 
 
 def test_a_contact_is_bad_and_an_abort_is_not() -> None:

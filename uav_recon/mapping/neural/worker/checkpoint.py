@@ -18,12 +18,13 @@ import os
 import pickle
 import threading
 import zlib
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from uav_recon import json_codec
 from uav_recon.mapping.keyframe_store import KeyframeFolder
 from uav_recon.mapping.neural.neural_mapper import NeuralMapper
 from uav_recon.types.frames import AnyArray
@@ -91,7 +92,7 @@ class MapperCheckpoints:
             if sealed != f"{zlib.crc32(content):08x}".encode():
                 raise CheckpointError(f"{path}: damaged")
             line, _, payload = content.partition(b"\n")
-            header = _Header(**json.loads(line))
+            header = json_codec.from_text(_Header, line)
             self._check(header, keyframes)
             trainer: NeuralMapper = _Unpickler(io.BytesIO(payload)).load()
             for index, (number, crc32) in enumerate(header.views):
@@ -156,7 +157,7 @@ class MapperCheckpoints:
                 _write_durably(self._folder / VIEW.format(number), packed.getbuffer())
                 self._sums[number] = zlib.crc32(packed.getbuffer())
             self._sums = {number: self._sums[number] for number, _ in header.views}
-            line = json.dumps(asdict(replace(header, views=list(self._sums.items())))).encode() + b"\n"
+            line = json_codec.to_line(replace(header, views=list(self._sums.items()))).encode() + b"\n"
             sealed = f"{zlib.crc32(payload, zlib.crc32(line)):08x}\n".encode()
             _write_durably(self._folder / STATE, sealed, line, payload)
             wanted = {STATE, *(VIEW.format(number) for number in self._sums)}
