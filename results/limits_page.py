@@ -195,28 +195,26 @@ def constants_of(source: str) -> dict[str, tuple[int, int, Value | None]]:
 
 def value_of(node: ast.expr, known: Mapping[str, Value | None]) -> Value | None:
     """Return the value of a simple expression of numbers and known constants, None for any other."""
+    result: Value | None = None
     match node:
-        case ast.Constant(value=bool()):
-            return None
-        case ast.Constant(value=int() | float() as number):
-            return number
+        case ast.Constant(value=int() | float() as number) if not isinstance(number, bool):
+            result = number
         case ast.Name(id=name):
-            return known.get(name)
+            result = known.get(name)
         case ast.Tuple(elts=elements):
             values = [value_of(element, known) for element in elements]
-            return None if None in values else tuple(value for value in values if value is not None)
+            result = None if None in values else tuple(value for value in values if value is not None)
         case ast.UnaryOp(op=ast.USub(), operand=inner):
             value = value_of(inner, known)
-            return -value if isinstance(value, int | float) else None
+            result = -value if isinstance(value, int | float) else None
         case ast.BinOp(left=left, op=op, right=right) if type(op) in BINARY:
             a, b = value_of(left, known), value_of(right, known)
-            plain = isinstance(a, int | float) and isinstance(b, int | float)
-            result: Value | None = BINARY[type(op)](a, b) if plain else None
-            return result
+            if isinstance(a, int | float) and isinstance(b, int | float):
+                result = BINARY[type(op)](a, b)
         case ast.Call(func=function, args=[argument], keywords=[]) if ast.unparse(function) in FUNCTIONS:
             value = value_of(argument, known)
-            return FUNCTIONS[ast.unparse(function)](value) if isinstance(value, int | float) else None
-    return None
+            result = FUNCTIONS[ast.unparse(function)](value) if isinstance(value, int | float) else None
+    return result
 
 
 def shown(name: str, value: Value) -> str:

@@ -61,7 +61,7 @@ def row_points(vertices: F32, faces: I32, spacing_m: float) -> F32:
 
 
 @kernel
-def _rows(vertices: F32, faces: I32, step_m: float) -> F32:
+def _rows(vertices: F32, faces: I32, step_m: float) -> F32:  # noqa: C901, PLR0912
     """Return the points of row_points() other than the vertices."""
     out, total = np.empty((1024, 3), np.float32), 0
     a, b, c = np.empty(3), np.empty(3), np.empty(3)

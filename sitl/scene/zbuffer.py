@@ -212,7 +212,7 @@ def _project(
 
 
 @kernel
-def rasterise(
+def rasterise(  # noqa: C901
     vertices: F32,
     faces: U16,
     vertex_start: I32,

@@ -177,7 +177,7 @@ def _returned(view: Rendering) -> F32:
 
 
 @kernel
-def _carve(free: NDArray[np.bool_], origin: F64, cell: float, depth: F32, world_from_camera: F64, intrinsics: F64) -> None:
+def _carve(free: NDArray[np.bool_], origin: F64, cell: float, depth: F32, world_from_camera: F64, intrinsics: F64) -> None:  # noqa: C901
     """Mark the cells that rays cross before a surface in range, except the last half cell.
 
     Voxel traversal by Amanatides and Woo, "A Fast Voxel Traversal Algorithm for Ray Tracing", 1987.

@@ -231,7 +231,7 @@ def _turn_within(control: AnyArray, view: AnyArray, vertex: AnyArray, i: int, to
 
 
 @kernel
-def _relax(
+def _relax(  # noqa: C901, PLR0912
     control: AnyArray, held: AnyArray, view: AnyArray, vertex: AnyArray, tolerance_m: float, tolerance_rad: float,
     distance2: AnyArray, frame: AnyArray, resolution_m: float, root: AnyArray, wanted_m: float, min_m: float,
 ) -> None:  # fmt: skip

@@ -188,7 +188,7 @@ def _valid_share(valid: AnyArray, window: int, right: int, down: int) -> float:
 
 
 @kernel
-def carve_free(
+def carve_free(  # noqa: C901, PLR0915
     lowest_m: AnyArray, farthest_m: AnyArray, valid: AnyArray, camera: AnyArray, rotation: AnyArray, origin: AnyArray,
     pixels: tuple[int, int], far_m: float, noise_per_m: float, doubtful: int, resolution_m: float, box: AnyArray,
     shape: tuple[int, int, int], hits: AnyArray, odds: AnyArray, listed: AnyArray,

@@ -54,7 +54,7 @@ class EscapePath:
 
 
 @kernel
-def _way_out(
+def _way_out(  # noqa: C901
     mask: ByteArray,
     free: ByteArray,
     cell: IntArray,

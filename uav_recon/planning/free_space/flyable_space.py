@@ -133,7 +133,7 @@ class FlyableSpace:
 
 
 @kernel
-def _renew(
+def _renew(  # noqa: C901, PLR0912
     state: ByteArray,
     distance2: ByteArray,
     tile_revision: IntArray,

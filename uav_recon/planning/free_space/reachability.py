@@ -97,7 +97,7 @@ class ReachableSpace:
 
 
 @kernel
-def _reshape(
+def _reshape(  # noqa: C901
     blocks: VoxelBlocks, mask: ByteArray, changed: IntArray, parent: PartArray, root: int, orphans: PartArray, queue: PartArray
 ) -> tuple[int, int, int]:
     """Read the changed blocks and split them into parts.

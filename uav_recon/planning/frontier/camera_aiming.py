@@ -29,7 +29,7 @@ def framed(lens: FloatArray, ways: Float32Array, count: int, yaw: float, pitch: 
 
 
 @kernel
-def aimed(lens: FloatArray, ways: Float32Array, count: int, yaw: float, pitch: float) -> tuple[int, float, float]:
+def aimed(lens: FloatArray, ways: Float32Array, count: int, yaw: float, pitch: float) -> tuple[int, float, float]:  # noqa: C901
     """Return the max. number of directions in one view, and yaw and pitch of that view.
 
     The directions are the first ``count`` of ``ways`` (3, N). The given angles are used if they show all. Otherwise the

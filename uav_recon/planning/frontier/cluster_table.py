@@ -199,7 +199,7 @@ def _mark_specks(
 
 
 @kernel
-def _nearest(
+def _nearest(  # noqa: C901
     head: IntArray,
     after: IntArray,
     count: IntArray,

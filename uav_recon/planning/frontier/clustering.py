@@ -27,7 +27,7 @@ _K = (1 << 20) - 1
 
 
 @kernel
-def scan(
+def scan(  # noqa: C901, PLR0912
     state: ByteArray,
     known: ByteArray,
     faces: ByteArray,
@@ -144,7 +144,7 @@ def _faces(
 
 
 @kernel
-def cut(
+def cut(  # noqa: C901, PLR0912, PLR0915
     faces: ByteArray, ignored: ByteArray, block_i: int, block_j: int, max_extent: float, cells: IntArray, starts: IntArray
 ) -> int:
     """Divide one block into clusters and return their number.

@@ -195,7 +195,7 @@ def _answer(
 
 
 @kernel
-def _still_hold(
+def _still_hold(  # noqa: C901, PLR0912
     rows: IntArray,
     distance2: ByteArray,
     reachable: ByteArray,

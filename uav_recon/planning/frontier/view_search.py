@@ -77,7 +77,7 @@ def _test_reachable(
 
 
 @kernel
-def _look(
+def _look(  # noqa: PLR0911
     scene: Scene,
     cluster: Cluster,
     place: FloatArray,
@@ -280,7 +280,7 @@ def _climb(
 
 
 @kernel
-def best_view(
+def best_view(  # noqa: C901
     distance2: ByteArray,
     shape: tuple[int, int, int],
     reachable: ByteArray,

@@ -246,7 +246,7 @@ def _way_between(
 
 
 @kernel
-def _connect(
+def _connect(  # noqa: C901
     known: CachedPaths,
     blocks: VoxelBlocks,
     leap: ByteArray,

@@ -99,7 +99,7 @@ def _pop(heap_cost: FloatArray, heap_part: PartArray, size: int) -> int:
 
 
 @kernel
-def _search(blocks: VoxelBlocks, leap: ByteArray, memory: Memory, ends: IntArray, places: FloatArray) -> tuple[bool, float]:
+def _search(blocks: VoxelBlocks, leap: ByteArray, memory: Memory, ends: IntArray, places: FloatArray) -> tuple[bool, float]:  # noqa: C901, PLR0912
     """Search from start to goal; return whether there is a path, and the largest cost expanded.
 
     Fills ``memory.before``, which leads from the goal back to the start.
@@ -190,7 +190,7 @@ def _bend(
 
 
 @kernel
-def _voxel_by_voxel(blocks: VoxelBlocks, a: FloatArray, part_a: int, b: FloatArray, part_b: int, found: FloatArray) -> int:
+def _voxel_by_voxel(blocks: VoxelBlocks, a: FloatArray, part_a: int, b: FloatArray, part_b: int, found: FloatArray) -> int:  # noqa: C901
     """Write the path with the fewest steps from a to b inside two touching parts.
 
     Returns the number of points. The points are voxel centres, without the ends if these are centres themselves.

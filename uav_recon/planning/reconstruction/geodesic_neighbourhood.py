@@ -23,7 +23,7 @@ AROUND = 2  # nodes in each direction that are tested for a line of sight to an 
 
 
 @kernel
-def wave(state: ByteArray, start: IntArray, limit: float) -> tuple[FloatArray, IntArray]:
+def wave(state: ByteArray, start: IntArray, limit: float) -> tuple[FloatArray, IntArray]:  # noqa: C901
     """Return path lengths in voxels from a voxel to nodes STRIDE apart, up to ``limit``.
 
     Returns (na, nb, nc) float64 for a box of nodes, inf = farther or no path, and the voxel (3,) of the first node: node

@@ -33,7 +33,7 @@ def _any(held: BoolArray, i: int, j: int, k: int) -> bool:
 
 
 @kernel
-def unmodelled_surface(state: ByteArray, low: IntArray, high: IntArray, modelled: IntArray) -> tuple[FloatArray, FloatArray]:
+def unmodelled_surface(state: ByteArray, low: IntArray, high: IntArray, modelled: IntArray) -> tuple[FloatArray, FloatArray]:  # noqa: C901
     """Return centres (N, 3) and outward unit normals (N, 3) of unmodelled surface.
 
     Units are voxels. Only voxels in [low, high) of the map are searched. The normal is the mean direction to the free ones

@@ -69,7 +69,7 @@ def patches_near(
 
 
 @kernel
-def promising(
+def promising(  # noqa: C901, PLR0912
     state: ByteArray,
     reachable: ByteArray,
     lens: FloatArray,

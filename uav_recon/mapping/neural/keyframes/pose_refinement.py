@@ -165,7 +165,7 @@ class PoseRefinement:
 
 
 @kernel
-def accumulate_normal_equations(
+def accumulate_normal_equations(  # noqa: C901
     cell: IntArray, active: IntArray, row: FloatArray, centre: FloatArray, scale_m: float, normal: FloatArray, right: FloatArray
 ) -> None:
     """Add the normal equations of surfels (N, COLUMNS), sorted by cell (N,).

@@ -98,7 +98,7 @@ def uniform(state: AnyArray) -> np.float32:
 
 
 @fast_kernel
-def draw(state: AnyArray, views: Views, view_count: int, low: Float32Array, high: Float32Array, batch: NumbaBatch) -> int:
+def draw(state: AnyArray, views: Views, view_count: int, low: Float32Array, high: Float32Array, batch: NumbaBatch) -> int:  # noqa: PLR0915
     """Fill a batch from random rays; returns the number of coloured points.
 
     low, high (3,): the box.

@@ -108,7 +108,7 @@ class Surfels:
 
 
 @kernel
-def _sum(
+def _sum(  # noqa: C901
     records: AnyArray, rotation: FloatArray, position: FloatArray, inverse_depth_sigma: float, origin: FloatArray,
     across: IntArray, along: IntArray, first: IntArray, logarithm: FloatArray, rows: FloatArray, touched: IntArray,
 ) -> int:  # fmt: skip

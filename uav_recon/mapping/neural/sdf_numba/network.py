@@ -226,7 +226,7 @@ def colour_forward(net: Network, s: Scratch) -> None:
 
 
 @fast_kernel
-def colour_backward(net: Network, s: Scratch, d_net: Network) -> None:
+def colour_backward(net: Network, s: Scratch, d_net: Network) -> None:  # noqa: C901
     """Compute s.d_encoded through both networks and all gradients of the weights from s.d_rgb.
 
     The variance output only changes its own weights: a large Gaussian loss would outweigh the colour loss.

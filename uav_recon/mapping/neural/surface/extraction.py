@@ -233,7 +233,7 @@ def _in_large_parts(quads: IntArray, vertex_count: int, fewest: int = 40) -> Boo
 
 
 @kernel
-def _count(
+def _count(  # noqa: C901
     count: AnyArray, origin: FloatArray, cell_m: float, position: FloatArray,
     points: Float32Array, normal: Float32Array, sigma_m: Float32Array, footprint_m: Float32Array,
 ) -> None:  # fmt: skip
@@ -271,7 +271,7 @@ def _count(
 
 
 @kernel
-def _spread(count: AnyArray, least: int, cells: BoolArray, out: BoolArray) -> None:
+def _spread(count: AnyArray, least: int, cells: BoolArray, out: BoolArray) -> None:  # noqa: C901
     """Dilate the cells with at least ``least`` points by one cell, along z, then y, then x."""
     nx, ny, nz = count.shape
     along_z, along_y = np.zeros((ny + 2, nz), dtype=np.bool_), np.zeros((3, ny, nz), dtype=np.bool_)

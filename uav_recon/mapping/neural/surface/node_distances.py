@@ -78,7 +78,7 @@ def _fill(
 
 
 @fast_kernel
-def _share_levels(
+def _share_levels(  # noqa: C901
     grid: FeatureGrid, shared: int, cell: AnyArray, share: Float32Array, blocks: AnyArray, block: int, raw: Float32Array,
     along_y: Float32Array, along_xy: Float32Array,
 ) -> None:  # fmt: skip

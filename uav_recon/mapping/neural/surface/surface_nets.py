@@ -80,7 +80,7 @@ def _vertices(nodes: SparseNodes) -> tuple[AnyArray, Float32Array, Float32Array]
 
 
 @kernel
-def _place_blocks(wanted: BoolArray, ratio: float, slot: AnyArray) -> int:
+def _place_blocks(wanted: BoolArray, ratio: float, slot: AnyArray) -> int:  # noqa: C901
     count = 0
     first, last = np.empty((3, max(wanted.shape)), dtype=np.int64), np.empty((3, max(wanted.shape)), dtype=np.int64)
     for axis in range(3):
