@@ -1,8 +1,9 @@
 """Measure the duration of shell commands: `python -m results.time_command NAME=COMMAND`.
 
-The commands run one after the other with the working directory at the repository root, or with --clone in a fresh clone of
-the commit with an empty cache folder of its own. The JSON file holds the median seconds of each; null if it failed. With
---until it also holds the seconds until the first line of output that begins with a text.
+The commands run one after the other with the working directory at the repository root, with --clone in a fresh clone of the
+commit with an empty cache folder of its own, or with --root in a fresh clone inside another root folder. The JSON file holds
+the median seconds of each; null if it failed. With --until it also holds the seconds until the first line of output that
+begins with a text. The output goes to stderr.
 """
 
 from __future__ import annotations
@@ -26,6 +27,12 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--json", type=Path, required=True, metavar="FILE")
     parser.add_argument("--clone", action="store_true", help="run in a fresh clone of the commit, with an empty cache folder")
+    parser.add_argument(
+        "--root",
+        type=Path,
+        metavar="FOLDER",
+        help="run in a fresh clone below FOLDER/root, by chroot; needs a system in FOLDER",
+    )
     parser.add_argument("--times", type=int, default=1, metavar="N", help="run each command N times")
     parser.add_argument("--until", metavar="TEXT", help="also the time until a line of output begins with TEXT")
     parser.add_argument("commands", nargs="+", metavar="NAME=COMMAND")
@@ -33,12 +40,18 @@ def main(arguments: list[str] | None = None) -> int:
     commands = dict(word.split("=", 1) for word in options.commands)
     with tempfile.TemporaryDirectory(prefix="uav_recon-") as name:
         folder, environment = ROOT, {**os.environ, "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"}
-        if options.clone:
-            folder = _clone(Path(name))
+        shell = ["bash", "-c"]
+        if options.clone or options.root:
             environment = {**os.environ, "XDG_CACHE_HOME": str(Path(name) / "cache")}
             environment.pop("PYTHONPATH", None)
+            folder = _clone(options.root / "root" if options.root else Path(name))
+        if options.root:
+            environment |= {"HOME": "/root", "PATH": "/usr/sbin:/usr/bin:/sbin:/bin"}
+            del environment["XDG_CACHE_HOME"]
+            shell = ["/usr/sbin/chroot", str(options.root), "bash", "-c", 'cd ~/uav_recon && eval "$0"']
         runs = {
-            label: _timed(command, options.times, options.until, folder, environment) for label, command in commands.items()
+            label: _timed([*shell, command], options.times, options.until, folder, environment)
+            for label, command in commands.items()
         }
     for label, run in runs.items():
         said = "" if run.until_s is None else f", until {options.until!r} {run.until_s:.2f} s"
@@ -58,7 +71,7 @@ def _clone(folder: Path) -> Path:
     there = folder / "uav_recon"
     subprocess.run(["git", "clone", "--quiet", str(ROOT), str(there)], check=True)
     shared = ROOT.parent / "shared"
-    if shared.exists():
+    if shared.exists() and not (folder / "shared").exists():
         (folder / "shared").symlink_to(shared)
     return there
 
@@ -71,14 +84,13 @@ class TimedRun:
     until_s: float | None
 
 
-def _timed(command: str, times: int, until: str | None, folder: Path, environment: dict[str, str]) -> TimedRun:
+def _timed(command: list[str], times: int, until: str | None, folder: Path, environment: dict[str, str]) -> TimedRun:
     took_s, until_s = list[float](), list[float]()
     for _ in range(times):
         began_s = time.monotonic()
-        with subprocess.Popen(
-            ["bash", "-c", command], cwd=folder, env=environment, stdout=subprocess.PIPE, text=True
-        ) as process:
+        with subprocess.Popen(command, cwd=folder, env=environment, stdout=subprocess.PIPE, text=True) as process:
             for line in process.stdout or ():
+                print(line, end="", file=sys.stderr)
                 if until and line.startswith(until) and len(until_s) == len(took_s):
                     until_s.append(time.monotonic() - began_s)
         if process.returncode:
