@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from uav_recon.autopilot.pilot.pose_feed import PoseFeed
-from uav_recon.channels import FileChannel, MemoryChannel
+from uav_recon.channels import FileChannel, MemoryChannel, ReadOnlyFileChannel
 from uav_recon.safety.pose_gate import PoseGate
 from uav_recon.types.pose import Pose, StampedPose
 
@@ -67,16 +67,16 @@ def test_a_reset_that_the_source_counts_is_counted_once() -> None:
 
 def test_a_record_that_is_being_written_is_fed_once_it_is_whole(tmp_path: Path) -> None:
     """Its writer was preempted between the head and the data."""
-    writer, reader = (FileChannel(tmp_path / "odom.channel", StampedPose) for _ in range(2))
+    path = tmp_path / "odom.channel"
+    writer, reader = FileChannel(path, StampedPose), ReadOnlyFileChannel(path, StampedPose)
     feed, fed = _feed(reader)
-    assert writer._map is not None
     for n in range(4):
         writer.publish(_pose(n * STEP_S))
-        whole = bytes(writer._map)
-        writer._map[32:40] = struct.pack("<q", -1)
+        whole = bytes(writer._own)
+        writer._own[32:40] = struct.pack("<q", -1)
         assert not feed.step(n * STEP_S + 0.001)
         assert len(fed) == n
-        writer._map[:] = whole
+        writer._own[:] = whole
         for _ in range(3):
             feed.step(n * STEP_S + 0.01)
         assert [pose.stamp_s for pose in fed] == [k * STEP_S for k in range(n + 1)]
