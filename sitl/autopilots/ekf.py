@@ -26,7 +26,7 @@ from sitl.geometry.quaternion import (
 )
 from sitl.world.quadrotor import GRAVITY_MPS2
 
-_HISTORY_S = 0.32  # poses older than 0.2 s delay + 0.1 s search window are never fused (HAZARDS 0.8)
+_HISTORY_S = 0.32  # poses older than 0.2 s delay + 0.1 s search window are never fused
 _EXPECTED_GAP_S = 0.2  # EV_MAX_INTERVAL
 _FUSION_STOPS_S = 0.4  # twice EV_MAX_INTERVAL
 _START_S = 0.5  # poses must arrive without a gap for this time before they are used

@@ -62,7 +62,7 @@ class PoseMeasurement:
 
 @dataclass(frozen=True, slots=True)
 class PoseGates:
-    """Limits for the difference between a pose and the track (HAZARDS, J_pos and J_yaw).
+    """Limits for the difference between a pose and the track.
 
     A pose beyond jump_m AND ``sigmas`` standard deviations of the innovation is rejected; beyond farthest_m it is always
     rejected. The same holds for the angle between the attitudes (turn_rad, farthest_rad), and for its part that tilts the

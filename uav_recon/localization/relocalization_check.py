@@ -19,7 +19,7 @@ _SPEED_MPS = 2.0  #: reject: no vehicle is faster
 _TURN_RADPS = math.radians(90.0)  #: reject: no vehicle turns faster
 _MAP_STEP_POSES = 4  #: reject: fewer agreeing poses in a row are no step of the source's map; for a track that was never lost
 _MAP_STEP_S = 0.2  #: reject: nor do they within less than this time
-#: reject: fewer poses in a row that agree do not end a loss: a wrong relocalization is worse than none (HAZARDS, B2)
+#: reject: fewer poses in a row that agree do not end a loss: a wrong relocalization is worse than none (hazard B2)
 _AFTER_LOSS_POSES = 12
 _AFTER_LOSS_S = 1.0  #: reject: nor do they within less than this time
 

@@ -1,4 +1,4 @@
-"""Filter of the battery gauge: the plausible remaining charge (HAZARDS, E5)."""
+"""Filter of the battery gauge: the plausible remaining charge (hazard E5)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Battery reserve for the way home: length times consumption, and 30 % more (HAZARDS, E5).
+"""Battery reserve for the way home: length times consumption, and 30 % more (hazard E5).
 
 All values are shares of the battery, 0 to 1, as filtered by BatteryGaugeFilter; the resolution is one hundredth.
 """

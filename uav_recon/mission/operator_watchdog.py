@@ -1,4 +1,4 @@
-"""Operator watchdog: detects a missing operator from the pilot's answers (HAZARDS, D8).
+"""Operator watchdog: detects a missing operator from the pilot's answers (hazard D8).
 
 A sender of HEARTBEAT does not count as an operator (S7).
 """

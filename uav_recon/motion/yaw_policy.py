@@ -1,6 +1,6 @@
 """Yaw along a path, and the speed limit where the camera does not look.
 
-See HAZARDS, blind directions.
+See docs/decisions/0004-speed-limit-outside-field-of-view.md.
 """
 
 from __future__ import annotations

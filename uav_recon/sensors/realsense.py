@@ -24,9 +24,9 @@ from uav_recon.types.frames import FloatArray
 from uav_recon.types.pose import Pose
 
 _WINDOW_S = 10.0  # the clock offset follows 20 ppm of drift to 0.2 ms
-_SETTLES_S = 0.5  # frames are dropped for this time after a change of the stamp clock (HAZARDS, C7)
+_SETTLES_S = 0.5  # frames are dropped for this time after a change of the stamp clock (hazard C7)
 _FIRST_FRAME_S = 5.0  # the default timeout of librealsense itself
-_SILENCE_S = 1.5  # with RestartSec a restart is tried two seconds after the last frame (HAZARDS, C2)
+_SILENCE_S = 1.5  # with RestartSec a restart is tried two seconds after the last frame (hazard C2)
 
 
 class RealSenseError(StreamError):

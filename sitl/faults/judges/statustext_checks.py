@@ -1,4 +1,4 @@
-"""Checks of the STATUSTEXT reports (HAZARDS, G7).
+"""Checks of the STATUSTEXT reports (hazard G7).
 
 The product must report a reaction and its reason within a second. A STATUSTEXT counts by the codes of its reason and of
 that reason's details.

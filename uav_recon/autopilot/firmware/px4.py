@@ -41,7 +41,7 @@ LOCAL_NED = 1  # MAV_FRAME: PX4 does not use a heading in LOCAL_FRD, so no globa
 CLOCK_ANSWERS = 500
 #: refuse: arming with an older PX4: before 1.15.2, LAND without a global position flew to local (0, 0)
 MIN_VERSION = (1, 15, 4)
-UNKNOWN_VERSION = (1, 18, 0)  #: refuse: arming with this PX4 or a newer one: AUTOPILOTS covers versions up to 1.17
+UNKNOWN_VERSION = (1, 18, 0)  #: refuse: arming with this PX4 or a newer one: what it does with our messages is known up to 1.17
 _SUPPORTED = SupportedFirmware("PX4", family=12, oldest=MIN_VERSION, unknown=UNKNOWN_VERSION)
 
 STREAMS_HZ = (
@@ -88,7 +88,7 @@ def missing_for_origin(t: Telemetry, status: LinkStatus, now_s: float) -> Reason
 def missing_for_arming(t: Telemetry, status: LinkStatus, now_s: float) -> Reason | None:
     """Return what is missing before arming may be requested, None for nothing.
 
-    Until its TIMESYNC has converged PX4 takes a pose for as old as its arrival (HAZARDS 0.8): on a link that repeats frames or
+    Until its TIMESYNC has converged PX4 takes a pose for as old as its arrival: on a link that repeats frames or
     delays some, old poses would pass for new ones.
     """
     missing = missing_for_origin(t, status, now_s) or missing_to_arm(t)
