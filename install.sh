@@ -6,7 +6,7 @@ set -eu
 cd "$(dirname "$0")"
 
 packages="python3 python3-venv libgomp1 libegl1 libgl1 libx11-6 libidn2-0 libusb-1.0-0" # Open3D and torch load the libraries
-target="."
+target="-e ."  # from this folder: a copy in .venv would hide a later installation with the tests
 if [ "${1:-}" = dev ]; then
     packages="$packages libudev1 make systemd"
     target="-e .[dev]"
