@@ -25,8 +25,9 @@ def mission_jobs(variant: VariantName) -> list[KernelJob]:
     """
     return [
         KernelJob("frontiers", f"{HERE}:frontiers", 62),
+        KernelJob("paths", f"{HERE}:paths", 55),
         KernelJob(MAPPER, f"{HERE}:mapper", 73),
-        KernelJob(f"planner {variant}", f"{HERE}:planner", 96, ("frontiers",), variant),
+        KernelJob(f"planner {variant}", f"{HERE}:planner", 41, ("frontiers", "paths"), variant),
         KernelJob("map", f"{HERE}:occupancy_map", 38),
         KernelJob("motion", f"{HERE}:motion", 25),
     ]
@@ -46,10 +47,17 @@ def frontiers(_config_path: Path, _: str) -> None:
     view_planner.warm_up_frontiers()
 
 
+def paths(_config_path: Path, _: str) -> None:
+    """Compile the kernels of paths, tours and gains."""
+    from uav_recon.planning import view_planner
+
+    view_planner.warm_up_paths()
+
+
 def planner(_: Path, variant: str) -> None:
     """Compile the kernels of the planner's variant.
 
-    Those of the frontiers come from the cache.
+    Those of frontiers and paths come from the cache.
     """
     from uav_recon.planning import view_planner
 
