@@ -11,8 +11,7 @@ from uav_recon.types.maps import OCCUPIED
 
 ROOM_MIN_M = np.zeros(3)
 ROOM_MAX_M = np.array([6.0, 4.0, 2.5])
-# hides the other half of the room
-WALL_MIN_M = np.array([3.0, 0.0, 0.0])
+WALL_MIN_M = np.array([3.0, 0.0, 0.0])  # hides the other half of the room
 WALL_MAX_M = np.array([3.2, 2.4, 2.5])
 
 

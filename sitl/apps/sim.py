@@ -16,7 +16,7 @@ from rich.console import Console
 from sitl.apps.kernel_compilation import compile_and_load, flight_jobs
 from sitl.apps.sim_options import SimOptions
 from sitl.apps.sim_processes import SimProcesses
-from sitl.scene.scene import Scene, SceneError, load_scene
+from sitl.scene.scene import Scene, SceneError, load_scene, require_scene
 from uav_recon import config as product_config
 from uav_recon.app.kernel_cache import KernelJob, are_compiled
 from uav_recon.app.option_validation import require_writable_file
@@ -50,6 +50,10 @@ def simulate(options: SimOptions, json: Path | None = None) -> int:
     require_writable_file("--json", json)
     console = Console(stderr=False)
     options.check_folder()
+    try:
+        require_scene(options.scene)
+    except SceneError as error:
+        raise UserError(str(error), EXIT_USAGE) from None
     if not options.lockstep:
         _claim_port(options.port)
     with tempfile.TemporaryDirectory(prefix="uav_recon-") as runtime:

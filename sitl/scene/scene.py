@@ -103,6 +103,18 @@ def load_scene(
     return scene_from_mesh(name, mesh, chosen, fence, radius_m)
 
 
+def require_scene(path: str | Path | None) -> None:
+    """Check that there is something to load at a path, at once. Raises SceneError, as load_scene() does."""
+    if path is None or str(path).startswith(GENERATED):
+        return
+    try:
+        there = Path(path).exists()
+    except OSError as error:
+        raise SceneError(f"{path}: cannot be read ({error.strerror})") from None
+    if not there:
+        raise SceneError(f"{path}: no such scene; want a folder with scene.json, a mesh file or {GENERATED}SEED")
+
+
 def scene_from_mesh(name: str, mesh: Mesh, start: Numbers, fence: Numbers | None, radius_m: float = HULL_RADIUS_M) -> Scene:
     """Check a mesh and move the start to the origin. Raises SceneError.
 
@@ -168,15 +180,10 @@ def _generated(path: str, fine: bool) -> tuple[str, Mesh, Numbers]:
 
 
 def _read(path: Path) -> tuple[str, Mesh, Numbers | None]:
-    try:
-        there, folder = path.exists(), path.is_dir()
-    except OSError as error:
-        raise SceneError(f"{path}: cannot be read ({error.strerror})") from None
-    if not there:
-        raise SceneError(f"{path}: no such scene; want a folder with scene.json, a mesh file or {GENERATED}SEED")
+    require_scene(path)
     start: Numbers | None = None
     name, file = path.stem, path
-    if folder:
+    if path.is_dir():
         description = path / "scene.json"
         try:
             entry = json.loads(description.read_text())

@@ -90,13 +90,13 @@ def test_the_log_has_a_line_for_each_tenth(caplog: pytest.LogCaptureFixture) -> 
 def test_where_the_package_cannot_be_written_kernels_go_to_the_users_cache(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.delenv(kernel_cache.CACHE_VARIABLE, raising=False)
+    monkeypatch.setenv(kernel_cache.CACHE_VARIABLE, "")  # not delenv, which would not undo what use_writable_cache() sets
     (tmp_path / "file").touch()
     monkeypatch.setattr(kernel_cache, "PACKAGE", tmp_path / "file")  # nothing can be made below it, even by root
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "home"))
     use_writable_cache()
     assert os.environ[kernel_cache.CACHE_VARIABLE] == str(tmp_path / "home" / "uav_recon" / "kernels")
-    monkeypatch.delenv(kernel_cache.CACHE_VARIABLE)
+    monkeypatch.setenv(kernel_cache.CACHE_VARIABLE, "")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
     monkeypatch.setattr(tempfile, "gettempdir", lambda: str(tmp_path))
     use_writable_cache()
@@ -112,11 +112,11 @@ def test_a_chosen_folder_and_a_writable_package_stay(tmp_path: Path, monkeypatch
     monkeypatch.delenv(kernel_cache.CACHE_VARIABLE)
     monkeypatch.setattr(kernel_cache, "PACKAGE", tmp_path)
     use_writable_cache()
-    assert kernel_cache.CACHE_VARIABLE not in os.environ
+    assert not os.environ.get(kernel_cache.CACHE_VARIABLE)
 
 
 def test_a_folder_that_others_may_write_is_not_taken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv(kernel_cache.CACHE_VARIABLE, raising=False)
+    monkeypatch.setenv(kernel_cache.CACHE_VARIABLE, "")  # not delenv, which would not undo what use_writable_cache() sets
     (tmp_path / "file").touch()
     monkeypatch.setattr(kernel_cache, "PACKAGE", tmp_path / "file")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
@@ -125,7 +125,7 @@ def test_a_folder_that_others_may_write_is_not_taken(tmp_path: Path, monkeypatch
     folder.mkdir()
     folder.chmod(0o777)
     use_writable_cache()
-    assert kernel_cache.CACHE_VARIABLE not in os.environ
+    assert not os.environ.get(kernel_cache.CACHE_VARIABLE)
 
 
 def test_the_end_of_each_job_is_reported_also_if_it_is_compiled_or_fails(config_path: Path) -> None:

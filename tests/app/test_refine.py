@@ -96,6 +96,7 @@ def share_in_wall_colours(rgb: ByteArray) -> float:
     return float(np.mean(error < 10))
 
 
+@pytest.mark.nightly
 def test_a_second_call_resumes_and_one_with_other_options_is_refused(flight: Path) -> None:
     assert call(flight)[0] == 0
     _, said = call(flight)
@@ -196,6 +197,7 @@ def wait_until(condition: Callable[[], bool], process: subprocess.Popen[str]) ->
         threading.Event().wait(0.02)
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_a_kill_loses_little_progress_and_ctrl_c_none(flight: Path) -> None:
     last, endless = flight / "refined" / LAST, ("--steps", "100000", "--save-every", "1")
@@ -213,6 +215,7 @@ def test_a_kill_loses_little_progress_and_ctrl_c_none(flight: Path) -> None:
     assert "the same command continues from there" in said
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_two_processes_learn_one_field(flight: Path) -> None:
     """gloo between two processes replaces nccl between GPUs; torchrun starts both."""

@@ -19,7 +19,7 @@ from uav_recon.sensors.stream_format import StreamReader
 ROOT = Path(__file__).parents[2]
 FOLDER = ROOT / "examples"
 SCRIPTS = sorted(path.name for path in FOLDER.glob("*.py"))
-MAX_LINES = 60
+MAX_LINES = 65
 
 
 def is_map(path: Path) -> None:

@@ -130,6 +130,7 @@ def test_a_killed_recorder_leaves_a_readable_file(tmp_path: Path) -> None:
     recorder.close()
 
 
+@pytest.mark.nightly
 def test_memory_does_not_grow_with_the_recording(tmp_path: Path) -> None:
     """Covers half an hour at two steps a second.
 

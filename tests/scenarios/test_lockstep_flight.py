@@ -120,6 +120,7 @@ def quick_flights(tmp_path_factory: pytest.TempPathFactory) -> list[Flight]:
     return flights
 
 
+@pytest.mark.nightly
 def test_a_quick_flight_is_a_flight(quick_flights: list[Flight]) -> None:
     for flight in quick_flights:
         report = flight.report
@@ -135,6 +136,7 @@ def test_a_quick_flight_is_a_flight(quick_flights: list[Flight]) -> None:
         assert config.load(flight.folder / "config.toml").safety.vehicle_radius_m == 0.15
 
 
+@pytest.mark.nightly
 def test_quick_flights_repeat_byte_for_byte(quick_flights: list[Flight]) -> None:
     first, again, other = quick_flights
     for name in ("stamp_s", "position_m", "quat_wxyz", "hull_m", "setpoint_arrivals_s"):

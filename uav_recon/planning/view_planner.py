@@ -319,7 +319,7 @@ def warm_up_frontiers() -> None:
 
 
 def warm_up_paths() -> None:
-    """Compile the kernels of flyable space, paths, tours and gains: another third of the planner's."""
+    """Compile the kernels of flyable space, paths, tours and gains: another third."""
     for module in (traversal, segments, space, atsp, travel_time, view_history, gain_field, rejection_counts):
         module.warm_up()
 

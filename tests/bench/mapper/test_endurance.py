@@ -18,6 +18,7 @@ def bench(*arguments: str) -> tuple[int, str, str]:
     return done.exit_code, done.stdout, done.stderr
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_memory_disk_and_views_stay_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sitl.apps.flight_judge, "visible_truth", quick_cut)

@@ -83,6 +83,7 @@ def test_invalid_options_of_bench_mapper_are_a_one_line_error(arguments: tuple[s
         assert word in errors
 
 
+@pytest.mark.nightly
 def test_noisy_poses_have_the_requested_errors() -> None:
     def load(sigma: tuple[float, float]) -> seeded_views.MapperScene:
         return seeded_views.load(seeded_views.SceneOptions(None, 40, "d435i", "none", "fixed:15", sigma, 0))
@@ -98,6 +99,7 @@ def test_noisy_poses_have_the_requested_errors() -> None:
     assert np.sqrt(np.mean(np.square(turn)) / 3) == pytest.approx(0.01, rel=0.25)
 
 
+@pytest.mark.nightly
 def test_reports_the_effect_of_the_corrections(tmp_path: Path) -> None:
     written = tmp_path / "result.json"
     wild = ("--pose-noise", "2,1", "--exposure", "1", "--steps-per-view", "8")

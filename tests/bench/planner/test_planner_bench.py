@@ -58,6 +58,7 @@ def test_invalid_options_are_a_one_line_error(tmp_path: Path, arguments: tuple[s
         assert word in lines[0]
 
 
+@pytest.mark.nightly
 @pytest.mark.shared
 def test_the_shared_stream_meets_the_limits_that_do_not_depend_on_the_machine(tmp_path: Path) -> None:
     written = tmp_path / "result.json"

@@ -116,6 +116,7 @@ def _kill(mapper: ProcessMapper) -> None:
     _wait(mapper.ready, "its return")
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 @pytest.mark.timeout(900)
 def test_killed_after_120_views_it_is_back_within_10_s_from_its_checkpoint(tmp_path: Path) -> None:
