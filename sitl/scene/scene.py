@@ -104,7 +104,7 @@ def load_scene(
 
 
 def require_scene(path: str | Path | None) -> None:
-    """Check that there is something to load at a path, at once. Raises SceneError, as load_scene() does."""
+    """Check that something can be loaded from a path. Raises SceneError."""
     if path is None or str(path).startswith(GENERATED):
         return
     try:
