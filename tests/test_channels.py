@@ -340,7 +340,9 @@ def flight_folder() -> Iterator[Path]:
         os.umask(before)
 
 
-@pytest.mark.skipif(os.geteuid() != 0, reason="only root may become another user")
+@pytest.mark.skipif(
+    os.geteuid() != 0, reason="only root may become another user, as in CI; the modes are checked below without it"
+)
 def test_a_member_of_the_group_reads_and_anybody_else_does_not(flight_folder: Path) -> None:
     path = flight_folder / "intent.channel"
     with user(4001, 4001):

@@ -103,7 +103,7 @@ def test_a_second_call_resumes_and_one_with_other_options_is_refused(flight: Pat
     assert "continuing after 150 of 150 steps" in said
     code, said = call(flight, "--steps", "151", "--voxel", "0.05", "--device", "cpu")
     assert code == 2
-    assert said.splitlines()[-1].endswith("steps 150 there, 151 here; move the folder away to begin anew")
+    assert said.splitlines()[-1].endswith("steps 150 there, 151 here; move the folder away to start again")
 
 
 def test_damaged_checkpoints_are_named_and_training_starts_again(flight: Path) -> None:

@@ -175,7 +175,7 @@ def test_a_new_map_epoch_holds_maps_anew_and_goes_on(desk: Desk) -> None:
     assert {path.map_epoch for path in desk.planner.accepted[plans:]} == {1}
 
 
-def test_a_correction_that_was_there_before_the_flight_is_not_heeded(tmp_path: Path, desk: Desk) -> None:
+def test_a_correction_from_before_the_flight_is_ignored(tmp_path: Path, desk: Desk) -> None:
     desk.wires.correction.publish(MapCorrection(9, np.zeros(0), ()))
     again = Conductor(
         desk.conductor._stages, desk.wires, desk.conductor._parameters, InlineExecutor(desk.clock), desk.journal, desk.clock

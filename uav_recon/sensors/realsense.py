@@ -216,7 +216,7 @@ class RealSenseCamera:
             self._silence_limit_s = _SILENCE_S
         self._silent_s = min(self._silent_s, now_s)
         if now_s - self._silent_s > self._silence_limit_s:
-            raise RealSenseError(f"{self._name}: open, but no frame for {now_s - self._silent_s:.1f} s: plug it in anew")
+            raise RealSenseError(f"{self._name}: open, but no frame for {now_s - self._silent_s:.1f} s: reconnect it")
 
     def _settled(self, domain: Any) -> bool:
         """Return True if the stamp clock has not changed for half a second.

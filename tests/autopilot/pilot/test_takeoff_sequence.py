@@ -120,7 +120,7 @@ def test_no_setpoint_streams_before_a_takeoff() -> None:
     assert bench.takeoff.streams
 
 
-def test_after_a_failure_the_mission_has_to_request_anew() -> None:
+def test_after_a_failure_the_mission_must_request_again() -> None:
     takeoff = Bench().takeoff
     allowed = [takeoff.allowed]
     for request in (takeoff.forbid, takeoff.withdraw):

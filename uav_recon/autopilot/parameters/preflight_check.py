@@ -29,7 +29,7 @@ class ParameterCheck:
         self._read_once = False
         self._read_s = math.inf
         self._reboots = 0
-        self._heeded: Mapping[str, ParameterValue] = {}
+        self._checked: Mapping[str, ParameterValue] = {}
         self._changed: Reason | None = None
 
     def missing(self, now_s: float, link: VehicleLink) -> Reason | None:
@@ -59,8 +59,8 @@ class ParameterCheck:
 
         Nothing is requested: a firmware reports a change to everybody.
         """
-        if (told := link.telemetry.parameters) != self._heeded:
-            self._heeded = told
+        if (told := link.telemetry.parameters) != self._checked:
+            self._checked = told
             faulty = [one for one in self._faulty(link) if one.name in told]
             self._changed = Reason(ReasonCode.PARAMETER_CHANGED, details=(self._reason(faulty, link),)) if faulty else None
         return self._changed

@@ -39,7 +39,7 @@ _LINK_HOLD_S = 0.5  #: hold: autopilot silent for longer: it may no longer follo
 _TICK_S = 0.01  # max. wait for a frame within a control step
 _ASKED = Reason(ReasonCode.STOP_REQUESTED)
 _RESET_REST_S = 1.0  #: land: this long after odometry restarted in flight; until then it holds, as the map may no longer fit
-_ANEW = Reason(ReasonCode.ODOMETRY_RESTARTED)  # the mission cannot know which part of the map still fits
+_ODOMETRY_RESTARTED = Reason(ReasonCode.ODOMETRY_RESTARTED)  # the mission cannot know which part of the map still fits
 
 
 @dataclass(frozen=True, slots=True)
@@ -300,7 +300,7 @@ class Pilot:
             or self._failsafe.landing_reason
             or (low.with_detail(blocked) if low is not None and blocked is not None else blocked)
             or self._takeoff.climb_fault
-            or (_ANEW if now_s - self._again_s >= _RESET_REST_S else None)
+            or (_ODOMETRY_RESTARTED if now_s - self._again_s >= _RESET_REST_S else None)
             or (Reason(ReasonCode.MISSION_LAND) if self._mission_input.goal(now_s) is Goal.LAND else None)
         )
 

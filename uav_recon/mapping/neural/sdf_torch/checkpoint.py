@@ -76,7 +76,7 @@ class RefineCheckpoints:
         names = sorted(set(identity) | set(self._identity))
         differ = [f"{n} {identity.get(n)} there, {self._identity.get(n)} here" for n in names if not self._same(identity, n)]
         if differ:
-            raise CheckpointMismatchError(f"{path} is of another run: {', '.join(differ)}; move the folder away to begin anew")
+            raise CheckpointMismatchError(f"{path} is of another run: {', '.join(differ)}; move the folder away to start again")
 
     def _same(self, identity: Identity, name: str) -> bool:
         return name in identity and name in self._identity and identity[name] == self._identity[name]
