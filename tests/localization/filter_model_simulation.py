@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from uav_recon.localization.eskf import WITH_IMU, Estimate
+from uav_recon.localization.eskf import Estimate
 from uav_recon.localization.fusion_filter import FusionFilter
+from uav_recon.localization.propagation_model import INERTIAL
 from uav_recon.types.camera import ImuSample
 from uav_recon.types.pose import Pose, StampedPose
 
@@ -73,16 +74,16 @@ def _stream(rng: np.random.Generator, seconds: float) -> tuple[list[ImuSample], 
     true = Rotation.from_euler("ZYX", euler)
     rate = (true[:-1].inv() * true[1:]).as_rotvec() / dt  # mean over the step after each sample
 
-    bias: F64 = 0.005 * rng.normal(size=3) + WITH_IMU.bias_walk * root * rng.normal(size=(n, 3)).cumsum(axis=0)
-    offset: F64 = 0.05 * rng.normal(size=3) + WITH_IMU.offset_walk * root * rng.normal(size=(n, 3)).cumsum(axis=0)
+    bias: F64 = 0.005 * rng.normal(size=3) + INERTIAL.bias_walk * root * rng.normal(size=(n, 3)).cumsum(axis=0)
+    offset: F64 = 0.05 * rng.normal(size=3) + INERTIAL.offset_walk * root * rng.normal(size=(n, 3)).cumsum(axis=0)
     wander = float(np.sqrt(DRIFT_PER_S * CLAIMED_M2)) * root * rng.normal(size=(n, 3)).cumsum(axis=0)
     lean = float(np.sqrt(DRIFT_PER_S * CLAIMED_RAD2)) * root * rng.normal(size=(n, 3)).cumsum(axis=0)
     seen = Rotation.from_rotvec(lean) * true  # attitude in the source's frame
 
     at = 0.5 * (rate[1:] + rate[:-1])  # of the sample between two steps
-    gyro = at + bias[1:-1] + WITH_IMU.rate / root * rng.normal(size=at.shape)
+    gyro = at + bias[1:-1] + INERTIAL.rate / root * rng.normal(size=at.shape)
     force = seen[1:-1].inv().apply(acceleration[1:-1] - GRAVITY - offset[1:-1])
-    force = force + WITH_IMU.acceleration / root * rng.normal(size=force.shape)
+    force = force + INERTIAL.acceleration / root * rng.normal(size=force.shape)
     imu = [ImuSample(float(s), g, f) for s, g, f in zip(t[1:-1], gyro, force, strict=True)]
 
     k = np.arange(every, n - 12, every)

@@ -8,7 +8,6 @@ from figure_eight import FigureEight, perfect_imu
 from numpy.typing import NDArray
 
 from uav_recon.localization.eskf import (
-    WITH_IMU,
     Estimate,
     PoseNoise,
     innovation,
@@ -18,6 +17,7 @@ from uav_recon.localization.eskf import (
     update_estimate,
 )
 from uav_recon.localization.imu_integration import InertialTrack, Vector, exponential, logarithm, multiply
+from uav_recon.localization.propagation_model import GYRO, INERTIAL, KINEMATIC
 
 MOTION = FigureEight()
 QUIET = PoseNoise(1e-9, 1e-9, 0.0, 0.0)
@@ -68,7 +68,7 @@ def test_the_covariance_goes_the_way_of_the_mean(over_s: float) -> None:
     base, here = track.at(MOTION.start_s + 1.0), track.at(MOTION.start_s + 1.0 + over_s)
     assert base
     assert here
-    start = Estimate.at_rest(base, (1.0, 2.0, 3.0), exponential((0.1, -0.2, 0.7)), QUIET, inertial=True)
+    start = Estimate.at_rest(base, (1.0, 2.0, 3.0), exponential((0.1, -0.2, 0.7)), QUIET, INERTIAL)
     start = start._replace(velocity_mps=(0.3, -0.2, 0.1), gyro_bias_radps=(0.01, -0.02, 0.015))
     end = propagate_mean(start, base, here)
     columns = [_apart(propagate_mean(_moved(start, STEP * unit), base, here), end) / STEP for unit in np.eye(15)]
@@ -89,7 +89,7 @@ def test_carried_in_two_steps_or_in_one_the_noise_is_the_same() -> None:
     assert middle
     assert here
     noise = PoseNoise(1e-5, 1e-5, 1e-5, 1e-5)
-    start = Estimate.at_rest(base, (0.0, 0.0, 1.0), (1.0, 0.0, 0.0, 0.0), noise, inertial=True)
+    start = Estimate.at_rest(base, (0.0, 0.0, 1.0), (1.0, 0.0, 0.0, 0.0), noise, INERTIAL)
     once = propagate(start, base, here, noise).covariance
     twice = propagate(propagate(start, base, middle, noise), middle, here, noise).covariance
     np.testing.assert_allclose(np.diagonal(once), np.diagonal(twice), rtol=0.02)
@@ -101,7 +101,7 @@ def test_a_whirl_is_one_standard_deviation_of_attitude() -> None:
     assert base
     calm = base._replace(stamp_s=base.stamp_s + 0.05)
     whirled = calm._replace(overrate_angle_rad=base.overrate_angle_rad + 0.2)
-    start = Estimate.at_rest(base, (0.0, 0.0, 1.0), (1.0, 0.0, 0.0, 0.0), QUIET, inertial=True)
+    start = Estimate.at_rest(base, (0.0, 0.0, 1.0), (1.0, 0.0, 0.0, 0.0), QUIET, INERTIAL)
     before, after = (propagate(start, base, here, QUIET).covariance.diagonal() for here in (calm, whirled))
     np.testing.assert_allclose(after - before, [*[0.0] * 6, *[0.04] * 3, *[0.0] * 6], atol=1e-12)
 
@@ -112,7 +112,7 @@ def test_a_pose_pulls_by_the_share_of_the_variances() -> None:
     base = track.at(MOTION.start_s + 0.05)
     assert base
     noise = PoseNoise(1e-4, 1e-4, 0.0, 0.0)
-    state = Estimate.at_rest(base, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), noise, inertial=True)
+    state = Estimate.at_rest(base, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), noise, INERTIAL)
     state = state._replace(covariance=np.diag([4e-4] * 3 + [1.0] * 3 + [4e-4] * 3 + [1e-4] * 6))
     residual = innovation(state, base, (0.1, 0.0, 0.0), exponential((0.0, 0.0, 0.05)))
     np.testing.assert_allclose(residual, [0.1, 0.0, 0.0, 0.0, 0.0, 0.05], atol=1e-12)
@@ -125,17 +125,22 @@ def test_a_pose_pulls_by_the_share_of_the_variances() -> None:
     np.testing.assert_allclose(doubted.position_m, [0.05, 0.0, 0.0], atol=1e-12)
 
 
-def test_what_bias_and_offset_mean_is_forgotten_with_the_imu() -> None:
+def test_a_change_of_the_model_forgets_what_has_another_meaning_in_it() -> None:
     track = _track(0.1)
     base = track.at(MOTION.start_s + 0.05)
     assert base
-    state = Estimate.at_rest(base, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), QUIET, inertial=True)
-    state = state._replace(gyro_bias_radps=(0.1, 0.1, 0.1))
-    assert state.with_imu(True) is state
-    blind = state.with_imu(False)
-    assert blind.gyro_bias_radps == (0.0, 0.0, 0.0)
-    assert blind.covariance[9, 9] > 100 * WITH_IMU.bias_start**2
+    state = Estimate.at_rest(base, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), QUIET, INERTIAL)
+    state = state._replace(gyro_bias_radps=(0.1, 0.1, 0.1), offset_mps2=(0.2, 0.2, 0.2))
+    assert state.propagated_by(INERTIAL) is state
+    blind = state.propagated_by(KINEMATIC)
+    assert blind.gyro_bias_radps == blind.offset_mps2 == (0.0, 0.0, 0.0)
+    assert blind.covariance[9, 9] == KINEMATIC.bias_start**2 > 100 * INERTIAL.bias_start**2
+    assert blind.covariance[12, 12] == KINEMATIC.offset_start**2
     np.testing.assert_array_equal(blind.covariance[:9, :9], state.covariance[:9, :9])
+    weightless = state.propagated_by(GYRO)
+    assert weightless.gyro_bias_radps == state.gyro_bias_radps
+    assert weightless.offset_mps2 == (0.0, 0.0, 0.0)
+    np.testing.assert_array_equal(weightless.covariance[:12, :12], state.covariance[:12, :12])
 
 
 def test_noise_stays_within_reason_whatever_a_source_claims() -> None:

@@ -243,12 +243,13 @@ def test_a_short_gap_is_bridged_by_the_imu() -> None:
 def test_a_source_that_was_silent_longer_than_the_track_is_kept_is_believed_again(
     imu_hz: int, silent_s: float, offset_m: float
 ) -> None:
-    fusion, returns_s, counters = FusionFilter(), 5.0 + silent_s, []
+    fusion, returns_s, counters, rng = FusionFilter(), 5.0 + silent_s, [], np.random.default_rng(1)
     for n in range(int((returns_s + 2.0) * imu_hz)):
         t = n / imu_hz
-        fusion.add_imu([ImuSample(t, np.zeros(3), np.array([0.0, 0.0, GRAVITY_MPS2]))])
+        fusion.add_imu([_hovering(t, rng)])
         if n % (imu_hz // 20) == 0 and not 5.0 <= t < returns_s:
-            fusion.add_pose(StampedPose(t, Pose.from_yaw(0.0, np.array([offset_m * (t > 5.0), 0.0, 1.0])), np.zeros(3)), t)
+            place_m = np.array([offset_m * (t > 5.0), 0.0, 1.0]) + rng.normal(0.0, 0.002, 3)
+            fusion.add_pose(StampedPose(t, Pose.from_yaw(0.0, place_m), np.zeros(3)), t)
             odom = fusion.odom_at(t)
             if returns_s <= t < returns_s + 0.9:
                 assert odom is None or odom.quality == 0  # on trial
@@ -262,14 +263,17 @@ def test_a_source_that_was_silent_longer_than_the_track_is_kept_is_believed_agai
 
 
 def test_a_track_that_no_longer_reaches_the_poses_kept_is_no_accident() -> None:
-    fusion, end_s = FusionFilter(), 4.0
-    hover = np.array([0.0, 0.0, GRAVITY_MPS2])
+    fusion, end_s, rng = FusionFilter(), 4.0, np.random.default_rng(1)
     for n in range(int(end_s * 20)):
-        fusion.add_imu([ImuSample(n / 20, np.zeros(3), hover)])
+        fusion.add_imu([_hovering(n / 20, rng)])
         fusion.add_pose(_pose_at(n / 20), n / 20)
-    fusion.add_imu([ImuSample(end_s - 0.05 + 1e-6 * (n + 1), np.zeros(3), hover) for n in range(5000)])  # a burst
+    fusion.add_imu([_hovering(end_s - 0.05 + 1e-6 * (n + 1), rng) for n in range(5000)])  # a burst
     assert not fusion.add_pose(_pose_at(end_s - 0.52), end_s)  # late: between two poses, before anything that the track knows
     assert [fusion.add_pose(_pose_at(end_s + n / 20), end_s + n / 20) for n in range(40)][-1]
+
+
+def _hovering(stamp_s: float, rng: np.random.Generator) -> ImuSample:
+    return ImuSample(stamp_s, rng.normal(0.0, 0.002, 3), np.array([0.0, 0.0, GRAVITY_MPS2]) + rng.normal(0.0, 0.02, 3))
 
 
 def _pose_at(stamp_s: float) -> StampedPose:

@@ -69,11 +69,10 @@ def test_b2_a_source_that_comes_back_has_to_prove_itself_for_a_second(gone_s: fl
     quiet = told.odom[told.since(gone_s) : told.since(gone_s + 0.99)]
     assert {odom.quality for odom in quiet[2:]} == {0}
     assert told.healths(gone_s + 1.4) == {GOOD}
-    if gone_s < 1.0:  # the track held: no step in odom, whatever the offset
+    if gone_s < 1.0 and offset_m < 0.5:  # a flying IMU explains 0.3 m after 1.5 s: odom moves there without a step
         assert told.step_m() < 0.05
-        assert told.resets() == 0
-        assert told.fusion.correction.epoch == (offset_m > 0.2)
-    if gone_s > 5.0:
+        assert told.resets() == told.fusion.correction.epoch == 0
+    if gone_s > 5.0 or offset_m > 0.5:
         assert told.resets() == 1  # odom jumped, once, and says so
 
 
@@ -154,7 +153,7 @@ def test_b9_a_heading_lost_for_good_is_never_flown_on(turn_deg: float) -> None:
 def test_b5_a_slow_drift_is_followed_without_a_step() -> None:
     """0.05 m/s is nothing that an IMU can tell from flight; depth against the map is the witness (guard, mapper)."""
     told = fly(lambda pose, since_s: shifted(x=0.05 * since_s)(pose, since_s), seconds=10.0)
-    assert told.step_m() < 0.01
+    assert told.step_m() < 0.015
     assert told.odom[-1].correction.epoch == told.resets() == 0
     assert told.odom[-1].quality == 100
     lag_m = told.errors_m[-1][0] - 0.5
@@ -253,10 +252,11 @@ def test_a_track_that_lost_where_down_is_does_not_stand_against_the_poses(tilt_d
         turned = np.array([math.radians(tilt_deg) / 0.14, 0.0, 0.0]) if 0.0 <= since_s < 0.14 else np.zeros(3)
         return replace(sample, gyro_radps=sample.gyro_radps + turned)
 
-    told = fly(undisturbed, inertial=stalled)
+    told = fly(undisturbed, seconds=6.0, inertial=stalled)
     assert told.error_m(0.0) < 0.15
     assert told.error_m(0.6) < 0.05
-    assert told.healths(0.8) == {GOOD}
+    assert told.healths(0.8) <= {GOOD, DEGRADED}
+    assert told.healths(5.0) == {GOOD}
     assert told.fusion.correction.epoch == 0  # no map turns about the horizon
 
 

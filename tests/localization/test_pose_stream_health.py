@@ -28,40 +28,40 @@ def _watch(rate_hz: float = 15.0, nis: float = 6.0, seconds: float = 3.0) -> Odo
     ],
 )
 def test_silence_is_told_by_its_length(age_s: float, health: PoseHealth, why: Reason | None) -> None:
-    assert _watch().health(age_s, inertial=True, on_trial=False) == (health, why)
+    assert _watch().health(age_s, imu_fault=None, on_trial=False) == (health, why)
 
 
 @pytest.mark.parametrize(("rate_hz", "health"), [(30.0, GOOD), (8.5, GOOD), (7.0, DEGRADED), (4.5, DEGRADED), (3.0, LOST)])
 def test_few_poses_are_told_by_their_number(rate_hz: float, health: PoseHealth) -> None:
-    said, why = _watch(rate_hz).health(0.05, inertial=True, on_trial=False)
+    said, why = _watch(rate_hz).health(0.05, imu_fault=None, on_trial=False)
     assert said is health
     assert (why and why.code) is (None if health is GOOD else ReasonCode.FEW_POSES)
 
 
 def test_the_usual_pause_between_few_poses_is_no_silence() -> None:
     watch = _watch(5.0)
-    assert watch.health(0.30, inertial=True, on_trial=False)[1] == Reason(ReasonCode.FEW_POSES, (5.0,))
-    assert watch.health(0.46, inertial=True, on_trial=False)[0] is LOST
+    assert watch.health(0.30, imu_fault=None, on_trial=False)[1] == Reason(ReasonCode.FEW_POSES, (5.0,))
+    assert watch.health(0.46, imu_fault=None, on_trial=False)[0] is LOST
 
 
 def test_the_first_second_is_not_held_against_the_source() -> None:
     watch = _watch(15.0, seconds=0.2)
-    assert watch.health(0.05, inertial=True, on_trial=False) == (GOOD, None)
+    assert watch.health(0.05, imu_fault=None, on_trial=False) == (GOOD, None)
 
 
 def test_what_the_imu_does_not_bear_out_is_degraded() -> None:
-    assert _watch(nis=14.0).health(0.05, inertial=True, on_trial=False)[0] is GOOD
-    health, why = _watch(nis=40.0).health(0.05, inertial=True, on_trial=False)
+    assert _watch(nis=14.0).health(0.05, imu_fault=None, on_trial=False)[0] is GOOD
+    health, why = _watch(nis=40.0).health(0.05, imu_fault=None, on_trial=False)
     assert (health, why) == (DEGRADED, Reason(ReasonCode.IMU_DISAGREES, (40.0,)))
 
 
 def test_refused_poses_are_told_as_such() -> None:
-    assert _watch().health(0.1, inertial=True, on_trial=True) == (DEGRADED, Reason(ReasonCode.POSES_DISAGREE, (0.1,)))
-    assert _watch().health(0.4, inertial=True, on_trial=True) == (LOST, Reason(ReasonCode.POSES_DISAGREE, (0.4,)))
+    assert _watch().health(0.1, imu_fault=None, on_trial=True) == (DEGRADED, Reason(ReasonCode.POSES_DISAGREE, (0.1,)))
+    assert _watch().health(0.4, imu_fault=None, on_trial=True) == (LOST, Reason(ReasonCode.POSES_DISAGREE, (0.4,)))
 
 
 def test_no_imu_is_no_witness() -> None:
-    assert _watch().health(0.1, inertial=False, on_trial=False) == (DEGRADED, Reason(ReasonCode.NO_IMU))
+    assert _watch().health(0.1, imu_fault=Reason(ReasonCode.NO_IMU), on_trial=False) == (DEGRADED, Reason(ReasonCode.NO_IMU))
 
 
 @pytest.mark.parametrize(

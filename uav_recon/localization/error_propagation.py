@@ -38,7 +38,7 @@ def _matrix(q: Quaternion) -> FloatArray:
 
 @kernel
 def dynamics(
-    dt: float, inertial: bool, before: Quaternion, after: Quaternion, dp: Vector, dv: Vector, densities: tuple[float, ...]
+    dt: float, accelerometer: bool, before: Quaternion, after: Quaternion, dp: Vector, dv: Vector, densities: tuple[float, ...]
 ) -> tuple[FloatArray, FloatArray]:
     """Return the transition (15, 15) of the error and its process noise (15, 15).
 
@@ -66,7 +66,7 @@ def dynamics(
         for j in range(3):
             transition[r, _BIAS + j] = -dt * turned[i, j]
             walk[r, _BIAS + j] = walk[_BIAS + j, r] = -b * dt**2 / 2 * turned[i, j]
-            if inertial:  # without an IMU the hover force is known in odom, for any attitude
+            if accelerometer:  # without one the hover force is known in odom, for any attitude
                 transition[p, _ATTITUDE + j], transition[v, _ATTITUDE + j] = -way[i, j], -push[i, j]
                 for k in range(3):
                     transition[p, _BIAS + j] += dt / 3.0 * way[i, k] * turned[k, j]

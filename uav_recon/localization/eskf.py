@@ -8,8 +8,8 @@
 The error (15,) is position, velocity, a small rotation in odom axes (R_true = exp(error) R), gyro bias, offset; its growth
 is in error_propagation.dynamics.
 
-Without inertial samples the same state is a constant-velocity model: the gyro measures zero and its "bias" is the turn rate
-of the body, the offset is its acceleration.
+Without an accelerometer the offset is the acceleration of the body; without a gyro, which then measures zero, its "bias" is
+the negative turn rate (propagation_model).
 
 A pose source has two errors: white noise, and an unobservable slow drift. The state follows the drift, as a random walk of
 position and attitude, so the estimate is the body's pose in the source's own frame.
@@ -17,7 +17,7 @@ position and attitude, so the estimate is the body's pose in the source's own fr
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -36,6 +36,7 @@ from uav_recon.localization.imu_integration import (
     normalised,
     rotate,
 )
+from uav_recon.localization.propagation_model import PropagationModel
 from uav_recon.types.frames import FloatArray
 
 WHITE_SHARE = 0.15  # share of white noise in a claimed variance; the rest is drift
@@ -46,27 +47,10 @@ _SMALLEST_RAD2 = 0.0005**2
 _LARGEST_RAD2 = 0.1**2
 _MEASURED = [0, 1, 2, 6, 7, 8]  # elements of the error that a pose measures
 SEEN = np.ix_(_MEASURED, _MEASURED)  # their block of a covariance (15, 15)
+_BIAS = slice(9, 12)
+_OFFSET = slice(12, 15)
 _NOTHING = np.zeros(15)
 _H = np.eye(15)[_MEASURED]
-
-
-@dataclass(frozen=True, slots=True)
-class PropagationNoise:
-    """Noise of the propagation between poses: densities of white noise and of random walks.
-
-    See error_propagation.dynamics.
-    """
-
-    acceleration: float  # m/s² per root Hz
-    offset_walk: float  # m/s² per root second
-    rate: float  # rad/s per root Hz
-    bias_walk: float  # rad/s per root second
-    bias_start: float  # rad/s, initial standard deviation of the bias
-    offset_start: float  # m/s²
-
-
-WITH_IMU = PropagationNoise(0.01, 0.03, 3e-4, 1e-4, 0.02, 0.2)
-WITHOUT_IMU = PropagationNoise(0.1, 1.2, 0.02, 1.0, 1.0, 1.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,6 +65,10 @@ class PoseNoise:
     position_walk: float
     attitude_walk: float
 
+    def scaled(self, factor: float) -> PoseNoise:
+        """Return the noise with this factor on the white variances."""
+        return replace(self, position_m2=factor * self.position_m2, attitude_rad2=factor * self.attitude_rad2)
+
     @staticmethod
     def claimed(covariance: FloatArray) -> PoseNoise:
         """Return the noise for the covariance (6, 6) that a source claims, within plausible limits."""
@@ -94,7 +82,7 @@ class PoseNoise:
 class Estimate(NamedTuple):
     """The state at a stamp.
 
-    covariance: (15, 15) of the error. inertial: True if an IMU propagates the state.
+    covariance: (15, 15) of the error. model: what propagated the state to its stamp.
     """
 
     stamp_s: float
@@ -104,31 +92,33 @@ class Estimate(NamedTuple):
     gyro_bias_radps: Vector
     offset_mps2: Vector
     covariance: FloatArray
-    inertial: bool
+    model: PropagationModel
 
     @staticmethod
     def at_rest(
-        base: InertialState, position_m: Vector, odom_from_body: Quaternion, noise: PoseNoise, inertial: bool
+        base: InertialState, position_m: Vector, odom_from_body: Quaternion, noise: PoseNoise, model: PropagationModel
     ) -> Estimate:
         """Return the state for a first pose; its motion is unknown."""
-        carrier = WITH_IMU if inertial else WITHOUT_IMU
-        variances = (noise.position_m2, 1.0, noise.attitude_rad2, carrier.bias_start**2, carrier.offset_start**2)
+        variances = (noise.position_m2, 1.0, noise.attitude_rad2, model.bias_start**2, model.offset_start**2)
         odom_from_gyro = multiply(odom_from_body, conjugate(base.gyro_from_body))
         zero = (0.0, 0.0, 0.0)
-        return Estimate(base.stamp_s, position_m, zero, odom_from_gyro, zero, zero, np.diag(np.repeat(variances, 3)), inertial)
+        return Estimate(base.stamp_s, position_m, zero, odom_from_gyro, zero, zero, np.diag(np.repeat(variances, 3)), model)
 
-    def with_imu(self, inertial: bool) -> Estimate:
-        """Return the state for propagation with or without an IMU.
+    def propagated_by(self, model: PropagationModel) -> Estimate:
+        """Return the state for propagation by a model.
 
-        Bias and offset have another meaning without an IMU, so a change resets them.
+        Bias and offset are forgotten where they have another meaning in that model.
         """
-        if inertial is self.inertial:
+        if model is self.model:
             return self
-        carrier, covariance = WITH_IMU if inertial else WITHOUT_IMU, self.covariance.copy()
-        covariance[9:, :] = covariance[:, 9:] = 0.0
-        covariance[9:, 9:] = np.diag(np.repeat((carrier.bias_start**2, carrier.offset_start**2), 3))
-        zero = (0.0, 0.0, 0.0)
-        return self._replace(gyro_bias_radps=zero, offset_mps2=zero, covariance=covariance, inertial=inertial)
+        covariance, zero, changed = self.covariance.copy(), (0.0, 0.0, 0.0), self._replace(model=model)
+        if model.gyro is not self.model.gyro:
+            _forget(covariance, _BIAS, model.bias_start)
+            changed = changed._replace(gyro_bias_radps=zero)
+        if model.accelerometer is not self.model.accelerometer:
+            _forget(covariance, _OFFSET, model.offset_start)
+            changed = changed._replace(offset_mps2=zero)
+        return changed._replace(covariance=covariance)
 
     def odom_from_body(self, here: InertialState) -> Quaternion:
         """Return the attitude, with the track at this stamp."""
@@ -150,14 +140,14 @@ def propagate(state: Estimate, base: InertialState, here: InertialState, noise: 
     whole change of velocity, or its whole turn, is one standard deviation.
     """
     carried, dp, dv = _carry_mean(state, base, here)
-    carrier = WITH_IMU if state.inertial else WITHOUT_IMU
+    model = state.model
     before, after = state.odom_from_body(base), state.odom_from_body(here)
     walks = (noise.position_walk, noise.attitude_walk)
     dt = here.stamp_s - base.stamp_s
-    white = carrier.acceleration**2 + _doubt(here.shock_velocity_mps - base.shock_velocity_mps, dt)
-    rate = carrier.rate**2 + _doubt(here.overrate_angle_rad - base.overrate_angle_rad, dt)
-    densities = (white, carrier.offset_walk**2, rate, carrier.bias_walk**2, *walks)
-    transition, walk = dynamics(dt, state.inertial, before, after, dp, dv, densities)
+    white = model.acceleration**2 + _doubt(here.shock_velocity_mps - base.shock_velocity_mps, dt)
+    rate = model.rate**2 + _doubt(here.overrate_angle_rad - base.overrate_angle_rad, dt)
+    densities = (white, model.offset_walk**2, rate, model.bias_walk**2, *walks)
+    transition, walk = dynamics(dt, model.accelerometer, before, after, dp, dv, densities)
     _, covariance = predict(_NOTHING, state.covariance, transition, walk)
     return carried._replace(covariance=covariance)
 
@@ -195,6 +185,11 @@ def update_estimate(state: Estimate, residual: FloatArray, noise: PoseNoise, dou
         offset_mps2=(cx + e[12], cy + e[13], cz + e[14]),
         covariance=covariance,
     )
+
+
+def _forget(covariance: FloatArray, part: slice, sigma: float) -> None:
+    covariance[part, :] = covariance[:, part] = 0.0
+    covariance[part, part] = sigma**2 * np.eye(3)
 
 
 def _doubt(change: float, dt: float) -> float:

@@ -13,13 +13,15 @@ import numpy as np
 
 from uav_recon.localization.imu_integration import Quaternion, Vector
 from uav_recon.types.frames import FloatArray
-from uav_recon.types.pose import StampedPose
+from uav_recon.types.pose import Pose, StampedPose
 
 _OLDEST_S = 1.0  #: reject: an older pose of the source
 _FUTURE_S = 0.01  #: reject: a pose of the source stamped later than the clock by this
 _SAME_STAMP_S = 1e-4  #: reject: a pose whose stamp differs from another's by less: it is the same again
 _FARTHEST_M = 1e4  #: reject: a pose farther from odom's origin on an axis
 _LARGEST_VARIANCE_SI = 1e4  #: reject: a pose that claims a larger variance, in m² or rad²: its source knows nothing
+_FROZEN_M = 0.02  #: reject: a pose equal to the one before, once the track has moved away from it by more
+_FROZEN_RAD = math.radians(1.0)  #: reject: the same, turned by more
 _STEP_M = 0.03  #: brake: no pose moves odometry by more at once: a vehicle follows such a step
 #: reject: the weight of a pose falls above this: 99.9 % of the innovations of six elements (chi-square) are below
 _PLAUSIBLE_NIS = 22.46
@@ -33,6 +35,7 @@ class PoseRejection(str, Enum):
     QUALITY = "quality"
     STAMP = "stamp"
     DUPLICATE = "duplicate"
+    FROZEN = "frozen"
     JUMP = "jump"
     TURN = "turn"
     SPEED = "speed"
@@ -41,6 +44,7 @@ class PoseRejection(str, Enum):
     IMU_NOT_FINITE = "imu not finite"
     IMU_FORCE = "imu force"
     IMU_STAMP = "imu stamp"
+    IMU_FROZEN = "imu frozen"
 
 
 # What a source says against the track, or against itself.
@@ -58,6 +62,28 @@ class PoseMeasurement:
     position_m: Vector
     odom_from_body: Quaternion
     source: StampedPose
+
+
+class FrozenPoseGate:
+    """Notices poses that repeat although the track moves on.
+
+    No tracker gives a pose twice to the last bit.
+    """
+
+    def __init__(self) -> None:
+        self._last: Pose | None = None
+
+    def repeats(self, pose: Pose, residual: FloatArray) -> bool:
+        """Return True for a pose that is the one before again. residual: (6,), its innovation.
+
+        Call it for each valid pose.
+        """
+        last, self._last = self._last, pose
+        if last is None or not (
+            np.array_equal(last.translation_m, pose.translation_m) and np.array_equal(last.quat_wxyz, pose.quat_wxyz)
+        ):
+            return False
+        return math.hypot(*residual[:3].tolist()) > _FROZEN_M or math.hypot(*residual[3:].tolist()) > _FROZEN_RAD
 
 
 @dataclass(frozen=True, slots=True)

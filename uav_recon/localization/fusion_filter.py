@@ -19,10 +19,18 @@ from dataclasses import replace
 import numpy as np
 
 from uav_recon.localization.eskf import SEEN, WHITE_SHARE, Estimate, PoseNoise
-from uav_recon.localization.filter_pose_gates import CONTRADICTIONS, PoseGates, PoseMeasurement, PoseRejection, pose_fault
-from uav_recon.localization.fusion_history import Arrival, FusedPose, FusionHistory, pose_innovation
+from uav_recon.localization.filter_pose_gates import (
+    CONTRADICTIONS,
+    FrozenPoseGate,
+    PoseGates,
+    PoseMeasurement,
+    PoseRejection,
+    pose_fault,
+)
+from uav_recon.localization.fusion_history import Arrival, FusedPose, pose_innovation
 from uav_recon.localization.imu_integration import Quaternion, Vector, conjugate, multiply, normalised, rotate
 from uav_recon.localization.pose_stream_health import OdometryHealthMonitor
+from uav_recon.localization.propagation_bank import PropagationBank
 from uav_recon.localization.relocalization_check import AFTER_LOSS, MAP_STEP, RelocalizationCheck
 from uav_recon.types.camera import ImuSample
 from uav_recon.types.frames import FloatArray
@@ -53,9 +61,10 @@ class FusionFilter:
         self.correction = WorldFromOdom.start()
         self._lost_s = pose_lost_s
         self._gates = gates or PoseGates()
+        self._frozen = FrozenPoseGate()
         self._relocalization = RelocalizationCheck()
         self._watch = OdometryHealthMonitor(pose_lost_s)
-        self._history = FusionHistory(self.rejected, self._watch.fused)
+        self._bank = PropagationBank(self.rejected)
         self._reset_counter = 0
         self._source_resets = 0
         self._contradicted = False  # poses since the newest fused one contradicted the track
@@ -63,7 +72,7 @@ class FusionFilter:
     @property
     def newest_pose_s(self) -> float:
         """Stamp of the newest fused pose; -inf before the first."""
-        return -math.inf if self._history.newest is None else self._history.newest.stamp_s
+        return -math.inf if self._bank.newest is None else self._bank.newest.stamp_s
 
     @property
     def newest(self) -> tuple[Estimate, float] | None:
@@ -71,7 +80,7 @@ class FusionFilter:
 
         None before the first pose.
         """
-        return None if self._history.newest is None else (self._history.newest.estimate, self._history.newest.nis)
+        return None if self._bank.newest is None else (self._bank.newest.estimate, self._bank.newest.nis)
 
     def add_imu(self, samples: list[ImuSample], now_s: float = math.inf) -> None:
         """Add inertial samples, oldest first.
@@ -79,24 +88,33 @@ class FusionFilter:
         Samples that no sensor can measure, that are not newer than the one before, or that are later than now_s, are counted
         and dropped.
         """
-        self._history.update(samples, now_s)
+        self._bank.update(samples, now_s)
 
     def add_pose(self, pose: StampedPose, now_s: float) -> bool:
         """Fuse a pose of the source at its own stamp. Return False if it was rejected.
 
         now_s: present instant, which limits the accepted stamps.
         """
-        reason = pose_fault(pose, now_s) or self._history.stamp_fault(pose.stamp_s)
+        reason = pose_fault(pose, now_s) or self._bank.stamp_fault(pose.stamp_s)
         if reason is not None:
             self.rejected[reason] += 1
             return False
         said, noise = self._seen_in_odom(pose), PoseNoise.claimed(pose.covariance)
-        if self._history.newest is None:
+        if self._bank.newest is None:
             return self._begin(said, noise)
-        met = self._history.meet(said, noise)
+        met = self._bank.meet(said, noise)
         if met is None:
             return self._restart_after_gap(said, noise)
-        reason = self._continuity_fault(met, self._history.before(said.stamp_s))
+        if self._frozen.repeats(pose.odom_from_body, met.residual):
+            self.rejected[PoseRejection.FROZEN] += 1
+            return False
+        before = self._bank.before(said.stamp_s)
+        reason = self._continuity_fault(met, before)
+        if reason in CONTRADICTIONS:
+            fitting = (other for other in self._bank.alternatives() if self._continuity_fault(other, before) is None)
+            if (other := next(fitting, None)) is not None:
+                self._bank.switch_to(other)
+                met, reason = other, None
         if reason is not None and not self._accept_run(met):
             self.rejected[reason] += 1
             self._contradicted |= reason in CONTRADICTIONS
@@ -111,17 +129,17 @@ class FusionFilter:
         None before the first pose, too long ago, and while the attitude is unknown: if the gyro measures a turn that no vehicle
         can make, until the next pose, which takes about a tenth of a second.
         """
-        newest, found = self._history.newest, self._history.at(stamp_s)
+        newest, found = self._bank.newest, self._bank.at(stamp_s)
         if newest is None or found is None:
             return None
         node, state, here = found
         age_s, source = stamp_s - newest.stamp_s, node.sighting.source
-        health, why = self._watch.health(age_s, newest.estimate.inertial, len(self._relocalization) > 0)
+        health, why = self._watch.health(age_s, self._bank.fault(), len(self._relocalization) > 0)
         return StampedPose(
             stamp_s,
             Pose(np.array(state.odom_from_body(here)), np.array(state.position_m)),
             np.array(state.velocity_mps),
-            _with_drift(state.covariance, source.covariance),
+            _with_drift(state.covariance, source.covariance, self._bank.switch_variance_m2(stamp_s)),
             self._watch.quality(health, age_s, source.quality),
             self._reset_counter,
             source.map_epoch,
@@ -155,23 +173,40 @@ class FusionFilter:
         contradicted = (
             lost and self._contradicted
         )  # not by a step of the map: source and track never agreed on the body's motion
-        self._relocalization.update(said, track, carried.inertial and credible and not (tilted or contradicted))
+        self._relocalization.update(said, track, carried.model.accelerometer and credible and not (tilted or contradicted))
         if not self._relocalization.stands(AFTER_LOSS if lost else MAP_STEP):
             return False
         declared = said.source.reset_counter != self._source_resets
-        steady = credible or (carried.inertial and carried.covariance[8, 8] <= _STEADY_RAD**2)
+        steady = credible or (carried.model.gyro and carried.covariance[8, 8] <= _STEADY_RAD**2)
         if steady and not declared and abs(residual[5]) > _TURN_OF_MAP_RAD:
             return False
-        if not credible or contradicted or tilted:
+        fits = self._gates.leap(residual, met.covariance) is None
+        if contradicted or tilted or not (credible or fits):
             return self._begin(said, met.noise, self._relocalization.velocity_mps())
-        if declared or self._gates.leap(residual, met.covariance):
+        if declared or not fits:
             self._move_world(said.source, track)
             moved = replace(said, position_m=track.position_m, odom_from_body=track.odom_from_body)
             met = pose_innovation(moved, met.noise, carried, here)
         if lost:
             self._watch.begin(said.stamp_s)
-        self._settle(met)
+        if carried.model.accelerometer:
+            self._settle(met)
+        else:
+            self._settle_at_run_velocity(met, said)
         return True
+
+    def _settle_at_run_velocity(self, met: Arrival, said: PoseMeasurement) -> None:
+        """Fuse the last pose of an accepted run, and take the velocity from the run.
+
+        Without an accelerometer a wrong velocity of the track may be what the poses contradicted. said: the pose before a step
+        of the map.
+        """
+        turn = multiply(met.said.odom_from_body, conjugate(said.odom_from_body))
+        velocity_mps = rotate(turn, self._relocalization.velocity_mps())
+        self._relocalization.clear()
+        self._contradicted = False
+        self._bank.begin(met.said, met.noise, velocity_mps)
+        self._watch.fused(met.said.stamp_s, met.nis)
 
     def _restart_after_gap(self, said: PoseMeasurement, noise: PoseNoise) -> bool:
         """Restart after a silence longer than the stored track, once the source agrees with itself.
@@ -189,14 +224,15 @@ class FusionFilter:
         """Fuse a pose that continues the track."""
         self._relocalization.clear()
         self._contradicted = False
-        self._history.enter(met)
+        self._bank.enter(met)
+        self._watch.fused(met.said.stamp_s, met.nis)
 
     def _begin(self, said: PoseMeasurement, noise: PoseNoise, velocity_mps: Vector = (0.0, 0.0, 0.0)) -> bool:
         """Forget the past and restart from this pose. After the first time, odom jumps there."""
-        if not self._history.reaches(said.stamp_s):
+        if not self._bank.reaches(said.stamp_s):
             self.rejected[PoseRejection.STAMP] += 1
             return False
-        if self._history.newest is not None:
+        if self._bank.newest is not None:
             self._reset_counter = (self._reset_counter + 1) % 256
             again = said.source.reset_counter != self._source_resets
             self.correction = replace(self.correction, epoch=self.correction.epoch + again)
@@ -204,7 +240,8 @@ class FusionFilter:
         self._contradicted = False
         self._source_resets = said.source.reset_counter
         self._watch.begin(said.stamp_s)
-        self._history.begin(said, noise, velocity_mps)
+        self._bank.begin(said, noise, velocity_mps)
+        self._watch.fused(said.stamp_s, 0.0)
         return True
 
     def _move_world(self, pose: StampedPose, track: PoseMeasurement) -> None:
@@ -231,11 +268,12 @@ def _quaternion(pose: Pose) -> Quaternion:
     return (w, x, y, z)
 
 
-def _with_drift(covariance: FloatArray, claimed: FloatArray) -> FloatArray:
+def _with_drift(covariance: FloatArray, claimed: FloatArray, switch_m2: float) -> FloatArray:
     """Return the covariance (6, 6) of position and rotation vector.
 
-    It is the filter's own plus the possible drift of the source.
+    It is the filter's own plus the possible drift of the source, and the step at a change of the propagation.
     """
     out: FloatArray = covariance[SEEN]
     out.flat[:: len(out) + 1] += (1.0 - WHITE_SHARE) * np.minimum(np.diagonal(claimed), _LARGEST_DRIFT)
+    out.flat[: 3 * len(out) : len(out) + 1] += switch_m2
     return out

@@ -1,10 +1,10 @@
-"""Fused poses, each with the estimate after it, and the inertial track between them."""
+"""Fused poses with their estimates, and the inertial track between them, for one model."""
 
 from __future__ import annotations
 
+import functools
 import math
-from collections import Counter, deque
-from collections.abc import Callable
+from collections import deque
 from dataclasses import dataclass
 
 from uav_recon.localization.eskf import Estimate, PoseNoise, innovation, propagate, propagate_mean, spread, update_estimate
@@ -27,14 +27,12 @@ from uav_recon.localization.imu_integration import (
     multiply,
     rotate,
 )
-from uav_recon.types.camera import ImuSample
+from uav_recon.localization.imu_sample_gate import InertialReading
+from uav_recon.localization.propagation_model import KINEMATIC, PropagationModel
 from uav_recon.types.frames import FloatArray
 
 _HISTORY_S = 2.0  #: reject: late poses and frames are possible for this time
 _IMU_GAP_S = 0.05  #: brake: retreat_speed_mps after a longer gap of the inertial samples, as without an IMU
-_FASTEST_RADPS = 35.0  #: reject: inertial samples beyond: any gyro (2000 degrees/s) saturates there
-_HARDEST_MPS2 = 160.0  #: reject: inertial samples beyond: any accelerometer (16 g) saturates there
-_FUTURE_S = 0.01  #: reject: inertial samples stamped later than the clock by this
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +50,7 @@ class FusedPose:
         return self.sighting.stamp_s
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Arrival:
     """A new pose and the filter's prediction for its instant.
 
@@ -67,16 +65,20 @@ class Arrival:
     residual: FloatArray
     covariance: FloatArray
 
+    @functools.cached_property
+    def nis(self) -> float:
+        """Normalized innovation squared."""
+        return normalized_innovation_squared(self.residual, self.covariance)
+
 
 class FusionHistory:
-    """The nodes of the filter and the track.
+    """The nodes of the filter and the track, with one propagation model.
 
-    rejected: counts rejected inertial samples. fused(stamp_s, nis): called for each fused pose.
+    Without inertial samples the model is the kinematic one.
     """
 
-    def __init__(self, rejected: Counter[PoseRejection], fused: Callable[[float, float], None]) -> None:
-        self._rejected = rejected
-        self._fused = fused
+    def __init__(self, model: PropagationModel) -> None:
+        self._model = model
         self._track = InertialTrack()
         self._nodes: deque[FusedPose] = deque()
         # the newest run of inertial samples without a gap
@@ -88,31 +90,19 @@ class FusionHistory:
         """The newest node; None before the first."""
         return self._nodes[-1] if self._nodes else None
 
-    def update(self, samples: list[ImuSample], now_s: float) -> None:
-        """Add inertial samples, oldest first.
-
-        Samples that no sensor can measure, that are not newer than the one before, or that lie in the future, are counted and
-        dropped.
-        """
+    def update(self, samples: list[InertialReading]) -> None:
+        """Add valid inertial samples, oldest first."""
+        if not self._model.gyro:
+            return
         estimate = self._nodes[-1].estimate if self._nodes else None
-        bias = estimate.gyro_bias_radps if estimate is not None and estimate.inertial else (0.0, 0.0, 0.0)
-        for sample in samples:
-            stamp_s = sample.stamp_s
-            gx, gy, gz = sample.gyro_radps.tolist()
-            fx, fy, fz = sample.specific_force_mps2.tolist()
-            if not math.isfinite(stamp_s + gx + gy + gz + fx + fy + fz) or max(abs(gx), abs(gy), abs(gz)) > _FASTEST_RADPS:
-                self._rejected[PoseRejection.IMU_NOT_FINITE] += 1
-                continue
-            if max(abs(fx), abs(fy), abs(fz)) > _HARDEST_MPS2:
-                self._rejected[PoseRejection.IMU_FORCE] += 1
-                continue
-            if not self._track.newest_s < stamp_s <= now_s + _FUTURE_S:
-                self._rejected[PoseRejection.IMU_STAMP] += 1
-                continue
+        bias = estimate.gyro_bias_radps if estimate is not None and estimate.model.gyro else (0.0, 0.0, 0.0)
+        for stamp_s, rate, force in samples:
+            if stamp_s <= self._track.newest_s:
+                continue  # the track went on without samples until there
             if stamp_s - self._imu_s > _IMU_GAP_S:
                 self._imu_since_s = stamp_s
             self._imu_s = stamp_s
-            self._track.push(stamp_s, (gx, gy, gz), (fx, fy, fz), bias)
+            self._track.push(stamp_s, rate, force if self._model.accelerometer else None, bias)
 
     def stamp_fault(self, stamp_s: float) -> PoseRejection | None:
         """Return the reason why a stamp cannot be inserted, None if it can."""
@@ -142,13 +132,13 @@ class FusionHistory:
 
     def begin(self, said: PoseMeasurement, noise: PoseNoise, velocity_mps: Vector) -> None:
         """Forget the nodes and restart from a pose within the track."""
-        inertial = self._inertial(said.stamp_s, said.stamp_s)
-        if not inertial:
+        model = self._model_between(said.stamp_s, said.stamp_s)
+        if not model.gyro:
             self._coast_to(said.stamp_s)
         base = self._track.at(said.stamp_s)
         assert base is not None
         self._nodes.clear()
-        estimate = Estimate.at_rest(base, said.position_m, said.odom_from_body, noise, inertial)
+        estimate = Estimate.at_rest(base, said.position_m, said.odom_from_body, noise, model)
         self._keep(FusedPose(said, noise, estimate._replace(velocity_mps=velocity_mps), 0.0))
 
     def enter(self, met: Arrival) -> None:
@@ -182,24 +172,23 @@ class FusionHistory:
         return node, _smoothed(node, after, base, here, there), here
 
     def _meet(self, node: FusedPose, said: PoseMeasurement, noise: PoseNoise) -> Arrival | None:
-        inertial = self._inertial(node.stamp_s, said.stamp_s)
-        if not inertial:
+        model = self._model_between(node.stamp_s, said.stamp_s)
+        if not model.gyro:
             self._coast_to(said.stamp_s)
         base, here = self._track.at(node.stamp_s), self._track.at(said.stamp_s)
         if base is None or here is None:
             return None
-        return pose_innovation(said, noise, propagate(node.estimate.with_imu(inertial), base, here, node.noise), here)
+        return pose_innovation(said, noise, propagate(node.estimate.propagated_by(model), base, here, node.noise), here)
 
     def _append(self, met: Arrival) -> None:
         """Add a node: the propagated estimate corrected by the pose."""
-        nis = normalized_innovation_squared(met.residual, met.covariance)
+        nis = met.nis
         variance_m2 = sum(met.carried.covariance.diagonal()[:3].tolist()) / 3.0
         doubts = max(outlier_noise_scale(nis), max_step_noise_scale(met.residual, variance_m2, met.noise.position_m2))
         self._keep(FusedPose(met.said, met.noise, update_estimate(met.carried, met.residual, met.noise, doubts), nis))
 
     def _keep(self, node: FusedPose) -> None:
         self._nodes.append(node)
-        self._fused(node.stamp_s, node.nis)
         self._track.hover_force_gyro = rotate(conjugate(node.estimate.odom_from_gyro), (0.0, 0.0, GRAVITY_MPS2))
 
     def _before(self, stamp_s: float) -> int:
@@ -208,15 +197,16 @@ class FusionHistory:
             k -= 1
         return k
 
-    def _inertial(self, start_s: float, end_s: float) -> bool:
-        """Return True if inertial samples cover the interval."""
-        return self._imu_since_s <= start_s + _IMU_GAP_S and self._imu_s >= end_s - _IMU_GAP_S
+    def _model_between(self, start_s: float, end_s: float) -> PropagationModel:
+        """Return the own model if inertial samples cover the interval, otherwise the kinematic one."""
+        covered = self._imu_since_s <= start_s + _IMU_GAP_S and self._imu_s >= end_s - _IMU_GAP_S
+        return self._model if covered else KINEMATIC
 
     def _coast_to(self, stamp_s: float) -> None:
         if stamp_s > self._track.newest_s:
             estimate = self._nodes[-1].estimate if self._nodes else None
-            known = estimate is not None and not estimate.inertial
-            bx, by, bz = estimate.gyro_bias_radps if estimate is not None and known else (0.0, 0.0, 0.0)
+            turning = estimate is not None and not estimate.model.gyro
+            bx, by, bz = estimate.gyro_bias_radps if estimate is not None and turning else (0.0, 0.0, 0.0)
             self._track.coast(stamp_s, (-bx, -by, -bz))
 
 

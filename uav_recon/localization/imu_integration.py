@@ -123,7 +123,7 @@ class InertialTrack:
         self._stamp = np.empty(_CAPACITY)
         self._state = np.empty((_CAPACITY, 15))  # q, V, X, B, knocks and whirls at the sample
         self._step = np.zeros((_CAPACITY, 11))  # rate (body), force (gyro frame), bias, knock and whirl to the next sample
-        self._last: tuple[Vector, Vector] = (_ZERO, _ZERO)  # newest rate without bias, and newest force
+        self._last: tuple[Vector, Vector | None] = (_ZERO, None)  # newest rate without bias, and newest force
         self._measured = False  # True if the newest sample came from an IMU
 
     def __len__(self) -> int:
@@ -139,10 +139,10 @@ class InertialTrack:
         """Stamp of the oldest stored sample; inf for an empty track."""
         return float(self._stamp[0]) if self._count else math.inf
 
-    def push(self, stamp_s: float, rate_radps: Vector, force_mps2: Vector, bias_radps: Vector = _ZERO) -> None:
+    def push(self, stamp_s: float, rate_radps: Vector, force_mps2: Vector | None, bias_radps: Vector = _ZERO) -> None:
         """Append a sample: body rate, body specific force, and the gyro's bias as known now.
 
-        Stamps must increase.
+        Stamps must increase. Without a force the track moves on at constant velocity.
         """
         self._make_room()
         i = self._count - 1
@@ -154,21 +154,19 @@ class InertialTrack:
             if self._measured and dt > self._gap_s:
                 self._step[i] = (*_ZERO, *self.hover_force_gyro, *bias_radps, 0.0, 0.0)
             elif self._measured:
-                (px, py, pz), (fx, fy, fz) = self._last
-                rate = (0.5 * (px + rate_radps[0]), 0.5 * (py + rate_radps[1]), 0.5 * (pz + rate_radps[2]))
-                force = (0.5 * (fx + force_mps2[0]), 0.5 * (fy + force_mps2[1]), 0.5 * (fz + force_mps2[2]))
+                rate, force = _mean(self._last[0], rate_radps), _mean_force(self._last[1], force_mps2)
                 middle = multiply(
                     self._quaternion(i), exponential((0.5 * dt * rate[0], 0.5 * dt * rate[1], 0.5 * dt * rate[2]))
                 )
                 whirl = _length(rate) if max(_length(self._last[0]), _length(rate_radps)) > _WHIRL_RADPS else 0.0
-                self._step[i] = (*rate, *rotate(middle, force), *bias_radps, _knock_mps2(force), whirl)
+                self._step[i] = (*rate, *self._in_gyro_frame(middle, force), *bias_radps, _knock_mps2(force), whirl)
             self._append(self._advance(i, stamp_s))
         else:
             self._append(InertialState(stamp_s, IDENTITY, _ZERO, _ZERO, _ZERO))
         self._last = (rate_radps, force_mps2)
         self._measured = True
         newest = self._count - 1
-        force_gyro = rotate(self._quaternion(newest), force_mps2)
+        force_gyro = self._in_gyro_frame(self._quaternion(newest), force_mps2)
         turning = _length(rate_radps)
         whirl = turning if turning > _WHIRL_RADPS else 0.0
         self._step[newest] = (*rate_radps, *force_gyro, *bias_radps, _knock_mps2(force_mps2), whirl)
@@ -199,6 +197,9 @@ class InertialTrack:
         if i == self._count - 1 and self._measured and stamp_s - self._stamp[i] > self._gap_s:
             return self._advance(i, stamp_s, (*_ZERO, *self.hover_force_gyro, *self._step[i, 6:9].tolist(), 0.0, 0.0))
         return self._advance(i, stamp_s)
+
+    def _in_gyro_frame(self, gyro_from_body: Quaternion, force_mps2: Vector | None) -> Vector:
+        return self.hover_force_gyro if force_mps2 is None else rotate(gyro_from_body, force_mps2)
 
     def _quaternion(self, i: int) -> Quaternion:
         w, x, y, z = self._state[i, :4].tolist()
@@ -247,9 +248,17 @@ class InertialTrack:
         self._count = k
 
 
-def _knock_mps2(force_mps2: Vector) -> float:
+def _mean(a: Vector, b: Vector) -> Vector:
+    return (0.5 * (a[0] + b[0]), 0.5 * (a[1] + b[1]), 0.5 * (a[2] + b[2]))
+
+
+def _mean_force(a: Vector | None, b: Vector | None) -> Vector | None:
+    return None if a is None or b is None else _mean(a, b)
+
+
+def _knock_mps2(force_mps2: Vector | None) -> float:
     """Return the size of a force that no vehicle flies by, otherwise 0."""
-    force = _length(force_mps2)
+    force = 0.0 if force_mps2 is None else _length(force_mps2)
     return force if force > _KNOCK_MPS2 else 0.0
 
 

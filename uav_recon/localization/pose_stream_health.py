@@ -45,10 +45,10 @@ class OdometryHealthMonitor:
         while self._stamps_s[0] <= stamp_s - _WINDOW_S:
             self._stamps_s.popleft()
 
-    def health(self, age_s: float, inertial: bool, on_trial: bool) -> tuple[PoseHealth, Reason | None]:
+    def health(self, age_s: float, imu_fault: Reason | None, on_trial: bool) -> tuple[PoseHealth, Reason | None]:
         """Return the health and the reason, None for nothing.
 
-        age_s: of the newest pose. inertial: an IMU propagates the state. on_trial: poses arrive, but are not accepted.
+        age_s: of the newest pose. imu_fault: why not all of the IMU is used. on_trial: poses arrive, but are not accepted.
         """
         rate_hz = self._rate_hz()
         slower_s = min(max(1.0 / rate_hz - _USUAL_S, 0.0), _SLOWER_S)
@@ -61,7 +61,7 @@ class OdometryHealthMonitor:
             (rate_hz < _TOO_FEW_HZ, PoseHealth.LOST, few),
             (on_trial or age_s > _LATE_S + slower_s, PoseHealth.DEGRADED, late),
             (rate_hz < _FEW_HZ, PoseHealth.DEGRADED, few),
-            (not inertial, PoseHealth.DEGRADED, Reason(ReasonCode.NO_IMU)),
+            (imu_fault is not None, PoseHealth.DEGRADED, imu_fault),
             (surprised, PoseHealth.DEGRADED, Reason(ReasonCode.IMU_DISAGREES, (mean,))),
         )
         return next(((health, reason) for fails, health, reason in checks if fails), (PoseHealth.GOOD, None))

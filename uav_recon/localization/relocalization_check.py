@@ -12,6 +12,7 @@ from uav_recon.localization.filter_pose_gates import PoseMeasurement
 from uav_recon.localization.imu_integration import conjugate, logarithm, multiply, rotate
 
 _SLIP_M = 0.05  #: reject: poses of a new track that differ by more from the motion of the old one between them
+_SLIP_MPS = 0.1  #: reject: ... beyond what the track itself drifts in more than _MAP_STEP_S
 _SLIP_RAD = math.radians(3.0)  #: reject: the same for the attitude
 _WIDER_M = 0.10  #: reject: the same without inertial samples, beyond what _SPEED_MPS explains
 _WIDER_RAD = math.radians(8.0)  #: reject: the same for the attitude, beyond what _TURN_RADPS explains
@@ -50,10 +51,15 @@ class RelocalizationCheck:
         self._run.clear()
 
     def update(self, said: PoseMeasurement, track: PoseMeasurement, inertial: bool) -> None:
-        """Add a pose, and the pose that the track alone predicts for its stamp."""
+        """Add a pose, and the pose that the track alone predicts for its stamp.
+
+        It has to agree with the pose before it and with the first of the run: a small difference from pose to pose is a wrong
+        velocity.
+        """
         if self._run and said.stamp_s <= self._run[-1][0].stamp_s:
             return
-        if self._run and not _agree(self._run[-1], (said, track), inertial):
+        pair = (said, track)
+        if self._run and not (_agree(self._run[-1], pair, inertial) and _agree(self._run[0], pair, inertial)):
             self._run.clear()
         self._run.append((said, track))
 
@@ -86,7 +92,7 @@ def _agree(
     slip_rad = math.hypot(*logarithm(multiply(conjugate(turn), moved)))
     way = rotate(conjugate(said0.odom_from_body), _difference(said1, said0))
     expected = rotate(conjugate(track0.odom_from_body), _difference(track1, track0))
-    return slip_rad <= _SLIP_RAD and math.dist(way, expected) <= _SLIP_M
+    return slip_rad <= _SLIP_RAD and math.dist(way, expected) <= _SLIP_M + _SLIP_MPS * max(dt_s - _MAP_STEP_S, 0.0)
 
 
 def _difference(a: PoseMeasurement, b: PoseMeasurement) -> tuple[float, float, float]:

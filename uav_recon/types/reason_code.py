@@ -111,6 +111,15 @@ class ReasonCode(str, Enum):
     POSES_DISAGREE = "poses-disagree", "poses disagree for {0:.1f} s", "", (123.4,)
     FEW_POSES = "few-poses", "{0:.0f} poses a second", "", (30.0,)
     NO_IMU = "no-imu", "no inertial samples"
+    IMU_FROZEN = "imu-frozen", "IMU values repeat, not used", "the values of the IMU repeat: it is not used"
+    ACCELEROMETER_FROZEN = (
+        "accelerometer-frozen", "accelerometer repeats, not used", "the values of the accelerometer repeat: it is not used",
+    )  # fmt: skip
+    ACCELEROMETER_REJECTED = (
+        "accelerometer-rejected", "accelerometer contradicts poses, not used",
+        "the accelerometer contradicts the poses: it is not used",
+    )  # fmt: skip
+    GYRO_REJECTED = "gyro-rejected", "gyro contradicts poses, not used", "the gyro contradicts the poses: the IMU is not used"
     IMU_DISAGREES = "imu-disagrees", "poses and IMU disagree, NIS {0:.0f} for 6", "", (150.0,)
     ODOMETRY_DRIFT = "odometry-drift", "odometry drift {0:.3f} m/s", "", (1.234,)
     SURFACES_MOVED = (

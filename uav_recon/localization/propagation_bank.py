@@ -1,0 +1,226 @@
+"""Bank of filters with and without each inertial sensor; the poses decide between them.
+
+Each filter fuses the same poses (multiple-model estimation: Bar-Shalom, Li, Kirubarajan, Estimation with Applications to
+Tracking and Navigation, 2001, section 11.6). An honest IMU makes the first filter the sharpest. An IMU that lies makes its
+innovations large, while those of a filter without that sensor stay as expected: that filter then takes over. If the innovations
+of all filters are large, the poses are inconsistent, and nothing changes.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from dataclasses import dataclass
+
+import numpy as np
+
+from uav_recon.localization.eskf import Estimate, PoseNoise
+from uav_recon.localization.filter_pose_gates import PoseMeasurement, PoseRejection
+from uav_recon.localization.fusion_history import Arrival, FusedPose, FusionHistory, pose_innovation
+from uav_recon.localization.imu_integration import InertialState, Vector
+from uav_recon.localization.imu_sample_gate import ImuSampleGate
+from uav_recon.localization.propagation_model import GYRO, INERTIAL, KINEMATIC
+from uav_recon.types.camera import ImuSample
+from uav_recon.types.reason import Reason
+from uav_recon.types.reason_code import ReasonCode
+
+_MEMORY_S = 0.4  #: reject: time constant over which the innovations with and without an inertial sensor are compared
+#: reject: an inertial sensor is used no more above this mean of the squared innovations with it, whose expected value is six
+_SURPRISED_NIS = 15.0
+#: reject: ... and if without it the costs (NIS and log determinant of the innovation) are lower by more
+_COST_NIS = 2.0
+_SUSPECT_NIS = 9.0  #: reject: a sensor whose mean is above this loses to one pose that only fits without it
+_PROVEN_S = 3.0  #: reject: an inertial sensor that lied, until its innovations are the better ones for this time
+_LATE_S = 0.1  # age of the newest pose, over which the odometry is extrapolated
+_SWITCH_S = 0.5  # after this time the odometry's covariance no longer contains the step at a change of the filter
+_MAX_NIS = 150.0  # limit of one value in the mean; a filter that is not chosen restarts above it
+_EXPECTED_NIS = 6.0
+#: reject: max. factor on the white variance that a source claims, for one whose poses scatter more: it widens the gates
+_MAX_NOISE_FACTOR = 30.0
+_NOISE_MEMORY_S = 8.0  #: reject: time constant with which that factor falls again
+
+_ACCELEROMETER = 1  # index of the first filter without an accelerometer
+_GYRO = 2  # ... without a gyro
+
+
+@dataclass(slots=True)
+class _Record:
+    """Means of the recent NIS of one filter and of its log determinant."""
+
+    nis: float = _EXPECTED_NIS
+    log_determinant: float = math.inf  # before the first pose
+
+    def update(self, arrival: Arrival, share: float) -> None:
+        log_determinant = float(np.linalg.slogdet(arrival.covariance)[1])
+        self.nis += share * (min(arrival.nis, _MAX_NIS) - self.nis)
+        if math.isinf(self.log_determinant):
+            self.log_determinant = log_determinant
+        self.log_determinant += share * (log_determinant - self.log_determinant)
+
+    def cost(self, scale: float) -> float:
+        """Return the negative log likelihood, up to a constant.
+
+        scale: factor on the expected squares of the innovations. A source that claims too small a covariance raises the NIS of
+        all filters, and most that of the sharpest.
+        """
+        return self.nis / scale + self.log_determinant
+
+
+class PropagationBank:
+    """The filters, and the one whose state is the odometry. Not thread-safe.
+
+    rejected: counts rejected inertial samples.
+    """
+
+    def __init__(self, rejected: Counter[PoseRejection]) -> None:
+        self._gate = ImuSampleGate(rejected)
+        self._histories = tuple(FusionHistory(model) for model in (INERTIAL, GYRO, KINEMATIC))
+        self._records = [_Record() for _ in self._histories]
+        self._chosen = 0
+        self._better_since_s = math.inf
+        self._compared_s = -math.inf
+        self._switched_s = -math.inf
+        self._switch_m = 0.0  # distance between the filters when the chosen one changed
+        self._noise_scale = 1.0  # of the white variance that the source claims
+        self._met: list[Arrival | None] = [None] * len(self._histories)
+
+    @property
+    def newest(self) -> FusedPose | None:
+        """The newest node of the chosen filter; None before the first."""
+        return self._history.newest
+
+    @property
+    def _history(self) -> FusionHistory:
+        return self._histories[self._chosen]
+
+    def update(self, samples: list[ImuSample], now_s: float) -> None:
+        """Add inertial samples, oldest first; invalid ones are counted and dropped."""
+        readings = self._gate.admit(samples, now_s)
+        for history in self._histories:
+            history.update(readings)
+        if self._gate.accelerometer_frozen and self._chosen < _ACCELEROMETER:
+            self._choose(_ACCELEROMETER)
+
+    def stamp_fault(self, stamp_s: float) -> PoseRejection | None:
+        """Return the reason why a stamp cannot be inserted, None if it can."""
+        return self._history.stamp_fault(stamp_s)
+
+    def before(self, stamp_s: float) -> FusedPose:
+        """Return the newest node that is not younger than a timely stamp."""
+        return self._history.before(stamp_s)
+
+    def reaches(self, stamp_s: float) -> bool:
+        """Return True if the track goes back to the stamp."""
+        return all(history.reaches(stamp_s) for history in self._histories)
+
+    def at(self, stamp_s: float) -> tuple[FusedPose, Estimate, InertialState] | None:
+        """Return the node before an instant, and estimate and track there, as FusionHistory."""
+        return self._history.at(stamp_s)
+
+    def meet(self, said: PoseMeasurement, noise: PoseNoise) -> Arrival | None:
+        """Propagate the filters to a timely pose and return the chosen one's arrival.
+
+        None if its track is too short.
+        """
+        noise = noise.scaled(self._noise_scale)
+        self._met = [
+            history.meet(said, noise) if history.stamp_fault(said.stamp_s) is None else None for history in self._histories
+        ]
+        return self._met[self._chosen]
+
+    def begin(self, said: PoseMeasurement, noise: PoseNoise, velocity_mps: Vector) -> None:
+        """Forget the nodes and restart all filters from a pose within the track."""
+        for history in self._histories:
+            history.begin(said, noise, velocity_mps)
+        self._records = [_Record() for _ in self._histories]
+        self._choose(self._chosen)
+
+    def enter(self, met: Arrival) -> None:
+        """Insert a pose that the chosen filter has met; the others fuse it too.
+
+        A filter that cannot continue restarts from it.
+        """
+        self._met[self._chosen] = met
+        self._histories[self._chosen].enter(met)
+        newest = self._histories[self._chosen].newest
+        assert newest is not None
+        for index, history in enumerate(self._histories):
+            if index == self._chosen or newest.stamp_s != met.said.stamp_s:
+                continue  # a pose out of order corrects only the track that is flown by
+            other = self._met[index]
+            if other is not None and other.said is not met.said:  # the pose as it is after a step of the source's map
+                other = self._met[index] = pose_innovation(met.said, met.noise, other.carried, other.here)
+            if other is None or other.nis > _MAX_NIS:
+                history.begin(met.said, met.noise, newest.estimate.velocity_mps)
+            else:
+                history.enter(other)
+        self._compare(met)
+
+    def alternatives(self) -> list[Arrival]:
+        """Return the arrivals of filters with fewer sensors, if the chosen one is suspect."""
+        if self._records[self._chosen].nis <= _SUSPECT_NIS:
+            return []
+        fewer = zip(self._met, self._records, strict=True)
+        return [met for met, record in list(fewer)[self._chosen + 1 :] if met is not None and record.nis <= _SURPRISED_NIS]
+
+    def switch_to(self, met: Arrival) -> None:
+        """Choose the filter of an arrival."""
+        self._choose(next(index for index, arrival in enumerate(self._met) if arrival is met))
+
+    def fault(self) -> Reason | None:
+        """Return the reason why not all inertial sensors are used, None if they are."""
+        newest = self.newest
+        if newest is None or newest.estimate.model is INERTIAL:
+            return None
+        if self._gate.gyro_frozen:
+            return Reason(ReasonCode.IMU_FROZEN)
+        if newest.estimate.model is KINEMATIC and self._chosen < _GYRO:
+            return Reason(ReasonCode.NO_IMU)
+        if self._chosen == _GYRO:
+            return Reason(ReasonCode.GYRO_REJECTED)
+        return Reason(ReasonCode.ACCELEROMETER_FROZEN if self._gate.accelerometer_frozen else ReasonCode.ACCELEROMETER_REJECTED)
+
+    def _compare(self, met: Arrival) -> None:
+        """Update the records with a fused pose, and choose the most likely filter."""
+        share = 1.0 - math.exp(-max(met.said.stamp_s - self._compared_s, 0.0) / _MEMORY_S)
+        self._compared_s = max(self._compared_s, met.said.stamp_s)
+        for record, arrival in zip(self._records, self._met, strict=True):
+            if arrival is not None:
+                record.update(arrival, share)
+        least = min(record.nis for record in self._records) / _EXPECTED_NIS
+        slow = 1.0 if least > 1.0 else _MEMORY_S / _NOISE_MEMORY_S
+        self._noise_scale = min(max(self._noise_scale * (1.0 + slow * share * (least - 1.0)), 1.0), _MAX_NOISE_FACTOR)
+        scale = max(least, 1.0)
+        costs = [record.cost(scale) for record in self._records]
+        here = self._chosen
+        surprised = [record.nis > _SURPRISED_NIS for record in self._records]
+        fewer = [k for k in range(here + 1, len(costs)) if costs[here] - costs[k] > _COST_NIS and not surprised[k]]
+        if surprised[here] and fewer:
+            self._choose(min(fewer, key=lambda k: costs[k]))
+            return
+        self._restore(costs, met.said.stamp_s)
+
+    def _restore(self, costs: list[float], stamp_s: float) -> None:
+        """Use a sensor again once it has been the better choice for a while."""
+        first = _ACCELEROMETER if self._gate.accelerometer_frozen else 0
+        more = [k for k in range(first, self._chosen) if costs[k] <= costs[self._chosen] + _COST_NIS]
+        if not more:
+            self._better_since_s = math.inf
+            return
+        self._better_since_s = min(self._better_since_s, stamp_s)
+        if stamp_s - self._better_since_s >= _PROVEN_S:
+            self._choose(min(more, key=lambda k: costs[k]))
+
+    def switch_variance_m2(self, stamp_s: float) -> float:
+        """Return the variance per axis that a recent change of the filter adds to the position."""
+        left = 1.0 - (stamp_s - self._switched_s) / _SWITCH_S
+        return max(min(left, 1.0), 0.0) * self._switch_m**2 / 3.0
+
+    def _choose(self, index: int) -> None:
+        old, new = self._met[self._chosen], self._met[index]
+        if old is not None and new is not None and index != self._chosen:
+            self._switched_s = new.said.stamp_s
+            apart_m = math.dist(old.carried.position_m, new.carried.position_m)
+            self._switch_m = apart_m + _LATE_S * math.dist(old.carried.velocity_mps, new.carried.velocity_mps)
+        self._chosen = index
+        self._better_since_s = math.inf
