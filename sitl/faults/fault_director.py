@@ -22,7 +22,7 @@ from sitl.autopilots.byte_links import ByteEnd
 from sitl.camera.d435i import pinhole
 from sitl.faults.autopilot_side_proxy import AutopilotSideProxy
 from sitl.faults.fault import AFTER_DISARM_S, Fault, Onset
-from sitl.faults.injectors.base import ATTENDED, DepthFrame, InjectionContext, Injector
+from sitl.faults.injectors.base import ATTENDED, DepthFrame, ImuSample, InjectionContext, Injector
 from sitl.faults.mavlink_proxy import Bytes, DelayedItems, Proxy, ProxyInterface
 from sitl.geometry.quaternion import yaw_of
 from sitl.geometry.transform import body_from_camera, world_from_body
@@ -220,7 +220,7 @@ class FaultDirector:
     def fate(self, kind: str, item: T) -> DelayedItems[T]:
         """Return the results of passing an item through all injectors: (delay in seconds, item).
 
-        Delays add up. kind: name of the injector method, such as "pose" or "depth".
+        Delays add up. kind: name of the injector method, such as "pose", "depth" or "imu".
         """
         since_s = self.context.now_s - self.onset_s
         late: DelayedItems[T] = [(0.0, item)]
@@ -239,13 +239,13 @@ class FaultyStream:
     def __init__(self, writer: CameraStreamOutput, meddler: FaultDirector) -> None:
         self._writer = writer
         self._meddler = meddler
-        self._waiting: list[tuple[float, int, PoseRecord | DepthFrame]] = []
+        self._waiting: list[tuple[float, int, PoseRecord | DepthFrame | ImuSample]] = []
         self._numbers = itertools.count()
         self._lock = threading.Lock()  # images are rendered in a thread of their own
 
     def write_imu(self, stamp_s: float, gyro: NDArray[np.float64], force: NDArray[np.float64]) -> None:
-        """Pass an inertial sample through unchanged."""
-        self._writer.write_imu(stamp_s, gyro, force)
+        """Write an inertial sample, which the faults may delay, change or drop."""
+        self._queue(self._meddler.fate("imu", ImuSample(stamp_s, gyro, force)))
 
     def write_pose(
         self,
@@ -264,7 +264,7 @@ class FaultyStream:
         """Write a frame, which the faults may delay, change or drop."""
         self._queue(self._meddler.fate("depth", DepthFrame(stamp_s, depth_mm, rgb)))
 
-    def _queue(self, late: DelayedItems[PoseRecord] | DelayedItems[DepthFrame]) -> None:
+    def _queue(self, late: DelayedItems[PoseRecord] | DelayedItems[DepthFrame] | DelayedItems[ImuSample]) -> None:
         now_s = self._meddler.context.now_s
         for wait_s, item in late:
             with self._lock:
@@ -276,12 +276,14 @@ class FaultyStream:
         while (item := self._due(now_s)) is not None:
             if isinstance(item, DepthFrame):
                 self._writer.write_frame(item.stamp_s, item.depth_mm, item.rgb)
+            elif isinstance(item, ImuSample):
+                self._writer.write_imu(item.stamp_s, item.gyro_radps, item.specific_force_mps2)
             else:
                 self._writer.write_pose(
                     item.stamp_s, item.position_m, item.quat_wxyz, item.variance, item.quality, item.reset_counter
                 )
 
-    def _due(self, now_s: float) -> PoseRecord | DepthFrame | None:
+    def _due(self, now_s: float) -> PoseRecord | DepthFrame | ImuSample | None:
         with self._lock:
             if self._waiting and self._waiting[0][0] <= now_s + 1e-9:
                 return heapq.heappop(self._waiting)[2]

@@ -8,6 +8,9 @@ from enum import Flag, auto
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from sitl.faults.injectors.obstacle import Obstacle
 from sitl.faults.mavlink_proxy import DelayedItems, ProxyInterface
 from sitl.faults.process_registry import ProcessRegistry
@@ -82,6 +85,10 @@ class Injector:
         """Return the result for a depth frame."""
         return [(0.0, frame)]
 
+    def imu(self, since_s: float, sample: ImuSample) -> DelayedItems[ImuSample]:
+        """Return the result for an inertial sample."""
+        return [(0.0, sample)]
+
     def to_autopilot(self, since_s: float, frame: bytes) -> DelayedItems[bytes]:
         """Return the result for a MAVLink frame of the product."""
         return [(0.0, frame)]
@@ -106,3 +113,12 @@ class DepthFrame:
     stamp_s: float
     depth_mm: Any
     rgb: Any
+
+
+@dataclass(frozen=True, slots=True)
+class ImuSample:
+    """Inertial sample in transit: gyro (3,), rad/s; specific force (3,), m/s^2; both in the body frame, FLU."""
+
+    stamp_s: float
+    gyro_radps: NDArray[np.float64]
+    specific_force_mps2: NDArray[np.float64]

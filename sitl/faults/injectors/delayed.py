@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from sitl.faults.injectors.base import DepthFrame, InjectionContext, Injector
+from sitl.faults.injectors.base import DepthFrame, ImuSample, InjectionContext, Injector
 from sitl.faults.mavlink_proxy import DelayedItems
 from sitl.world.pose_tracker import PoseRecord
 
@@ -41,6 +41,10 @@ class Delayed(Injector):
     def depth(self, since_s: float, frame: DepthFrame) -> DelayedItems[DepthFrame]:
         """Return the fault's result for a depth frame."""
         return self._acts.depth(since_s - self._begun_s, frame)
+
+    def imu(self, since_s: float, sample: ImuSample) -> DelayedItems[ImuSample]:
+        """Return the fault's result for an inertial sample."""
+        return self._acts.imu(since_s - self._begun_s, sample)
 
     def to_autopilot(self, since_s: float, frame: bytes) -> DelayedItems[bytes]:
         """Return the fault's result for a MAVLink frame of the product."""
