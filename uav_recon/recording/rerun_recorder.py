@@ -20,6 +20,7 @@ from uav_recon.clock import RateKeeper
 from uav_recon.interfaces import Channel, Clock
 from uav_recon.recording import blueprint as names
 from uav_recon.recording import rerun_archetypes
+from uav_recon.recording.live_view import LiveView
 from uav_recon.recording.mesh_file import load_mesh
 from uav_recon.recording.timelapse import Timelapse
 from uav_recon.recording.viewer import Viewer, open_viewer
@@ -129,10 +130,8 @@ class Recorder:
         batches.flush_tick = timedelta(seconds=_BATCH_S)
         self._file = rr.RecordingStream(names.APPLICATION, batcher_config=batches)
         self._file.save(path, write_footer=False)  # a footer would keep a line for each chunk in memory until the end
-        self._viewer = find_viewer() if live else None
-        self._live = None if self._viewer is None else rr.RecordingStream(names.APPLICATION)
-        if self._viewer is not None and self._live is not None:
-            self._live.connect_grpc(self._viewer.address)
+        viewer = find_viewer() if live else None
+        self._live = None if viewer is None else LiveView(viewer)
         for stream in self._streams():
             stream.send_blueprint(names.review_blueprint())
         self._draw(rerun_archetypes.scene(np.asarray(fence_world_m, dtype=np.float64)), static=True)
@@ -163,7 +162,7 @@ class Recorder:
         }  # fmt: skip
 
     def close(self, mesh: TriangleMesh | None = None) -> None:
-        """Log the last values and the finished model, and end the file.
+        """Log the last values and the finished model, and end the file; a viewer delays this by about two seconds at most.
 
         mesh: the model; by default ``folder``/mesh.ply.
         """
@@ -176,8 +175,9 @@ class Recorder:
         mesh = mesh or load_mesh(self._folder)
         if mesh is not None:
             self._draw(rerun_archetypes.mesh(mesh, self._trail[-1] if self._trail else None))
-        for stream in self._streams():
-            stream.disconnect()
+        self._file.disconnect()
+        if self._live is not None:
+            self._live.close()
 
     def _log_odom(self) -> None:
         odom = self._odom.new()
@@ -257,17 +257,14 @@ class Recorder:
             stream.set_time(names.TIMELINE, duration=now_s - self._start_s)
 
     def _flush(self) -> None:
-        """Write to disk, so that a killed recorder loses two seconds; drop a closed viewer."""
+        """Write to disk, so that a killed recorder loses two seconds."""
         try:
             self._file.flush(timeout_sec=_FLUSH_TIMEOUT_S)
         except RuntimeError as error:
             _LOG.warning("%s: %s", self._folder / names.RECORDING, error)
-        if self._viewer is not None and not self._viewer.alive():
-            _LOG.warning("the live view was closed; the recording goes on")
-            self._viewer = self._live = None
 
     def _streams(self) -> list[Any]:
-        return [self._file] if self._live is None else [self._file, self._live]
+        return [self._file] if self._live is None or self._live.ended else [self._file, self._live.stream]
 
 
 def _distance_m(voxels: VoxelMap, position_world: FloatArray) -> float | None:

@@ -21,16 +21,17 @@ class Viewer:
     """A viewer that listens on this machine."""
 
     port: int
+    host: str = _HOST
 
     @property
     def address(self) -> str:
         """Address that a stream connects to."""
-        return f"rerun+http://{_HOST}:{self.port}/proxy"
+        return f"rerun+http://{self.host}:{self.port}/proxy"
 
     def alive(self) -> bool:
         """Return True if a process listens on the port. Blocks for at most a tenth of a second."""
         try:
-            socket.create_connection((_HOST, self.port), timeout=0.1).close()
+            socket.create_connection((self.host, self.port), timeout=0.1).close()
         except OSError:
             return False
         return True
