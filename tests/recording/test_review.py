@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from test_rerun_recorder import fly
 
 from uav_recon.recording import review as module
 from uav_recon.recording.blueprint import RECORDING, review_blueprint
@@ -68,3 +69,44 @@ def test_a_viewer_that_ends_at_once_only_loses_the_live_view(caplog: pytest.LogC
 
 def test_the_blueprint_is_made() -> None:
     assert review_blueprint() is not None
+
+
+def test_a_recording_cut_at_any_byte_is_read_up_to_its_last_whole_message(tmp_path: Path) -> None:
+    recorder, _ = fly(tmp_path, duration_s=3.0)
+    recorder.close()
+    data = (tmp_path / RECORDING).read_bytes()
+    whole = check_recording(tmp_path)
+    assert whole.cut_bytes == 0
+    copy = tmp_path / "copy"
+    copy.mkdir()
+    read = 0
+    for size in range(5000, len(data), len(data) // 25):
+        (copy / RECORDING).write_bytes(data[:size])
+        summary = check_recording(copy)
+        assert read <= summary.chunks <= whole.chunks
+        assert 0 < summary.cut_bytes < size
+        read = summary.chunks
+    assert read > 10
+
+
+def test_a_cut_within_the_first_values_is_one_line(tmp_path: Path) -> None:
+    recorder, _ = fly(tmp_path, duration_s=1.0)
+    recorder.close()
+    data = (tmp_path / RECORDING).read_bytes()
+    for size in (3, 4, 11, 13, 60):
+        (tmp_path / RECORDING).write_bytes(data[:size])
+        with pytest.raises(ReviewError, match="not a recording") as error:
+            check_recording(tmp_path)
+        assert one_line(error)
+
+
+def test_a_cut_recording_is_opened_and_reported(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    recorder, _ = fly(tmp_path, duration_s=1.0)
+    recorder.close()
+    path = tmp_path / RECORDING
+    path.write_bytes(path.read_bytes()[:-5])
+    monkeypatch.setattr(module, "viewer_command", lambda *_: [sys.executable, "-c", ""])
+    review(tmp_path)
+    assert "is cut" in caplog.text
