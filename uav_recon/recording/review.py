@@ -38,8 +38,8 @@ class RecordingSummary:
 def review(folder: Path) -> None:
     """Open the viewer on a flight folder with its stored blueprint; blocks until it is closed.
 
-    A recording that was cut short is shown up to the cut, and reported in one line. Raises ReviewError if there is no recording,
-    or if the viewer ends with an error.
+    A recording that was cut short is shown up to the cut, and reported in one line. Raises ReviewError if there is no
+    recording, or if the viewer ends with an error.
     """
     path = recording_path(folder)
     if (cut_bytes := bytes_after_last_message(path)) > 0:
