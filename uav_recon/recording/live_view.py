@@ -24,7 +24,9 @@ _DISCONNECT_TIMEOUT_S = 0.5
 
 
 class LiveView:
-    """Stream of one flight to a viewer. All times are wall time: the viewer runs in real time in lockstep, too.
+    """Stream of one flight to a viewer.
+
+    All times are wall time: the viewer runs in real time in lockstep, too.
 
     stream: the rerun stream to log to while ``ended`` is False.
     ended: True once the viewer was closed or does not read.
@@ -66,7 +68,7 @@ class LiveView:
                 return
 
     def _flushed(self, timeout_s: float) -> bool:
-        """Return True if the viewer has taken everything that was logged; blocks for at most timeout_s."""
+        """Return True if the viewer takes everything that was logged within timeout_s."""
         try:
             self.stream.flush(timeout_sec=timeout_s)
         except RuntimeError:

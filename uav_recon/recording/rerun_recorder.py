@@ -162,9 +162,9 @@ class Recorder:
         }  # fmt: skip
 
     def close(self, mesh: TriangleMesh | None = None) -> None:
-        """Log the last values and the finished model, and end the file; a viewer delays this by about two seconds at most.
+        """Log the last values and the finished model, and end the file.
 
-        mesh: the model; by default ``folder``/mesh.ply.
+        A viewer delays this by about two seconds at most. mesh: the model; by default ``folder``/mesh.ply.
         """
         self._timelapse.close()
         self._set_time(self._clock.now_s())

@@ -67,7 +67,10 @@ def recording_path(folder: Path) -> Path:
 
 
 def bytes_after_last_message(path: Path) -> int:
-    """Return the number of bytes after the last whole message of a recording; 0 for a file of another format."""
+    """Return the number of bytes after the last whole message of a recording.
+
+    It returns 0 for a file of another format.
+    """
     size, at = path.stat().st_size, _FILE_HEADER_BYTES
     with path.open("rb") as file:
         if file.read(len(_MAGIC)) != _MAGIC:
@@ -82,9 +85,9 @@ def bytes_after_last_message(path: Path) -> int:
 
 
 def check_recording(folder: Path) -> RecordingSummary:
-    """Read a recording completely; one that was cut short by a crash is valid up to its last whole message.
+    """Read a recording completely.
 
-    Raises ReviewError if nothing can be read.
+    One that was cut short by a crash is valid up to its last whole message. Raises ReviewError if nothing can be read.
     """
     path = recording_path(folder)
     cut_bytes = bytes_after_last_message(path)
@@ -98,7 +101,10 @@ def check_recording(folder: Path) -> RecordingSummary:
 
 
 def _read(path: Path, named: Path) -> RecordingSummary:
-    """Read a recording without a cut message. Raises ReviewError with the name ``named`` if there is nothing in it."""
+    """Read a recording without a cut message.
+
+    Raises ReviewError with the name ``named`` if there is nothing in it.
+    """
     from rerun.chunk import RrdReader
 
     entities: set[str] = set()

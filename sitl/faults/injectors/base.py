@@ -117,7 +117,7 @@ class DepthFrame:
 
 @dataclass(frozen=True, slots=True)
 class ImuSample:
-    """Inertial sample in transit: gyro (3,), rad/s; specific force (3,), m/s^2; both in the body frame, FLU."""
+    """Inertial sample in transit: gyro (3,), rad/s; specific force (3,), m/s^2; body FLU."""
 
     stamp_s: float
     gyro_radps: NDArray[np.float64]

@@ -1,4 +1,4 @@
-"""Faults of the camera's inertial sensor: missing, scaled, offset, frozen or vibrating samples."""
+"""Faults of the inertial sensor: missing, scaled, offset or frozen samples, vibration."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class ImuSilence(Injector):
 
 
 class AlteredImu(Injector):
-    """Wrong inertial values from from_s for a duration of for_s; time stamps and order stay correct."""
+    """Wrong inertial values for a while; time stamps and order stay correct."""
 
     def __init__(self, change: Change, from_s: float = 0.0, for_s: float = 1e9) -> None:
         self._change = change
@@ -67,7 +67,7 @@ def offset_force(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Change:
 
 
 def vibration(sigma_mps2: float) -> Change:
-    """Return a change that adds white noise to the specific force, sigma_mps2 per axis and sample."""
+    """Return a change that adds white noise to the specific force, per axis and sample."""
 
     def change(sample: ImuSample, rng: np.random.Generator) -> ImuSample:
         noise = rng.normal(0.0, sigma_mps2, 3)
