@@ -319,6 +319,13 @@ class Journal(Protocol):
         """Log a rejected command, trajectory or setpoint with its reason."""
         ...
 
+    def speed_limit(self, stamp_s: float, max_speed_mps: float, reason: Reason | None) -> None:
+        """Log a change of the reason for a reduced speed.
+
+        None, with an infinite speed: it is no longer reduced.
+        """
+        ...
+
     def refused_views(self, stamp_s: float, counts: Mapping[str, int]) -> None:
         """Log the number of keyframes rejected by the mapper, by reason as text."""
         ...

@@ -165,9 +165,21 @@ def test_status_reads_like_an_instrument_panel() -> None:
         "pose      quality 97, 0.04 s old",
         "views     31 of 120",
         "explored  42.7 m³ on 18.4 m",
+        "speed     -",
         "refused   2 by the guard",
         "note      refused: pose is stale",
     ]
+
+
+def test_status_says_why_the_speed_is_reduced() -> None:
+    vehicle = VehicleState(
+        1.0, Pose.identity(), np.zeros(3), True, "OFFBOARD", FlightPhase.FLYING, 0.8, False, float("nan"), 1, 0, None,
+        max_speed_mps=0.3, slow_reason=Reason(ReasonCode.NO_IMU),
+    )  # fmt: skip
+    status = Status.of(1.0, vehicle, None, None, False)
+    assert "speed     at most 0.30 m/s: no inertial samples" in status.lines()
+    assert (status.max_speed_mps, status.slow_codes) == (0.3, ("no-imu",))
+    assert Status.told(json.loads(json.dumps(status.as_json()))) == status
 
 
 def test_what_is_not_known_is_a_dash() -> None:

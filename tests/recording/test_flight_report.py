@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from uav_recon.recording.flight_log import FlightLog
+from uav_recon.recording.flight_log import FlightLog, read_timeline
 from uav_recon.recording.flight_report import FlightInfo, build_report, publish
 from uav_recon.recording.report import Report
 from uav_recon.types.pose import Pose
@@ -81,3 +82,20 @@ def test_a_mission_without_an_outcome_is_reported_as_aborted(tmp_path: Path) -> 
     assert report.outcome == "aborted: the mission left no word"
     assert report.flight_time_s == 0.0
     assert (report.last_view_s, report.waiting_share) == (None, None)
+
+
+def test_the_time_at_reduced_speed_is_counted_by_reason_and_within_the_flight(tmp_path: Path) -> None:
+    log = FlightLog(tmp_path)
+    log.speed_limit(5.0, 0.3, Reason(ReasonCode.NO_IMU))  # ten seconds before the flight
+    log.phase(15.0, "take-off", None)
+    log.progress(progress(15.0, "take-off", 0.0))
+    log.speed_limit(20.0, math.inf, None)
+    log.speed_limit(30.0, 0.3, Reason(ReasonCode.FEW_POSES, (7.0,)))
+    log.speed_limit(32.0, 0.3, Reason(ReasonCode.NO_IMU))
+    log.speed_limit(33.0, 0.3, Reason(ReasonCode.FEW_POSES, (5.0,)))  # to the end
+    log.progress(progress(40.0, "landing", 8.5))
+    log.close()
+    report = build_report(tmp_path, CARD, 1.0)
+    assert report.reduced_speed_s == {"no inertial samples": 6.0, "7 poses a second": 9.0}
+    limits = read_timeline(tmp_path).speed_limits
+    assert [(limit.max_speed_mps, limit.codes) for limit in limits[:2]] == [(0.3, ("no-imu",)), (None, ())]

@@ -40,6 +40,7 @@ def tree() -> dict[str, Any]:
             "way_in_sight_nose_first": 0.86, "refusals": 0, "failsafes": 0,
         },
         "refused_views": {"no depth": 2, "memory is full": 11},
+        "reduced_speed_s": {"poses disagree for 0.3 s": 1.5, "no inertial samples": 62.4},
     }  # fmt: skip
 
 
@@ -144,6 +145,7 @@ def test_the_page_needs_no_other_file(tmp_path: Path) -> None:
         "140.5 s",
         "2.1 %",
         "96.4 s, 2.9 times the oracle",
+        "<th>At reduced speed: no inertial samples</th><td>62 s of 162 s</td></tr><tr><th>At reduced speed: poses disagree",
         "<th>Memory is full</th><td>11</td></tr><tr><th>No depth</th><td>2</td></tr><tr><th>All</th><td>13</td>",
     ):
         assert figure in text, figure
@@ -176,3 +178,10 @@ def test_the_headline_states_outcome_contacts_and_failsafes(
 ) -> None:
     safety = tree()["safety"] | {"contacts": contacts, "failsafes": failsafes}
     assert verdict(Report.from_tree(tree() | {"outcome": outcome, "safety": safety})) == (headline, mood)
+
+
+def test_a_report_from_before_reduced_speed_was_logged_is_read(tmp_path: Path) -> None:
+    report = Report.from_tree(without("reduced_speed_s"))
+    assert report.reduced_speed_s is None
+    _, page = write_report(tmp_path, report)
+    assert "reduced speed" not in page.read_text()

@@ -25,6 +25,7 @@ from uav_recon.mission.mission_log import MissionLog
 from uav_recon.mission.mission_setup import MissionChannels, MissionParameters, MissionStages
 from uav_recon.mission.operator_watchdog import OperatorWatchdog
 from uav_recon.mission.return_home import ReturnHome
+from uav_recon.mission.speed_limit_log import SpeedLimitLog
 from uav_recon.mission.state_machine import Phase, advance
 from uav_recon.mission.survey import Survey
 from uav_recon.mission.takeoff import Takeoff
@@ -76,6 +77,7 @@ class Conductor:
         self._battery = BatteryPolicy(self._course, site.home, orders.clearance_m)
         self._operator_watchdog = OperatorWatchdog(orders.operator_timeout_s)
         self._map_correction = MapCorrectionDetector(wires.correction)
+        self._speed_limit = SpeedLimitLog(journal)
         self._detectors: tuple[Detector, ...] = (
             RefusedTrajectoryDetector(self._course),
             MissingOperatorDetector(self._operator_watchdog),
@@ -194,6 +196,7 @@ class Conductor:
         self._course.follow(vehicle)
         self._stages.motion.allow(vehicle.max_speed_mps)
         self._stages.retreat.allow(vehicle.max_speed_mps)
+        self._speed_limit.update(vehicle)
         self._battery.update(now_s, vehicle, self.map)
 
     def _respond(self, event: MissionEvent, now_s: float, vehicle: VehicleState) -> None:

@@ -19,7 +19,8 @@ class Status:
     None: not known. Ages in seconds; position in the world frame, metres.
 
     pilot: its phase; mission: its phase, or "silent". note: the pilot's newest reason as text, or what the mission waits for on
-    the ground, note_codes: its codes; refusals: number of proposals that the guard has rejected.
+    the ground, note_codes: its codes; refusals: number of proposals that the guard has rejected. max_speed_mps: reduced speed
+    limit, None if it is not reduced; slow_reason: why as text, slow_codes: its codes.
     """
 
     pilot: str
@@ -37,6 +38,9 @@ class Status:
     refusals: int | None = None
     note: str = ""
     note_codes: tuple[str, ...] = ()
+    max_speed_mps: float | None = None
+    slow_reason: str = ""
+    slow_codes: tuple[str, ...] = ()
 
     @staticmethod
     def of(
@@ -71,6 +75,9 @@ class Status:
             refusals=vehicle.refusals,
             note=text_of(note),
             note_codes=codes_of(note),
+            max_speed_mps=_finite(vehicle.max_speed_mps, 2),
+            slow_reason=text_of(vehicle.slow_reason),
+            slow_codes=codes_of(vehicle.slow_reason),
         )
 
     @staticmethod
@@ -96,6 +103,7 @@ class Status:
             "pose": None if self.pose_quality is None else f"quality {self.pose_quality}, {_age(self.pose_age_s)} old",
             "views": None if self.views is None else f"{self.views} of {self.views_budget}",
             "explored": None if self.explored_m3 is None else f"{self.explored_m3:.1f} m³ on {self.path_m or 0.0:.1f} m",
+            "speed": None if self.max_speed_mps is None else f"at most {self.max_speed_mps:.2f} m/s: {self.slow_reason}",
             "refused": f"{self.refusals} by the guard" if self.refusals else None,
             "note": self.note or None,
         }

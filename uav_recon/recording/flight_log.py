@@ -5,8 +5,10 @@ Each line is written at once. A partial line (loss of power while writing) only 
 
 from __future__ import annotations
 
+import itertools
 import json
 import logging
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -92,6 +94,19 @@ class RefusalRecord:
 
 
 @dataclass(frozen=True, slots=True)
+class SpeedLimitRecord:
+    """A change of the reason for a reduced speed, as text and codes.
+
+    "" and null: it is no longer reduced.
+    """
+
+    stamp_s: Float
+    max_speed_mps: float | None
+    reason: str
+    codes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
 class RefusedViewsRecord:
     """Keyframes that the mapper rejected during the flight: (reason as text, count) each."""
 
@@ -125,6 +140,7 @@ class Timeline:
     views: tuple[ViewRecord, ...]
     phases: tuple[PhaseRecord, ...]
     refusals: tuple[RefusalRecord, ...]
+    speed_limits: tuple[SpeedLimitRecord, ...]
     refused_views: tuple[RefusedViewsRecord, ...]
     outcomes: tuple[OutcomeRecord, ...]
     torn_lines: int
@@ -143,6 +159,20 @@ class Timeline:
         start_s = self.took_off_s()
         return None if start_s is None or not self.views else self.views[-1].stamp_s - start_s
 
+    def reduced_speed_s(self, begin_s: float, end_s: float) -> dict[str, float]:
+        """Return the time between two stamps at a reduced speed, by reason as text.
+
+        Reasons with the same code are one entry, with the text of the first.
+        """
+        found: dict[tuple[str, ...], tuple[str, float]] = {}
+        for record, follower in itertools.zip_longest(self.speed_limits, self.speed_limits[1:]):
+            until_s = math.inf if follower is None else follower.stamp_s
+            lasted_s = min(until_s, end_s) - max(record.stamp_s, begin_s)
+            if record.codes and lasted_s > 0.0:
+                text, before_s = found.get(record.codes, (record.reason, 0.0))
+                found[record.codes] = (text, before_s + lasted_s)
+        return dict(found.values())
+
     def waited_s(self, begin_s: float, end_s: float) -> float:
         """Return the time between two stamps that the vehicle hovered waiting for a plan."""
         return sum(max(0.0, min(plan.stamp_s, end_s) - max(plan.stamp_s - plan.hover_wait_s, begin_s)) for plan in self.plans)
@@ -159,6 +189,7 @@ _KINDS: dict[str, type[Any]] = {
     "view": ViewRecord,
     "phase": PhaseRecord,
     "refusal": RefusalRecord,
+    "speed limit": SpeedLimitRecord,
     "refused views": RefusedViewsRecord,
     "outcome": OutcomeRecord,
 }
@@ -222,6 +253,11 @@ class FlightLog:
         """Add a refusal."""
         self._write("refusal", RefusalRecord(stamp_s, reason.text(), reason.codes()))
 
+    def speed_limit(self, stamp_s: float, max_speed_mps: float, reason: Reason | None) -> None:
+        """Add a change of the reason for a reduced speed; None: it is no longer reduced."""
+        limit_mps = max_speed_mps if math.isfinite(max_speed_mps) else None
+        self._write("speed limit", SpeedLimitRecord(stamp_s, limit_mps, text_of(reason), codes_of(reason)))
+
     def refused_views(self, stamp_s: float, counts: Mapping[str, int]) -> None:
         """Add the number of keyframes that the mapper rejected, by reason."""
         self._write("refused views", RefusedViewsRecord(stamp_s, tuple(sorted(counts.items()))))
@@ -271,6 +307,7 @@ def read_timeline(folder: Path) -> Timeline:
         views=tuple(found["view"]),
         phases=tuple(found["phase"]),
         refusals=tuple(found["refusal"]),
+        speed_limits=tuple(found["speed limit"]),
         refused_views=tuple(found["refused views"]),
         outcomes=tuple(found["outcome"]),
         torn_lines=torn,

@@ -200,6 +200,7 @@ def _flight(report: Report) -> str:
         [
             ("Path", f"{report.path_length_m:.2f} m"),
             ("Flight time, armed to disarmed", f"{report.flight_time_s:.1f} s"),
+            *_reduced_speed(report),
             ("From the order to take off to the last view", _number(report.last_view_s, 1, " s")),
             ("Share of it spent waiting for a plan", _percent(report.waiting_share)),
             *((f"To a recall of {recall}", _time_to(report, recall)) for recall in report.time_to_recall_s),
@@ -207,6 +208,13 @@ def _flight(report: Report) -> str:
         ],
         f'<p class="files">{links}</p>',
     )
+
+
+def _reduced_speed(report: Report) -> list[tuple[str, str]]:
+    """Return a row for each reason of a reduced speed, the longest first."""
+    reasons = sorted((report.reduced_speed_s or {}).items(), key=lambda item: (-item[1], item[0]))
+    flight_s = report.flight_time_s
+    return [(f"At reduced speed: {reason}", f"{lasted_s:.0f} s of {flight_s:.0f} s") for reason, lasted_s in reasons]
 
 
 def _table(title: str, rows: Sequence[tuple[str, str]], after: str = "") -> str:

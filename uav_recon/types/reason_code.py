@@ -121,6 +121,9 @@ class ReasonCode(str, Enum):
     )  # fmt: skip
     GYRO_REJECTED = "gyro-rejected", "gyro contradicts poses, not used", "the gyro contradicts the poses: the IMU is not used"
     IMU_DISAGREES = "imu-disagrees", "poses and IMU disagree, NIS {0:.0f} for 6", "", (150.0,)
+    ODOMETRY_DEGRADED = "odometry-degraded", "odometry degraded"  # where its source gives no reason
+    REDUCED_SPEED = "reduced-speed", "slow", "reduced speed"  # details: why
+    FULL_SPEED = "full-speed", "full speed again"
     ODOMETRY_DRIFT = "odometry-drift", "odometry drift {0:.3f} m/s", "", (1.234,)
     SURFACES_MOVED = (
         "surfaces-moved", "surfaces {0:.2f} m off those {1:.0f} s ago",

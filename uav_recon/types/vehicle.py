@@ -32,7 +32,8 @@ class VehicleState:
     mode: '' until the autopilot has reported it and whether it is armed. battery_fraction: NaN if unknown.
     camera_pitch_down_rad: measured gimbal pitch, NaN on a fixed mount.
     trajectory_id: the trajectory being flown, -1 for none. refusals: number of proposals that the guard has rejected.
-    note: the newest reason (refused arming, failsafe, refusal), None for none. max_speed_mps: the guard's speed limit now.
+    note: the newest reason (refused arming, failsafe, refusal), None for none. max_speed_mps: the guard's speed limit now;
+    slow_reason: why it is reduced, None if it is not.
     operator_received_s: when the pilot last answered its operator, companion's clock; -inf: not since it started.
     world_from_rest: where braking from the newest setpoint ends; None before the first.
     """
@@ -52,6 +53,7 @@ class VehicleState:
     max_speed_mps: float = math.inf
     operator_received_s: float = -math.inf
     world_from_rest: Pose | None = None
+    slow_reason: Reason | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "velocity_world_mps", frozen(np.asarray(self.velocity_world_mps, dtype=np.float64)))

@@ -7,7 +7,7 @@ from collections import deque
 
 import numpy as np
 import pytest
-from flight_rig import GRID, MODE, POSES_DISAGREE, Rig, setpoints, smooth_way
+from flight_rig import BOUNDS, GRID, MODE, POSES_DISAGREE, Rig, setpoints, smooth_way
 
 from uav_recon.types.pose import Pose, PoseHealth, StampedPose
 from uav_recon.types.reason import Reason
@@ -80,6 +80,30 @@ def test_with_a_degraded_pose_nothing_fast_is_flown(hovering: Rig) -> None:
     assert hovering.pilot.phase is FlightPhase.FLYING
     times, places = setpoints(hovering, slow_s + 1.0)
     assert (np.linalg.norm(np.diff(places, axis=0), axis=1) <= 0.3 * np.diff(times) + 1e-3).all()
+
+
+def test_the_reason_for_a_reduced_speed_is_reported_once_and_its_end(hovering: Rig) -> None:
+    assert hovering.state.slow_reason is None
+    begin_s = hovering.clock.now_s()
+    hovering.health = PoseHealth.DEGRADED
+    hovering.run(10.0)
+    assert hovering.state.slow_reason == POSES_DISAGREE
+    assert hovering.state.max_speed_mps == BOUNDS.retreat_speed_mps
+    ((at_s, codes),) = hovering.reported(begin_s)
+    assert codes == (ReasonCode.REDUCED_SPEED, ReasonCode.POSES_DISAGREE)
+    assert at_s - begin_s < 1.0
+    hovering.health = PoseHealth.GOOD
+    hovering.run(10.0)
+    assert [codes for _, codes in hovering.reported(begin_s)][1:] == [(ReasonCode.FULL_SPEED,)]
+    assert hovering.state.slow_reason is None
+
+
+def test_a_reduced_speed_is_reported_before_take_off() -> None:
+    rig = Rig()
+    rig.health = PoseHealth.DEGRADED
+    rig.until(FlightPhase.READY, 20.0)
+    rig.run(1.0)
+    assert [codes for _, codes in rig.reported()] == [(ReasonCode.REDUCED_SPEED, ReasonCode.POSES_DISAGREE)]
 
 
 def test_poses_that_come_back_do_not_stop_a_landing(hovering: Rig) -> None:

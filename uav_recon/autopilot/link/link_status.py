@@ -18,7 +18,7 @@ class LinkStatus:
     clock_answers: int = 0  # prompt answers to its requests for our clock
     pose_fed_s: float = -math.inf
     stale_frames: int = 0  # repeated, or overtaken by newer ones
-    slow: bool = False  # our messages are too late: the lag uses up the clearance of planned paths
+    slow: Reason | None = None  # our messages are too late: the lag uses up the clearance of planned paths
     own_id_in_use: bool = False  # another sender uses our own id
     identity_fault: Reason | None = None  # why the autopilot that answers is not the one that is flown
     duplicate_autopilot: bool = False  # two autopilots use its id: their messages cannot be distinguished

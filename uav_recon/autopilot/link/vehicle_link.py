@@ -77,6 +77,7 @@ class VehicleLink:
         self._duplicates = DuplicateAutopilotDetector()
         self._identity = AutopilotIdentity(gate.uid)
         self._slow_s = -math.inf
+        self._slow: Reason | None = None
         keepers = (RateKeeper(rate, start_s) for rate in _CHATTER_HZ)
         self._heartbeat, self._sync, self._resync, self._gimbal = keepers
         self._polled = [(identifier, RateKeeper(rate_hz, start_s)) for identifier, rate_hz in firmware.polled_hz]
@@ -111,11 +112,13 @@ class VehicleLink:
         trip_s = self._timesync.usual_trip_s
         if trip_s > _SLOW_TRIP_S:
             self._slow_s = now_s
-            self.alerts.note(Reason(ReasonCode.LINK_SLOW, (trip_s,)))
+            self._slow = Reason(ReasonCode.LINK_SLOW, (trip_s,))
+            self.alerts.note(self._slow)
         duplicate = self._duplicates.detected(now_s)
         if duplicate:
             self.alerts.note(TWO)
-        known, slow, status = self._timesync.converged, now_s - self._slow_s < _SLOW_FOR_S, self.status
+        slow = self._slow if now_s - self._slow_s < _SLOW_FOR_S else None
+        known, status = self._timesync.converged, self.status
         if (known, slow, duplicate) != (status.time_known, status.slow, status.duplicate_autopilot):
             self.status = replace(status, time_known=known, slow=slow, duplicate_autopilot=duplicate)
 

@@ -16,6 +16,7 @@ from uav_recon.autopilot.pilot.landing import Landing
 from uav_recon.autopilot.pilot.mission_input import MissionInput
 from uav_recon.autopilot.pilot.pose_feed import PoseFeed
 from uav_recon.autopilot.pilot.preflight import Origin, PreflightSetup
+from uav_recon.autopilot.pilot.reduced_speed_reporter import ReducedSpeedReporter
 from uav_recon.autopilot.pilot.setpoint_selection import SetpointSelector
 from uav_recon.autopilot.pilot.situation import SituationBuilder
 from uav_recon.autopilot.pilot.statustext_reporter import StatusTextReporter
@@ -110,6 +111,7 @@ class Pilot:
         self.phase = FlightPhase.CONNECTING
         self._note: Reason | None = None
         self._reporter = StatusTextReporter(link)
+        self._speed_reporter = ReducedSpeedReporter()
         self._landing: Landing | None = None
         self._land_wanted: Reason | None = None
         self._held = False
@@ -335,7 +337,13 @@ class Pilot:
         self._link.stream(cleared, now_s, self._airframe.gimbal)
 
     def _tell(self, now_s: float) -> None:
-        if self.phase in (FlightPhase.CONNECTING, FlightPhase.READY):
+        if self.phase is FlightPhase.CONNECTING:
+            return
+        lost = self._poses.lost or self._poses.wrong  # the failsafe reports these itself
+        speed = None if lost else self._speed_reporter.update(self._situation.slow_reason, now_s)
+        if speed is not None:
+            self._reporter.say(speed, now_s)
+        if self.phase is FlightPhase.READY:
             return
         airborne = self.phase in IN_THE_AIR
         news = [*self._link.alerts.news(), *([self._mission_input.news] if airborne and self._mission_input.news else [])]

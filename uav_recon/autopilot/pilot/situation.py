@@ -18,8 +18,10 @@ from uav_recon.safety.failsafe import FailsafeInputs
 from uav_recon.safety.guard import Guard, GuardInputs
 from uav_recon.types.pose import Pose, PoseHealth
 from uav_recon.types.reason import Reason
+from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.vehicle import FlightPhase, VehicleState
 
+_ODOMETRY_DEGRADED = Reason(ReasonCode.ODOMETRY_DEGRADED)
 _LONGEST_NOTE = 200  #: internal: characters of a message; a longer one is reported without its details
 
 
@@ -60,7 +62,7 @@ class SituationBuilder:
             return GuardInputs(now_s, self._position_m, 0.0, np.eye(3), math.inf, intent_age_s, 0, free, ahead)
         body_from_odom, yaw_rad = pose.odom_from_body.rotation().T, pose.odom_from_body.yaw_rad()
         age_s = now_s - pose.stamp_s
-        slow = pose.health is not PoseHealth.GOOD or self._link.status.slow
+        slow = pose.health is not PoseHealth.GOOD or self._link.status.slow is not None
         return GuardInputs(
             now_s, self._position_m, yaw_rad, body_from_odom, age_s, intent_age_s, pose.map_epoch, free, ahead, slow
         )
@@ -98,11 +100,18 @@ class SituationBuilder:
             refusals=self.refusals,
             note=_shortened(note),
             operator_received_s=operator_s,
-            max_speed_mps=self._guard.bounds.retreat_speed_mps
-            if self._link.status.slow or (pose and pose.health is not PoseHealth.GOOD)
-            else math.inf,
+            max_speed_mps=math.inf if self.slow_reason is None else self._guard.bounds.retreat_speed_mps,
             world_from_rest=self._steering.odom_from_rest,
+            slow_reason=self.slow_reason,
         )
+
+    @property
+    def slow_reason(self) -> Reason | None:
+        """Reason why the speed is reduced, by the odometry or the link; None if it is not."""
+        pose = self._poses.pose
+        if pose is not None and pose.health is not PoseHealth.GOOD:
+            return pose.why or _ODOMETRY_DEGRADED
+        return self._link.status.slow
 
     @property
     def _position_m(self) -> Vec3:
