@@ -13,7 +13,7 @@ import numpy as np
 
 from sitl.faults.flight_evidence import FlightEvidence
 from sitl.faults.judges.reaction_metrics import Measure, tries_s
-from sitl.faults.reason_codes import CONTROL_LOST, LANDING
+from sitl.faults.reason_codes import CONTROL_LOST, LANDING, REDUCED_SPEED
 
 _LAND = (176, 21)  # DO_SET_MODE and NAV_LAND; in flight the product requests no other mode
 _TOLD_S = 1.0 + 0.05  # a second, and one or two iterations of the pilot's loop
@@ -45,6 +45,19 @@ def statustext_after_arming(*codes: str) -> Measure:
     return lambda e: _since(e, codes, tries_s(e)[0]) if tries_s(e) else math.inf
 
 
+def statustext_after_arm_command(*codes: str) -> Measure:
+    """Return a measure of the seconds from the first arm command to such a STATUSTEXT.
+
+    It is 0 if one was sent before.
+    """
+
+    def measure(e: FlightEvidence) -> float:
+        reported, tried = e.reported_s(codes), tries_s(e)
+        return max(0.0, min(reported) - tried[0]) if reported and tried else math.inf
+
+    return measure
+
+
 def _since(e: FlightEvidence, codes: Collection[str], from_s: float) -> float:
     reported = [stamp_s for stamp_s in e.reported_s(codes) if stamp_s >= from_s]
     return reported[0] - from_s if reported else math.inf
@@ -60,7 +73,8 @@ def statustext_missing(e: FlightEvidence) -> str:
         for lost_s, received_s, lands in _lost(e, asked)
     ]
     for what, why, from_s, known_s in due:
-        told = any(from_s - _BEFORE_S <= stamp_s <= known_s + _TOLD_S for stamp_s in e.reported_s(why))
+        reasons = [stamp_s for stamp_s, codes in e.reported if REDUCED_SPEED not in codes and not set(codes).isdisjoint(why)]
+        told = any(from_s - _BEFORE_S <= stamp_s <= known_s + _TOLD_S for stamp_s in reasons)
         if not told and known_s + _TOLD_S < e.end_s:
             return f"{what} {known_s - e.onset_s:.1f} s after the fault and not reported within {_TOLD_S:.2f} s"
     return ""

@@ -9,6 +9,7 @@ from sitl.faults import reason_codes as codes
 from sitl.faults.fault import Onset
 from sitl.faults.injectors.companion import Crash, Stall
 from sitl.faults.injectors.cpu_and_disk_load import BUSY, DISK_LOAD, BusyProcesses, ProcessUsageMonitor
+from sitl.faults.injectors.inertial_sensor import ImuSilence
 from sitl.faults.injectors.pose_stream import (
     AlteredPoses,
     FrozenPose,
@@ -32,8 +33,9 @@ from sitl.faults.injectors.process_signals import (
 )
 from sitl.faults.judges import odometry_metrics
 from sitl.faults.judges import reaction_metrics as m
-from sitl.faults.judges.statustext_checks import statustext_delay
+from sitl.faults.judges.statustext_checks import statustext_after_arm_command, statustext_delay
 from sitl.faults.table.acceptance_limits import (
+    COMPLETES,
     NO_FAILSAFE,
     NO_JUMP,
     NO_ORDER,
@@ -50,7 +52,7 @@ from sitl.faults.table.acceptance_limits import (
     stops,
     told,
 )
-from sitl.faults.table.scenario import Limit, Scenario
+from sitl.faults.table.scenario import SHORT_VIEWS, Limit, Scenario
 
 FAST = Onset(speed_mps=0.6)
 ON_STAGE = Onset(speed_mps=0.6, away_m=4.2)
@@ -376,4 +378,35 @@ TABLE_B = (
         why="needs visual tracking, which is not included",
     ),
     Scenario("B12", "wrong frames", "axes swapped in the config", why="perception does not detect it yet"),
+    Scenario(
+        "B14",
+        "no inertial samples",
+        "no inertial sample, from boot",
+        lambda n: [ImuSilence()],
+        (
+            Limit("reported after the arm command", statustext_after_arm_command(codes.NO_IMU), 1.0, "s"),
+            clear(0.10),
+            COMPLETES,
+            NO_FAILSAFE,
+        ),
+        onset=Onset((0.0, 0.0), at_boot=True),
+        observe_s=480.0,
+        views=SHORT_VIEWS,
+    ),
+    Scenario(
+        "B14d",
+        "inertial samples end",
+        "the inertial samples end during fast flight",
+        lambda n: [ImuSilence()],
+        (
+            told(codes.NO_IMU, within_s=1.0),
+            Limit("speed 1 s later", m.speed_from(1.0), 0.35, "m/s"),
+            clear(0.10),
+            COMPLETES,
+            NO_FAILSAFE,
+        ),
+        onset=FAST,
+        observe_s=480.0,
+        views=SHORT_VIEWS,
+    ),
 )
