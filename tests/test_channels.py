@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import json
 import os
@@ -16,6 +15,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from other_user import user
 
 from uav_recon.channels import (
     ChannelError,
@@ -312,21 +312,6 @@ def test_a_reader_cannot_change_the_file(path: Path) -> None:
     assert path.read_bytes() == before
     (mapping,) = [line for line in Path("/proc/self/maps").read_text().splitlines() if str(path) in line and " r--s " in line]
     assert mapping
-
-
-@contextlib.contextmanager
-def user(uid: int, gid: int) -> Iterator[None]:
-    """Be another user."""
-    groups = os.getgroups()
-    os.setgroups([])
-    os.setegid(gid)
-    os.seteuid(uid)
-    try:
-        yield
-    finally:
-        os.seteuid(0)
-        os.setegid(0)
-        os.setgroups(groups)
 
 
 @pytest.fixture

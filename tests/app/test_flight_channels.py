@@ -1,12 +1,14 @@
 from __future__ import annotations
 
 import dataclasses
+import os
+import tempfile
 from pathlib import Path
 
 import numpy as np
 import pytest
+from other_user import user
 
-from uav_recon.app import flight_channels
 from uav_recon.app.flight_channels import (
     MISSION_WRITES,
     PERCEPTION_WRITES,
@@ -67,12 +69,20 @@ def test_a_channel_of_another_build_refuses_a_reader_and_not_the_processes_of_a_
     read_only_channels(tmp_path)
 
 
-def test_a_reader_that_is_not_in_the_group_is_refused_by_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(path: Path, *_: object) -> None:
-        raise PermissionError(13, "Permission denied", str(path))
-
-    monkeypatch.setattr(flight_channels, "ReadOnlyFileChannel", refuse)
-    with pytest.raises(UserError) as refused:
-        read_only_channels(tmp_path)
-    assert str(refused.value) == f"{tmp_path}/odom.channel: not allowed: be root, the user of the flight, or in its group"
+@pytest.mark.parametrize("folder_mode", [0o750, 0o755])
+def test_a_reader_that_is_not_in_the_group_is_refused_by_one_line(folder_mode: int) -> None:
+    """Whether it may enter the folder or not. Only root can be that reader; anybody else checks the modes that refuse it."""
+    with tempfile.TemporaryDirectory() as name:  # other users may not enter tmp_path
+        folder = Path(name)
+        file_channels(folder, PERCEPTION_WRITES).odom.publish(ODOMETRY)
+        folder.chmod(folder_mode)
+        assert {path.stat().st_mode & 0o777 for path in folder.iterdir()} == {0o640}
+        if os.geteuid() != 0:
+            return
+        with user(4002, 4002), pytest.raises(UserError) as refused:
+            read_only_channels(folder)
+        with user(4002, 0):
+            odom = read_only_channels(folder).odom.latest()
+    assert str(refused.value) == f"{folder}/odom.channel: not allowed: be root, the user of the flight, or in its group"
     assert refused.value.code == EXIT_CONFIG
+    assert odom is not None
