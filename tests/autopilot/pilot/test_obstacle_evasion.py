@@ -42,6 +42,11 @@ def _seen(stamp_s: float, away_m: float, cells: int = MANY) -> SuddenObstacle:
 
 @pytest.fixture
 def evasion() -> ObstacleEvasion:
+    return _evasion(0.20)
+
+
+def _evasion(vehicle_radius_m: float) -> ObstacleEvasion:
+    """Evasion of a vehicle with this hull in the same hall."""
     envelope = Envelope(
         fence=Fence(plan=Polygon.box((-3.0, -3.0), (3.0, 3.0)), floor_m=-0.2, ceiling_m=2.5, inset_m=0.3),
         max_speed_mps=1.0,
@@ -60,8 +65,9 @@ def evasion() -> ObstacleEvasion:
                 retreat_speed_mps=0.3,
                 margins=Margins(stop_clearance_m=0.1, fast_clearance_m=0.4),
             ),
-            RecentlySeenSpace(blind_memory_s=10.0, vehicle_radius_m=0.2),
-        )
+            RecentlySeenSpace(blind_memory_s=10.0, vehicle_radius_m=vehicle_radius_m),
+        ),
+        vehicle_radius_m=vehicle_radius_m,
     )
 
 
@@ -167,6 +173,24 @@ def test_what_stands_is_not_given_way_to_while_the_vehicle_still_comes_nearer(ev
     evasion.update(SuddenObstacle(1.2, box, 1.0))
     assert evasion.must_stop(1.2)
     assert evasion.step_aside(REST, _situation(1.2)) is None
+
+
+@pytest.mark.parametrize(("radius_m", "stop_m"), [(0.10, 1.5), (0.20, 1.6), (0.35, 1.75), (0.60, 2.0)])
+def test_the_stopping_distance_follows_the_hull(radius_m: float, stop_m: float) -> None:
+    for away_m, stops in ((stop_m - 1e-6, True), (stop_m + 1e-6, False)):
+        evasion = _evasion(radius_m)
+        evasion.update(_seen(1.0, away_m))
+        assert evasion.must_stop(1.0) is stops
+
+
+@pytest.mark.parametrize(("radius_m", "leads"), [(0.20, True), (0.60, False)])
+def test_a_wide_hull_does_not_pass_where_a_narrow_one_does(radius_m: float, leads: bool) -> None:
+    """The widest step in view passes at 0.54 m from centre to obstacle: within the wide hull."""
+    evasion = _evasion(radius_m)
+    evasion.update(_seen(1.0, 2.4))
+    evasion.update(_seen(1.2, 2.24))
+    way = evasion.step_aside(REST, _situation(1.2, _free(_cone(np.radians(65.0)))))
+    assert isinstance(way, Trajectory) if leads else way == Reason(ReasonCode.NO_ROOM_TO_EVADE)
 
 
 def _lane(half_m: float) -> BoolArray:

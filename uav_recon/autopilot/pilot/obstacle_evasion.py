@@ -26,6 +26,7 @@ _STEP_M = 1.2  #: evade: length of a step aside
 _STEP_MPS = 0.5  #: evade: speed of a step aside
 _LATE_S = 0.5  #: evade: a step takes effect after this time: its motion is smoothed, and followed with a lag
 _PASS_M = 0.4  #: evade: no step that passes the obstacle closer to the body's centre: with hull and error it leads into it
+_RADIUS_M = 0.20  #: internal: hull radius that _STOP_M and _PASS_M are for; they grow by as much as the hull is larger
 #: evade: clearance beside the hull, and inside the inset, tried in this order: of plans, of paths back, of the guard
 _CLEARANCES_M = ((0.20, 0.10), (0.10, 0.03), (0.0, 0.0))
 _AFTER_S = 1.0  #: hold: after a step aside no trajectory is flown for this time
@@ -35,10 +36,15 @@ _AROUND = np.array([(0.0, 0.0, 0.0), *((math.cos(a), math.sin(a), 0.0) for a in 
 
 
 class ObstacleEvasion:
-    """The evasion of one flight. Call update() once per obstacle; the other methods at any time."""
+    """The evasion of one flight. Call update() once per obstacle; the other methods at any time.
 
-    def __init__(self, guard: Guard) -> None:
+    vehicle_radius_m: of the hull; distances to the body's centre follow it.
+    """
+
+    def __init__(self, guard: Guard, *, vehicle_radius_m: float) -> None:
         self._guard = guard
+        self._stop_m = _STOP_M + (vehicle_radius_m - _RADIUS_M)
+        self._pass_m = _PASS_M + (vehicle_radius_m - _RADIUS_M)
         self._heard: list[SuddenObstacle] = []
 
     def update(self, intruder: SuddenObstacle | None) -> None:
@@ -51,7 +57,7 @@ class ObstacleEvasion:
         if not self._heard or not self._fresh(now_s) or not self._is_sure():
             return False
         away_m = [one.away_m for one in self._heard[-2:]]
-        return away_m[-1] <= _STOP_M or (away_m[-1] <= _EVADE_M and self._nearer_mps(away_m, now_s) >= _COMING_MPS)
+        return away_m[-1] <= self._stop_m or (away_m[-1] <= _EVADE_M and self._nearer_mps(away_m, now_s) >= _COMING_MPS)
 
     def why(self) -> Reason:
         """Return the reason why the vehicle stops."""
@@ -69,7 +75,7 @@ class ObstacleEvasion:
         coming_mps = self._nearer_mps(away_m, situation.now_s)
         if coming_mps < _COMING_MPS or away_m[-1] > _EVADE_M:
             return None
-        ends = _ways_aside(here, self._heard[-1].places_m, coming_mps)
+        ends = _ways_aside(here, self._heard[-1].places_m, coming_mps, self._pass_m)
         for room_m, inside_m in _CLEARANCES_M:
             for end in ends:
                 if self._may(here, end, room_m, inside_m, situation):
@@ -108,14 +114,15 @@ def _level_m(a: FloatArray, b: FloatArray) -> float:
     return math.hypot(*(a - b)[:2].tolist())
 
 
-def _ways_aside(here: FloatArray, places: FloatArray, coming_mps: float) -> list[FloatArray]:
+def _ways_aside(here: FloatArray, places: FloatArray, coming_mps: float, min_pass_m: float) -> list[FloatArray]:
     """Return the ends (3,) of steps, first the one that keeps farthest from the obstacle.
 
-    No step leads into the obstacle: a camera that has not yet looked round knows free space only where the obstacle comes from.
+    No step passes the obstacle closer to the body's centre than min_pass_m: a camera that has not yet looked round knows free
+    space only where the obstacle comes from.
     """
     steps = [_STEP_M * np.array([math.cos(a), math.sin(a), 0.0]) for a in np.arange(_WAYS) * math.tau / _WAYS]
     pass_m = [_closest_m(here, here + step, places, coming_mps) for step in steps]
-    ways = [n for n in range(_WAYS) if pass_m[n] >= _PASS_M or steps[n] @ (places[0] - here) <= 0.0]
+    ways = [n for n in range(_WAYS) if pass_m[n] >= min_pass_m or steps[n] @ (places[0] - here) <= 0.0]
     return [here + steps[n] for n in sorted(ways, key=lambda n: -pass_m[n])]
 
 

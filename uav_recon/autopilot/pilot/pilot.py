@@ -102,7 +102,9 @@ class Pilot:
         hull = (airframe.vehicle_radius_m, airframe.vehicle_height_m)
         self._surroundings = Surroundings(channels.free, channels.nearby, sight, *hull)
         self._authority = ControlAuthority(link.firmware)
-        self._selector = SetpointSelector(guard, self._mission_input, airframe.hover_height_m)
+        self._selector = SetpointSelector(
+            guard, self._mission_input, airframe.hover_height_m, vehicle_radius_m=airframe.vehicle_radius_m
+        )
         self._situation = SituationBuilder(
             link, guard, self._poses, self._mission_input, self._surroundings, self._selector, parameters
         )

@@ -43,7 +43,7 @@ class SetpointSelector:
     by sudden obstacles or a push, and each step aside. ``moves``: the newest setpoint is of a motion, and not of a hold.
     """
 
-    def __init__(self, guard: Guard, mandate: MissionInput, hover_height_m: float) -> None:
+    def __init__(self, guard: Guard, mandate: MissionInput, hover_height_m: float, *, vehicle_radius_m: float) -> None:
         self._guard = guard
         self._mandate = mandate
         self._hover_height_m = hover_height_m
@@ -60,7 +60,7 @@ class SetpointSelector:
         self._handover: SetpointBlender | None = None
         self._aside: Trajectory | None = None
         self._giving = False  # evasion is active
-        self.evasion = ObstacleEvasion(guard)
+        self.evasion = ObstacleEvasion(guard, vehicle_radius_m=vehicle_radius_m)
         self.blocked: Reason | None = None
         self.evasions = 0
         self.moves = False
