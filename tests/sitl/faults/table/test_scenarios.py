@@ -52,6 +52,30 @@ def losing_the_pose(last_s: float = 5.4) -> FlightEvidence:
     )  # fmt: skip
 
 
+def slow_without_imu(told_s: float) -> FlightEvidence:
+    """A flight at 0.3 m/s that tells at told_s why; its inertial samples end at 5 s."""
+    e = evidence()
+    slow = e.velocity_mps * 0.6
+    reported = ((told_s, (codes.REDUCED_SPEED, codes.NO_IMU)),)
+    flown = dataclasses.replace(e, velocity_mps=slow, reported=reported)
+    return rewired(flown, velocity_mps=e.wire.velocity_mps * 0.6)
+
+
+def test_a_slow_flight_that_does_not_say_why_breaks_b14d() -> None:
+    assert "reported" not in broken("B14d", slow_without_imu(5.9))
+    assert "reported" in broken("B14d", slow_without_imu(6.1))
+    assert "speed 1 s later" not in broken("B14d", slow_without_imu(5.9))
+    assert "speed 1 s later" in broken("B14d", dataclasses.replace(evidence(), reported=slow_without_imu(5.9).reported))
+
+
+def test_a_reason_that_is_told_before_arming_is_in_time_for_b14() -> None:
+    arm_s = 0.8
+    assert "reported after the arm command" not in broken("B14", slow_without_imu(0.3))
+    assert "reported after the arm command" not in broken("B14", slow_without_imu(arm_s + 0.9))
+    assert "reported after the arm command" in broken("B14", slow_without_imu(arm_s + 1.1))
+    assert "reported after the arm command" in broken("B14", evidence())
+
+
 def test_old_poses_under_new_stamps_break_b8() -> None:
     assert broken("B8", evidence()) == set()
     assert broken("B8", late(evidence(), 0.12)) == {"change of the pose error"}
