@@ -12,7 +12,8 @@ from uav_recon.types.reason_code import ReasonCode
 
 _SETTLED_S = 0.3  #: warn: a cause that reduces the speed for longer: a single late pose causes no message
 _OVER_S = 2.0  #: warn: the speed counts as full again after this time without a cause
-_APART_S = 5.0  #: warn: at most one message of a reduced speed in this time: causes may alternate
+_APART_S = 1.0  #: warn: at most one message of a reduced speed in this time
+_AGAIN_S = 10.0  #: warn: the same message is sent again after this time at the earliest: causes may alternate
 
 
 class ReducedSpeedReporter:
@@ -22,7 +23,7 @@ class ReducedSpeedReporter:
         self._begun_s = math.inf  # of the time of reduced speed
         self._caused_s = -math.inf  # the newest cause was present then
         self._told: tuple[str, ...] = ()
-        self._told_s = -math.inf
+        self._told_s: dict[tuple[str, ...], float] = {}
 
     def update(self, cause: Reason | None, now_s: float) -> Reason | None:
         """Return the message for now, None for none.
@@ -36,7 +37,11 @@ class ReducedSpeedReporter:
         waiting = cause is None and self._begun_s < math.inf  # a gap between causes
         codes = codes_of(cause)
         unsettled = cause is not None and now_s - self._begun_s < _SETTLED_S
-        if waiting or unsettled or codes == self._told or now_s - self._told_s < _APART_S:
+        if waiting or unsettled or codes == self._told or self._too_soon(codes, now_s):
             return None
-        self._told, self._told_s = codes, now_s
+        self._told, self._told_s[codes] = codes, now_s
         return Reason(ReasonCode.FULL_SPEED) if cause is None else Reason(ReasonCode.REDUCED_SPEED, details=(cause,))
+
+    def _too_soon(self, codes: tuple[str, ...], now_s: float) -> bool:
+        newest_s = max(self._told_s.values(), default=-math.inf)
+        return now_s - newest_s < _APART_S or now_s - self._told_s.get(codes, -math.inf) < _AGAIN_S
