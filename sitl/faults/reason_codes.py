@@ -15,6 +15,7 @@ ODOMETRY_DRIFT = "odometry-drift"
 SURFACES_MOVED = "surfaces-moved"
 SURFACES_GONE = "surfaces-gone"
 NO_IMU = "no-imu"
+IMU_FROZEN = ("imu-frozen", "accelerometer-frozen")
 REDUCED_SPEED = "reduced-speed"
 INTRUDER_OWN_ID = "intruder-own-id"
 INTRUDER_MAVLINK1 = "intruder-mavlink1"

@@ -29,6 +29,7 @@ _MEMORY_S = 0.4  #: reject: time constant over which the innovations with and wi
 _SURPRISED_NIS = 15.0
 #: reject: ... and if without it the costs (NIS and log determinant of the innovation) are lower by more
 _COST_NIS = 2.0
+_UNLIKELY_NIS = 12.6  #: reject: ... and above this for each of the newest poses: 95 % of the innovations are below (chi-square)
 _SUSPECT_NIS = 9.0  #: reject: a sensor whose mean is above this loses to one pose that only fits without it
 _PROVEN_S = 3.0  #: reject: an inertial sensor that lied, until its innovations are the better ones for this time
 _LATE_S = 0.1  # age of the newest pose, over which the odometry is extrapolated
@@ -39,23 +40,34 @@ _EXPECTED_NIS = 6.0
 _MAX_NOISE_FACTOR = 30.0
 _NOISE_MEMORY_S = 8.0  #: reject: time constant with which that factor falls again
 
+_IN_A_ROW = (0, 2, 3)  # so many newest poses, before a filter of this index is chosen
 _ACCELEROMETER = 1  # index of the first filter without an accelerometer
 _GYRO = 2  # ... without a gyro
 
 
 @dataclass(slots=True)
 class _Record:
-    """Means of the recent NIS of one filter and of its log determinant."""
+    """The newest NIS of one filter, their mean, and that of the log determinant."""
 
     nis: float = _EXPECTED_NIS
+    newest: tuple[float, ...] = ()
     log_determinant: float = math.inf  # before the first pose
 
     def update(self, arrival: Arrival, share: float) -> None:
         log_determinant = float(np.linalg.slogdet(arrival.covariance)[1])
+        self.newest = (*self.newest[1 - max(_IN_A_ROW) :], arrival.nis)
         self.nis += share * (min(arrival.nis, _MAX_NIS) - self.nis)
         if math.isinf(self.log_determinant):
             self.log_determinant = log_determinant
         self.log_determinant += share * (log_determinant - self.log_determinant)
+
+    def surprised(self, in_a_row: int) -> bool:
+        """Return True if the innovations are too large, in the mean and each of the newest ones.
+
+        One large innovation is a hard manoeuvre, or a bad pose.
+        """
+        newest = self.newest[-in_a_row:]
+        return self.nis > _SURPRISED_NIS and len(newest) == in_a_row and min(newest) > _UNLIKELY_NIS
 
     def cost(self, scale: float) -> float:
         """Return the negative log likelihood, up to a constant.
@@ -193,9 +205,14 @@ class PropagationBank:
         scale = max(least, 1.0)
         costs = [record.cost(scale) for record in self._records]
         here = self._chosen
-        surprised = [record.nis > _SURPRISED_NIS for record in self._records]
-        fewer = [k for k in range(here + 1, len(costs)) if costs[here] - costs[k] > _COST_NIS and not surprised[k]]
-        if surprised[here] and fewer:
+        fewer = [
+            k
+            for k in range(here + 1, len(costs))
+            if costs[here] - costs[k] > _COST_NIS
+            and self._records[k].nis <= _SURPRISED_NIS
+            and self._records[here].surprised(_IN_A_ROW[k])
+        ]
+        if fewer:
             self._choose(min(fewer, key=lambda k: costs[k]))
             return
         self._restore(costs, met.said.stamp_s)

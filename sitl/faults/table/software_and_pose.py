@@ -9,7 +9,14 @@ from sitl.faults import reason_codes as codes
 from sitl.faults.fault import Onset
 from sitl.faults.injectors.companion import Crash, Stall
 from sitl.faults.injectors.cpu_and_disk_load import BUSY, DISK_LOAD, BusyProcesses, ProcessUsageMonitor
-from sitl.faults.injectors.inertial_sensor import ImuSilence
+from sitl.faults.injectors.inertial_sensor import (
+    AlteredImu,
+    FrozenImu,
+    ImuSilence,
+    offset_force,
+    scaled_force,
+    vibration,
+)
 from sitl.faults.injectors.pose_stream import (
     AlteredPoses,
     FrozenPose,
@@ -55,6 +62,8 @@ from sitl.faults.table.acceptance_limits import (
 from sitl.faults.table.scenario import SHORT_VIEWS, Limit, Scenario
 
 FAST = Onset(speed_mps=0.6)
+AT_ONCE = Onset((0.0, 0.5), speed_mps=0.0)
+OFFSETS = tuple((mps2, 0.0) if k else (0.0, mps2) for mps2 in (1.0, 2.0, 4.0, 8.0) for k in (0, 1))
 ON_STAGE = Onset(speed_mps=0.6, away_m=4.2)
 GONE_AND_BACK = tuple(((0.5, 2.0, 10.0)[n % 3], (0.0, 0.3, 1.0)[(n + n // 3) % 3]) for n in range(9))
 CLOSURES = (moved(x=0.5), moved(y=2.0), map_turned(10.0))
@@ -65,6 +74,13 @@ SPOILT = tuple(
 NEVER_REPEATS = (
     Limit("ODOMETRY ends", odometry_metrics.poses_until, 0.5, "s"),
     Limit("change of the pose error", odometry_metrics.pose_error_step(), 0.05, "m"),
+)
+# Where the poses are honest, no fault of the inertial sensor ends a flight.
+HONEST_POSES = (
+    Limit("change of the pose error", odometry_metrics.pose_error_step(), 0.25, "m"),
+    clear(0.10),
+    COMPLETES,
+    NO_FAILSAFE,
 )
 
 TABLE_A = (
@@ -406,6 +422,56 @@ TABLE_B = (
             NO_FAILSAFE,
         ),
         onset=FAST,
+        observe_s=480.0,
+        views=SHORT_VIEWS,
+    ),
+    Scenario(
+        "B15",
+        "accelerometer clips",
+        "specific force times 0.51, 0.8, 0.9 from the end of the climb on, as under vibration",
+        lambda n: [AlteredImu(scaled_force((0.51, 0.8, 0.9)[n % 3]))],
+        HONEST_POSES,
+        onset=AT_ONCE,
+        observe_s=480.0,
+        views=SHORT_VIEWS,
+    ),
+    Scenario(
+        "B15o",
+        "accelerometer off",
+        "specific force off by 1, 2, 4, 8 m/s² along x or y, permanently",
+        lambda n: [AlteredImu(offset_force(*OFFSETS[n % 8]))],
+        HONEST_POSES,
+        onset=FAST,
+        observe_s=480.0,
+        views=SHORT_VIEWS,
+    ),
+    Scenario(
+        "B15t",
+        "accelerometer off for a moment",
+        "specific force off by 4 m/s² for 1 s, by 8 m/s² for 0.5 s",
+        lambda n: [AlteredImu(offset_force(*((4.0, 0.0), (0.0, 8.0))[n % 2]), for_s=(1.0, 0.5)[n % 2])],
+        HONEST_POSES,
+        onset=FAST,
+        observe_s=480.0,
+        views=SHORT_VIEWS,
+    ),
+    Scenario(
+        "B15f",
+        "inertial values repeat",
+        "the values of accelerometer, of gyro, of both are frozen during fast flight",
+        lambda n: [FrozenImu(gyro=n % 3 != 0, accelerometer=n % 3 != 1)],
+        (told(*codes.IMU_FROZEN, within_s=1.0), *HONEST_POSES),
+        onset=FAST,
+        observe_s=480.0,
+        views=SHORT_VIEWS,
+    ),
+    Scenario(
+        "B15v",
+        "vibration",
+        "white noise of 3 m/s² on each axis of the accelerometer",
+        lambda n: [AlteredImu(vibration(3.0))],
+        HONEST_POSES,
+        onset=AT_ONCE,
         observe_s=480.0,
         views=SHORT_VIEWS,
     ),
