@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import threading
+from collections import deque
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
@@ -12,9 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sitl.autopilots.base_autopilot import Autopilot, VehicleTruth
-from sitl.camera.d435i import SimulatedD435i
+from sitl.camera.camera_errors import FILE_NAME, CameraErrors
+from sitl.camera.camera_imu import CameraImu
+from sitl.camera.camera_mount import CameraMount
+from sitl.camera.d435i import EXACT, MOUNT_M, SimulatedD435i
+from sitl.camera.frame_exposure import ExposureTimes, FrameExposure, MountPose
+from sitl.camera.frame_timing import FrameLoss, FrameTiming
 from sitl.geometry.transform import rigid, rotation_from_quat
 from sitl.truth.hull_clearance import HullClearance
+from sitl.world.pose_history import PastPose, PoseHistory
 from sitl.world.pose_tracker import SimulatedTracker
 from sitl.world.step_sizes import FINE_STEPS, StepSizes
 
@@ -99,7 +106,11 @@ class TruthLog:
     rows: list[tuple[float, ...]]
 
     def save(self, path: Path, world: OutsideWorld) -> None:
-        """Write the rows, the setpoint arrivals and the failsafes to an npz file, atomically."""
+        """Write the rows, the setpoint arrivals and the failsafes to an npz file, atomically.
+
+        The camera's errors go to FILE_NAME beside it.
+        """
+        world.camera_errors.save(path.with_name(FILE_NAME))
         table = np.array(self.rows, dtype=np.float64).reshape(-1, 11)
         hull_m, measured = np.full(len(table), np.nan), table[:, 8] > 0
         hull_m[measured] = world.clearance.batch(table[measured, 1:4])
@@ -131,11 +142,19 @@ class OutsideWorld:
         start_s: float,
         mount_pitch_down_rad: float | None,
         pace: StepSizes = FINE_STEPS,
+        errors: CameraErrors = EXACT,
     ) -> None:
         """Set up the simulator at start_s.
 
-        mount_pitch_down_rad: tilt of a fixed camera; None: a gimbal controlled by the flyer.
+        mount_pitch_down_rad: tilt of a fixed camera; None: a gimbal controlled by the flyer. errors: of the camera and its IMU.
         """
+        self.camera_errors = errors
+        self._imu = CameraImu(errors, pace.imu_hz)
+        self._mount = CameraMount(MOUNT_M, errors.mount)
+        self._timing = FrameTiming(errors)
+        self._loss = FrameLoss(errors)
+        self._history = PoseHistory()
+        self._exposing: deque[ExposureTimes] = deque()
         self._imu_hz = pace.imu_hz
         self._truth_hz = pace.truth_hz
         self.flyer = flyer
@@ -160,6 +179,7 @@ class OutsideWorld:
         while (stamp_s := self._start_s + self._imu_count / self._imu_hz) <= now_s + 1e-9:
             self._publish_imu(stamp_s)
         self.flyer.step(now_s)
+        self._keep_pose(self.flyer.truth())
         self._publish_poses(now_s)
         self._keep_truth(now_s)
 
@@ -167,7 +187,10 @@ class OutsideWorld:
         """Publish the sample of stamp_s, simulated for that time even if this call is late."""
         self.flyer.step(stamp_s)
         truth = self.flyer.truth()
-        self.stream.write_imu(stamp_s, np.asarray(truth.gyro), np.asarray(truth.specific_force))
+        self._keep_pose(truth)
+        axes = self._mount.imu_from_body(self._pitch_rad(truth.gimbal_pitch_down_rad))
+        sample = self._imu.read(stamp_s, truth.gyro, truth.specific_force, axes, truth.armed)
+        self.stream.write_imu(sample.stamp_s, sample.gyro_radps, sample.specific_force_mps2)
         self._imu_count += 1
 
     def _publish_poses(self, now_s: float) -> None:
@@ -190,37 +213,43 @@ class OutsideWorld:
         measured = truth.armed and not (z + BODY_ABOVE_FLOOR_M < PAD_HEIGHT_M and over_pad)
         self.truth_log.rows.append((now_s, x, y, z, *truth.quat_wxyz, float(measured), float(truth.armed), float(landing)))
 
-    def _world_from_body(self) -> NDArray[np.float64]:
-        truth = self.flyer.truth()
-        return rigid(rotation_from_quat(truth.quat_wxyz), truth.position)
+    def _keep_pose(self, truth: VehicleTruth) -> None:
+        self._history.add(PastPose(truth.stamp_s, truth.position, truth.quat_wxyz, truth.gimbal_pitch_down_rad))
+
+    def _pitch_rad(self, gimbal_pitch_down_rad: float) -> float:
+        """Return the tilt of the camera as the product is told it."""
+        return gimbal_pitch_down_rad if self._mount_pitch_down_rad is None else self._mount_pitch_down_rad
 
     def frame_due(self, now_s: float) -> bool:
-        """Return True once per camera period, when a frame is due."""
-        if self._start_s + self._frame_count * self.camera.period_s > now_s + 1e-9:
-            return False
-        self._frame_count = int((now_s - self._start_s) / self.camera.period_s + 1e-9) + 1
-        return True
+        """Return True once per camera period, when a frame is complete.
 
-    def begin_frame(self, now_s: float) -> PendingFrame:
-        """Return the pose of a frame at now_s. Call it in the stepping thread; develop() in any."""
-        pitch_rad = self._mount_pitch_down_rad
-        if pitch_rad is None:
-            pitch_rad = self.flyer.truth().gimbal_pitch_down_rad
-        return PendingFrame(now_s, self._world_from_body(), pitch_rad)
+        begin_frame() then returns it. An exact camera exposes a frame at its stamp, and delivers it then.
+        """
+        if self._start_s + self._frame_count * self.camera.period_s <= now_s + 1e-9:
+            self._frame_count = int((now_s - self._start_s) / self.camera.period_s + 1e-9) + 1
+            times = self._timing.exposure(now_s)
+            if not self._loss.lost(now_s):
+                self._exposing.append(times)
+        return bool(self._exposing) and self._exposing[0].complete_s <= now_s + 1e-9
 
-    def develop(self, exposure: PendingFrame) -> None:
+    def begin_frame(self) -> FrameExposure:
+        """Return the poses of the frame that is due.
+
+        Call it in the stepping thread; develop() in any.
+        """
+        t = self._exposing.popleft()
+        depth, first, last = (self._mount_pose(stamp_s) for stamp_s in (t.depth_s, t.colour_first_s, t.colour_last_s))
+        middle = self._mount_pose(0.5 * (t.colour_first_s + t.colour_last_s))
+        return FrameExposure(t.stamp_s, depth, first, middle, last)
+
+    def _mount_pose(self, stamp_s: float) -> MountPose:
+        past = self._history.at(stamp_s)
+        return MountPose(rigid(rotation_from_quat(past.quat_wxyz), past.position), self._pitch_rad(past.gimbal_pitch_down_rad))
+
+    def develop(self, exposure: FrameExposure) -> None:
         """Render a frame and publish it."""
-        depth_mm, rgb = self.camera.capture(exposure.world_from_body, exposure.pitch_down_rad)
+        depth_mm, rgb = self.camera.expose(exposure)
         self.stream.write_frame(exposure.stamp_s, depth_mm, rgb)
-
-
-@dataclass(frozen=True)
-class PendingFrame:
-    """Time and pose of a frame that is not rendered yet: world_from_body (4, 4)."""
-
-    stamp_s: float
-    world_from_body: NDArray[np.float64]
-    pitch_down_rad: float
 
 
 class RenderThread:
@@ -228,13 +257,13 @@ class RenderThread:
 
     def __init__(self, world: OutsideWorld) -> None:
         self._world = world
-        self._newest: PendingFrame | None = None
+        self._newest: FrameExposure | None = None
         self._wake = threading.Condition()
         self._open = True
         self._thread = threading.Thread(target=self._run, name="camera", daemon=True)
         self._thread.start()
 
-    def submit(self, exposure: PendingFrame) -> None:
+    def submit(self, exposure: FrameExposure) -> None:
         """Queue a frame; an older one not started yet is dropped, as in a real camera."""
         with self._wake:
             self._newest = exposure

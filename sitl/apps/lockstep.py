@@ -243,7 +243,7 @@ class LockstepFlight:
     def _step_world(self, now_s: float) -> None:
         self._world.step(now_s)
         if self._world.frame_due(now_s):
-            self._world.develop(self._world.begin_frame(now_s))
+            self._world.develop(self._world.begin_frame())
 
     def _step_perception(self) -> None:
         if self._hook.restarts("perception"):

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sitl.camera import d435i
+from sitl.camera.camera_errors import CameraErrors
 from sitl.geometry.transform import body_from_camera, inverse, rigid, world_from_body
 from sitl.scene.rasterizer import Renderer
 from sitl.scene.scene import Scene
@@ -21,6 +22,7 @@ from sitl.truth.visibility import GIMBAL_RAD
 from uav_recon.sensors.stream_format import CameraSpec, StreamHeader
 
 POSE_STREAM = 0xCA97
+PERIOD_S = 0.5  # between the stamps of captures; exposure wanders with them
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 U8 = NDArray[np.uint8]
@@ -32,7 +34,8 @@ Bools = NDArray[np.bool_]
 class SceneCaptures:
     """Captured images.
 
-    depth_mm (K, H, W): 0 = no return. rgb (K, h, w, 3). world_from_depth (K, 4, 4): true poses. header: both cameras.
+    depth_mm (K, H, W): 0 = no return. rgb (K, h, w, 3). world_from_depth (K, 4, 4): true poses of a camera without
+    errors on the same vehicle. header: both cameras.
     """
 
     header: StreamHeader
@@ -65,14 +68,15 @@ def capture(
     noise: d435i.Noise,
     count: int,
     seed: int,
+    errors: CameraErrors = d435i.EXACT,
     taken: Callable[[], None] = lambda: None,
 ) -> SceneCaptures:
     """Capture ``count`` images at random positions out of positions (P, 3) with random headings.
 
-    pitch_down_rad: tilt of a fixed mount; None: a gimbal with random tilt. taken() is called after each image. Takes about
-    20 ms per image.
+    pitch_down_rad: tilt of a fixed mount; None: a gimbal with random tilt. errors: of the camera; its delays have no effect,
+    because it does not move. taken() is called after each image. Takes about 20 ms per image.
     """
-    eye = d435i.SimulatedD435i(Renderer(scene.vertices, scene.faces, scene.rgb), camera, noise, seed)
+    eye = d435i.SimulatedD435i(Renderer(scene.vertices, scene.faces, scene.rgb), camera, noise, seed, errors)
     rng = np.random.default_rng([seed, POSE_STREAM])
     place = positions[rng.integers(len(positions), size=count)]
     yaw = rng.uniform(-math.pi, math.pi, count)
@@ -81,7 +85,7 @@ def capture(
     depths, pictures, poses = [], [], []
     for n in range(count):
         body = world_from_body(place[n], float(yaw[n]))
-        depth_mm, rgb = eye.capture(body, float(pitch[n]))
+        depth_mm, rgb = eye.capture(body, float(pitch[n]), n * PERIOD_S)
         depths.append(depth_mm)
         pictures.append(rgb)
         poses.append(body @ body_from_camera(d435i.MOUNT_M, float(pitch[n])))

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import cast, get_args
 
 from sitl.apps.world_process import WorldOptions
+from sitl.camera.camera_errors import scale_of
 from sitl.camera.d435i import Model, Noise
 from sitl.real_firmware.px4 import COMPANION_PORT as PX4_PORT
 from sitl.scene.scene import HULL_HEIGHT_M, Scene
@@ -69,6 +70,7 @@ class SimOptions:
     uncertainty: str
     firmware: Path | None  # binary of a real firmware, in place of the simulated autopilot
     blind_speed_mps: float
+    camera_errors: float  # scale of the errors of the camera that the seed draws; 0: the exact camera
 
     @staticmethod
     def parse(
@@ -77,6 +79,7 @@ class SimOptions:
         mount: str = "fixed:15", depth_noise: str = "d435i", camera: str | None = None, mapper: str = "neural",
         radius: float = RADIUS_M, lockstep: bool = False, live: bool = False, port: int = 14540,
         uncertainty: str = "agreement", firmware: Path | None = None, blind_speed: float = BLIND_MPS,
+        camera_errors: str | None = None,
     ) -> SimOptions:  # fmt: skip
         """Validate the options of the command line. Raises UsageError with one line."""
         mapper = OLD_NAMES.get(mapper, mapper)
@@ -114,6 +117,7 @@ class SimOptions:
             mount_pitch_down_deg=mount_pitch_deg(mount), depth_noise=depth_noise, camera=chosen, mapper=mapper,
             radius_m=radius, lockstep=lockstep, live=live, port=port, uncertainty=uncertainty,
             firmware=None if firmware is None else firmware.absolute(), blind_speed_mps=blind_speed,
+            camera_errors=camera_error_scale(camera_errors),
         )  # fmt: skip
 
     def check_folder(self) -> None:
@@ -150,6 +154,7 @@ class SimOptions:
             depth_noise=cast("Noise", self.depth_noise), camera=cast("Model", self.camera), port=self.port,
             stream=str(runtime / "camera.stream"),
             truth=str(self.out / "truth.npz"), firmware=None if self.firmware is None else str(self.firmware),
+            camera_errors=self.camera_errors,
         )  # fmt: skip
 
     def config(self, scene: Scene, runtime: Path) -> Config:
@@ -210,6 +215,14 @@ def check_jobs(jobs: int) -> int:
     if not 1 <= jobs <= most:
         raise UsageError(f"--jobs {jobs}: want 1 to {most}; each may use {JOB_GB:g} GB of memory")
     return jobs
+
+
+def camera_error_scale(text: str | None) -> float:
+    """Return the scale of the camera's errors; None is the option left out. Raises UsageError."""
+    try:
+        return scale_of(text)
+    except ValueError as error:
+        raise UsageError(f"--camera-errors {text}: {error}") from None
 
 
 def memory_gb() -> float:

@@ -16,7 +16,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from sitl.apps.kernel_compilation import compile_ahead, flight_jobs
-from sitl.apps.sim_options import CAMERAS, RADII_M, VARIANTS, UsageError, check_jobs, mount_pitch_deg
+from sitl.apps.sim_options import CAMERAS, RADII_M, VARIANTS, UsageError, camera_error_scale, check_jobs, mount_pitch_deg
 from sitl.apps.sweep_case import Case, Record, fly_case, one_thread
 from sitl.runtime.worker_pool import worker_pool
 from sitl.scene.scene import GENERATED
@@ -51,12 +51,13 @@ class SweepOptions:
     jobs: int
     json: Path | None
     truth: bool
+    camera_errors: float
 
     @staticmethod
     def parse(
         *, flights: int = 500, seed0: int = 0, scenes: str = RANDOM, radii: str = "0.20", variants: str = "adaptive",
         mount: str = "fixed:15", camera: str = "fast", views: int | None = None, jobs: int = 2, json: Path | None = None,
-        truth: bool = False,
+        truth: bool = False, camera_errors: str | None = None,
     ) -> SweepOptions:  # fmt: skip
         """Validate the options of the command line. Raises UsageError with one line."""
         try:
@@ -71,10 +72,11 @@ class SweepOptions:
         if camera not in CAMERAS:
             raise UsageError(f"--camera {camera}: want one of {', '.join(CAMERAS)}")
         mount_pitch_deg(mount)
+        errors = camera_error_scale(camera_errors)
         words, jobs = tuple(scenes.split(",")), check_jobs(jobs)
         for word in words:
             _check_scene(word)
-        return SweepOptions(flights, seed0, words, sizes, names, mount, camera, views, jobs, json, truth)
+        return SweepOptions(flights, seed0, words, sizes, names, mount, camera, views, jobs, json, truth, errors)
 
     def cases(self) -> Iterator[Case]:
         """Yield all flights, in order."""
@@ -82,7 +84,7 @@ class SweepOptions:
         for number in range(self.flights):
             seed, (variant, radius_m, word) = self.seed0 + number // len(round_of), round_of[number % len(round_of)]
             scene = {RANDOM: f"random:{seed}", BUILT_IN: None}.get(word, word)
-            yield Case(scene, seed, radius_m, variant, self.mount, self.camera, self.views)
+            yield Case(scene, seed, radius_m, variant, self.mount, self.camera, self.views, camera_errors=self.camera_errors)
 
 
 def _check_scene(word: str) -> None:

@@ -15,7 +15,8 @@ ONE_THREAD = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "M
 class Case:
     """The options of a flight.
 
-    scene: as for `sim --scene`, None for the built-in room. views None: the default of `sim`.
+    scene: as for `sim --scene`, None for the built-in room. views None: the default of `sim`. camera_errors: the factor of
+    `sim --camera-errors`.
     """
 
     scene: str | None
@@ -26,6 +27,7 @@ class Case:
     camera: str
     views: int | None
     autopilot: str = "px4"
+    camera_errors: float = 0.0
 
     def command(self) -> str:
         """Return the command that repeats the flight, with a report."""
@@ -34,7 +36,7 @@ class Case:
         words = [
             "uav-recon", "sim", "--lockstep", "--mapper", "depth-only", *scene, "--seed", str(self.seed),
             "--radius", f"{self.radius_m:g}", "--variant", self.variant, "--mount", self.mount, "--camera", self.camera,
-            "--autopilot", self.autopilot, *views,
+            "--autopilot", self.autopilot, "--camera-errors", f"{self.camera_errors:g}", *views,
         ]  # fmt: skip
         return " ".join(words)
 
@@ -98,6 +100,7 @@ def _fly(case: Case, folder: Path, truth: bool) -> Record:
     options = SimOptions.parse(
         scene=case.scene, seed=case.seed, radius=case.radius_m, variant=case.variant, mount=case.mount, camera=case.camera,
         views=case.views, autopilot=case.autopilot, mapper="depth-only", lockstep=True, out=folder / "flight",
+        camera_errors=str(case.camera_errors),
     )  # fmt: skip
     scene = load_scene(options.scene, options.start, options.fence, options.radius_m, fine=False)
     options.make_folder()

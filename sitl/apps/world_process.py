@@ -25,6 +25,7 @@ from sitl.autopilots.byte_links import ByteEnd, UdpPeer
 from sitl.autopilots.px4.autopilot import Px4
 from sitl.autopilots.px4.parameters import Px4Parameters
 from sitl.camera import d435i
+from sitl.camera.camera_errors import CameraErrors
 from sitl.outside_world import Flyer, OutsideWorld, RenderThread
 from sitl.real_firmware.ardupilot import ArduPilotBinary
 from sitl.real_firmware.firmware_vehicle import FirmwareVehicle
@@ -64,6 +65,7 @@ class WorldOptions:
     stream: str
     truth: str
     firmware: str | None = None  # path of a real firmware, which flies in real time
+    camera_errors: float = 0.0  # scale of the errors of the camera, which the seed draws; 0: the exact camera
 
     def save(self, path: Path) -> None:
         """Write as JSON."""
@@ -73,6 +75,10 @@ class WorldOptions:
     def load(path: Path) -> WorldOptions:
         """Read the options from JSON."""
         return json_codec.from_text(WorldOptions, path.read_text(encoding="utf-8"))
+
+    def drawn_camera_errors(self) -> CameraErrors:
+        """Return the errors of this flight's camera."""
+        return CameraErrors.drawn(self.seed, self.camera_errors, gimbal=self.mount_pitch_down_deg is None)
 
     def scene_of(self) -> Scene:
         """Load the scene. Raises SceneError."""
@@ -108,11 +114,12 @@ def _assemble(
     d435i.warm_up()
     clearance.hull_m(np.zeros(3))
     clearance.standing_m((0.0, 0.0, 0.0))
-    camera = d435i.SimulatedD435i(renderer, options.camera, options.depth_noise, seed=options.seed)
+    errors = options.drawn_camera_errors()
+    camera = d435i.SimulatedD435i(renderer, options.camera, options.depth_noise, options.seed, errors)
     flyer = boot(clearance)
     pitch_rad = None if options.mount_pitch_down_deg is None else math.radians(options.mount_pitch_down_deg)
     stream = StreamWriter(Path(options.stream), camera.header)
-    return OutsideWorld(flyer, camera, SimulatedTracker(options.seed), clearance, stream, now_s(), pitch_rad, pace)
+    return OutsideWorld(flyer, camera, SimulatedTracker(options.seed), clearance, stream, now_s(), pitch_rad, pace, errors)
 
 
 def _autopilot(options: WorldOptions, scene: Scene, room: HullClearance, link: ByteEnd, pace: StepSizes) -> Autopilot:
@@ -184,7 +191,7 @@ def run(world: OutsideWorld, ended: Callable[[float], bool]) -> None:
     while not ended(now_s := time.monotonic()):
         world.step(now_s)
         if world.frame_due(now_s):
-            darkroom.submit(world.begin_frame(now_s))
+            darkroom.submit(world.begin_frame())
         next_s = max(next_s + STEP_S, now_s)
         time.sleep(max(next_s - time.monotonic(), 0.0))
     darkroom.close()

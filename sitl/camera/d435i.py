@@ -12,14 +12,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Literal, Protocol
+from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sitl.geometry.transform import body_from_camera, inverse, rigid
+from sitl.camera.camera_errors import CameraErrors, TimingErrors
+from sitl.camera.camera_mount import CameraMount, small_rigid
+from sitl.camera.camera_view import CameraView
+from sitl.camera.colour_camera import ColourLens, colour_camera
+from sitl.camera.frame_exposure import FrameExposure
+from sitl.geometry.transform import inverse, rigid
 from sitl.runtime.jit import kernel
-from sitl.scene.rasterizer import Renderer, Rendering
+from sitl.scene.rasterizer import Renderer
 from uav_recon.sensors.stream_format import CameraSpec, StreamHeader
 
 WIDTH = 424
@@ -35,6 +41,7 @@ GRAZING_COS = 0.175
 GRAZING_SPREAD = 0.02
 MOUNT_M = (0.10, 0.0, 0.0)  # depth imager in the body
 COLOUR_FROM_DEPTH_M = (0.015, 0.0, 0.0)
+EXACT = CameraErrors()
 
 Model = Literal["d435i", "wide", "fast", "small"]
 Noise = Literal["d435i", "paper", "kinect", "none"]
@@ -72,54 +79,68 @@ def stream_header(model: Model) -> StreamHeader:
     return StreamHeader(DEPTH_SPEC, COLOUR_SPEC, (1.0, 0.0, 0.0, 0.0, *COLOUR_FROM_DEPTH_M))
 
 
-class CameraView(Protocol):
-    """Source of rendered images: a scene's renderer, or one with additional objects."""
-
-    def render(
-        self, world_from_camera: F64, spec: CameraSpec, near_m: float = 0.05, far_m: float = math.inf, colour: bool = True
-    ) -> Rendering:
-        """Render an image; see Renderer.render()."""
-        ...
-
-
 class SimulatedD435i:
-    """Camera in a scene. Frame n of a seed has the same noise in every run. Not thread-safe."""
+    """Camera in a scene. Frame n of a seed has the same noise in every run. Not thread-safe.
 
-    def __init__(self, renderer: CameraView, model: Model = "d435i", noise: Noise = "d435i", seed: int = 0) -> None:
+    The header is nominal; the camera has the given errors against it. Timing errors and lost frames are not its own: they are
+    in the exposures that it gets.
+    """
+
+    def __init__(
+        self,
+        renderer: CameraView,
+        model: Model = "d435i",
+        noise: Noise = "d435i",
+        seed: int = 0,
+        errors: CameraErrors = EXACT,
+    ) -> None:
         self.header = stream_header(model)
         self.period_s = 1.0 / RATES_HZ[model]
         self.renderer = renderer
-        self._model = model
         self._seed = seed
         self._noise = _NOISES[noise]
         self._frames = 0
+        self._mount = CameraMount(MOUNT_M, errors.mount)
+        optics, wide = errors.optics, model == "wide"
+        self._depth_spec = _longer(self.header.depth, optics.depth_focal)
+        self._depth_factor = np.float32(1.0 + optics.depth_scale)
+        self._far_m = math.inf if wide else RANGE_M[1] + FAR_MARGIN_M
         tx, ty, tz = self.header.rgb_from_depth[4:]
-        self._depth_from_rgb = inverse(rigid(np.eye(3), (tx, ty, tz)))
+        depth_from_rgb = inverse(rigid(np.eye(3), (tx, ty, tz)))
+        lens = ColourLens(
+            _longer(self.header.rgb, optics.colour_focal),
+            depth_from_rgb @ small_rigid(optics.colour_rotation_rad, optics.colour_translation_m),
+            self._mount,
+        )
+        self._colour = colour_camera(model == "fast", wide, lens, errors)
 
-    def capture(self, world_from_body: F64, pitch_down_rad: float) -> tuple[U16, U8]:
-        """Return depth (H, W) in mm, 0 = no return, and rgb (h, w, 3) from a body pose (4, 4).
+    def capture(self, world_from_body: F64, pitch_down_rad: float, stamp_s: float = 0.0) -> tuple[U16, U8]:
+        """Return the images of expose() from a body pose (4, 4) at rest."""
+        return self.expose(FrameExposure.at_rest(stamp_s, world_from_body, pitch_down_rad))
 
-        pitch_down_rad tilts the mount down. Blocks for about 20 ms, `fast` for 2 ms.
+    def expose(self, exposure: FrameExposure) -> tuple[U16, U8]:
+        """Return depth (H, W) in mm, 0 = no return, and rgb (h, w, 3).
+
+        Blocks for about 20 ms, `fast` for 2 ms.
         """
-        world_from_depth = world_from_body @ body_from_camera(MOUNT_M, pitch_down_rad)
-        wide = self._model == "wide"
-        far_m = math.inf if wide else RANGE_M[1] + FAR_MARGIN_M
-        view = self.renderer.render(world_from_depth, self.header.depth, far_m=far_m, colour=wide)
+        world_from_depth, coloured = self._mount.world_from_depth(exposure.depth), self._colour.in_depth_view
+        view = self.renderer.render(world_from_depth, self._depth_spec, far_m=self._far_m, colour=coloured)
         rng = np.random.default_rng([self._seed, self._frames])
         self._frames += 1
-        depth_mm = self._noise(view.depth_m, view.incidence_cos, rng)
-        if wide:
-            return depth_mm, view.rgb
-        if self._model == "fast":
-            return depth_mm, np.zeros((self.header.rgb.height, self.header.rgb.width, 3), np.uint8)
-        return depth_mm, self.renderer.render(world_from_depth @ self._depth_from_rgb, self.header.rgb).rgb
+        depth_mm = self._noise(view.depth_m * self._depth_factor, view.incidence_cos, rng)
+        return depth_mm, self._colour.image(self.renderer, exposure, view)
+
+
+def _longer(spec: CameraSpec, share: float) -> CameraSpec:
+    """Return the intrinsics with both focal lengths longer by a share."""
+    return replace(spec, fx=spec.fx * (1.0 + share), fy=spec.fy * (1.0 + share))
 
 
 def warm_up() -> None:
-    """Compile all kernels of this module and of the renderer."""
+    """Compile all kernels of this module, of the colour camera and of the renderer."""
     vertices = np.array([[1, -1, -1], [1, 1, -1], [1, 0, 1]], np.float32)
-    camera = SimulatedD435i(Renderer(vertices, np.array([[0, 1, 2]], np.int32), np.zeros((3, 3), np.uint8)))
-    camera.capture(np.eye(4), 0.0)
+    scene = Renderer(vertices, np.array([[0, 1, 2]], np.int32), np.zeros((3, 3), np.uint8))
+    SimulatedD435i(scene, errors=CameraErrors(timing=TimingErrors(readout_s=0.01))).capture(np.eye(4), 0.0)
 
 
 def _stereo(depth_m: F32, incidence_cos: F32, rng: np.random.Generator) -> U16:

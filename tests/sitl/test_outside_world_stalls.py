@@ -23,7 +23,7 @@ class Turning:
     def truth(self) -> Any:
         return SimpleNamespace(
             gyro=(self.now_s, 0.0, 0.0), specific_force=(0.0, 0.0, 9.8), position=(0.0, 0.0, 0.0),
-            quat_wxyz=(1.0, 0.0, 0.0, 0.0), armed=False, mode="OFFBOARD",
+            quat_wxyz=(1.0, 0.0, 0.0, 0.0), armed=False, mode="OFFBOARD", stamp_s=self.now_s, gimbal_pitch_down_rad=0.0,
         )  # fmt: skip
 
 

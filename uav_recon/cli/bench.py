@@ -11,6 +11,7 @@ from uav_recon.cli import choices
 from uav_recon.cli.commands import add, new_group
 from uav_recon.cli.exit_codes import exit_with
 from uav_recon.cli.services import FlightArgument
+from uav_recon.cli.simulate import CameraErrorsOption
 
 JsonOption = Annotated[
     Path | None, typer.Option("--json", metavar="FILE", readable=False, help="Write all measured values to FILE.")
@@ -92,6 +93,7 @@ def bench_mapper(
     ] = 80,
     camera: BenchCameraOption = "d435i",
     depth_noise: DepthNoiseOption = "d435i",
+    camera_errors: CameraErrorsOption = None,
     mount: MountOption = "fixed:15",
     pose_noise: PoseNoiseOption = "0,0",
     exposure: Annotated[
@@ -114,7 +116,18 @@ def bench_mapper(
     exit_with(
         lambda: bench_of_mapper.bench_mapper(
             bench_of_mapper.MapperBench(
-                scene, views, camera, depth_noise, mount, pose_noise, steps_per_view, seed, device, json, exposure
+                scene,
+                views,
+                camera,
+                depth_noise,
+                mount,
+                pose_noise,
+                steps_per_view,
+                seed,
+                device,
+                json,
+                exposure,
+                camera_errors,
             )
         )
     )
@@ -134,6 +147,7 @@ def bench_endurance(
     ] = 160,
     camera: BenchCameraOption = "d435i",
     depth_noise: DepthNoiseOption = "d435i",
+    camera_errors: CameraErrorsOption = None,
     steps_per_view: StepsOption = 20,
     seed: Annotated[int, typer.Option(min=0, help="Seed of positions, noise, order and training.")] = 0,
     json: JsonOption = None,
@@ -146,7 +160,7 @@ def bench_endurance(
     from uav_recon.bench.mapper import mapper_bench as bench_of_mapper
 
     wanted = bench_of_mapper.MapperBench(
-        scene, views, camera, depth_noise, "fixed:15", "0,0", steps_per_view, seed, "cpu", json
+        scene, views, camera, depth_noise, "fixed:15", "0,0", steps_per_view, seed, "cpu", json, camera_errors=camera_errors
     )
     exit_with(lambda: bench_of_endurance.bench_endurance(wanted, hours, period_s))
 
@@ -182,6 +196,7 @@ def bench_uncertainty(
     ] = "20,30",
     camera: BenchCameraOption = "d435i",
     depth_noise: DepthNoiseOption = "d435i",
+    camera_errors: CameraErrorsOption = None,
     mount: MountOption = "fixed:15",
     pose_noise: PoseNoiseOption = "0,0",
     steps_per_view: StepsOption = 20,
@@ -202,7 +217,17 @@ def bench_uncertainty(
     def measure() -> int:
         views = bench_of_uncertainty.views_of(after)
         wanted = bench_of_mapper.MapperBench(
-            scene, max(*views, 4), camera, depth_noise, mount, pose_noise, steps_per_view, seed, "cpu", json
+            scene,
+            max(*views, 4),
+            camera,
+            depth_noise,
+            mount,
+            pose_noise,
+            steps_per_view,
+            seed,
+            "cpu",
+            json,
+            camera_errors=camera_errors,
         )
         return bench_of_uncertainty.bench_uncertainty(wanted, views)
 

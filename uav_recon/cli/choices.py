@@ -14,7 +14,15 @@ CAMERAS = ("d435i", "wide", "fast", "small")
 MAPPERS = ("neural", "depth-only")
 UNCERTAINTIES = ("agreement", "paper", "colour", "information", "product")
 MOUNTS = ("fixed:15", "gimbal")
+CAMERA_ERRORS = ("default", "none")
 DEVICES = ("auto", "cpu", "cuda")
+
+
+# of an option
+CAMERA_ERRORS_HELP = (
+    "Errors of the camera, drawn from the seed: mount, lens and colour calibration, depth scale, delay, rolling shutter, "
+    "exposure, IMU noise and lost frames. A factor of 0 to 2 scales all. Default: none, an exact camera."
+)
 
 
 def one_of(words: tuple[str, ...]) -> Callable[[str], list[str]]:

@@ -9,6 +9,7 @@ import typer
 
 from uav_recon.cli import choices
 from uav_recon.cli.exit_codes import exit_with
+from uav_recon.cli.simulate import CameraErrorsOption
 
 EXAMPLES = (
     "uav-recon faults --list                                  # every scenario with its limits",
@@ -44,6 +45,7 @@ def faults(
         int, typer.Option("--seed0", min=0, help="First seed. Repeat a failed flight with its seed and --seeds 1.")
     ] = 0,
     jobs: Annotated[int, typer.Option(min=1, max=256, help="Parallel processes; each uses one core.")] = 2,
+    camera_errors: CameraErrorsOption = None,
     json: Annotated[
         Path | None, typer.Option("--json", metavar="FILE", readable=False, help="Write all measured values to FILE.")
     ] = None,
@@ -85,7 +87,7 @@ def faults(
         lambda: fly_all(
             FaultOptions.parse(
                 only=only, autopilot=autopilot, seeds=seeds, jobs=jobs, json=json, out=out, live=real_time, firmware=firmware,
-                seed0=seed0,
+                seed0=seed0, camera_errors=camera_errors,
             )
         )
     )  # fmt: skip

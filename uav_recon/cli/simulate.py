@@ -36,6 +36,13 @@ CameraOption = Annotated[
     ),
 ]
 
+CameraErrorsOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="default|none|FACTOR", autocompletion=choices.one_of(choices.CAMERA_ERRORS), help=choices.CAMERA_ERRORS_HELP
+    ),
+]
+
 
 def sim(
     scene: Annotated[
@@ -118,6 +125,13 @@ def sim(
             rich_help_panel=CAMERA, help="Noise model of the depth images; none: exact depth.",
         ),
     ] = "d435i",
+    camera_errors: Annotated[
+        str | None,
+        typer.Option(
+            metavar="default|none|FACTOR", autocompletion=choices.one_of(choices.CAMERA_ERRORS), rich_help_panel=CAMERA,
+            help=choices.CAMERA_ERRORS_HELP,
+        ),
+    ] = None,
     mapper: Annotated[
         str,
         typer.Option(
@@ -190,6 +204,7 @@ def sim(
                 scene=scene, start=start, fence=fence, views=views, seed=seed, out=out, autopilot=autopilot, variant=variant,
                 mount=mount, depth_noise=depth_noise, camera=camera, mapper=mapper, uncertainty=uncertainty, radius=radius,
                 lockstep=lockstep, live=live, port=port, firmware=firmware, blind_speed=blind_speed,
+                camera_errors=camera_errors,
             ),
             json,
         )
@@ -217,6 +232,7 @@ def sweep(
         typer.Option(metavar="fixed:DEG|gimbal", autocompletion=choices.one_of(choices.MOUNTS), help="Camera mount."),
     ] = "fixed:15",
     camera: CameraOption = "fast",
+    camera_errors: CameraErrorsOption = None,
     views: Annotated[int | None, typer.Option(min=4, max=5000, help="View budget. Default: as `sim`.")] = None,
     jobs: Annotated[int, typer.Option(min=1, max=256, help="Parallel processes; each uses one core.")] = 2,
     json: Annotated[
@@ -241,7 +257,7 @@ def sweep(
         lambda: fly_all(
             SweepOptions.parse(
                 flights=flights, seed0=seed0, scenes=scenes, radii=radii, variants=variants, mount=mount, camera=camera,
-                views=views, jobs=jobs, json=json, truth=truth,
+                views=views, jobs=jobs, json=json, truth=truth, camera_errors=camera_errors,
             )
         )
     )  # fmt: skip

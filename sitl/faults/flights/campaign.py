@@ -15,8 +15,9 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from sitl.apps.kernel_compilation import compile_ahead, flight_jobs
-from sitl.apps.sim_options import AUTOPILOTS, UsageError, check_jobs, check_program
+from sitl.apps.sim_options import AUTOPILOTS, UsageError, camera_error_scale, check_jobs, check_program
 from sitl.apps.sweep_case import one_thread
+from sitl.camera.camera_errors import DEFAULT_SCALE
 from sitl.faults.flights.fault_flight import FaultCase, FaultRecord, Stage, fly
 from sitl.faults.injectors.base import Capabilities
 from sitl.faults.report.campaign_page import write_page
@@ -44,6 +45,7 @@ class FaultOptions:
     scenarios: in the order of the table. They are flown for each autopilot with seeds seed0, seed0 + 1, ...
     live: in real time.
     firmware: a real firmware in place of the simulated autopilot, always in real time.
+    camera_errors: the factor of `sim --camera-errors`.
     """
 
     scenarios: tuple[Scenario, ...]
@@ -55,11 +57,13 @@ class FaultOptions:
     live: bool = False
     firmware: Path | None = None
     seed0: int = 0
+    camera_errors: float = DEFAULT_SCALE
 
     @staticmethod
     def parse(
         *, only: str | None = None, autopilot: str = BOTH, seeds: int = 3, jobs: int = 2, json: Path | None = None,
         out: Path | None = None, live: bool = False, firmware: Path | None = None, seed0: int = 0,
+        camera_errors: str | None = None,
     ) -> FaultOptions:  # fmt: skip
         """Check the options of the command line. Raises UsageError with one line."""
         if autopilot not in (*AUTOPILOTS, BOTH):
@@ -75,9 +79,9 @@ class FaultOptions:
             how = "in real time" if firmware is None else f"with a real {autopilot} firmware"
             names = ", ".join(scenario.id for scenario in TABLE if can_fly(scenario))
             raise UsageError(f"--only {only}: cannot run {how}; want one of {names}")
-        one_by_one = live or firmware is not None
+        one_by_one, errors = live or firmware is not None, camera_error_scale(camera_errors)
         jobs = 1 if one_by_one else check_jobs(jobs)
-        return FaultOptions(scenarios, autopilots, seeds, jobs, json, out, one_by_one, firmware, seed0)
+        return FaultOptions(scenarios, autopilots, seeds, jobs, json, out, one_by_one, firmware, seed0, errors)
 
     def cases(self, scenario: Scenario, autopilot: str) -> list[FaultCase]:
         """Return the flights of a scenario; none for one that cannot be flown here."""
@@ -86,7 +90,7 @@ class FaultOptions:
         numbers = range(self.seed0, self.seed0 + (self.seeds if self.live else self.seeds * scenario.times))
         folders = [None if self.out is None else self.out / f"{scenario.id}-{autopilot}-{number}" for number in numbers]
         return [
-            FaultCase(scenario.id, autopilot, number, folder, self.live, self.firmware)
+            FaultCase(scenario.id, autopilot, number, folder, self.live, self.firmware, self.camera_errors)
             for number, folder in zip(numbers, folders, strict=True)
         ]
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from sitl.camera.camera_errors import DEFAULT_SCALE
 from sitl.camera.d435i import Model
 from sitl.faults.fault import Fault
 from sitl.faults.fault_director import FaultDirector, never_split
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
 class Stage:
     """Properties of a lockstep flight before its fault begins.
 
-    number: the flight's number, which is its seed.
+    number: the flight's number, which is its seed. camera_errors: scale of the camera's errors, which depend on the seed only.
     """
 
     autopilot: str
@@ -42,6 +43,7 @@ class Stage:
     radius_m: float = HULL_RADIUS_M
     variant: str = "adaptive"
     camera: Model = "fast"
+    camera_errors: float = DEFAULT_SCALE
 
 
 @dataclass(frozen=True)
@@ -49,7 +51,7 @@ class FaultCase:
     """One flight of a scenario.
 
     number: its seed, which also selects the case of the scenario. live: in real time, with processes. firmware: a real
-    firmware, flown in real time.
+    firmware, flown in real time. camera_errors: the factor of `sim --camera-errors`.
     """
 
     scenario: str
@@ -58,13 +60,15 @@ class FaultCase:
     out: Path | None = None
     live: bool = False
     firmware: Path | None = None
+    camera_errors: float = DEFAULT_SCALE
 
     @property
     def how(self) -> str:
-        """Options of `faults` that select lockstep, real time or a real firmware."""
+        """Options of `faults`: real time or a real firmware, and the camera's errors."""
+        errors = f"--camera-errors {self.camera_errors:g}"
         if self.firmware is not None:
-            return f"--firmware {shlex.quote(str(self.firmware))}"
-        return "--real-time" if self.live else ""
+            return f"--firmware {shlex.quote(str(self.firmware))} {errors}"
+        return f"--real-time {errors}" if self.live else errors
 
     @property
     def stage(self) -> Stage:
@@ -81,6 +85,7 @@ class FaultCase:
             scenario.radius_m(self.number),
             scenario.variant,
             scenario.camera,
+            self.camera_errors,
         )
 
 
@@ -196,6 +201,7 @@ def flight(
         mapper="depth-only",
         lockstep=True,
         out=folder / "flight",
+        camera_errors=str(stage.camera_errors),
     )
     scene = arena(stage.arena, options.radius_m, painted=stage.camera != "fast")
     options.make_folder()
@@ -234,6 +240,7 @@ def flight_live(scenario: Scenario, case: FaultCase, folder: Path) -> FlightEvid
         variant=scenario.variant,
         port=free_port(),
         out=case.out or folder / "flight",
+        camera_errors=str(case.camera_errors),
     )
     options.make_folder()
     return flight_in_real_time(scenario, options, folder, case.number, case.firmware)

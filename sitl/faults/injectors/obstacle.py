@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sitl.camera.d435i import CameraView
+from sitl.camera.camera_view import CameraView
 from sitl.geometry.transform import inverse, rigid
 from sitl.scene.primitives import MeshBuilder
 from sitl.scene.rasterizer import Renderer, Rendering

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from sitl.apps.scene_captures import capture, held_out_pixels, seen
+from sitl.camera.camera_errors import CameraErrors
 from sitl.camera.d435i import stream_header
 from sitl.scene.scene import Scene
 
@@ -47,6 +48,18 @@ def test_equal_seeds_give_equal_captures_and_others_do_not() -> None:
     assert np.array_equal(first.depth_mm, again.depth_mm)
     assert np.array_equal(first.world_from_depth, again.world_from_depth)
     assert not np.array_equal(first.world_from_depth, other.world_from_depth)
+
+
+def test_captures_with_camera_errors_have_the_poses_of_the_exact_camera() -> None:
+    """What the images show is off, what the benchmark is told is not."""
+    exact = capture(box(), POSITIONS, 0.2, "d435i", "none", 3, 3)
+    off = capture(box(), POSITIONS, 0.2, "d435i", "none", 3, 3, CameraErrors.drawn(3))
+    again = capture(box(), POSITIONS, 0.2, "d435i", "none", 3, 3, CameraErrors.drawn(3))
+    np.testing.assert_array_equal(exact.world_from_depth, off.world_from_depth)
+    assert exact.header == off.header
+    for a, b, c in ((exact.depth_mm, off.depth_mm, again.depth_mm), (exact.rgb, off.rgb, again.rgb)):
+        assert (a != b).mean() > 0.3
+        np.testing.assert_array_equal(b, c)
 
 
 def test_a_gimbal_has_many_pitch_angles_and_a_fixed_mount_one() -> None:

@@ -9,6 +9,7 @@ import pytest
 
 from sitl.apps.sim_options import BUILT_IN_VIEWS, SCENE_VIEWS, SimOptions, UsageError
 from sitl.apps.world_process import WorldOptions
+from sitl.camera.camera_errors import DEFAULT_SCALE, CameraErrors
 from sitl.scene.scene import Scene
 from uav_recon.config import load
 from uav_recon.motion.yaw_policy import AT_VIEWS, YawAlongPath, yaw_policy_of
@@ -47,6 +48,8 @@ def test_the_defaults_are_the_built_in_room_with_a_tilted_d435i() -> None:
         ({"radius": 0.01}, "0.05 to 0.6"),
         ({"blind_speed": 2.0}, "--blind-speed 2.0: want 0.1 to 1.2 m/s"),
         ({"camera": "d415"}, "d435i, wide"),
+        ({"camera_errors": "some"}, "--camera-errors some: want none, default or a factor of 0 to 2"),
+        ({"camera_errors": "2.5"}, "none, default or a factor of 0 to 2"),
         ({"autopilot": "inav"}, "px4, ardupilot"),
         ({"uncertainty": "none"}, "agreement, paper, colour, information, product"),
         ({"variant": "best"}, "adaptive, merged, reconstruct, explore, explore-yaw, explore-then-refine, evpp, vpp"),
@@ -128,6 +131,14 @@ def test_the_world_options_are_read_back_unchanged(tmp_path: Path) -> None:
     back = WorldOptions.load(tmp_path / "world.json")
     assert (back.scene, tuple(back.start or ()), tuple(back.fence or ())) == ("x.ply", (1, 2, 0, 90), (0, 0, 0, 4, 4, 3))
     assert (back.depth_noise, back.stream) == ("kinect", str(tmp_path / "camera.stream"))
+
+
+@pytest.mark.parametrize(("word", "scale"), [("none", 0.0), ("default", 1.0), ("0.5", 0.5), (None, DEFAULT_SCALE)])
+def test_the_seed_draws_the_errors_of_the_camera(tmp_path: Path, word: str | None, scale: float) -> None:
+    for mount, gimbal in (("gimbal", True), ("fixed:15", False)):
+        SimOptions.parse(seed=7, mount=mount, camera_errors=word).world(tmp_path).save(tmp_path / "world.json")
+        errors = WorldOptions.load(tmp_path / "world.json").drawn_camera_errors()
+        assert errors == CameraErrors.drawn(7, scale, gimbal=gimbal)
 
 
 @pytest.mark.parametrize(("radius_m", "clearance_m", "inset_m"), [(0.15, 0.35, 0.25), (0.20, 0.40, 0.30), (0.30, 0.50, 0.40)])

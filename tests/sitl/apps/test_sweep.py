@@ -45,6 +45,7 @@ def test_all_combinations_are_flown_before_the_next_seed() -> None:
         ({"radii": "9"}, "radii"),
         ({"variants": "fast"}, "variants"),
         ({"camera": "d415"}, "camera"),
+        ({"camera_errors": "many"}, "--camera-errors many: want none, default or a factor of 0 to 2"),
         ({"mount": "foo"}, "--mount foo: want gimbal, or fixed:DEG"),
         ({"scenes": "/nope"}, "--scenes /nope: no such scene; want random, random:SEED, built-in, a folder or a mesh file"),
         ({"scenes": ""}, "--scenes : no such scene"),
@@ -64,6 +65,16 @@ def test_a_failed_flight_is_recorded_with_its_seed() -> None:
     assert "no such scene" in record.error
     assert "Traceback" in record.trace
     assert "--scene /nowhere --seed 0" in record.case.command()
+    assert "--camera-errors 0 --views 8" in record.case.command()
+
+
+def test_the_cases_have_the_camera_errors_of_the_sweep_and_old_records_have_none() -> None:
+    (case,) = SweepOptions.parse(flights=1, camera_errors="0.5").cases()
+    assert case.camera_errors == 0.5
+    assert "--camera-errors 0.5" in case.command()
+    tree = json_codec.to_tree(BROKEN)
+    del tree["camera_errors"]
+    assert json_codec.from_tree(Case, tree).camera_errors == 0.0
 
 
 def test_a_record_is_read_back_unchanged() -> None:

@@ -45,6 +45,14 @@ class MapperBench:
     device: str
     json: Path | None
     exposure: float = 0.0
+    camera_errors: str | None = None
+
+    @property
+    def camera_error_scale(self) -> float:
+        """Scale of the camera's errors. Raises UsageError."""
+        from sitl.apps.sim_options import camera_error_scale
+
+        return camera_error_scale(self.camera_errors)
 
     def checked(self) -> seeded_views.SceneOptions:
         """Return the scene options. Raises UserError with one line for bad input."""
@@ -58,7 +66,14 @@ class MapperBench:
         if self.device != "cpu":
             raise UsageError(f"--device {self.device}: want cpu; the mapper has no other path yet")
         return seeded_views.SceneOptions(
-            self.scene, self.views, self.camera, self.depth_noise, self.mount, _pose_sigma(self.pose_noise), self.seed
+            self.scene,
+            self.views,
+            self.camera,
+            self.depth_noise,
+            self.mount,
+            _pose_sigma(self.pose_noise),
+            self.seed,
+            self.camera_errors,
         )
 
 
@@ -191,6 +206,7 @@ def _about(scene: seeded_views.MapperScene, wanted: MapperBench) -> Result:
         "mount": wanted.mount,
         "pose_noise": wanted.pose_noise,
         "exposure": wanted.exposure,
+        "camera_errors": wanted.camera_error_scale,
         "steps_per_view": wanted.steps_per_view,
         "seed": wanted.seed,
         "device": wanted.device,

@@ -36,7 +36,7 @@ VIEW_PERIOD_S = 0.5
 class SceneOptions:
     """The user's options, with the values of `uav-recon sim`.
 
-    pose_sigma: standard deviation of the pose noise on each axis, m and rad.
+    pose_sigma: standard deviation of the pose noise on each axis, m and rad. camera_errors: None: the default of `sim`.
     """
 
     scene: str | None
@@ -46,6 +46,7 @@ class SceneOptions:
     mount: str
     pose_sigma: tuple[float, float]
     seed: int
+    camera_errors: str | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,13 +94,19 @@ def load(options: SceneOptions, say: Callable[[str], None] = lambda _: None) -> 
     from sitl.apps import scene_captures as outside
     from sitl.apps.flight_judge import visible_truth
     from sitl.apps.sim_options import NOISE_PX, SimOptions
+    from sitl.camera.camera_errors import CameraErrors
     from sitl.scene.mesh_sampling import area_weighted_samples
     from sitl.scene.scene import SceneError, load_scene
 
     if options.camera not in CAMERAS:
         raise UsageError(f"--camera {options.camera}: want one of {', '.join(CAMERAS)}")
     wanted = SimOptions.parse(
-        scene=options.scene, seed=options.seed, mount=options.mount, depth_noise=options.depth_noise, camera=options.camera
+        scene=options.scene,
+        seed=options.seed,
+        mount=options.mount,
+        depth_noise=options.depth_noise,
+        camera=options.camera,
+        camera_errors=options.camera_errors,
     )
     try:
         scene = load_scene(wanted.scene)
@@ -112,6 +119,7 @@ def load(options: SceneOptions, say: Callable[[str], None] = lambda _: None) -> 
     taken = outside.capture(
         scene, cut.positions, None if pitch_deg is None else float(np.deg2rad(pitch_deg)),
         cast("Model", options.camera), cast("Noise", options.depth_noise), options.views, options.seed,
+        CameraErrors.drawn(options.seed, wanted.camera_errors, gimbal=pitch_deg is None),
     )  # fmt: skip
     say("finding what they saw")
     samples, normals = area_weighted_samples(scene.vertices, scene.faces, TRUTH_POINTS, TRUTH_SEED)

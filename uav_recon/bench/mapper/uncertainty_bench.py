@@ -52,6 +52,7 @@ def bench_uncertainty(wanted: MapperBench, after: tuple[int, ...]) -> int:
     about = {
         "scene": scene.name,
         **{name: getattr(wanted, name) for name in _TOLD},
+        "camera_errors": wanted.camera_error_scale,
         "machine": host_info.processor(),
         "commit": host_info.commit(),
         "calibration_cpu": calibrate().cpu_factor,

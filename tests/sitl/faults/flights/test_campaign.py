@@ -97,7 +97,8 @@ def test_seeds_can_begin_later_so_that_one_that_missed_is_flown_again(tmp_path: 
     assert options.cases(SCENARIOS["B3"], "px4")[0].out == tmp_path / "B3-px4-7"
     record = FaultRecord(FaultCase("B3", "px4", 7), ScenarioVerdict((0.30, 0.0), ("contact",)))
     assert _missed(record).startswith(
-        "missed: change of the pose error 0.30 <= 0.05 m, contact (repeat: --only B3 --autopilot px4 --seeds 1 --seed0 7)"
+        "missed: change of the pose error 0.30 <= 0.05 m, contact (repeat: --only B3 --autopilot px4 "
+        f"{record.case.how} --seeds 1 --seed0 7)"
     )
     assert "seed 7, 9" in _line(
         result_of(SCENARIOS["B3"], "px4", [record.verdict, ScenarioVerdict((0.0, 0.0), ()), record.verdict], first=7)
@@ -220,14 +221,28 @@ def test_the_page_shows_how_much_of_each_bar_is_used_up_and_how_to_fly_what_miss
 
 
 @pytest.mark.parametrize(
-    ("live", "firmware", "how"),
-    [(False, None, ""), (True, None, "--real-time "), (True, Path("/a b/px4"), "--firmware '/a b/px4' ")],
+    ("live", "firmware", "errors", "how"),
+    [
+        (False, None, 0.0, "--camera-errors 0 "),
+        (True, None, 1.0, "--real-time --camera-errors 1 "),
+        (True, Path("/a b/px4"), 0.5, "--firmware '/a b/px4' --camera-errors 0.5 "),
+    ],
 )
-def test_what_missed_is_flown_again_the_same_way(live: bool, firmware: Path | None, how: str) -> None:
-    case = FaultCase("B3", "px4", 7, live=live, firmware=firmware)
+def test_what_missed_is_flown_again_the_same_way(live: bool, firmware: Path | None, errors: float, how: str) -> None:
+    case = FaultCase("B3", "px4", 7, live=live, firmware=firmware, camera_errors=errors)
     verdict, again = ScenarioVerdict((0.30, 0.0), ()), f"--only B3 --autopilot px4 {how}--seeds 1 --seed0 7"
     assert f"(repeat: {again})" in _missed(FaultRecord(case, verdict))
     assert again in html.unescape(render([result_of(SCENARIOS["B3"], "px4", [verdict], first=7, how=case.how)]))
+
+
+def test_the_camera_errors_of_a_campaign_are_those_of_its_flights() -> None:
+    options = FaultOptions.parse(only="A1", autopilot="px4", seeds=1, camera_errors="0.5")
+    cases = [case for group in options.groups() for case in group]
+    assert {(case.camera_errors, case.stage.camera_errors) for case in cases} == {(0.5, 0.5)}
+    live = FaultOptions.parse(only="A1", autopilot="px4", seeds=1, live=True, camera_errors="none").groups()
+    assert {case.camera_errors for group in live for case in group} == {0.0}
+    with pytest.raises(UsageError, match="--camera-errors bad: want none, default or a factor of 0 to 2"):
+        FaultOptions.parse(camera_errors="bad")
 
 
 def test_the_summary_counts_flights_that_touched_something() -> None:
