@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from sitl.apps.sim import SimOptions, simulate
+from sitl.camera.camera_errors import FILE_NAME, CameraErrors
 from uav_recon import config
 from uav_recon.recording.flight_log import read_timeline
 from uav_recon.recording.report import Report
@@ -143,3 +144,17 @@ def test_quick_flights_repeat_byte_for_byte(quick_flights: list[Flight]) -> None
         assert first.truth[name].tobytes() == again.truth[name].tobytes(), name
     assert (first.folder / "flight.tlog").read_bytes() == (again.folder / "flight.tlog").read_bytes()
     assert first.truth["position_m"].tobytes() != other.truth["position_m"].tobytes()
+
+
+@pytest.mark.nightly
+def test_flights_with_camera_errors_repeat_byte_for_byte_and_keep_the_errors(tmp_path: Path) -> None:
+    flown = []
+    for name, scale in (("first", "default"), ("again", "default"), ("exact", "none")):
+        folder = tmp_path / name
+        options = SimOptions.parse(
+            views=6, seed=3, mapper="depth-only", camera="small", lockstep=True, out=folder, camera_errors=scale
+        )
+        simulate(options)
+        flown.append((folder / "flight.tlog").read_bytes())
+        assert CameraErrors.load(folder / FILE_NAME) == CameraErrors.drawn(3, options.camera_errors)
+    assert flown[0] == flown[1] != flown[2]
