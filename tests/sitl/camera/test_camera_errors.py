@@ -307,6 +307,15 @@ def test_an_exact_camera_is_the_default_one(model: Any) -> None:
             np.testing.assert_array_equal(a, b)
 
 
+def test_an_exact_colour_camera_is_one_rendering_at_the_middle_of_the_exposure() -> None:
+    scene, poses = marks()[1], [MountPose(world_from_body((0.0, 0.0, 0.0), 0.02 * k), 0.0) for k in (0, -1, 0, 1)]
+    world_from_rgb = nominal(0.0)
+    world_from_rgb[:3, 3] += (0.0, 0.015, 0.0)
+    expected = scene.render(world_from_rgb, COLOUR_SPEC).rgb
+    found = SimulatedD435i(scene).expose(FrameExposure(0.0, *poses))[1]
+    assert (found != expected).mean() < 1e-3  # the poses agree to rounding
+
+
 @pytest.mark.parametrize("model", ["d435i", "wide", "small"])
 def test_equal_seeds_give_equal_images(model: Any) -> None:
     scene = marks()[1]
