@@ -13,6 +13,7 @@ import json
 import math
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -197,8 +198,15 @@ class CameraErrors:
     def load(path: Path) -> CameraErrors:
         """Read the JSON of save(). Raises OSError, ValueError, TypeError or KeyError."""
         tree = json.loads(path.read_text(encoding="ascii"))
-        groups = {field.name: type(field.default) for field in dataclasses.fields(CameraErrors) if field.name != "seed"}
-        return CameraErrors(tree["seed"], **{name: kind(**_tuples(tree[name])) for name, kind in groups.items()})
+        return CameraErrors(
+            tree["seed"],
+            MountErrors(**_tuples(tree["mount"])),
+            OpticsErrors(**_tuples(tree["optics"])),
+            TimingErrors(**_tuples(tree["timing"])),
+            ToneErrors(**_tuples(tree["tone"])),
+            ImuErrors(**_tuples(tree["imu"])),
+            LossErrors(**_tuples(tree["loss"])),
+        )
 
 
 class _Draw:
@@ -233,5 +241,6 @@ def scale_of(text: str | None) -> float:
     return scale
 
 
-def _tuples(tree: dict[str, object]) -> dict[str, object]:
+def _tuples(tree: dict[str, Any]) -> dict[str, Any]:
+    """Return the table with its lists as tuples."""
     return {key: tuple(value) if isinstance(value, list) else value for key, value in tree.items()}

@@ -141,6 +141,26 @@ def test_the_angle_of_a_gimbal_is_that_of_the_exposure() -> None:
     assert np.mean(depth_mm[height // 2 - 1 : height // 2 + 1, width // 2]) == pytest.approx(2900.0 / np.cos(pitch), abs=4.0)
 
 
+def test_the_poses_within_a_stall_of_the_simulator_are_those_of_the_inertial_samples() -> None:
+    """At 8 m/s^2 the chord over a stall of 0.1 s is 10 mm from the path at its middle."""
+
+    class Faster(Moving):
+        def truth(self) -> VehicleTruth:
+            since_s = self._now_s - START_S
+            return replace(super().truth(), position=(4.0 * since_s**2, 0.0, 0.0))
+
+    errors, tape = CameraErrors(timing=TimingErrors(age_s=0.05)), Tape()
+    camera = SimulatedD435i(scene(), "fast", "none", errors=errors)
+    world = OutsideWorld(*cast(Any, (Faster((0.0, 0.0)), camera, NoPoses(), None, tape, START_S, 0.0, FINE_STEPS, errors)))
+    for now_s in (START_S, START_S + 0.16, START_S + 0.26):
+        world.step(now_s)
+        if world.frame_due(now_s):
+            world.develop(world.begin_frame())
+    _, stamp_s, depth_mm, _ = tape.frames[-1]
+    assert stamp_s == START_S + 0.26
+    assert np.median(depth_mm) == pytest.approx(2900.0 - 4000.0 * 0.21**2, abs=1.5)
+
+
 def test_lost_frames_are_missing_from_the_stream() -> None:
     errors = CameraErrors(1, loss=replace(CameraErrors.drawn(1).loss, min_gap_s=2.0, max_gap_s=3.0))
     stamps = np.array([stamp_s for _, stamp_s, _, _ in flown(Moving((0.0, 0.0)), errors, 30.0, pace=COARSE_STEPS).frames])
