@@ -28,7 +28,7 @@ from uav_recon.app.step_display import StepDisplay
 from uav_recon.config import VariantName
 
 LINE_EVERY_S = 5.0  # on a console that is no terminal
-SIMULATOR = KernelJob("simulator", f"{__name__}:simulator", 24)
+SIMULATOR = KernelJob("simulator", f"{__name__}:simulator", 25)
 DEPTH_ONLY_MAPPER = KernelJob("depth-only mapper", f"{__name__}:depth_only_mapper", 3)
 
 
