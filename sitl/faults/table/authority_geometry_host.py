@@ -125,7 +125,7 @@ TABLE_E = (
         "E4",
         "forged commands",
         "another system, another component, MAVLink 1: modes, disarm, terminate, positions",
-        lambda n: [SpoofedSystem(*((42, 1), (1, 77), (245, 191), (1, 1))[n % 4], version_1=n % 4 == 3)],
+        lambda n: [SpoofedSystem(*((42, 1), (1, 77), (233, 191), (1, 1))[n % 4], version_1=n % 4 == 3)],
         (NO_FAILSAFE, COMPLETES, told(*codes.INTRUDERS, within_s=1.0)),
         observe_s=180.0,
         views=SHORT_VIEWS,

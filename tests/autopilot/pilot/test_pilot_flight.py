@@ -58,7 +58,7 @@ def test_the_handshake_keeps_its_order_and_never_forces() -> None:
     for _, message in rig.tap.sent:
         if Tap.name(message) == f"COMMAND_LONG {ARM}":
             assert (message.param1, message.param2) == (1.0, 0.0)
-        assert message.get_srcSystem() == 245
+        assert message.get_srcSystem() == SYSTEM == 233
         assert message.get_srcSystem() != 1
 
 

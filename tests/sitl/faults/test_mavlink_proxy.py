@@ -23,7 +23,7 @@ from sitl.faults.injectors.mavlink_link import (
 from sitl.faults.mavlink_proxy import DelayedItems, Proxy, frames, message_id
 from sitl.faults.wire_capture import decode, heartbeats_in, setpoints_in
 
-VOICE = mavlink.MAVLink(None, 245, 191)
+VOICE = mavlink.MAVLink(None, 233, 191)
 
 
 def setpoint(x: float, y: float = 0.0, z: float = -1.0) -> bytes:

@@ -7,6 +7,11 @@ from typing import NamedTuple
 
 from uav_recon.types.frames import FloatArray
 
+_NO_AUTOPILOT = (0, 8)  # MAV_AUTOPILOT_GENERIC, _INVALID
+#: reject: heartbeats of these MAV_TYPEs as the autopilot's: ground stations, companions, cameras and other parts
+_NO_VEHICLE = frozenset((5, 6, 18, 26, 27, *range(30, 35), *range(36, 43), 44, 48))
+_COMPANION = (18, 8)  # MAV_TYPE_ONBOARD_CONTROLLER, MAV_AUTOPILOT_INVALID: what our own heartbeat says
+
 
 @dataclass(frozen=True, slots=True)
 class Heartbeat:
@@ -19,6 +24,16 @@ class Heartbeat:
     autopilot: int
     armed: bool
     custom_mode: int
+
+    @property
+    def from_autopilot(self) -> bool:
+        """True if a vehicle's autopilot sends it, and not a ground station, router or companion program."""
+        return self.autopilot not in _NO_AUTOPILOT and self.vehicle not in _NO_VEHICLE
+
+    @property
+    def from_companion(self) -> bool:
+        """True if a companion computer sends it; a second copy of this program sends the same."""
+        return (self.vehicle, self.autopilot) == _COMPANION
 
 
 @dataclass(frozen=True, slots=True)
