@@ -125,6 +125,17 @@ class ReasonCode(str, Enum):
     ODOMETRY_RESTARTED = "odometry-restarted", "odometry restarted, the map does not fit it"
     POSE_SOURCE_RESET = "pose-source-reset", "pose source was reset, holding"
 
+    # --- the autopilot's estimate -------------------------------------------------------------------------------------
+    ESTIMATE_POSITION = (
+        "estimate-position", "autopilot position {0:.2f} m off the poses",
+        "the autopilot's position is {0:.2f} m off the poses that it is fed", (123.45,),
+    )  # fmt: skip
+    ESTIMATE_VELOCITY = (
+        "estimate-velocity", "autopilot velocity {0:.2f} m/s off the poses",
+        "the autopilot's velocity is {0:.2f} m/s off the poses that it is fed", (12.34,),
+    )  # fmt: skip
+    OFF_HEIGHT = "off-height", "{0:.2f} m off the setpoints' height", "", (12.34,)
+
     # --- obstacles, retreat ------------------------------------------------------------------------------------------
     NEW_OBSTACLE = "new-obstacle", "new obstacle at {0:.2f} m", "", (12.34,)
     OFF_PATH = "off-path", "off the path by {0:.2f} m", "", (12.34,)

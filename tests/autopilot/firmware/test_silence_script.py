@@ -148,7 +148,13 @@ def test_it_lands_once_when_the_companion_has_been_silent_for_so_long() -> None:
 @pytest.mark.parametrize("name", ["MAV_GCS_SYSID", "SYSID_MYGCS"])
 def test_only_the_companion_itself_counts(wide: bool, name: str) -> None:
     """MAVSDK's default ids, our system id of another component, our ids of a ground station or of a vehicle."""
-    others = [(245, 190, GCS), (245, COMPONENT, OURS), (SYSTEM, 190, OURS), (SYSTEM, COMPONENT, GCS), (SYSTEM, COMPONENT, QUADROTOR)]
+    others = [
+        (245, 190, GCS),
+        (245, COMPONENT, OURS),
+        (SYSTEM, 190, OURS),
+        (SYSTEM, COMPONENT, GCS),
+        (SYSTEM, COMPONENT, QUADROTOR),
+    ]
     b = board(wide=wide, system_name=name)
     b.run(5.0, *others, heard=True)
     assert b.orders == []

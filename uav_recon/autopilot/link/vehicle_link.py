@@ -161,6 +161,11 @@ class VehicleLink:
         self._send(self._encoder.odometry(pose, time_us, self.firmware.pose_frame), now_s)
         self.status = replace(self.status, pose_fed_s=now_s)
 
+    def estimate_s(self, now_s: float) -> float:
+        """Return the instant, on our clock, of the newest position that the autopilot estimated; NaN while it is not known."""
+        boot_ms = self.telemetry.estimate.boot_ms
+        return self._timesync.ours_s(boot_ms, now_s) if self.status.time_known and boot_ms >= 0 else math.nan
+
     def stream(self, cleared: ClearedSetpoint, now_s: float, gimbal: bool) -> None:
         """Send a cleared setpoint, and at most ten times a second its camera pitch."""
         boot_ms = self._timesync.autopilot_ns(now_s) // 1_000_000

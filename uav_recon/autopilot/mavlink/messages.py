@@ -85,8 +85,12 @@ class SystemStatus:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LocalPosition:
-    """The autopilot's estimate: position (3,) m and velocity (3,) m/s, ENU about its origin."""
+    """The autopilot's estimate: position (3,) m and velocity (3,) m/s, ENU about its origin.
 
+    boot_ms: milliseconds since its boot, a number of 32 bits.
+    """
+
+    boot_ms: int
     position_m: FloatArray
     velocity_mps: FloatArray
 
