@@ -15,6 +15,7 @@ ODOMETRY_DRIFT = "odometry-drift"
 SURFACES_MOVED = "surfaces-moved"
 SURFACES_GONE = "surfaces-gone"
 INTRUDER_OWN_ID = "intruder-own-id"
+INTRUDER_HEARTBEAT = "intruder-heartbeat"
 INTRUDER_MAVLINK1 = "intruder-mavlink1"
 INTRUDER_COMMANDS = "intruder-commands"
 INTRUDER_STATE = "intruder-state"
@@ -32,7 +33,7 @@ OPERATOR_LOST_RETURNING = "operator-lost-returning"
 FRONTIERS_TOO_NARROW = "frontiers-too-narrow"
 FRONTIERS_NOT_REACHABLE = "frontiers-not-reachable"
 
-INTRUDERS = (INTRUDER_OWN_ID, INTRUDER_MAVLINK1, INTRUDER_COMMANDS, INTRUDER_STATE)
+INTRUDERS = (INTRUDER_OWN_ID, INTRUDER_HEARTBEAT, INTRUDER_MAVLINK1, INTRUDER_COMMANDS, INTRUDER_STATE)
 DRIFT = (ODOMETRY_DRIFT, SURFACES_MOVED, SURFACES_GONE)  # what depth may say against the pose
 BATTERY = ("battery-takeoff", "battery-land", "battery-unknown", "battery-rate-unknown", "battery-return")
 NO_OPERATOR = (OPERATOR_SILENT, OPERATOR_LOST_RETURNING)

@@ -9,6 +9,7 @@ from sitl.faults import reason_codes as codes
 from sitl.faults.fault import Onset
 from sitl.faults.injectors.companion import Crash, Stall
 from sitl.faults.injectors.cpu_and_disk_load import BUSY, DISK_LOAD, BusyProcesses, ProcessUsageMonitor
+from sitl.faults.injectors.mavlink_link import COMPANION, GCS, INVALID, ONBOARD_CONTROLLER, ProgramHeartbeats
 from sitl.faults.injectors.pose_stream import (
     AlteredPoses,
     FrozenPose,
@@ -59,6 +60,7 @@ CLOSURES = (moved(x=0.5), moved(y=2.0), map_turned(10.0))
 SPOILT = tuple(
     invalid(k) for k in ("nan place", "inf place", "nan turn", "zero turn", "long turn", "nan variance", "nan stamp")
 )
+PROGRAMS = ((245, 190, GCS, INVALID), (COMPANION[0], 190, ONBOARD_CONTROLLER, INVALID), (*COMPANION, GCS, INVALID))
 # Inertial samples continue the pose over the 0.33 s that B10 needs; pose_lost_s ends that. A constant pose must not be sent.
 NEVER_REPEATS = (
     Limit("ODOMETRY ends", odometry_metrics.poses_until, 0.5, "s"),
@@ -162,6 +164,15 @@ TABLE_A = (
         (clear(0.10), UNHEARD_LANDS, down(30.0)),
         arena="corridor",
         onset=FAST,
+    ),
+    Scenario(
+        "A6m",
+        "pilot and mission killed beside other programs",
+        "as A6, while heartbeats of a MAVSDK program (245/190) and of another component with the companion's system ID go on",
+        lambda n: [Stall("mission", "pilot", "perception"), ProgramHeartbeats(*PROGRAMS, to_autopilot=True)],
+        (UNHEARD_LANDS, UNHEARD_STANDS, Limit("drift", m.drift_landing, 1.5, "m"), down(30.0)),
+        onset=FAST,
+        live=lambda n: [ProcessKilled("mission", "pilot", "perception"), ProgramHeartbeats(*PROGRAMS, to_autopilot=True)],
     ),
     Scenario(
         "A7",
