@@ -136,7 +136,7 @@ class Estimator:
 
     @property
     def height_rate(self) -> float:
-        """Derivative (m/s, down) of the estimated height, which an error of the velocity does not affect."""
+        """Derivative (m/s, down) of the estimated height, without the error of the velocity."""
         return self._velocity[2]
 
     @property
@@ -250,7 +250,10 @@ class Estimator:
         self.position = (x, y, altitude_m)
 
     def move_height_datum(self, up_m: float) -> None:
-        """Move the zero of the height, as a change of the height source does: from now on the estimate reads up_m higher."""
+        """Move the zero of the height, as a change of the height source does.
+
+        From now on the estimate reads up_m higher.
+        """
         self.height_offset_m -= up_m
         self._baro_zero -= up_m
         self._shift(0.0, 0.0, -up_m, 0.0, 0.0, 0.0, self._now_s, 0.0)

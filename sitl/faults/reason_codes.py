@@ -14,6 +14,9 @@ DEPTH_STALE = "depth-stale"
 ODOMETRY_DRIFT = "odometry-drift"
 SURFACES_MOVED = "surfaces-moved"
 SURFACES_GONE = "surfaces-gone"
+ESTIMATE_POSITION = "estimate-position"
+ESTIMATE_VELOCITY = "estimate-velocity"
+OFF_HEIGHT = "off-height"
 INTRUDER_OWN_ID = "intruder-own-id"
 INTRUDER_HEARTBEAT = "intruder-heartbeat"
 INTRUDER_MAVLINK1 = "intruder-mavlink1"
@@ -44,5 +47,5 @@ LANDING = (
     ARMING_GIVEN_UP, PARAMETER_CHANGED, "poses-disagree", "few-poses", "imu-disagrees", "refused-too-long", "many-refusals",
     "held-too-long", "odometry-restarted", "outside-fence-too-long", "retreat-blocked", "evasion-blocked", "no-room-to-evade",
     "takeoff-given-up", "arming-withdrawn", "armed-late", "armed-by-other", "disarmed-in-flight", "disarmed-before-takeoff",
-    "land-requested",
+    "land-requested", ESTIMATE_POSITION, ESTIMATE_VELOCITY, OFF_HEIGHT,
 )  # fmt: skip

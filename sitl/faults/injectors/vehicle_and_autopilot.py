@@ -105,9 +105,9 @@ class LandDetectorFailed(Injector):
 
 
 class VerticalVelocityError(Injector):
-    """An estimator whose vertical velocity is off by a constant in the air, as by vibration; its height is right.
+    """An estimator whose vertical velocity is off by a constant in the air, as by vibration.
 
-    up_mps: positive if the estimate climbs faster than the vehicle.
+    Its height is right. up_mps: positive if the estimate climbs faster than the vehicle.
     """
 
     needs = Capabilities.SIMULATOR_ACCESS
@@ -123,7 +123,10 @@ class VerticalVelocityError(Injector):
 
 
 class HeightDatumMoved(Injector):
-    """An estimator whose height jumps, as at a change of its height source: it reads up_m higher from then on."""
+    """An estimator whose height jumps, as at a change of its height source.
+
+    It reads up_m higher from then on.
+    """
 
     needs = Capabilities.SIMULATOR_ACCESS
 

@@ -31,6 +31,7 @@ from sitl.faults.injectors.process_signals import (
     ProcessTerminated,
     SecondPilot,
 )
+from sitl.faults.injectors.vehicle_and_autopilot import HeightDatumMoved, VerticalVelocityError
 from sitl.faults.judges import odometry_metrics
 from sitl.faults.judges import reaction_metrics as m
 from sitl.faults.judges.statustext_checks import statustext_delay
@@ -387,4 +388,20 @@ TABLE_B = (
         why="needs visual tracking, which is not included",
     ),
     Scenario("B12", "wrong frames", "axes swapped in the config", why="perception does not detect it yet"),
+    Scenario(
+        "B13",
+        "autopilot's vertical velocity off",
+        "the autopilot's vertical velocity reads 0.5, 0.3 m/s too high or too low in the air; its height is right",
+        lambda n: [VerticalVelocityError((0.5, -0.5, 0.3, -0.3)[n % 4])],
+        (holds(2.0), lands(5.0), down(40.0), told(codes.ESTIMATE_VELOCITY, within_s=2.5), STREAMS, NO_FAILSAFE),
+        onset=FAST,
+    ),
+    Scenario(
+        "B14",
+        "autopilot's height datum moves",
+        "the autopilot's height jumps by 0.5 m up or down and stays",
+        lambda n: [HeightDatumMoved((0.5, -0.5)[n % 2])],
+        (holds(1.5), lands(4.5), down(40.0), told(codes.ESTIMATE_POSITION, within_s=2.2), STREAMS, NO_FAILSAFE),
+        onset=FAST,
+    ),
 )

@@ -1,4 +1,4 @@
-"""Frames of another program that sends with the ids of the autopilot, such as a router with component id 1.
+"""Frames of another program with the autopilot's ids, such as a router with component id 1.
 
 Such a program is known by its heartbeat: it is not that of an autopilot. Frames of other kinds name no sender; they are
 recognised by their sequence numbers, which continue those of that heartbeat and not those of the autopilot.

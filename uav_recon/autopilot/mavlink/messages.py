@@ -9,7 +9,7 @@ from uav_recon.types.frames import FloatArray
 
 _NO_AUTOPILOT = (0, 8)  # MAV_AUTOPILOT_GENERIC, _INVALID
 #: reject: heartbeats of these MAV_TYPEs as the autopilot's: ground stations, companions, cameras and other parts
-_NO_VEHICLE = frozenset((5, 6, 18, 26, 27, *range(30, 35), *range(36, 43), 44, 48))
+_NO_VEHICLE = (5, 6, 18, 26, 27, 30, 31, 32, 33, 34, 36, 37, 38, 39, 40, 41, 42, 44, 48)
 _COMPANION = (18, 8)  # MAV_TYPE_ONBOARD_CONTROLLER, MAV_AUTOPILOT_INVALID: what our own heartbeat says
 
 
@@ -27,7 +27,7 @@ class Heartbeat:
 
     @property
     def from_autopilot(self) -> bool:
-        """True if a vehicle's autopilot sends it, and not a ground station, router or companion program."""
+        """True if a vehicle's autopilot sends it, and not a ground station or another program."""
         return self.autopilot not in _NO_AUTOPILOT and self.vehicle not in _NO_VEHICLE
 
     @property

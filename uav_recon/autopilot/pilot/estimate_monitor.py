@@ -1,4 +1,4 @@
-"""Estimate monitor: the autopilot's own position and velocity against the odometry that it is fed.
+"""Estimate monitor: the autopilot's position and velocity against the odometry that it is fed.
 
 An autopilot whose estimate differs from the odometry follows its setpoints beside the path, and reports that all is well (PX4
 issues 17466 and 22196). The height of the odometry is also compared with that of the setpoints, which finds whatever else keeps
@@ -101,7 +101,7 @@ class EstimateMonitor:
             self._estimates.popleft()
 
     def update_height(self, setpoint: Setpoint | None, now_s: float) -> None:
-        """Compare the height of the newest pose with that of the newest setpoint, from the end of the climb on.
+        """Compare the height of the newest pose with that of the newest setpoint, after the climb.
 
         A vehicle that is behind a climb or a descent is late, and not off its height.
         """
@@ -141,7 +141,7 @@ class EstimateMonitor:
             self._compare_velocity(stamp_s, fed_m, velocity_mps)
 
     def _compare_velocity(self, stamp_s: float, fed_m: FloatArray, velocity_mps: FloatArray) -> None:
-        """Compare the mean of the estimated velocities with the distance that the poses moved meanwhile."""
+        """Compare the mean estimated velocity with the distance that the poses moved meanwhile."""
         self._window.append((stamp_s, fed_m, velocity_mps))
         while stamp_s - self._window[0][0] > _WINDOW_S:
             self._window.popleft()
