@@ -156,7 +156,8 @@ class Px4FlightTasks:
     def _controlled_velocity(self, setpoint: ControlSetpoint, velocity: Vec3, height_rate: float) -> Vec3:
         """Return the velocity for control.
 
-        Without a height to hold, the vertical one is the derivative of the height, which has less bias. Below the landing speed it is blended (from the sources, MulticopterPositionControl).
+        Without a height to hold, the vertical one is the derivative of the height, which has less bias. Below the landing speed
+        the two are blended (from the sources, MulticopterPositionControl).
         """
         wanted = setpoint.velocity[2]
         if not math.isnan(setpoint.position[2]) or math.isnan(wanted):

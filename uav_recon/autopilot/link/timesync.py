@@ -99,5 +99,8 @@ class TimeSyncFilter:
         return max(int(ours_s * _NS) + self._offset_ns, 0)
 
     def ours_s(self, boot_ms: int, now_s: float) -> float:
-        """Return our instant of the autopilot's milliseconds since boot, near now. It has no meaning before convergence."""
+        """Return our instant of the autopilot's milliseconds since boot, near now.
+
+        It has no meaning before convergence.
+        """
         return now_s + math.remainder(boot_ms / 1000.0 - self.autopilot_ns(now_s) / _NS, _WRAP_S)

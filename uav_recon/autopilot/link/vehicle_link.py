@@ -162,7 +162,10 @@ class VehicleLink:
         self.status = replace(self.status, pose_fed_s=now_s)
 
     def estimate_s(self, now_s: float) -> float:
-        """Return the instant, on our clock, of the newest position that the autopilot estimated; NaN while it is not known."""
+        """Return the instant, on our clock, of the newest position that the autopilot estimated.
+
+        NaN while it is not known.
+        """
         boot_ms = self.telemetry.estimate.boot_ms
         return self._timesync.ours_s(boot_ms, now_s) if self.status.time_known and boot_ms >= 0 else math.nan
 
@@ -251,8 +254,9 @@ class VehicleLink:
             self.telemetry = updated(self.telemetry, message, now_s)
 
     def _on_own_ids(self, received: Received) -> None:
-        """Process a frame with our ids: a second copy of this program forbids arming, any other program is only reported.
+        """Process a frame with our ids.
 
+        A second copy of this program forbids arming; any other program is only reported.
         A copy is known by its heartbeat, which is that of a companion, and by its setpoints and poses.
         """
         message = received.message

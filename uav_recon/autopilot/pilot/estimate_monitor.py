@@ -1,4 +1,4 @@
-"""Estimate monitor: the autopilot's position and velocity against the odometry that it is fed.
+"""Estimate monitor: the autopilot's position and velocity against the poses that it is fed.
 
 An autopilot whose estimate differs from the odometry follows its setpoints beside the path, and reports that all is well (PX4
 issues 17466 and 22196). The height of the odometry is also compared with that of the setpoints, which finds whatever else keeps
