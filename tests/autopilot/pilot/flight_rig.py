@@ -185,14 +185,6 @@ class Rig:
             self.step()
         return self.clock.now_s() - begin
 
-    def until_noted(self, code: ReasonCode, seconds: float) -> float:
-        """Fly on until the pilot's note has a code; returns how long that took."""
-        begin = self.clock.now_s()
-        while code not in self.note_codes:
-            assert self.clock.now_s() - begin < seconds, f"{self.note_codes} after {seconds} s"
-            self.step()
-        return self.clock.now_s() - begin
-
     def step(self) -> None:
         now = 100.0 + self.turn * TICK_S
         self.clock.advance_to(now)

@@ -184,6 +184,8 @@ def at_height(bench: Bench, height_m: float, up_mps: float, seconds: float) -> t
 
 def test_a_height_off_the_setpoints_counts_from_the_end_of_the_climb_on(bench: Bench) -> None:
     said = ReasonCode.OFF_HEIGHT
+    assert at_height(bench, 0.0, 0.0, 0.1) == (None, None), "before the climb it is where the setpoint is"
+    assert at_height(bench, -0.5, 0.3, 5.0) == (None, None)
     assert at_height(bench, -0.5, 0.0, 5.0) == (None, None)
     assert at_height(bench, 0.05, 0.0, 0.1) == (None, None)
     assert at_height(bench, 0.29, 0.0, 5.0) == (None, None)
@@ -192,10 +194,29 @@ def test_a_height_off_the_setpoints_counts_from_the_end_of_the_climb_on(bench: B
     assert at_height(bench, 0.31, 0.0, 2.0) == (said, said)
 
 
+@pytest.mark.parametrize("height_m", [-0.16, 0.16])
+@pytest.mark.parametrize("up_mps", [0.0, 0.3])
+def test_an_estimate_that_is_off_and_moves_the_vehicle_is_landed_for_at_once(
+    bench: Bench, height_m: float, up_mps: float
+) -> None:
+    at_height(bench, 0.0, 0.3, 0.1)
+    at_height(bench, 0.0, 0.0, 0.1)
+    assert at_height(bench, height_m, up_mps, 2.0) == (None, None), "of itself it may be late"
+    bench.off_mps = np.array([0.0, 0.0, 0.5])
+    assert at_height(bench, height_m, up_mps, 0.3) == (None, None)
+    assert at_height(bench, height_m, up_mps, 0.3) == (None, ReasonCode.ESTIMATE_VELOCITY)
+    assert at_height(bench, 0.14, up_mps, 0.1) == (None, None)
+    bench.off_mps = np.zeros(3)
+    at_height(bench, 0.0, 0.0, 1.0)
+    bench.off_m = np.array([0.0, 0.0, 0.35])
+    assert at_height(bench, height_m, up_mps, 0.4) == (None, ReasonCode.ESTIMATE_POSITION)
+
+
 @pytest.mark.parametrize(
     ("height_m", "up_mps", "late"), [(-0.5, 0.3, True), (0.5, -0.3, True), (0.5, 0.3, False), (-0.5, -0.3, False)]
 )
 def test_a_vehicle_behind_a_climb_or_descent_is_late(bench: Bench, height_m: float, up_mps: float, late: bool) -> None:
+    at_height(bench, 0.0, 0.3, 0.1)
     at_height(bench, 0.0, 0.0, 0.1)
     assert (at_height(bench, height_m, up_mps, 4.0) == (None, None)) is late
 
@@ -209,9 +230,8 @@ def flying(request: pytest.FixtureRequest, both_flown_up: dict[str, Rig]) -> Rig
 def test_a_vertical_velocity_that_is_off_ends_the_flight_in_words(flying: Rig, up_mps: float) -> None:
     begin_s = flying.clock.now_s()
     flying.autopilot.estimator.velocity_error = (0.0, 0.0, -up_mps)
-    held_s = flying.until_noted(ReasonCode.ESTIMATE_VELOCITY, 2.0)
-    assert flying.until(FlightPhase.LANDING, 3.0) + held_s < 4.2
-    assert abs(flying.height_m - 1.1) < 0.55
+    assert flying.until(FlightPhase.LANDING, 3.0) < (0.8 if abs(up_mps) > 0.4 else 1.1)
+    assert abs(flying.height_m - 1.1) < 0.3
     flying.run(0.2)
     assert any(ReasonCode.ESTIMATE_VELOCITY in codes for _, codes in flying.reported(begin_s))
     for _ in range(2000):
@@ -224,8 +244,8 @@ def test_a_vertical_velocity_that_is_off_ends_the_flight_in_words(flying: Rig, u
 def test_a_height_datum_that_moves_ends_the_flight_in_words(flying: Rig, up_m: float) -> None:
     begin_s = flying.clock.now_s()
     flying.autopilot.estimator.move_height_datum(up_m)
-    held_s = flying.until_noted(ReasonCode.ESTIMATE_POSITION, 1.3)
-    assert flying.until(FlightPhase.LANDING, 3.0) + held_s < 3.3
+    assert flying.until(FlightPhase.LANDING, 3.0) < 0.8
+    assert abs(flying.height_m - 1.1) < 0.3
     flying.run(0.2)
     assert any(ReasonCode.ESTIMATE_POSITION in codes for _, codes in flying.reported(begin_s))
     flying.run(20.0)

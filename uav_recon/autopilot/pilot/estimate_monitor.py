@@ -24,11 +24,16 @@ _MAX_VELOCITY_MPS = 0.2  #: hold: its mean velocity over _WINDOW_S is farther of
 _MAX_HEIGHT_M = 0.3  #: hold: the vehicle is farther above or below its setpoints for _HOLD_S
 _HOLD_S = 1.0  #: hold: duration of one of these deviations, without a break
 _LAND_S = 3.0  #: land: duration of one of these deviations, without a break
+#: land: the vehicle is this far above or below its setpoints while position or velocity exceeds its limit: it moves on, and
+#: paths keep 0.3 m from the floor
+_LEAVES_M = 0.15
+_LEAVES_S = 0.2  #: land: duration of that excess
 _MAX_OFFSET_M = 0.2  #: refuse: the autopilot's position is farther off on the ground: setpoints are flown off by this offset
 _AVERAGED_S = 1.0  #: internal: time constant of the offset on the ground
 _WINDOW_S = 0.5  #: internal: time over which velocities are averaged
 _PAST_S = 1.0  #: internal: poses and estimates are kept for this time, until they can be compared
-_ARRIVED_M = 0.1  #: internal: the height is compared with the setpoints once the climb has come this close to one
+_ARRIVED_M = 0.1  #: internal: the height is compared with the setpoints once the climb has come this close to its end
+_CLIMB_MPS = 0.05  #: internal: setpoints that rise faster are those of a climb
 
 
 class EstimateMonitor:
@@ -46,8 +51,9 @@ class EstimateMonitor:
             deque()
         )  # instant, position by the poses, estimated velocity
         self._offset_m: FloatArray | None = None
-        self._flying = self._arrived = False
+        self._flying = self._climbed = self._arrived = False
         self._compared_s = -math.inf
+        self._off_height_m = 0.0
         self._position = _Deviation(_MAX_POSITION_M)
         self._velocity = _Deviation(_MAX_VELOCITY_MPS)
         self._height = _Deviation(_MAX_HEIGHT_M)
@@ -55,12 +61,15 @@ class EstimateMonitor:
     @property
     def hold_reason(self) -> Reason | None:
         """Reason to hold, None for none."""
-        return self._lasting(_HOLD_S)
+        return self._lasting(_HOLD_S, height_s=_HOLD_S)
 
     @property
     def land_reason(self) -> Reason | None:
-        """Reason to land, None for none."""
-        return self._lasting(_LAND_S)
+        """Reason to land, None for none.
+
+        A deviation that already moves the vehicle from its height does not wait.
+        """
+        return self._lasting(_LEAVES_S if self._off_height_m > _LEAVES_M else _LAND_S, height_s=_LAND_S)
 
     @property
     def ground_fault(self) -> Reason | None:
@@ -71,13 +80,14 @@ class EstimateMonitor:
     def begin(self) -> None:
         """Start a flight: the offset is now that of the ground."""
         self.forget()
-        self._flying, self._arrived = True, False
+        self._flying, self._climbed, self._arrived = True, False, False
 
     def forget(self) -> None:
         """Forget what was compared, as after a jump of odom; the offset remains."""
         self._poses.clear()
         self._estimates.clear()
         self._window.clear()
+        self._off_height_m = 0.0
         for deviation in (self._position, self._velocity, self._height):
             deviation.end()
 
@@ -108,9 +118,11 @@ class EstimateMonitor:
         if setpoint is None or not self._poses:
             return
         off_m, up_mps = float(self._poses[-1][1][2] - setpoint.position_m[2]), float(setpoint.velocity_mps[2])
-        self._arrived = self._arrived or abs(off_m) < _ARRIVED_M
+        self._climbed = self._climbed or up_mps > _CLIMB_MPS
+        self._arrived = self._arrived or (self._climbed and abs(up_mps) < _CLIMB_MPS and abs(off_m) < _ARRIVED_M)
         late = off_m * up_mps < 0.0
-        self._height.update(abs(off_m) if self._arrived and not late else 0.0, now_s)
+        self._off_height_m = abs(off_m) if self._arrived else 0.0
+        self._height.update(0.0 if late else self._off_height_m, now_s)
 
     def _add_pose(self, pose: StampedPose | None) -> None:
         if pose is None or (self._poses and pose.stamp_s <= self._poses[-1][0]):
@@ -151,12 +163,13 @@ class EstimateMonitor:
         mean_mps = np.mean([velocity for _, _, velocity in self._window], axis=0)
         self._velocity.update(float(np.linalg.norm(mean_mps - (fed_m - begin_m) / (stamp_s - begin_s))), stamp_s)
 
-    def _lasting(self, least_s: float) -> Reason | None:
+    def _lasting(self, least_s: float, height_s: float) -> Reason | None:
+        """Return the deviation of the estimate that has lasted least_s, or that of the height if for height_s."""
         if self._position.for_s >= least_s:
             return Reason(ReasonCode.ESTIMATE_POSITION, (self._position.value,))
         if self._velocity.for_s >= least_s:
             return Reason(ReasonCode.ESTIMATE_VELOCITY, (self._velocity.value,))
-        return Reason(ReasonCode.OFF_HEIGHT, (self._height.value,)) if self._height.for_s >= least_s else None
+        return Reason(ReasonCode.OFF_HEIGHT, (self._height.value,)) if self._height.for_s >= height_s else None
 
 
 class _Deviation:
