@@ -12,6 +12,7 @@ import pytest
 from flight_rig import Rig
 from test_pilot_flight_ardupilot import CopterRig
 
+from uav_recon.autopilot.link.link_status import LinkStatus
 from uav_recon.autopilot.link.vehicle_link import VehicleLink
 from uav_recon.autopilot.mavlink.telemetry import MotionEstimate, Telemetry
 from uav_recon.autopilot.pilot.estimate_monitor import EstimateMonitor
@@ -30,6 +31,7 @@ class Link:
     """What the monitor reads of a link."""
 
     telemetry: Telemetry = field(default_factory=Telemetry)
+    status: LinkStatus = field(default_factory=LinkStatus)
     stamp_s: float = math.nan
 
     def estimate_s(self, now_s: float) -> float:
@@ -154,6 +156,23 @@ def test_an_offset_that_is_too_large_forbids_arming_until_it_ends() -> None:
     bench.off_m = np.zeros(3)
     bench.run(5.0)
     assert bench.monitor.ground_fault is None
+
+
+@pytest.mark.parametrize("stamp_s", [math.nan, 1e4, -1e4])
+def test_a_stamp_of_another_clock_stops_nothing(bench: Bench, stamp_s: float) -> None:
+    bench.link.stamp_s, bench.link.telemetry = stamp_s, Telemetry(estimate=MotionEstimate(boot_ms=10**9))
+    bench.monitor.update(None, bench.turn / 60)
+    bench.off_m = np.array([0.0, 0.0, 0.5])
+    assert after(bench, 1.2) == (ReasonCode.ESTIMATE_POSITION, None)
+
+
+def test_nothing_is_compared_while_two_autopilots_use_one_id(bench: Bench) -> None:
+    bench.off_m = np.array([0.0, 0.0, 0.5])
+    bench.run(2.0)
+    bench.link.status = LinkStatus(duplicate_autopilot=True)
+    assert after(bench, 5.0) == (None, None)
+    bench.link.status = LinkStatus()
+    assert after(bench, 1.2) == (ReasonCode.ESTIMATE_POSITION, None)
 
 
 def test_lost_poses_are_not_compared(bench: Bench) -> None:

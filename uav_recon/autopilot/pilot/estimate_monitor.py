@@ -98,11 +98,17 @@ class EstimateMonitor:
         self._offset_m = None
 
     def update(self, pose: StampedPose | None, now_s: float) -> None:
-        """Compare what is new. pose: the newest one that was fed."""
+        """Compare what is new. pose: the newest one that was fed.
+
+        While two autopilots use one id, nothing is compared: the estimate may be of either.
+        """
         self._add_pose(pose)
+        if self._link.status.duplicate_autopilot:
+            self.forget()
+            return
         estimate = self._link.telemetry.estimate
         stamp_s = self._link.estimate_s(now_s)
-        if estimate.boot_ms != self._boot_ms and math.isfinite(stamp_s):
+        if estimate.boot_ms != self._boot_ms and abs(stamp_s - now_s) <= _PAST_S:  # False for NaN
             self._estimates.append((stamp_s, estimate.position_m, estimate.velocity_mps))
         self._boot_ms = estimate.boot_ms
         while self._estimates and self._poses and self._estimates[0][0] <= self._poses[-1][0]:
