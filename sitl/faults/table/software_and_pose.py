@@ -400,7 +400,7 @@ TABLE_B = (
         room=NEAR_FLOOR,
     ),
     Scenario(
-        "B14",
+        "B13h",
         "autopilot's height datum moves",
         "the autopilot's height jumps by 0.5 m up or down and stays",
         lambda n: [HeightDatumMoved((0.5, -0.5)[n % 2])],
