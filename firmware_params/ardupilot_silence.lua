@@ -6,20 +6,51 @@
 -- during a landing started here, where it would start its pause half a second later. Therefore FS_GCS_ENABLE is set to 0 until
 -- the motors stop; this value is never saved.
 --
--- UVR_SILENCE_S: time in s without a heartbeat of MAV_GCS_SYSID (sent at 5 Hz) after which an armed vehicle in GUIDED lands. The
--- parameter exists only while this script runs: uav_recon reads it before arming, and does not arm without it.
+-- The companion is the sender with the system id MAV_GCS_SYSID, the component id UVR_COMP_ID and the type of an onboard
+-- controller. ArduPilot's failsafe (and gcs:last_seen) asks for the system id only: a MAVSDK program or a ground station with the
+-- same system id would hide that the companion is dead. Therefore this script reads the heartbeats itself.
+--
+-- UVR_SILENCE_S: time in s without a heartbeat of the companion (sent at 5 Hz) after which an armed vehicle in GUIDED lands. The
+-- parameters exist only while this script runs: uav_recon reads them before arming, and does not arm without them.
 
 local GUIDED, LAND = 4, 9
 local CRITICAL = 2
 local TABLE, EVERY_MS = 73, 50
+local HEARTBEAT, ONBOARD_CONTROLLER = 0, 18
+local QUEUE = 20 -- heartbeats of all senders between two steps; ArduPilot allows 25
+local WIDE_BYTES = 299 -- of a mavlink_message_t with a system id of 32 bits; with one of 8 bits it has 291
 
-assert(param:add_table(TABLE, "UVR_", 1), "uav_recon: no parameter table")
+assert(param:add_table(TABLE, "UVR_", 2), "uav_recon: no parameter table")
 assert(param:add_param(TABLE, 1, "SILENCE_S", 1.5), "uav_recon: no parameter")
-local silence_s = Parameter("UVR_SILENCE_S")
+assert(param:add_param(TABLE, 2, "COMP_ID", 191), "uav_recon: no parameter")
+local silence_s, component = Parameter("UVR_SILENCE_S"), Parameter("UVR_COMP_ID")
+local system = Parameter()
+assert(system:init("MAV_GCS_SYSID") or system:init("SYSID_MYGCS"), "uav_recon: no system id") -- the latter before 4.7
+mavlink:init(QUEUE, 1)
+mavlink:register_rx_msgid(HEARTBEAT)
+
+local heard_ms = nil
+
+-- message: a mavlink_message_t; the type is the fifth byte of a heartbeat
+local function is_companion(message)
+  local wide = #message >= WIDE_BYTES
+  local from_system, from_component = string.unpack(wide and "<I4B" or "<BB", message, 8)
+  local kind = string.unpack("<B", message, (wide and 16 or 13) + 4)
+  return from_system == system:get() and from_component == component:get() and kind == ONBOARD_CONTROLLER
+end
+
+local function listen()
+  local message = mavlink:receive_chan()
+  while message do
+    if is_companion(message) then
+      heard_ms = millis()
+    end
+    message = mavlink:receive_chan()
+  end
+end
 
 local function is_silent()
-  local heard_ms = gcs:last_seen()
-  return heard_ms > uint32_t(0) and (millis() - heard_ms):tofloat() > 1000.0 * silence_s:get()
+  return heard_ms ~= nil and (millis() - heard_ms):tofloat() > 1000.0 * silence_s:get()
 end
 
 local fs_gcs, kept = Parameter("FS_GCS_ENABLE"), nil
@@ -42,6 +73,7 @@ local function land()
 end
 
 local function watch()
+  listen()
   if not arming:is_armed() then
     give_back()
   elseif vehicle:get_mode() == GUIDED and is_silent() then

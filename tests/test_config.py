@@ -40,7 +40,7 @@ def _refused(tree: dict[str, Any]) -> str:
         ("camera", "depth_max_m", float("inf"), "camera.depth_max_m: "),
         ("camera", "source", "kinect", "camera.source: input should be 'stream', 'realsense' or 'recorded'"),
         ("link", "setpoint_rate_hz", 5.0, "link.setpoint_rate_hz: "),
-        ("link", "vehicle_system", 245, "link.vehicle_system: input should be less than or equal to 244 (got 245)"),
+        ("link", "vehicle_system", 233, "link.vehicle_system: input should be less than or equal to 232 (got 233)"),
         ("link", "vehicle_component", 0, "link.vehicle_component: input should be greater than or equal to 1 (got 0)"),
         ("link", "autopilot_uid", "none", "link.autopilot_uid: want a number in hex, greater than 0 (got 'none')"),
         ("link", "gimbal_component", 256, "link.gimbal_component: input should be less than or equal to 255 (got 256)"),

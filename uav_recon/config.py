@@ -136,7 +136,7 @@ class LinkConfig(Section):
     autopilot: Literal["px4", "ardupilot"] = "px4"  # firmware of the autopilot
     url: LinkUrl = "udp:127.0.0.1:14540"  # udp:HOST:PORT (listens there) or serial:DEVICE:BAUD
     peer_host: Host | None = None  # only UDP peer accepted; unset: this machine only
-    vehicle_system: Annotated[int, Field(ge=1, le=244)] = 1  # MAVLink system id of the vehicle; others are ignored; 245 is ours
+    vehicle_system: Annotated[int, Field(ge=1, le=232)] = 1  # MAVLink system id of the vehicle; others are ignored; 233 is ours
     vehicle_component: Annotated[int, Field(ge=1, le=255)] = 1  # MAVLink component id of its autopilot
     gimbal_component: Annotated[int, Field(ge=1, le=255)] = 154  # component id of its gimbal, accepted for gimbal angles only
     autopilot_uid: Uid = ""  # hardware id in hex, as reported in AUTOPILOT_VERSION; unset: any autopilot

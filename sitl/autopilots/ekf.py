@@ -83,13 +83,15 @@ class Estimator:
     """Estimator of local position, velocity and attitude.
 
     on_reset(delta_position, delta_yaw) is called at each jump of the estimate. ignored: number of poses not used, by reason.
+    velocity_error: a fault: the published velocity is off by this, while the position is right (PX4 issues 17466 and 22196).
     """
 
     def __init__(self, tuning: EstimatorTuning, on_reset: Callable[[Vec3, float], None] | None = None) -> None:
         self._on_reset = on_reset
         self.configure(tuning)
         self.position: Vec3 = (0.0, 0.0, 0.0)
-        self.velocity: Vec3 = (0.0, 0.0, 0.0)
+        self._velocity: Vec3 = (0.0, 0.0, 0.0)
+        self.velocity_error: Vec3 = (0.0, 0.0, 0.0)
         self.acceleration: Vec3 = (0.0, 0.0, 0.0)
         self.quat_wxyz: Quat = IDENTITY
         self.angular_rate: Vec3 = (0.0, 0.0, 0.0)
@@ -125,6 +127,17 @@ class Estimator:
         self._tuning = tuning
 
     # -- outputs --------------------------------------------------------------------------------------------------
+
+    @property
+    def velocity(self) -> Vec3:
+        """Velocity (m/s), local NED, as published and used for control."""
+        (x, y, z), (ex, ey, ez) = self._velocity, self.velocity_error
+        return (x + ex, y + ey, z + ez)
+
+    @property
+    def height_rate(self) -> float:
+        """Derivative (m/s, down) of the estimated height, without the error of the velocity."""
+        return self._velocity[2]
 
     @property
     def horizontal_valid(self) -> bool:
@@ -175,13 +188,13 @@ class Estimator:
         self.acceleration = (a[0] + s * (ax - a[0]), a[1] + s * (ay - a[1]), a[2] + s * (az - a[2]))
         self.fusing = now_s - self._last_pose_s <= _FUSION_STOPS_S and self.started
         if not self.started:  # constant position mode until the first pose: level, at rest
-            self.velocity = (0.0, 0.0, 0.0)
+            self._velocity = (0.0, 0.0, 0.0)
             self.quat_wxyz = from_yaw(self.yaw)
         else:
-            vx, vy, vz = self.velocity
+            vx, vy, vz = self._velocity
             vx, vy, vz = vx + ax * dt_s, vy + ay * dt_s, vz + az * dt_s
             x, y, z = self.position
-            self.velocity = (vx, vy, vz)
+            self._velocity = (vx, vy, vz)
             self.position = (x + vx * dt_s, y + vy * dt_s, z + vz * dt_s)
         x, y, z = self.position
         self._history.append([now_s, x, y, z, self.yaw])
@@ -235,6 +248,18 @@ class Estimator:
         self.height_offset_m = altitude_m
         x, y, _ = self.position
         self.position = (x, y, altitude_m)
+
+    def move_height_datum(self, up_m: float) -> None:
+        """Move the zero of the height, as a change of the height source does.
+
+        From now on the estimate reads up_m higher.
+        """
+        self.height_offset_m -= up_m
+        self._baro_zero -= up_m
+        self._shift(0.0, 0.0, -up_m, 0.0, 0.0, 0.0, self._now_s, 0.0)
+        self.reset_count += 1
+        if self._on_reset is not None:
+            self._on_reset((0.0, 0.0, -up_m), 0.0)
 
     def _usable(self, pose: ExternalPose, stamp: float) -> bool:
         if pose.quality < self._tuning.quality_min:
@@ -303,7 +328,7 @@ class Estimator:
         self._baro_zero += dz
         self._shift(dx, dy, dz, 0.0, 0.0, 0.0, stamp, turn)
         if turn:  # the velocity is known in the body frame, so it rotates with the heading
-            self.velocity = rotate(from_yaw(turn), self.velocity)
+            self._velocity = rotate(from_yaw(turn), self._velocity)
         self.reset_count += 1
         if self._on_reset is not None:
             self._on_reset((dx, dy, dz), turn)
@@ -327,8 +352,8 @@ class Estimator:
         age = self._now_s - stamp
         x, y, z = self.position
         self.position = (x + dx + dvx * age, y + dy + dvy * age, z + dz + dvz * age)
-        vx, vy, vz = self.velocity
-        self.velocity = (vx + dvx, vy + dvy, vz + dvz)
+        vx, vy, vz = self._velocity
+        self._velocity = (vx + dvx, vy + dvy, vz + dvz)
         if turn:
             self.quat_wxyz = normalised(multiply(from_yaw(turn), self.quat_wxyz))
 

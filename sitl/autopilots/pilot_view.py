@@ -26,6 +26,11 @@ class PilotView:
         return ned_from_enu(self._vehicle.velocity)
 
     @property
+    def height_rate(self) -> float:
+        """Vertical velocity, m/s, down."""
+        return self.velocity[2]
+
+    @property
     def acceleration(self) -> Vec3:
         """Zero: a human pilot does not perceive the acceleration."""
         return (0.0, 0.0, 0.0)

@@ -24,6 +24,7 @@ class AutopilotSideProxy:
         self._down = down
         self._rising = DelayQueue()
         self._falling = DelayQueue()
+        self._forged: list[bytes] = []
         self.sent: list[tuple[float, bytes]] = []
         self.arrived: list[tuple[float, bytes]] = []
         self.heard: list[tuple[float, bytes]] = []
@@ -42,7 +43,9 @@ class AutopilotSideProxy:
                 self._rising.put(now_s, self._up(frame))
         ready = self._rising.take(now_s)
         self.arrived += [(now_s, frame) for frame in ready]
-        return b"".join(ready)
+        data = b"".join((*ready, *self._forged))
+        self._forged.clear()
+        return data
 
     def write(self, data: bytes) -> None:
         """Send what the autopilot writes, altered or delayed by the faults."""
@@ -61,3 +64,7 @@ class AutopilotSideProxy:
         """Insert bytes into what the product reads next."""
         self.heard.append((self._now_s(), data))
         self._end.write(data)
+
+    def inject_to_autopilot(self, data: bytes) -> None:
+        """Insert bytes of another sender into what the autopilot reads next."""
+        self._forged.append(data)

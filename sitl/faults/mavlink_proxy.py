@@ -80,6 +80,10 @@ class ProxyInterface(Protocol):
         """Insert bytes into what the product reads next."""
         ...
 
+    def inject_to_autopilot(self, data: bytes) -> None:
+        """Insert bytes of another sender into what the autopilot reads next."""
+        ...
+
 
 class DelayQueue:
     """Frames in transit, ordered by arrival time; frames with equal times keep their order."""
@@ -148,6 +152,10 @@ class Proxy:
     def inject_to_product(self, data: bytes) -> None:
         """Insert bytes into what the product reads next."""
         self._forged.append(data)
+
+    def inject_to_autopilot(self, data: bytes) -> None:
+        """Insert bytes of another sender into what the autopilot reads next."""
+        self._end.write(data)
 
     def wait(self, timeout_s: float) -> None:
         """Block until the link has bytes or the timeout has passed."""

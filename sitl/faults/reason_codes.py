@@ -17,7 +17,11 @@ SURFACES_GONE = "surfaces-gone"
 NO_IMU = "no-imu"
 IMU_FROZEN = ("imu-frozen", "accelerometer-frozen")
 REDUCED_SPEED = "reduced-speed"
+ESTIMATE_POSITION = "estimate-position"
+ESTIMATE_VELOCITY = "estimate-velocity"
+OFF_HEIGHT = "off-height"
 INTRUDER_OWN_ID = "intruder-own-id"
+INTRUDER_HEARTBEAT = "intruder-heartbeat"
 INTRUDER_MAVLINK1 = "intruder-mavlink1"
 INTRUDER_COMMANDS = "intruder-commands"
 INTRUDER_STATE = "intruder-state"
@@ -35,7 +39,7 @@ OPERATOR_LOST_RETURNING = "operator-lost-returning"
 FRONTIERS_TOO_NARROW = "frontiers-too-narrow"
 FRONTIERS_NOT_REACHABLE = "frontiers-not-reachable"
 
-INTRUDERS = (INTRUDER_OWN_ID, INTRUDER_MAVLINK1, INTRUDER_COMMANDS, INTRUDER_STATE)
+INTRUDERS = (INTRUDER_OWN_ID, INTRUDER_HEARTBEAT, INTRUDER_MAVLINK1, INTRUDER_COMMANDS, INTRUDER_STATE)
 DRIFT = (ODOMETRY_DRIFT, SURFACES_MOVED, SURFACES_GONE)  # what depth may say against the pose
 BATTERY = ("battery-takeoff", "battery-land", "battery-unknown", "battery-rate-unknown", "battery-return")
 NO_OPERATOR = (OPERATOR_SILENT, OPERATOR_LOST_RETURNING)
@@ -46,5 +50,5 @@ LANDING = (
     ARMING_GIVEN_UP, PARAMETER_CHANGED, "poses-disagree", "few-poses", "imu-disagrees", "refused-too-long", "many-refusals",
     "held-too-long", "odometry-restarted", "outside-fence-too-long", "retreat-blocked", "evasion-blocked", "no-room-to-evade",
     "takeoff-given-up", "arming-withdrawn", "armed-late", "armed-by-other", "disarmed-in-flight", "disarmed-before-takeoff",
-    "land-requested",
+    "land-requested", ESTIMATE_POSITION, ESTIMATE_VELOCITY, OFF_HEIGHT,
 )  # fmt: skip

@@ -16,6 +16,7 @@ from pymavlink.dialects.v20 import common as mavlink
 from sitl.faults.mavlink_proxy import frames, message_id
 
 F64 = NDArray[np.float64]
+_AUTOPILOTS = (3, 12)  # MAV_AUTOPILOT of ArduPilot and PX4
 MODE_OR_ARM = frozenset(
     {
         mavlink.MAV_CMD_DO_SET_MODE, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, mavlink.MAV_CMD_NAV_TAKEOFF,
@@ -120,7 +121,7 @@ def setpoints_in(arrived: Sequence[tuple[float, bytes]]) -> F64:
 def heartbeats_in(heard: Sequence[tuple[float, bytes]], system: int = 1) -> list[tuple[float, int, bool]]:
     """Return (time, custom mode, armed) of each heartbeat that reached the product.
 
-    Only the HEARTBEAT messages of the given system count.
+    Only the HEARTBEAT messages of autopilots with the given system id count, not those of a router or a ground station.
     """
     parser = mavlink.MAVLink(None)
     parser.robust_parsing = True
@@ -128,7 +129,7 @@ def heartbeats_in(heard: Sequence[tuple[float, bytes]], system: int = 1) -> list
     for stamp_s, data in heard:
         wanted = data if parser.buf_len() else _heartbeats(data)
         for m in parser.parse_buffer(wanted) or () if wanted else ():
-            if m.get_type() == "HEARTBEAT" and m.get_srcSystem() == system:
+            if m.get_type() == "HEARTBEAT" and m.get_srcSystem() == system and m.autopilot in _AUTOPILOTS:
                 told.append((stamp_s, int(m.custom_mode), bool(m.base_mode & 128)))
     return told
 

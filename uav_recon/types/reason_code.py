@@ -137,6 +137,17 @@ class ReasonCode(str, Enum):
     ODOMETRY_RESTARTED = "odometry-restarted", "odometry restarted, the map does not fit it"
     POSE_SOURCE_RESET = "pose-source-reset", "pose source was reset, holding"
 
+    # --- the autopilot's estimate -------------------------------------------------------------------------------------
+    ESTIMATE_POSITION = (
+        "estimate-position", "autopilot position {0:.2f} m off the poses",
+        "the autopilot's position is {0:.2f} m off the poses that it is fed", (123.45,),
+    )  # fmt: skip
+    ESTIMATE_VELOCITY = (
+        "estimate-velocity", "autopilot velocity {0:.2f} m/s off the poses",
+        "the autopilot's velocity is {0:.2f} m/s off the poses that it is fed", (12.34,),
+    )  # fmt: skip
+    OFF_HEIGHT = "off-height", "{0:.2f} m off the setpoints' height", "", (12.34,)
+
     # --- obstacles, retreat ------------------------------------------------------------------------------------------
     NEW_OBSTACLE = "new-obstacle", "new obstacle at {0:.2f} m", "", (12.34,)
     OFF_PATH = "off-path", "off the path by {0:.2f} m", "", (12.34,)
@@ -233,6 +244,11 @@ class ReasonCode(str, Enum):
     )  # fmt: skip
     TWO_AUTOPILOTS = "two-autopilots", "two autopilots use one id"
     INTRUDER_OWN_ID = "intruder-own-id", "intruder uses our own id"
+    INTRUDER_HEARTBEAT = (
+        "intruder-heartbeat", "MAV_TYPE {0:d} sends with the autopilot's id",
+        "another program sends heartbeats with the autopilot's id: MAV_TYPE {0:d}, MAV_AUTOPILOT {1:d}; it is ignored",
+        (255, 255),
+    )  # fmt: skip
     INTRUDER_MAVLINK1 = "intruder-mavlink1", "intruder sends MAVLink 1"
     INTRUDER_COMMANDS = (
         "intruder-commands", "intruder {0:d}/{1:d} commands us", "intruder: system {0:d}, component {1:d} commands us",

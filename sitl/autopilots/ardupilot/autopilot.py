@@ -63,7 +63,7 @@ class ArduCopter(Autopilot):
         s = self._state
         s.estimator, s.jitter = Estimator(estimator_tuning(self._parameters)), JitterCorrection()
         s.home_follows, s.flight.home = False, None
-        s.commander.gcs_received_s = math.inf
+        s.commander.gcs_received_s = s.commander.companion_received_s = math.inf
         s.commander.takeover(ArduPilotMode.STABILIZE)
 
     def disable_land_detector(self) -> None:

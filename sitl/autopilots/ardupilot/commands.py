@@ -40,7 +40,7 @@ class ArduPilotCommands(BaseCommands):
     # -- streams --------------------------------------------------------------------------------------------------
 
     def _heartbeat(self, message: ReceivedMessage, _arrival_s: float) -> None:
-        self._s.commander.heartbeat_from(message.sender[0], self._s.now_s)
+        self._s.commander.heartbeat_from(message.sender, message.type, self._s.now_s)
 
     def _target(self, m: ReceivedMessage, arrival_s: float) -> None:
         """Follow a target in GUIDED; ignored in other modes.

@@ -148,12 +148,16 @@ class ArduPilotModeControllers:
             self._rest(position)
             return _IDLE, 0.0
         self.active = setpoint = self._wanted(dt_s, position)
+        moves_height = math.isnan(
+            setpoint.position[2]
+        )  # its target moves: a velocity error shifts the height, and not its rate
+        controlled = (velocity[0], velocity[1], estimator.height_rate) if moves_height else velocity
         if not estimator.horizontal_valid:
             down = setpoint.velocity[2] if mode is ArduPilotMode.LAND else 0.0
-            force, turn = self._controller.level(dt_s, velocity[2], down), 0.0
+            force, turn = self._controller.level(dt_s, controlled[2], down), 0.0
         else:
             a = estimator.acceleration
-            force, turn = self._controller.step(dt_s, position, velocity, a, estimator.yaw, setpoint)
+            force, turn = self._controller.step(dt_s, position, controlled, a, estimator.yaw, setpoint)
         if self._ground.touched_down(dt_s, force, velocity, estimator.horizontal_valid):
             self._takeoff_goal_down = None
         return force, turn

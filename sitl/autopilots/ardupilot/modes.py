@@ -29,6 +29,7 @@ _GCS_LAND = 5
 _ALT_MAX = 1
 _CIRCLE = 2
 _KEEP_PILOTS_MODES = 16  # FS_OPTIONS
+_ONBOARD_CONTROLLER = 18  # MAV_TYPE
 
 CRITICAL = 2
 WARNING = 4
@@ -81,6 +82,7 @@ class ArduPilotCommander:
         self.armed_at_s = math.inf
         self.failsafes: list[str] = []
         self.gcs_received_s = math.inf  # inf before the first heartbeat: the failsafe is inactive
+        self.companion_received_s = math.inf  # the same for the script
         self._invalid_since_s = math.inf
         self._idle_since_s = math.inf
         self._active_failsafes: set[str] = set()
@@ -96,6 +98,7 @@ class ArduPilotCommander:
         self._gcs_lands = self._lands(p, "FS_GCS_ENABLE", _GCS_LAND)
         self._gcs_timeout_s = p["FS_GCS_TIMEOUT"]
         self._silence_s = p["UVR_SILENCE_S"] if p.integer("SCR_ENABLE") else math.inf  # script ardupilot_silence.lua
+        self._companion = p.integer("MAV_GCS_SYSID"), p.integer("UVR_COMP_ID")
         self._radio_lands = self._lands(p, "FS_THR_ENABLE", _RADIO_LAND)
         self._radio_timeout_s = p["RC_FS_TIMEOUT"]
         self._pilots_modes_stay = bool(p.integer("FS_OPTIONS") & _KEEP_PILOTS_MODES)
@@ -177,13 +180,16 @@ class ArduPilotCommander:
             return "RC not found"
         return ""
 
-    def heartbeat_from(self, system: int, now_s: float) -> None:
-        """Record a heartbeat of the ground station with the id MAV_GCS_SYSID.
+    def heartbeat_from(self, sender: tuple[int, int], kind: int, now_s: float) -> None:
+        """Record a heartbeat of a sender (system and component id). kind: its MAV_TYPE.
 
-        Another component with the vehicle's own system id does not count (measured).
+        ArduPilot's failsafe asks for the system id MAV_GCS_SYSID only; another component with the vehicle's own system id does
+        not count (measured). The script ardupilot_silence.lua asks for system id, component id and type.
         """
-        if system == self._gcs_system and system != self._own_system:
+        if sender[0] == self._gcs_system and sender[0] != self._own_system:
             self.gcs_received_s = now_s
+        if sender == self._companion and kind == _ONBOARD_CONTROLLER:
+            self.companion_received_s = now_s
 
     def admits(self, distance_m: float, height_m: float) -> bool:
         """Return True if a distance from home and height above it, m, are inside the fence.
@@ -216,9 +222,9 @@ class ArduPilotCommander:
         pilots = self.mode in _PILOTS
         blind = self.mode in _NEED_POSITION and c.now_s - self._invalid_since_s >= _EKF_FAILSAFE_S
         self._check_failsafe("EKF Failsafe", blind, self._ekf_lands)
-        silent_s = c.now_s - self.gcs_received_s
+        silent_s = c.now_s - self.companion_received_s
         self._check_failsafe(_SILENT, silent_s > self._silence_s and self.mode is ArduPilotMode.GUIDED, True)
-        silent = silent_s > self._gcs_timeout_s
+        silent = c.now_s - self.gcs_received_s > self._gcs_timeout_s
         self._check_failsafe("GCS Failsafe", silent and not (pilots and self._pilots_modes_stay), self._gcs_lands)
         self._check_failsafe("Radio Failsafe", c.rc_lost_s > self._radio_timeout_s, self._radio_lands)
         self._check_failsafe("Battery is low", c.battery_mah < self._low_mah, self._low_lands)

@@ -95,6 +95,7 @@ class Px4FlightTasks:
         self._armed_s += dt_s
         setpoint = self._wanted(mode, position, dt_s)
         self.active = setpoint
+        controlled = self._controlled_velocity(setpoint, velocity, estimator.height_rate)
         if self.landed and not self._lifts_off(setpoint, position, dt_s):
             self._rest(position)
             return _IDLE, 0.0
@@ -104,10 +105,10 @@ class Px4FlightTasks:
             limit = self._ramped_mps(mode)
         if not estimator.horizontal_valid:
             down = setpoint.velocity[2] if mode is Px4Mode.LAND else 0.0
-            force, turn = self._controller.level(dt_s, velocity[2], down), 0.0
+            force, turn = self._controller.level(dt_s, controlled[2], down), 0.0
         else:
             a = estimator.acceleration
-            force, turn = self._controller.step(dt_s, position, velocity, a, estimator.yaw, setpoint, limit)
+            force, turn = self._controller.step(dt_s, position, controlled, a, estimator.yaw, setpoint, limit)
         if self._ground.touched_down(dt_s, force, velocity, estimator.horizontal_valid):
             self._ramp_s = -1.0
         return force, turn
@@ -151,6 +152,18 @@ class Px4FlightTasks:
             (north * s.acceleration, east * s.acceleration, z.acceleration),
             self._hold_yaw,
         )
+
+    def _controlled_velocity(self, setpoint: ControlSetpoint, velocity: Vec3, height_rate: float) -> Vec3:
+        """Return the velocity for control.
+
+        Without a height to hold, the vertical one is the derivative of the height, which has less bias. Below the landing speed
+        the two are blended (from the sources, MulticopterPositionControl).
+        """
+        wanted = setpoint.velocity[2]
+        if not math.isnan(setpoint.position[2]) or math.isnan(wanted):
+            return velocity
+        share = min(abs(wanted) / self._land[2], 1.0)
+        return (velocity[0], velocity[1], share * height_rate + (1.0 - share) * velocity[2])
 
     def _landing_speed(self, down: float) -> float:
         high, low, slow, fast = self._land

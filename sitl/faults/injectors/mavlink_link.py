@@ -13,6 +13,9 @@ from sitl.faults.mavlink_proxy import DelayedItems, ProxyInterface, frames, mess
 
 _COMMAND_LONG = 76
 SYS_STATUS = 1
+COMPANION = (233, 191)  # the product's ids
+QUADROTOR, GCS, ONBOARD_CONTROLLER = 2, 6, 18  # MAV_TYPE
+GENERIC, INVALID = 0, 8  # MAV_AUTOPILOT
 
 
 class PacketLoss(Injector):
@@ -162,12 +165,45 @@ class SpoofedSystem(Injector):
             mavlink.MAVLink_heartbeat_message(2, 12, 1, 3 << 16, 3, 3),
             mavlink.MAVLink_heartbeat_message(2, 12, 1, 84148224, 4, 3),
             mavlink.MAVLink_local_position_ned_message(boot_ms, 90.0, -80.0, 5.0, 3.0, 3.0, 3.0),
-            mavlink.MAVLink_command_long_message(245, 191, 400, 0, 0.0, 21196.0, 0.0, 0.0, 0.0, 0.0, 0.0),
-            mavlink.MAVLink_command_long_message(245, 191, 176, 0, 1.0, 4.0, 6.0, 0.0, 0.0, 0.0, 0.0),
-            mavlink.MAVLink_command_long_message(245, 191, 185, 0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+            mavlink.MAVLink_command_long_message(*COMPANION, 400, 0, 0.0, 21196.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+            mavlink.MAVLink_command_long_message(*COMPANION, 176, 0, 1.0, 4.0, 6.0, 0.0, 0.0, 0.0, 0.0),
+            mavlink.MAVLink_command_long_message(*COMPANION, 185, 0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
             mavlink.MAVLink_sys_status_message(0, 0, 0, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0),
         ):
             proxy_of(at).inject_to_product(bytes(message.pack(self._voice, force_mavlink1=self._version_1)))
+
+
+class ProgramHeartbeats(Injector):
+    """Heartbeats of other programs on the network, once a second each.
+
+    programs: system id, component id, MAV_TYPE and MAV_AUTOPILOT of each. They reach the autopilot (to_autopilot) or the
+    product. states: after each heartbeat, a program sends two messages as an autopilot would, of an empty battery and of a
+    position elsewhere.
+    """
+
+    def __init__(self, *programs: tuple[int, int, int, int], to_autopilot: bool = False, states: bool = False) -> None:
+        self._programs = [
+            (mavlink.MAVLink(None, system, component), kind, family) for system, component, kind, family in programs
+        ]
+        for number, (voice, _, _) in enumerate(self._programs):
+            voice.seq = 50 * number
+        self._to_autopilot = to_autopilot
+        self._states = states
+        self._next_s = 0.0
+
+    def turn(self, at: InjectionContext, since_s: float) -> None:
+        """Send what is due."""
+        if since_s < self._next_s:
+            return
+        self._next_s += 1.0
+        send = proxy_of(at).inject_to_autopilot if self._to_autopilot else proxy_of(at).inject_to_product
+        for voice, kind, family in self._programs:
+            beat = mavlink.MAVLink_heartbeat_message(kind, family, 0, 0, 4, 3)
+            empty = mavlink.MAVLink_sys_status_message(0, 0, 0, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0)
+            place = mavlink.MAVLink_local_position_ned_message(int(since_s * 1000), 90.0, -80.0, 5.0, 3.0, 3.0, 3.0)
+            for message in (beat, empty, place) if self._states else (beat,):
+                send(bytes(message.pack(voice)))
+                voice.seq = (voice.seq + 1) % 256
 
 
 class SecondAutopilot(Injector):

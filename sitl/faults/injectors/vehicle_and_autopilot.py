@@ -104,6 +104,40 @@ class LandDetectorFailed(Injector):
         at.world.autopilot.disable_land_detector()
 
 
+class VerticalVelocityError(Injector):
+    """An estimator whose vertical velocity is off by a constant in the air, as by vibration.
+
+    Its height is right. up_mps: positive if the estimate climbs faster than the vehicle.
+    """
+
+    needs = Capabilities.SIMULATOR_ACCESS
+
+    def __init__(self, up_mps: float) -> None:
+        self._up_mps = up_mps
+
+    def turn(self, at: InjectionContext, since_s: float) -> None:
+        """Apply the error while the vehicle is in the air."""
+        autopilot = at.world.autopilot
+        flies = autopilot.truth().armed and not autopilot.vehicle.on_ground
+        autopilot.estimator.velocity_error = (0.0, 0.0, -self._up_mps if flies else 0.0)
+
+
+class HeightDatumMoved(Injector):
+    """An estimator whose height jumps, as at a change of its height source.
+
+    It reads up_m higher from then on.
+    """
+
+    needs = Capabilities.SIMULATOR_ACCESS
+
+    def __init__(self, up_m: float) -> None:
+        self._up_m = up_m
+
+    def begin(self, at: InjectionContext) -> None:
+        """Move the datum for the rest of the flight."""
+        at.world.autopilot.estimator.move_height_datum(self._up_m)
+
+
 class TransmitterLost(Injector):
     """Loss of the pilot's transmitter signal."""
 

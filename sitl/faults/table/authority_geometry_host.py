@@ -11,10 +11,17 @@ from sitl.faults.injectors.companion import Abort, FileSizeLimit, HostilePlanner
 from sitl.faults.injectors.cpu_and_disk_load import FileSizeLimitOfProcesses
 from sitl.faults.injectors.depth_camera import StaticObstacle
 from sitl.faults.injectors.mavlink_link import (
+    COMPANION,
+    GCS,
+    GENERIC,
+    INVALID,
+    ONBOARD_CONTROLLER,
+    QUADROTOR,
     SYS_STATUS,
     DroppedCommand,
     FalseBatteryCharge,
     PacketLoss,
+    ProgramHeartbeats,
     RewrittenFrames,
     SecondAutopilot,
     SpoofedSystem,
@@ -67,6 +74,12 @@ PARAMETERS = (  # of each firmware, with values that it allows
     (("EKF2_EV_CTRL", 0), ("VISO_TYPE", 0)),
     (("GF_ACTION", 2), ("FENCE_ACTION", 0)),
     (("COM_RC_OVERRIDE", 1), ("GUID_TIMEOUT", 3.0)),
+)
+PROGRAMS = (  # system, component, MAV_TYPE, MAV_AUTOPILOT
+    (1, 1, GCS, INVALID),  # mavp2p
+    (1, 1, QUADROTOR, GENERIC),
+    (1, 1, ONBOARD_CONTROLLER, INVALID),
+    (*COMPANION, GCS, INVALID),
 )
 _ARM = 400
 _ORIGIN = 48
@@ -125,7 +138,7 @@ TABLE_E = (
         "E4",
         "forged commands",
         "another system, another component, MAVLink 1: modes, disarm, terminate, positions",
-        lambda n: [SpoofedSystem(*((42, 1), (1, 77), (245, 191), (1, 1))[n % 4], version_1=n % 4 == 3)],
+        lambda n: [SpoofedSystem(*((42, 1), (1, 77), COMPANION, (1, 1))[n % 4], version_1=n % 4 == 3)],
         (NO_FAILSAFE, COMPLETES, told(*codes.INTRUDERS, within_s=1.0)),
         observe_s=180.0,
         views=SHORT_VIEWS,
@@ -155,6 +168,30 @@ TABLE_E = (
         (told(codes.TWO_AUTOPILOTS, codes.AUTOPILOT_LANDS, within_s=1.0), holds(1.0), down(120.0)),
         observe_s=120.0,
         views=SHORT_VIEWS,
+    ),
+    Scenario(
+        "E4e",
+        "heartbeats of other programs",
+        "a router or companion program sends with the autopilot's ID, with states of its own too, or with the product's ID",
+        lambda n: [ProgramHeartbeats(PROGRAMS[n % len(PROGRAMS)], states=n % len(PROGRAMS) < 2)],
+        (told(codes.INTRUDER_HEARTBEAT, codes.INTRUDER_OWN_ID, within_s=1.0), STREAMS, NO_FAILSAFE, COMPLETES),
+        observe_s=180.0,
+        views=SHORT_VIEWS,
+    ),
+    Scenario(
+        "E4f",
+        "heartbeats of other programs from boot",
+        "as E4e, from boot",
+        lambda n: [ProgramHeartbeats(PROGRAMS[n % len(PROGRAMS)], states=n % len(PROGRAMS) < 2)],
+        (
+            Limit("first arm command", m.first_arm, 60.0, "s"),
+            Limit("reported", statustext_after_arming(codes.INTRUDER_HEARTBEAT, codes.INTRUDER_OWN_ID), 2.0, "s"),
+            NO_FAILSAFE,
+            RETURNS,
+        ),
+        onset=AT_BOOT,
+        observe_s=240.0,
+        views=14,
     ),
     Scenario(
         "E5",

@@ -17,6 +17,7 @@ from sitl.faults.injectors.inertial_sensor import (
     scaled_force,
     vibration,
 )
+from sitl.faults.injectors.mavlink_link import COMPANION, GCS, INVALID, ONBOARD_CONTROLLER, ProgramHeartbeats
 from sitl.faults.injectors.pose_stream import (
     AlteredPoses,
     FrozenPose,
@@ -38,8 +39,10 @@ from sitl.faults.injectors.process_signals import (
     ProcessTerminated,
     SecondPilot,
 )
+from sitl.faults.injectors.vehicle_and_autopilot import HeightDatumMoved, VerticalVelocityError
 from sitl.faults.judges import odometry_metrics
 from sitl.faults.judges import reaction_metrics as m
+from sitl.faults.judges.invariants import Room
 from sitl.faults.judges.statustext_checks import statustext_after_arm_command, statustext_delay
 from sitl.faults.table.acceptance_limits import (
     COMPLETES,
@@ -70,6 +73,8 @@ CLOSURES = (moved(x=0.5), moved(y=2.0), map_turned(10.0))
 SPOILT = tuple(
     invalid(k) for k in ("nan place", "inf place", "nan turn", "zero turn", "long turn", "nan variance", "nan stamp")
 )
+PROGRAMS = ((245, 190, GCS, INVALID), (COMPANION[0], 190, ONBOARD_CONTROLLER, INVALID), (*COMPANION, GCS, INVALID))
+NEAR_FLOOR = Room(clear_m=0.02)  # paths keep 0.3 m from the floor, of which the autopilot's own motion takes most
 # Inertial samples continue the pose over the 0.33 s that B10 needs; pose_lost_s ends that. A constant pose must not be sent.
 NEVER_REPEATS = (
     Limit("ODOMETRY ends", odometry_metrics.poses_until, 0.5, "s"),
@@ -180,6 +185,15 @@ TABLE_A = (
         (clear(0.10), UNHEARD_LANDS, down(30.0)),
         arena="corridor",
         onset=FAST,
+    ),
+    Scenario(
+        "A6m",
+        "pilot and mission killed beside other programs",
+        "as A6, while heartbeats of a MAVSDK program (245/190) and of another component with the companion's system ID go on",
+        lambda n: [Stall("mission", "pilot", "perception"), ProgramHeartbeats(*PROGRAMS, to_autopilot=True)],
+        (UNHEARD_LANDS, UNHEARD_STANDS, Limit("drift", m.drift_landing, 1.5, "m"), down(30.0)),
+        onset=FAST,
+        live=lambda n: [ProcessKilled("mission", "pilot", "perception"), ProgramHeartbeats(*PROGRAMS, to_autopilot=True)],
     ),
     Scenario(
         "A7",
@@ -394,6 +408,24 @@ TABLE_B = (
         why="needs visual tracking, which is not included",
     ),
     Scenario("B12", "wrong frames", "axes swapped in the config", why="perception does not detect it yet"),
+    Scenario(
+        "B13",
+        "autopilot's vertical velocity off",
+        "the autopilot's vertical velocity reads 0.5, 0.3 m/s too high or too low in the air; its height is right",
+        lambda n: [VerticalVelocityError((0.5, -0.5, 0.3, -0.3)[n % 4])],
+        (holds(1.5), lands(2.0), down(40.0), told(codes.ESTIMATE_VELOCITY, within_s=2.5), STREAMS, NO_FAILSAFE),
+        onset=FAST,
+        room=NEAR_FLOOR,
+    ),
+    Scenario(
+        "B13h",
+        "autopilot's height datum moves",
+        "the autopilot's height jumps by 0.5 m up or down and stays",
+        lambda n: [HeightDatumMoved((0.5, -0.5)[n % 2])],
+        (holds(1.0), lands(1.5), down(40.0), told(codes.ESTIMATE_POSITION, within_s=2.0), STREAMS, NO_FAILSAFE),
+        onset=FAST,
+        room=NEAR_FLOOR,
+    ),
     Scenario(
         "B14",
         "no inertial samples",

@@ -41,13 +41,13 @@ STATES = (
     wire.MAVLink_gps_global_origin_message(1, 2, 3),
 )
 ORDERS = (
-    wire.MAVLink_command_long_message(245, 191, 400, 0, 0.0, 21196.0, 0.0, 0.0, 0.0, 0.0, 0.0),
-    wire.MAVLink_command_long_message(245, 191, 185, 0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
-    wire.MAVLink_command_long_message(245, 191, 246, 0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0),
-    wire.MAVLink_set_mode_message(245, 1, 84148224),
-    wire.MAVLink_param_set_message(245, 191, b"COM_OF_LOSS_T", 99.0, 9),
-    wire.MAVLink_manual_control_message(245, 900, 900, 900, 900, 0),
-    wire.MAVLink_set_position_target_local_ned_message(0, 245, 191, 1, 0, *[50.0] * 11),
+    wire.MAVLink_command_long_message(233, 191, 400, 0, 0.0, 21196.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+    wire.MAVLink_command_long_message(233, 191, 185, 0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+    wire.MAVLink_command_long_message(233, 191, 246, 0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+    wire.MAVLink_set_mode_message(233, 1, 84148224),
+    wire.MAVLink_param_set_message(233, 191, b"COM_OF_LOSS_T", 99.0, 9),
+    wire.MAVLink_manual_control_message(233, 900, 900, 900, 900, 0),
+    wire.MAVLink_set_position_target_local_ned_message(0, 233, 191, 1, 0, *[50.0] * 11),
 )
 
 

@@ -18,7 +18,7 @@ from uav_recon.types.vehicle import FlightPhase
 PX4_MODES = {"ours": 6 << 16, "pilot's": 3 << 16, "landing": 6 << 24 | 4 << 16}
 pytestmark = pytest.mark.slow
 COPTER_MODES = {"ours": 4, "pilot's": 5, "landing": 9}
-ORDER = mavlink.MAVLink_command_long_message(245, 191, 400, 0, 0.0, 21196.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+ORDER = mavlink.MAVLink_command_long_message(233, 191, 400, 0, 0.0, 21196.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 PLACE = mavlink.MAVLink_local_position_ned_message(7, 90.0, -80.0, 5.0, 3.0, 3.0, 3.0)
 
 
@@ -73,7 +73,7 @@ def speak_twice(rig: Rig, crowd: Crowd, mode: str, seconds: float, armed: bool =
         ((42, 1), ORDER, False, Reason(ReasonCode.INTRUDER_COMMANDS, (42, 1))),
         ((1, 77), PLACE, False, Reason(ReasonCode.INTRUDER_STATE, (1, 77))),
         ((42, 1), mavlink.MAVLink_heartbeat_message(2, 12, 0, 3, 3, 3), False, Reason(ReasonCode.INTRUDER_STATE, (42, 1))),
-        ((245, 191), mavlink.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3), False, Reason(ReasonCode.INTRUDER_OWN_ID)),
+        ((233, 191), mavlink.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3), False, Reason(ReasonCode.INTRUDER_OWN_ID)),
         ((1, 1), PLACE, True, Reason(ReasonCode.INTRUDER_MAVLINK1)),
     ],
 )

@@ -131,3 +131,13 @@ def test_the_usual_trip_is_the_median_of_the_last_twenty_whatever_they_took() ->
     for i in range(20):
         exchange(sync, 3000.0 + 100.0 * i, 1.0, 1.0)
     assert sync.usual_trip_s == pytest.approx(0.002)
+
+
+@pytest.mark.parametrize("ahead_s", [0.0, 37.5, 4294960.0, 9.0e6])
+@pytest.mark.parametrize("before_s", [0.0, 0.4, -0.1])
+def test_a_boot_clock_of_32_bits_becomes_our_instant(ahead_s: float, before_s: float) -> None:
+    """Also across a restart of the 32 bits, after 49.7 days."""
+    sync = TimeSyncFilter(samples_needed=1)
+    sync.observe(int(100.0e9), int((100.0 + ahead_s) * 1e9), int(100.0e9))
+    boot_ms = round((110.0 - before_s + ahead_s) * 1000.0) % (1 << 32)
+    assert sync.ours_s(boot_ms, 110.0) == pytest.approx(110.0 - before_s, abs=1e-3)

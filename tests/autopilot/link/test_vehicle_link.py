@@ -97,15 +97,15 @@ def test_only_the_allowed_autopilot_counts(far: Wire, caplog: pytest.LogCaptureF
     assert (system_before, link.telemetry.system) == (0, 7)
     assert (link.telemetry.mode.custom_mode, link.telemetry.mode.armed) == (3 << 16, False)
     twin_before = link.status.own_id_in_use
-    far.update(heartbeat(), 245, 191)
+    far.update(wire.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3), 233, 191)
     link.receive(0.2)
     assert (twin_before, link.status.own_id_in_use) == (False, True)
-    assert gate.refused == 12
+    assert gate.refused == 13
     named = [record.getMessage() for record in caplog.records]
     assert [
         sum(f"system {one}" in text for text in named) for one in ("255, component 190", "9, component 1", "7, component 2")
     ]
-    assert len(named) == 3, "each is named once"
+    assert len(named) == 4, "each is named once"
 
 
 def test_mavlink_1_is_counted_and_named_and_says_nothing(far: Wire, caplog: pytest.LogCaptureFixture) -> None:

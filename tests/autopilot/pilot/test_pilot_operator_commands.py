@@ -75,7 +75,7 @@ def test_a_human_wins_over_a_hold(hovering: Rig) -> None:
 
 def test_forged_heartbeats_of_a_ground_station_are_no_operator(hovering: Rig) -> None:
     """From systems and components that ground stations have, and from our own; only the desk counts."""
-    voices = [mavlink.MAVLink(None, *ids) for ids in ((255, 190), (255, 0), (245, 191), (1, 190), (42, 1))]
+    voices = [mavlink.MAVLink(None, *ids) for ids in ((255, 190), (255, 0), (233, 191), (1, 190), (42, 1))]
     beat = mavlink.MAVLink_heartbeat_message(mavlink.MAV_TYPE_GCS, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, 4, 3)
     for _ in range(20):
         hovering.tap.forged += b"".join(bytes(beat.pack(voice)) for voice in voices)

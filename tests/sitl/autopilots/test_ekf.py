@@ -273,3 +273,29 @@ def test_the_barometer_gives_the_height_when_poses_stop() -> None:
     rig.pose_on = False
     rig.run(10.0)
     assert abs(rig.estimator.position[2] + rig.vehicle.position[2]) < 0.3
+
+
+def test_a_velocity_error_is_published_and_leaves_height_and_its_rate_right() -> None:
+    rig = Rig(move=0.0)
+    rig.run(3.0)
+    rig.resets.clear()
+    rig.estimator.velocity_error = (0.0, 0.0, -0.5)
+    rig.run(3.0)
+    e, (north, east, down) = rig.estimator, ned_from_enu(rig.vehicle.velocity)
+    assert math.dist(e.velocity, (north, east, down - 0.5)) < 0.1
+    assert abs(e.height_rate - down) < 0.1
+    assert abs(e.position[2] + rig.vehicle.position[2]) < 0.05
+    assert rig.resets == []
+
+
+@pytest.mark.parametrize("up_m", [0.5, -0.5])
+def test_a_height_datum_that_moves_is_a_jump_that_stays(up_m: float) -> None:
+    rig = Rig(move=0.0)
+    rig.run(3.0)
+    rig.resets.clear()
+    rig.estimator.move_height_datum(up_m)
+    assert rig.resets == [((0.0, 0.0, -up_m), 0.0)]
+    for _ in range(10):
+        rig.run(1.0)
+        assert abs(rig.estimator.position[2] + rig.vehicle.position[2] + up_m) < 0.05
+    assert len(rig.resets) == 1

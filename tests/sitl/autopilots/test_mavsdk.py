@@ -63,7 +63,7 @@ class Flight:
             if name == "px4"
             else ArduCopter(vehicle, self._end, ArduPilotParameters.load(), 1)
         )
-        self.mavsdk = Mavsdk(Configuration.create_manual(245, 191, True))
+        self.mavsdk = Mavsdk(Configuration.create_manual(233, 191, True))
         self._over = threading.Event()
         self._mocap: Any = None
         self._thread = threading.Thread(target=self._fly, daemon=True)
@@ -88,7 +88,7 @@ class Flight:
         """Send SET_MESSAGE_INTERVAL."""
         fields = {"command": 511, "confirmation": 0, "param1": message, "param2": 1e6 / rate_hz}
         fields |= {f"param{n}": 0.0 for n in range(3, 8)} | {"target_system": 1, "target_component": 1}
-        MavlinkDirect(self.system).send_message(MavlinkMessage("COMMAND_LONG", 245, 191, 1, 1, json.dumps(fields)))
+        MavlinkDirect(self.system).send_message(MavlinkMessage("COMMAND_LONG", 233, 191, 1, 1, json.dumps(fields)))
 
     def until(self, what: str, holds: Callable[[], bool], seconds: float) -> None:
         end_s = time.monotonic() + seconds

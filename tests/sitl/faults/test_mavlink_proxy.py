@@ -23,7 +23,7 @@ from sitl.faults.injectors.mavlink_link import (
 from sitl.faults.mavlink_proxy import DelayedItems, Proxy, frames, message_id
 from sitl.faults.wire_capture import decode, heartbeats_in, setpoints_in
 
-VOICE = mavlink.MAVLink(None, 245, 191)
+VOICE = mavlink.MAVLink(None, 233, 191)
 
 
 def setpoint(x: float, y: float = 0.0, z: float = -1.0) -> bytes:
@@ -204,3 +204,20 @@ def test_setpoints_are_counted_where_they_arrive_and_sound() -> None:
     spoilt = bytearray(setpoint(2.0))
     spoilt[20] ^= 1
     assert setpoints_in([(1.0, bytes(spoilt)), (2.0, setpoint(3.0))]).tolist() == [2.0]
+
+
+def test_what_others_send_reaches_the_autopilot_and_is_not_the_products() -> None:
+    proxy, _, theirs = proxied(Injector())
+    proxy.inject_to_autopilot(heartbeat(1))
+    assert message_id(theirs.read()) == 0
+    assert (proxy.sent, proxy.arrived) == ([], [])
+    ours, product = pipe()
+    there = AutopilotSideProxy(ours, lambda: 0.0, lambda frame: [(0.0, frame)], lambda frame: [(0.0, frame)])
+    there.inject_to_autopilot(heartbeat(1))
+    assert message_id(there.read()) == 0
+    assert (there.read(), there.sent, there.arrived, product.read()) == (b"", [], [], b"")
+
+
+def test_a_routers_heartbeats_are_not_those_of_the_vehicle() -> None:
+    router = bytes(mavlink.MAVLink_heartbeat_message(6, 8, 0, 7, 4, 3).pack(mavlink.MAVLink(None, 1, 1)))
+    assert [mode for _, mode, _ in heartbeats_in([(0.0, heartbeat(1) + router)])] == [1]

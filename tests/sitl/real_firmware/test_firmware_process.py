@@ -154,7 +154,7 @@ def test_arducopter_gets_its_ports_and_its_parameters(tmp_path: Path) -> None:
     assert command[command.index("--rc-in-port") + 1] == str(copter.transmitter.port)
     assert {"FLTMODE1,5", "FLTMODE4,0", "FLTMODE_CH,5"} <= set(lines)
     assert [copter.mode(m) for m in (4, 9, 99)] == ["GUIDED", "LAND", "99"]
-    assert {"FRAME_CLASS,1", "VISO_TYPE,1", "MAV_GCS_SYSID,245", "FS_EKF_THRESH,0.6", "MNT1_TYPE,0"} <= set(lines)
+    assert {"FRAME_CLASS,1", "VISO_TYPE,1", "MAV_GCS_SYSID,233", "FS_EKF_THRESH,0.6", "MNT1_TYPE,0"} <= set(lines)
 
 
 def test_px4_gets_its_model_and_its_parameters(tmp_path: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from uav_recon.autopilot.mavlink.allow_list import NOT_AN_AUTOPILOT
 from uav_recon.autopilot.mavlink.framing import MessageLayout, kind_of, wire
 from uav_recon.autopilot.mavlink.messages import (
     Attitude,
@@ -74,4 +73,4 @@ class LinkAlerts:
 def is_vehicle_state(received: Received) -> bool:
     """Return True if the message reports the state of a vehicle, as an autopilot's does."""
     message = received.message
-    return isinstance(message, _TELL_STATE) or (isinstance(message, Heartbeat) and message.autopilot != NOT_AN_AUTOPILOT)
+    return isinstance(message, _TELL_STATE) or (isinstance(message, Heartbeat) and message.from_autopilot)

@@ -5,6 +5,7 @@ The exchange with the shortest round trip gives the offset.
 
 from __future__ import annotations
 
+import math
 import statistics
 from collections import deque
 
@@ -14,6 +15,7 @@ _PROMPT_S = 0.025  #: reject: an exchange with a longer round trip, which is too
 #: reject: an exchange that is farther off the estimated clock; until it is settled no poses are sent
 _CONTRADICTS_NS = _NS // 10
 _END_NS = 1 << 62  #: reject: an autopilot's clock beyond 146 years: one that continues from there soon exceeds 63 bits
+_WRAP_S = 2.0**32 / 1000.0  #: internal: a boot clock of 32 bits restarts after this
 _LATEST = 20  #: brake: exchanges whose median round trip tells whether the link is slow
 _LONGEST_NS = 2 * _NS  #: reject: a longer round trip is not counted in that median
 _ENOUGH = 5  #: reject: an estimate of the clock that this many exchanges in a row, which agree with each other, contradict
@@ -95,3 +97,10 @@ class TimeSyncFilter:
         It has no meaning before convergence.
         """
         return max(int(ours_s * _NS) + self._offset_ns, 0)
+
+    def ours_s(self, boot_ms: int, now_s: float) -> float:
+        """Return our instant of the autopilot's milliseconds since boot, near now.
+
+        It has no meaning before convergence.
+        """
+        return now_s + math.remainder(boot_ms / 1000.0 - self.autopilot_ns(now_s) / _NS, _WRAP_S)

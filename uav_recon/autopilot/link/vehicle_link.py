@@ -10,10 +10,12 @@ from uav_recon.autopilot.link.autopilot_identity import AutopilotIdentity
 from uav_recon.autopilot.link.duplicate_autopilot import DuplicateAutopilotDetector
 from uav_recon.autopilot.link.link_alerts import TWO, LinkAlerts
 from uav_recon.autopilot.link.link_status import LinkStatus
+from uav_recon.autopilot.link.other_program import OtherProgramFilter
 from uav_recon.autopilot.link.stale_frame_filter import StaleFrameFilter
 from uav_recon.autopilot.link.timesync import TimeSyncFilter
-from uav_recon.autopilot.mavlink.allow_list import NOT_AN_AUTOPILOT, AllowListFilter
+from uav_recon.autopilot.mavlink.allow_list import AllowListFilter
 from uav_recon.autopilot.mavlink.codec import Decoder, Encoder
+from uav_recon.autopilot.mavlink.framing import kind_of
 from uav_recon.autopilot.mavlink.messages import (
     Firmware,
     GimbalAttitude,
@@ -32,6 +34,9 @@ from uav_recon.types.pose import StampedPose
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
 
+SYSTEM = 233  # our system id: no common program uses it by default; MAV_GCS_SYSID of ArduPilot has to name it
+COMPONENT = 191  # our component id: MAV_COMP_ID_ONBOARD_COMPUTER; the parameter UVR_COMP_ID of our script names it
+_FLYING_KINDS = (84, 331)  #: refuse: SET_POSITION_TARGET_LOCAL_NED or ODOMETRY with our ids: another program flies with them
 _DEAF_S = 1.7  #: release: after a longer silence of the autopilot our heartbeats stop, so that its failsafe lands
 _SLOW_TRIP_S = 0.2  #: brake: retreat_speed_mps at a longer round trip: with 0.1 s each way, at 0.8 m/s, it lags by 0.08 m more
 _SLOW_FOR_S = 10.0  #: brake: a link counts as slow this long after it was: each change of the speed limit costs a stop
@@ -61,8 +66,8 @@ class VehicleLink:
         start_s: float,
         firmware: FirmwareProfile,
         gate: AllowListFilter,
-        system: int = 245,
-        component: int = 191,
+        system: int = SYSTEM,
+        component: int = COMPONENT,
     ) -> None:
         self._bytes = bytes_link
         self._log = log
@@ -74,6 +79,7 @@ class VehicleLink:
         self._encoder = Encoder(system, component)
         self._timesync = TimeSyncFilter()
         self._stale_filter = StaleFrameFilter()
+        self._others = OtherProgramFilter()
         self._duplicates = DuplicateAutopilotDetector()
         self._identity = AutopilotIdentity(gate.uid)
         self._slow_s = -math.inf
@@ -158,6 +164,14 @@ class VehicleLink:
         self._send(self._encoder.odometry(pose, time_us, self.firmware.pose_frame), now_s)
         self.status = replace(self.status, pose_fed_s=now_s)
 
+    def estimate_s(self, now_s: float) -> float:
+        """Return the instant, on our clock, of the newest position that the autopilot estimated.
+
+        NaN while it is not known.
+        """
+        boot_ms = self.telemetry.estimate.boot_ms
+        return self._timesync.ours_s(boot_ms, now_s) if self.status.time_known and boot_ms >= 0 else math.nan
+
     def stream(self, cleared: ClearedSetpoint, now_s: float, gimbal: bool) -> None:
         """Send a cleared setpoint, and at most ten times a second its camera pitch."""
         boot_ms = self._timesync.autopilot_ns(now_s) // 1_000_000
@@ -224,14 +238,16 @@ class VehicleLink:
         """
         message = received.message
         if (received.system, received.component) == self._own:
-            self.status = replace(self.status, own_id_in_use=True)
-            self.alerts.update(received)
+            self._on_own_ids(received)
             return
         if not self._gate.admits(received):
             self.alerts.update(received)
             return
         from_autopilot = self._gate.is_autopilot(received)
-        if isinstance(message, Heartbeat) and from_autopilot and message.autopilot != NOT_AN_AUTOPILOT:
+        if from_autopilot and self._others.is_other(received):
+            self._on_other_program(received)
+            return
+        if isinstance(message, Heartbeat) and from_autopilot:
             self.telemetry = replace(self.telemetry, system=received.system)
         if self.telemetry.system == 0 or message is None:
             return
@@ -239,6 +255,26 @@ class VehicleLink:
             self._on_autopilot_frame(received, message, now_s)
         elif isinstance(message, GimbalAttitude):
             self.telemetry = updated(self.telemetry, message, now_s)
+
+    def _on_own_ids(self, received: Received) -> None:
+        """Process a frame with our ids.
+
+        A second copy of this program forbids arming; any other program is only reported.
+        A copy is known by its heartbeat, which is that of a companion, and by its setpoints and poses.
+        """
+        message = received.message
+        copy = isinstance(message, Heartbeat) and message.from_companion
+        if copy or kind_of(received.frame) in _FLYING_KINDS:
+            self.status = replace(self.status, own_id_in_use=True)
+        self._gate.refuse(f"system {received.system}, component {received.component}, our own ids{_sender(message)}")
+        self.alerts.update(received)
+
+    def _on_other_program(self, received: Received) -> None:
+        """Report a program that sends with the autopilot's ids, once, and use nothing of it."""
+        message = received.message
+        if isinstance(message, Heartbeat):
+            self._gate.refuse(f"system {received.system}, component {received.component}{_sender(message)}")
+            self.alerts.note(Reason(ReasonCode.INTRUDER_HEARTBEAT, (message.vehicle, message.autopilot)))
 
     def _on_autopilot_frame(self, received: Received, message: Message, now_s: float) -> None:
         self._duplicates.update(received, now_s)
@@ -304,3 +340,8 @@ class VehicleLink:
         self._send(self._encoder.timesync(clock_ns, asked_ns), now_s)
         prompt = abs(clock_ns - asked_ns) <= _PROMPT_NS
         self.status = replace(self.status, clock_answers=self.status.clock_answers + prompt)
+
+
+def _sender(message: Message | None) -> str:
+    """Return what a heartbeat tells of its sender, '' for any other message."""
+    return f" (MAV_TYPE {message.vehicle}, MAV_AUTOPILOT {message.autopilot})" if isinstance(message, Heartbeat) else ""

@@ -12,7 +12,6 @@ from uav_recon.autopilot.mavlink.codec import Decoder
 from uav_recon.autopilot.mavlink.messages import Heartbeat, Received
 from uav_recon.autopilot.mavlink.signing import NullSigner, Signer
 
-NOT_AN_AUTOPILOT = 8  # MAV_AUTOPILOT_INVALID
 _MAX_NAMES = 32
 
 
@@ -61,7 +60,7 @@ class AllowListFilter:
         return False
 
     def is_autopilot(self, received: Received) -> bool:
-        """Return True if the sender is the vehicle's autopilot."""
+        """Return True if the sender has the ids of the vehicle's autopilot."""
         return (received.system, received.component) == (self._allowed.system, self._allowed.autopilot)
 
     def refuse(self, who: str, times: int = 1) -> None:
@@ -80,7 +79,5 @@ class AllowListFilter:
 
     def _is_greeting(self, received: Received) -> bool:
         message = received.message
-        from_autopilot = (
-            isinstance(message, Heartbeat) and message.autopilot != NOT_AN_AUTOPILOT and self.is_autopilot(received)
-        )
-        return from_autopilot and self.seal.verify(received.frame)
+        from_autopilot = isinstance(message, Heartbeat) and message.from_autopilot
+        return from_autopilot and self.is_autopilot(received) and self.seal.verify(received.frame)

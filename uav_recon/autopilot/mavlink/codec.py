@@ -243,10 +243,10 @@ def _system_status(health: int, battery_remaining: int) -> Message:
     return SystemStatus(bool(health & wire.MAV_SYS_STATUS_PREARM_CHECK), battery)  # PX4 never reports this sensor as present
 
 
-def _local_position(*numbers: float) -> Message | None:
+def _local_position(boot_ms: int, *numbers: float) -> Message | None:
     if not all(map(math.isfinite, numbers)):
         return None
-    return LocalPosition(frozen(np.array(swap_world(numbers[:3]))), frozen(np.array(swap_world(numbers[3:]))))
+    return LocalPosition(boot_ms, frozen(np.array(swap_world(numbers[:3]))), frozen(np.array(swap_world(numbers[3:]))))
 
 
 def _attitude(*quat: float) -> Message | None:
@@ -311,7 +311,7 @@ _READ: tuple[tuple[Any, tuple[str, ...], Callable[..., Message | None]], ...] = 
         ("onboard_control_sensors_health", "battery_remaining"),
         _system_status,
     ),
-    (wire.MAVLink_local_position_ned_message, ("x", "y", "z", "vx", "vy", "vz"), _local_position),
+    (wire.MAVLink_local_position_ned_message, ("time_boot_ms", "x", "y", "z", "vx", "vy", "vz"), _local_position),
     (wire.MAVLink_attitude_quaternion_message, ("q1", "q2", "q3", "q4"), _attitude),
     (wire.MAVLink_gps_global_origin_message, (), _origin),
     (wire.MAVLink_home_position_message, (), _origin),

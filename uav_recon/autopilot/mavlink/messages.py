@@ -7,6 +7,11 @@ from typing import NamedTuple
 
 from uav_recon.types.frames import FloatArray
 
+_NO_AUTOPILOT = (0, 8)  # MAV_AUTOPILOT_GENERIC, _INVALID
+#: reject: heartbeats of these MAV_TYPEs as the autopilot's: ground stations, companions, cameras and other parts
+_NO_VEHICLE = (5, 6, 18, 26, 27, 30, 31, 32, 33, 34, 36, 37, 38, 39, 40, 41, 42, 44, 48)
+_COMPANION = (18, 8)  # MAV_TYPE_ONBOARD_CONTROLLER, MAV_AUTOPILOT_INVALID: what our own heartbeat says
+
 
 @dataclass(frozen=True, slots=True)
 class Heartbeat:
@@ -19,6 +24,16 @@ class Heartbeat:
     autopilot: int
     armed: bool
     custom_mode: int
+
+    @property
+    def from_autopilot(self) -> bool:
+        """True if a vehicle's autopilot sends it, and not a ground station or another program."""
+        return self.autopilot not in _NO_AUTOPILOT and self.vehicle not in _NO_VEHICLE
+
+    @property
+    def from_companion(self) -> bool:
+        """True if a companion computer sends it; a second copy of this program sends the same."""
+        return (self.vehicle, self.autopilot) == _COMPANION
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,8 +85,12 @@ class SystemStatus:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LocalPosition:
-    """The autopilot's estimate: position (3,) m and velocity (3,) m/s, ENU about its origin."""
+    """The autopilot's estimate: position (3,) m and velocity (3,) m/s, ENU about its origin.
 
+    boot_ms: milliseconds since its boot, a number of 32 bits.
+    """
+
+    boot_ms: int
     position_m: FloatArray
     velocity_mps: FloatArray
 

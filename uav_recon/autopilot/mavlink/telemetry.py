@@ -46,12 +46,14 @@ class ModeReport:
 class MotionEstimate:
     """The autopilot's own estimate, ENU about its origin.
 
-    position_m (3,), velocity_mps (3,), quat_wxyz (4,): world_from_body, Hamilton.
+    position_m (3,), velocity_mps (3,), quat_wxyz (4,): world_from_body, Hamilton. boot_ms: of position and velocity, on the
+    autopilot's clock; -1 before the first.
     """
 
     position_m: FloatArray = field(default_factory=lambda: frozen(np.zeros(3)))
     velocity_mps: FloatArray = field(default_factory=lambda: frozen(np.zeros(3)))
     quat_wxyz: FloatArray = field(default_factory=lambda: frozen(np.array([1.0, 0.0, 0.0, 0.0])))
+    boot_ms: int = -1
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,7 +123,8 @@ def _system_status(t: Telemetry, message: SystemStatus, now_s: float) -> Telemet
 
 
 def _local_position(t: Telemetry, message: LocalPosition, now_s: float) -> Telemetry:
-    return replace(t, estimate=replace(t.estimate, position_m=message.position_m, velocity_mps=message.velocity_mps))
+    position_m, velocity_mps, boot_ms = message.position_m, message.velocity_mps, message.boot_ms
+    return replace(t, estimate=replace(t.estimate, position_m=position_m, velocity_mps=velocity_mps, boot_ms=boot_ms))
 
 
 def _attitude(t: Telemetry, message: Attitude, now_s: float) -> Telemetry:

@@ -11,6 +11,7 @@ from uav_recon.autopilot.mavlink.allow_list import AllowListFilter
 from uav_recon.autopilot.mavlink.tlog import FrameLog, NoLog
 from uav_recon.autopilot.parameters.preflight_check import NoParameterCheck, ParameterCheck
 from uav_recon.autopilot.pilot.control_authority import IN_THE_AIR, ControlAuthority, ControlLoss
+from uav_recon.autopilot.pilot.estimate_monitor import EstimateMonitor
 from uav_recon.autopilot.pilot.failsafe_monitor import FailsafeMonitor
 from uav_recon.autopilot.pilot.landing import Landing
 from uav_recon.autopilot.pilot.mission_input import MissionInput
@@ -105,8 +106,9 @@ class Pilot:
         self._selector = SetpointSelector(
             guard, self._mission_input, airframe.hover_height_m, vehicle_radius_m=airframe.vehicle_radius_m
         )
+        self._estimate = EstimateMonitor(link)
         self._situation = SituationBuilder(
-            link, guard, self._poses, self._mission_input, self._surroundings, self._selector, parameters
+            link, guard, self._poses, self._mission_input, self._surroundings, self._selector, parameters, self._estimate
         )
         self._takeoff = TakeoffSequence(link, self._authority)
         self._failsafe = FailsafeMonitor(patience)
@@ -174,7 +176,9 @@ class Pilot:
             self._note = Reason(ReasonCode.POSE_SOURCE_RESET)
             self._selector.rebase(self._situation.situation(now_s), _RESET_REST_S)
             self._surroundings.forget()
+            self._estimate.forget()
             self._again_s = min(self._again_s, now_s) if self.in_flight else math.inf
+        self._estimate.update(self._poses.pose, now_s)
         self._surroundings.step(self._poses.pose, now_s)
         if self.phase in IN_THE_AIR:  # while it arms it stands, and does not evade
             self._selector.evasion.update(self._surroundings.sudden_obstacle)
@@ -207,6 +211,7 @@ class Pilot:
         """Update the failsafe action in flight; before a retreat, record the positions for it."""
         if self.phase is not FlightPhase.FLYING:
             return
+        self._estimate.update_height(self._selector.newest_setpoint, now_s)
         uncertain = None if self._link.status.time_known else Reason(ReasonCode.CLOCK_UNCERTAIN)
         if self._failsafe.update(self._situation.health(now_s, self._failsafe.refused_s), uncertain):
             self._note = self._failsafe.reason
@@ -228,6 +233,7 @@ class Pilot:
             self._landing = Landing(landing_seen, lifted=self._takeoff.lifted)
         if phase in (FlightPhase.LANDED, FlightPhase.YIELDED):
             self._mission_input.reject_trajectory()
+            self._estimate.land()
 
     def _lose(self, loss: ControlLoss) -> None:
         self._enter(loss.phase, loss.why, landing_seen=self._firmware.is_landing(self._link.telemetry.mode.custom_mode))
@@ -248,11 +254,11 @@ class Pilot:
             self._land(now_s)
 
     def _connect(self, now_s: float) -> None:
-        self._note = self._preflight.missing(now_s)
+        self._note = self._preflight.missing(now_s) or self._estimate.ground_fault
         self.phase = FlightPhase.CONNECTING if self._note else FlightPhase.READY
 
     def _stand_ready(self, now_s: float) -> None:
-        if self._preflight.missing(now_s):
+        if self._preflight.missing(now_s) or self._estimate.ground_fault:
             self.phase = FlightPhase.CONNECTING
         elif self._mission_input.goal(now_s) is Goal.FLY and self._takeoff.allowed and not self._land_wanted:
             here = self._situation.situation(now_s)
@@ -269,6 +275,7 @@ class Pilot:
         self._again_s = math.inf
         self._link.alerts.begin()
         self._takeoff.begin(here.now_s)
+        self._estimate.begin()
         self._failsafe = FailsafeMonitor(self._patience, self._situation.refusals)
         self._selector.rebase(here, rest_s=0.0)
 
@@ -287,6 +294,7 @@ class Pilot:
     def _abandon_takeoff(self, why: Reason | None) -> None:
         """Return to READY, or start a landing if the motors may have started in between."""
         self._takeoff.forbid()
+        self._estimate.land()
         self._enter(FlightPhase.LANDING if self._link.telemetry.mode.armed else FlightPhase.READY, why)
 
     def _fly(self, now_s: float) -> None:

@@ -71,6 +71,11 @@ class SetpointSelector:
         return self._flown is None or not np.any(self._flown.velocity_mps)
 
     @property
+    def newest_setpoint(self) -> Setpoint | None:
+        """The newest setpoint that was sent; None before the first."""
+        return self._flown
+
+    @property
     def odom_from_rest(self) -> Pose | None:
         """Pose where braking from the newest setpoint ends; None before the first."""
         if self._flown is None:

@@ -9,6 +9,7 @@ import numpy as np
 from uav_recon.autopilot.link.link_alerts import TWO
 from uav_recon.autopilot.link.vehicle_link import VehicleLink
 from uav_recon.autopilot.parameters.preflight_check import NoParameterCheck, ParameterCheck
+from uav_recon.autopilot.pilot.estimate_monitor import EstimateMonitor
 from uav_recon.autopilot.pilot.mission_input import MissionInput
 from uav_recon.autopilot.pilot.pose_feed import PoseFeed
 from uav_recon.autopilot.pilot.setpoint_selection import SetpointSelector
@@ -37,6 +38,7 @@ class SituationBuilder:
         lookout: Surroundings,
         steering: SetpointSelector,
         parameters: ParameterCheck | NoParameterCheck,
+        estimate: EstimateMonitor,
     ) -> None:
         self._link = link
         self._guard = guard
@@ -45,6 +47,7 @@ class SituationBuilder:
         self._mandate = mandate
         self._lookout = lookout
         self._steering = steering
+        self._estimate = estimate
 
     @property
     def refusals(self) -> int:
@@ -72,9 +75,10 @@ class SituationBuilder:
         inside = self._guard.envelope.fence.holds(self._position_m)
         pose_s = min(self._poses.sound_s, self._link.status.pose_fed_s)  # no other poses are used for flight
         two = TWO if self._link.status.duplicate_autopilot else None
-        lost = two or self._parameters.changed(self._link) or self._poses.lost
+        lost = two or self._parameters.changed(self._link) or self._poses.lost or self._estimate.hold_reason
+        wrong = self._poses.wrong or self._estimate.land_reason
         ages_s = (now_s - pose_s, self._mandate.age_s(now_s), self._lookout.depth_age_s(now_s))
-        return FailsafeInputs(now_s, *ages_s, inside, self.refusals, lost, self._poses.wrong, refused_s)
+        return FailsafeInputs(now_s, *ages_s, inside, self.refusals, lost, wrong, refused_s)
 
     def state(self, now_s: float, phase: FlightPhase, note: Reason | None, operator_s: float, gimbal: bool) -> VehicleState:
         """Return the state for the mission, with the autopilot's own pose before there is odometry.

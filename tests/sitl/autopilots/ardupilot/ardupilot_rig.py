@@ -26,9 +26,9 @@ ASKED = {1: 5.0, 24: 0.0, 31: 50.0, 32: 30.0, 85: 10.0, 193: 10.0, 245: 5.0}
 
 
 class Copilot(Companion):
-    """Companion with system id 245, which the indoor parameters name as the ground station."""
+    """Companion with system id 233, which the indoor parameters name as the ground station."""
 
-    system = 245
+    system = 233
 
     def __init__(self, parameters: Any = None, seed: int = 1, **more: float) -> None:
         super().__init__(parameters, seed, **more)

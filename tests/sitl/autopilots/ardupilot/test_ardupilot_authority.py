@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import pytest
 from ardupilot_rig import LAND, LOITER, Copilot, copter, flying, mode_of, seconds_until
+from pymavlink.dialects.v20 import common as mavlink
 
 
 def test_a_pilot_takes_over_and_setpoints_no_longer_move_it() -> None:
@@ -62,6 +64,37 @@ def test_the_script_on_the_card_lands_without_delay_when_the_companion_is_silent
     assert circling.copter.failsafes == []
 
 
+GCS, ONBOARD_CONTROLLER = 6, 18
+
+
+def lands_beside(c: Copilot, system: int, component: int, kind: int) -> bool:
+    """Send a heartbeat of another program; return True in LAND."""
+    voice: Any = mavlink.MAVLink(None, system, component)
+    c._pipe.write(mavlink.MAVLink_heartbeat_message(kind, 8, 0, 0, 4, 3).pack(voice))
+    return mode_of(c) == "LAND"
+
+
+@pytest.mark.parametrize(
+    "other",
+    [(245, 190, GCS), (233, 190, ONBOARD_CONTROLLER), (233, 191, GCS)],
+    ids=["MAVSDK", "other component", "ground station with the companion's ids"],
+)
+def test_the_script_does_not_take_another_program_for_the_companion(other: tuple[int, int, int]) -> None:
+    c = flying()
+    c.heartbeats = False
+    assert seconds_until(c, lambda: lands_beside(c, *other), 5.0) < 1.6
+    assert c.copter.failsafes == ["Companion silent: LAND"]
+
+
+def test_without_the_script_another_program_hides_that_the_companion_is_dead() -> None:
+    """FS_GCS_ENABLE asks for the system id only."""
+    c = flying(SCR_ENABLE=0)
+    c.heartbeats = False
+    assert not c.run(6.0, lambda: lands_beside(c, 233, 190, GCS))
+    c.run(2.5)
+    assert c.copter.failsafes == ["GCS Failsafe: LAND"]
+
+
 def test_a_companion_that_comes_back_does_not_stop_the_landing() -> None:
     c = flying()
     c.heartbeats = False
@@ -84,7 +117,7 @@ def test_with_another_system_id_the_loss_of_the_companion_is_never_detected(syst
 
 
 def test_with_the_vehicles_own_id_it_is_not_detected_even_if_the_parameter_names_it() -> None:
-    c = copter(MAV_GCS_SYSID=1)
+    c = copter(MAV_GCS_SYSID=1, SCR_ENABLE=0)
     c.heartbeats_as = 1
     c.take_off()
     c.heartbeats = False

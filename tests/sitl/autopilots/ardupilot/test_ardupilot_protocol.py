@@ -64,7 +64,7 @@ def test_parameters_are_sent_as_plain_numbers() -> None:
     c.run(2.0)
     assert {m.param_index for m in c.messages} == set(range(len(c.copter.parameters)))
     told = {m.param_id: m.param_value for m in c.messages}
-    assert told["MAV_GCS_SYSID"] == 245.0
+    assert told["MAV_GCS_SYSID"] == 233.0
     assert told["GUID_TIMEOUT"] == 0.5
     c.send(mavlink.MAVLink_param_set_message(1, 1, b"FS_GCS_TIMEOUT", 4.0, mavlink.MAV_PARAM_TYPE_REAL32))
     c.run(0.1)

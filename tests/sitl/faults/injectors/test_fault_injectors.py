@@ -17,7 +17,9 @@ from sitl.faults.fault_director import off_nose_rad
 from sitl.faults.injectors import depth_camera, pose_stream
 from sitl.faults.injectors.base import DepthFrame, InjectionContext, Injector
 from sitl.faults.injectors.companion import Crash, Stall
+from sitl.faults.injectors.mavlink_link import GCS, GENERIC, INVALID, QUADROTOR, ProgramHeartbeats
 from sitl.faults.injectors.obstacle import Obstacle, RendererWithObstacle
+from sitl.faults.injectors.vehicle_and_autopilot import HeightDatumMoved, VerticalVelocityError
 from sitl.faults.judges.map_integrity import AGAIN, CLAIMED, FREED, SETTLED_S, UNDER_WAY_S, Claims, MapIntegrityCheck, Tally
 from sitl.faults.table.all_scenarios import SCENARIOS, TABLE
 from sitl.geometry.quaternion import yaw_of
@@ -247,3 +249,47 @@ def test_what_appears_ahead_appears_where_the_camera_looks() -> None:
     assert off_nose_rad((1.0, 0.0, 0.0), (half, 0.0, 0.0, half)) == pytest.approx(math.pi / 2)
     assert off_nose_rad((-1.0, 0.0, 0.3), (1.0, 0.0, 0.0, 0.0)) == pytest.approx(math.pi)
     assert SCENARIOS["C8"].onset.needs_view_ahead
+
+
+class Estimator:
+    """What a fault changes of an estimator."""
+
+    velocity_error = (0.0, 0.0, 0.0)
+    moved_m = 0.0
+
+    def move_height_datum(self, up_m: float) -> None:
+        self.moved_m += up_m
+
+
+def test_an_estimators_vertical_velocity_is_off_in_the_air_only_and_its_datum_moves_once() -> None:
+    estimator, vehicle = Estimator(), SimpleNamespace(on_ground=False)
+    autopilot = SimpleNamespace(estimator=estimator, vehicle=vehicle, truth=lambda: SimpleNamespace(armed=True))
+    at: Any = SimpleNamespace(world=SimpleNamespace(autopilot=autopilot))
+    fault = VerticalVelocityError(0.5)
+    fault.turn(at, 0.0)
+    assert estimator.velocity_error == (0.0, 0.0, -0.5)
+    vehicle.on_ground = True
+    fault.turn(at, 1.0)
+    assert estimator.velocity_error == (0.0, 0.0, 0.0)
+    datum = HeightDatumMoved(-0.5)
+    datum.begin(at)
+    datum.turn(at, 1.0)
+    assert estimator.moved_m == -0.5
+
+
+@pytest.mark.parametrize("to_autopilot", [True, False])
+def test_other_programs_send_once_a_second_with_numbers_of_their_own(to_autopilot: bool) -> None:
+    sent: dict[str, list[bytes]] = {"autopilot": [], "product": []}
+    proxy = SimpleNamespace(inject_to_autopilot=sent["autopilot"].append, inject_to_product=sent["product"].append)
+    at: Any = SimpleNamespace(proxy=proxy)
+    fault = ProgramHeartbeats((245, 190, GCS, INVALID), (1, 1, QUADROTOR, GENERIC), to_autopilot=to_autopilot)
+    for turn in range(250):
+        fault.turn(at, turn * 0.01)
+    assert not sent["product" if to_autopilot else "autopilot"]
+    frames = sent["autopilot" if to_autopilot else "product"]
+    numbered = [(245, 190, n) if n < 50 else (1, 1, n) for n in (0, 50, 1, 51, 2, 52)]
+    assert [(frame[5], frame[6], frame[4]) for frame in frames] == numbered
+    with_states = ProgramHeartbeats((1, 1, GCS, INVALID), states=True)
+    sent["product"].clear()
+    with_states.turn(at, 0.0)
+    assert [frame[7] for frame in sent["product"]] == [0, 1, 32]

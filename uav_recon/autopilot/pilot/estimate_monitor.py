@@ -1,0 +1,197 @@
+"""Estimate monitor: the autopilot's position and velocity against the poses that it is fed.
+
+An autopilot whose estimate differs from the odometry follows its setpoints beside the path, and reports that all is well (PX4
+issues 17466 and 22196). The height of the odometry is also compared with that of the setpoints, which finds whatever else keeps
+the vehicle from its height.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+
+import numpy as np
+
+from uav_recon.autopilot.link.vehicle_link import VehicleLink
+from uav_recon.types.frames import FloatArray
+from uav_recon.types.pose import PoseHealth, StampedPose
+from uav_recon.types.reason import Reason
+from uav_recon.types.reason_code import ReasonCode
+from uav_recon.types.trajectory import Setpoint
+
+_MAX_POSITION_M = 0.3  #: hold: the autopilot's position is farther off the poses for _HOLD_S; undisturbed at most 0.1 m
+_MAX_VELOCITY_MPS = 0.2  #: hold: its mean velocity over _WINDOW_S is farther off that of the poses for _HOLD_S
+_MAX_HEIGHT_M = 0.3  #: hold: the vehicle is farther above or below its setpoints for _HOLD_S
+_HOLD_S = 1.0  #: hold: duration of one of these deviations, without a break
+_LAND_S = 3.0  #: land: duration of one of these deviations, without a break
+#: land: the vehicle is this far above or below its setpoints while position or velocity exceeds its limit: it moves on, and
+#: paths keep 0.3 m from the floor
+_LEAVES_M = 0.15
+_LEAVES_S = 0.2  #: land: duration of that excess
+_MAX_OFFSET_M = 0.2  #: refuse: the autopilot's position is farther off on the ground: setpoints are flown off by this offset
+_AVERAGED_S = 1.0  #: internal: time constant of the offset on the ground
+_WINDOW_S = 0.5  #: internal: time over which velocities are averaged
+_PAST_S = 1.0  #: internal: poses and estimates are kept for this time, until they can be compared
+_ARRIVED_M = 0.1  #: internal: the height is compared with the setpoints once the climb has come this close to its end
+_CLIMB_MPS = 0.05  #: internal: setpoints that rise faster are those of a climb
+
+
+class EstimateMonitor:
+    """Compares each estimate with the poses before and after it, at its own stamp.
+
+    A constant offset is legal: it is measured on the ground. ArduPilot keeps one in height if it got its origin elsewhere.
+    """
+
+    def __init__(self, link: VehicleLink) -> None:
+        self._link = link
+        self._boot_ms = -1
+        self._poses: deque[tuple[float, FloatArray]] = deque()
+        self._estimates: deque[tuple[float, FloatArray, FloatArray]] = deque()
+        self._window: deque[tuple[float, FloatArray, FloatArray]] = (
+            deque()
+        )  # instant, position by the poses, estimated velocity
+        self._offset_m: FloatArray | None = None
+        self._flying = self._climbed = self._arrived = False
+        self._compared_s = -math.inf
+        self._off_height_m = 0.0
+        self._position = _Deviation(_MAX_POSITION_M)
+        self._velocity = _Deviation(_MAX_VELOCITY_MPS)
+        self._height = _Deviation(_MAX_HEIGHT_M)
+
+    @property
+    def hold_reason(self) -> Reason | None:
+        """Reason to hold, None for none."""
+        return self._lasting(_HOLD_S, height_s=_HOLD_S)
+
+    @property
+    def land_reason(self) -> Reason | None:
+        """Reason to land, None for none.
+
+        A deviation that already moves the vehicle from its height does not wait.
+        """
+        return self._lasting(_LEAVES_S if self._off_height_m > _LEAVES_M else _LAND_S, height_s=_LAND_S)
+
+    @property
+    def ground_fault(self) -> Reason | None:
+        """Reason not to arm: the offset on the ground is too large."""
+        off_m = 0.0 if self._offset_m is None else float(np.linalg.norm(self._offset_m))
+        return Reason(ReasonCode.ESTIMATE_POSITION, (off_m,)) if off_m > _MAX_OFFSET_M else None
+
+    def begin(self) -> None:
+        """Start a flight: the offset is now that of the ground."""
+        self.forget()
+        self._flying, self._climbed, self._arrived = True, False, False
+
+    def forget(self) -> None:
+        """Forget what was compared, as after a jump of odom; the offset remains."""
+        self._poses.clear()
+        self._estimates.clear()
+        self._window.clear()
+        self._off_height_m = 0.0
+        for deviation in (self._position, self._velocity, self._height):
+            deviation.end()
+
+    def land(self) -> None:
+        """End a flight: the offset is measured again."""
+        self.forget()
+        self._flying = False
+        self._offset_m = None
+
+    def update(self, pose: StampedPose | None, now_s: float) -> None:
+        """Compare what is new. pose: the newest one that was fed.
+
+        While two autopilots use one id, nothing is compared: the estimate may be of either.
+        """
+        self._add_pose(pose)
+        if self._link.status.duplicate_autopilot:
+            self.forget()
+            return
+        estimate = self._link.telemetry.estimate
+        stamp_s = self._link.estimate_s(now_s)
+        if estimate.boot_ms != self._boot_ms and abs(stamp_s - now_s) <= _PAST_S:  # False for NaN
+            self._estimates.append((stamp_s, estimate.position_m, estimate.velocity_mps))
+        self._boot_ms = estimate.boot_ms
+        while self._estimates and self._poses and self._estimates[0][0] <= self._poses[-1][0]:
+            self._compare(*self._estimates.popleft())
+        while self._estimates and now_s - self._estimates[0][0] > _PAST_S:
+            self._estimates.popleft()
+
+    def update_height(self, setpoint: Setpoint | None, now_s: float) -> None:
+        """Compare the height of the newest pose with that of the newest setpoint, after the climb.
+
+        A vehicle that is behind a climb or a descent is late, and not off its height.
+        """
+        if setpoint is None or not self._poses:
+            return
+        off_m, up_mps = float(self._poses[-1][1][2] - setpoint.position_m[2]), float(setpoint.velocity_mps[2])
+        self._climbed = self._climbed or up_mps > _CLIMB_MPS
+        self._arrived = self._arrived or (self._climbed and abs(up_mps) < _CLIMB_MPS and abs(off_m) < _ARRIVED_M)
+        late = off_m * up_mps < 0.0
+        self._off_height_m = abs(off_m) if self._arrived else 0.0
+        self._height.update(0.0 if late else self._off_height_m, now_s)
+
+    def _add_pose(self, pose: StampedPose | None) -> None:
+        if pose is None or (self._poses and pose.stamp_s <= self._poses[-1][0]):
+            return
+        if pose.health in (PoseHealth.LOST, PoseHealth.WRONG):  # the failsafe acts on them, and the autopilot need not follow
+            self.forget()
+            return
+        self._poses.append((pose.stamp_s, pose.odom_from_body.translation_m))
+        while self._poses[-1][0] - self._poses[0][0] > _PAST_S:
+            self._poses.popleft()
+
+    def _compare(self, stamp_s: float, position_m: FloatArray, velocity_mps: FloatArray) -> None:
+        """Compare an estimate that lies between two poses."""
+        later = next((k for k, (at_s, _) in enumerate(self._poses) if at_s >= stamp_s), 0)
+        if later == 0:
+            return
+        (begin_s, begin_m), (end_s, end_m) = self._poses[later - 1], self._poses[later]
+        fed_m = begin_m + (stamp_s - begin_s) / (end_s - begin_s) * (end_m - begin_m)
+        off_m = position_m - fed_m
+        if not self._flying:
+            share = 1.0 if self._offset_m is None else min(max(stamp_s - self._compared_s, 0.0) / _AVERAGED_S, 1.0)
+            before = off_m if self._offset_m is None else self._offset_m
+            self._offset_m = before + share * (off_m - before)
+        self._compared_s = stamp_s
+        if self._flying:
+            offset_m = np.zeros(3) if self._offset_m is None else self._offset_m
+            self._position.update(float(np.linalg.norm(off_m - offset_m)), stamp_s)
+            self._compare_velocity(stamp_s, fed_m, velocity_mps)
+
+    def _compare_velocity(self, stamp_s: float, fed_m: FloatArray, velocity_mps: FloatArray) -> None:
+        """Compare the mean estimated velocity with the distance that the poses moved meanwhile."""
+        self._window.append((stamp_s, fed_m, velocity_mps))
+        while stamp_s - self._window[0][0] > _WINDOW_S:
+            self._window.popleft()
+        begin_s, begin_m, _ = self._window[0]
+        if stamp_s - begin_s < 0.8 * _WINDOW_S:
+            return
+        mean_mps = np.mean([velocity for _, _, velocity in self._window], axis=0)
+        self._velocity.update(float(np.linalg.norm(mean_mps - (fed_m - begin_m) / (stamp_s - begin_s))), stamp_s)
+
+    def _lasting(self, least_s: float, height_s: float) -> Reason | None:
+        """Return the deviation of the estimate that has lasted least_s, or the height's for height_s."""
+        if self._position.for_s >= least_s:
+            return Reason(ReasonCode.ESTIMATE_POSITION, (self._position.value,))
+        if self._velocity.for_s >= least_s:
+            return Reason(ReasonCode.ESTIMATE_VELOCITY, (self._velocity.value,))
+        return Reason(ReasonCode.OFF_HEIGHT, (self._height.value,)) if self._height.for_s >= height_s else None
+
+
+class _Deviation:
+    """A deviation, and the time in seconds for which it has exceeded its limit without a break."""
+
+    def __init__(self, limit: float) -> None:
+        self._limit = limit
+        self.end()
+
+    def end(self) -> None:
+        """Start again within the limit."""
+        self.value = self.for_s = 0.0
+        self._since_s = math.inf
+
+    def update(self, value: float, stamp_s: float) -> None:
+        """Record the deviation at an instant."""
+        self.value = value
+        self._since_s = min(self._since_s, stamp_s) if value > self._limit else math.inf
+        self.for_s = stamp_s - self._since_s if value > self._limit else 0.0
