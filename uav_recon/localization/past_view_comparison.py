@@ -15,7 +15,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from uav_recon.localization.point_to_plane import MIN_POINTS, MOST, residuals, shares, shift_gain, shift_loss, shift_of, surface
+from uav_recon.localization.point_to_plane import (
+    MIN_POINTS,
+    MOST,
+    contradicted_points,
+    fit_counts,
+    residuals,
+    shares,
+    shift_gain,
+    shift_loss,
+    shift_of,
+    surface,
+)
 from uav_recon.types.camera import Intrinsics
 from uav_recon.types.frames import AnyArray, Float32Array, FloatArray
 from uav_recon.types.pose import Pose
@@ -152,6 +163,22 @@ class PastViews:
         """
         rotation, place = odom_from_depth.rotation(), odom_from_depth.translation_m
         return float(shift_loss(then.points, depth_m, lens.pinhole_px(), rotation, place))
+
+    def contradicted(self, depth_m: Float32Array, lens: Intrinsics, odom_from_depth: Pose) -> AnyArray:
+        """Return the points (N, 6) of the newest accepted image that the present one contradicts."""
+        if self._newest is None:
+            return np.empty((0, 6))
+        return contradicted_points(
+            self._newest.points, depth_m, lens.pinhole_px(), odom_from_depth.rotation(), odom_from_depth.translation_m
+        )
+
+    @staticmethod
+    def fit_counts(points: AnyArray, depth_m: Float32Array, lens: Intrinsics, odom_from_depth: Pose) -> tuple[int, int]:
+        """Return how many points (N, 6) are in view, and how many of these fit the image."""
+        in_view, fitting = fit_counts(
+            points, depth_m, lens.pinhole_px(), odom_from_depth.rotation(), odom_from_depth.translation_m
+        )
+        return int(in_view), int(fitting)
 
     def _alike(self, stamp_s: float, odom_from_depth: Pose, likeness: ViewSelection) -> Iterator[_View]:
         """Yield the views that meet the selection, oldest first."""

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 from uav_recon import json_codec
+from uav_recon.types.perception_status import PerceptionStatus
 from uav_recon.types.pose import StampedPose
 from uav_recon.types.reason import codes_of, text_of
 from uav_recon.types.vehicle import FlightPhase, MissionProgress, VehicleState
@@ -19,7 +21,8 @@ class Status:
     None: not known. Ages in seconds; position in the world frame, metres.
 
     pilot: its phase; mission: its phase, or "silent". note: the pilot's newest reason as text, or what the mission waits for on
-    the ground, note_codes: its codes; refusals: number of proposals that the guard has rejected.
+    the ground, note_codes: its codes; refusals: number of proposals that the guard has rejected. perception: what perception
+    has rejected, counts by reason; perception_newest, perception_newest_s: the newest rejected depth frame and its age.
     """
 
     pilot: str
@@ -37,6 +40,9 @@ class Status:
     refusals: int | None = None
     note: str = ""
     note_codes: tuple[str, ...] = ()
+    perception: Mapping[str, int] = field(default_factory=dict)
+    perception_newest: str = ""
+    perception_newest_s: float | None = None
 
     @staticmethod
     def of(
@@ -45,6 +51,7 @@ class Status:
         pose: StampedPose | None,
         progress: MissionProgress | None,
         mission_receives: bool,
+        perception: PerceptionStatus | None = None,
     ) -> Status:
         """Return the status from the newest value of each channel.
 
@@ -71,6 +78,9 @@ class Status:
             refusals=vehicle.refusals,
             note=text_of(note),
             note_codes=codes_of(note),
+            perception={} if perception is None else perception.counts(),
+            perception_newest="" if perception is None else text_of(perception.newest),
+            perception_newest_s=None if perception is None else _finite(now_s - perception.newest_s, 1),
         )
 
     @staticmethod
@@ -98,8 +108,15 @@ class Status:
             "explored": None if self.explored_m3 is None else f"{self.explored_m3:.1f} m³ on {self.path_m or 0.0:.1f} m",
             "refused": f"{self.refusals} by the guard" if self.refusals else None,
             "note": self.note or None,
+            "rejected": self._rejected(),
         }
         return [f"{name:9} {value if value is not None else '-'}" for name, value in known.items()]
+
+    def _rejected(self) -> str | None:
+        """Return what perception rejected, most frequent first; None for nothing."""
+        counts = sorted(self.perception.items(), key=lambda item: (-item[1], item[0]))
+        newest = f"; newest {self.perception_newest_s:.0f} s ago: {self.perception_newest}" if self.perception_newest else ""
+        return "perception: " + ", ".join(f"{count} {name}" for name, count in counts) + newest if counts else None
 
 
 def _age(age_s: float | None) -> str:

@@ -17,6 +17,7 @@ import numpy as np
 from uav_recon import json_codec
 from uav_recon.json_codec import Float
 from uav_recon.types.frames import FloatArray
+from uav_recon.types.perception_status import PerceptionStatus
 from uav_recon.types.pose import Pose
 from uav_recon.types.reason import Reason, codes_of, text_of
 from uav_recon.types.vehicle import MissionProgress
@@ -100,6 +101,16 @@ class RefusedViewsRecord:
 
 
 @dataclass(frozen=True, slots=True)
+class PerceptionRecord:
+    """What perception has rejected so far: (reason, count) each, and the newest rejected depth frame as text."""
+
+    stamp_s: Float
+    frames: int
+    counts: tuple[tuple[str, int], ...]
+    newest: str = ""
+
+
+@dataclass(frozen=True, slots=True)
 class OutcomeRecord:
     """Outcome of the flight: "completed" or "aborted: reason".
 
@@ -126,6 +137,7 @@ class Timeline:
     phases: tuple[PhaseRecord, ...]
     refusals: tuple[RefusalRecord, ...]
     refused_views: tuple[RefusedViewsRecord, ...]
+    perception: tuple[PerceptionRecord, ...]
     outcomes: tuple[OutcomeRecord, ...]
     torn_lines: int
 
@@ -160,6 +172,7 @@ _KINDS: dict[str, type[Any]] = {
     "phase": PhaseRecord,
     "refusal": RefusalRecord,
     "refused views": RefusedViewsRecord,
+    "perception": PerceptionRecord,
     "outcome": OutcomeRecord,
 }
 
@@ -226,6 +239,11 @@ class FlightLog:
         """Add the number of keyframes that the mapper rejected, by reason."""
         self._write("refused views", RefusedViewsRecord(stamp_s, tuple(sorted(counts.items()))))
 
+    def perception(self, status: PerceptionStatus) -> None:
+        """Add what perception has rejected so far."""
+        counts = tuple(sorted(status.counts().items()))
+        self._write("perception", PerceptionRecord(status.stamp_s, status.frames, counts, text_of(status.newest)))
+
     def outcome(self, stamp_s: float, aborted: Reason | None, stop_reason: Reason | None) -> None:
         """Add the last line. aborted: None for a flight that was completed."""
         codes, stop_codes = codes_of(aborted), codes_of(stop_reason)
@@ -272,6 +290,7 @@ def read_timeline(folder: Path) -> Timeline:
         phases=tuple(found["phase"]),
         refusals=tuple(found["refusal"]),
         refused_views=tuple(found["refused views"]),
+        perception=tuple(found["perception"]),
         outcomes=tuple(found["outcome"]),
         torn_lines=torn,
     )

@@ -63,6 +63,7 @@ def build_report(folder: Path, card: FlightInfo, wall_s: float) -> Report:
         stream=ReportStream(None, None, None),
         safety=ReportSafety(None, None, None, None, None, refusals=len(timeline.refusals), failsafes=0),
         refused_views=dict(timeline.refused_views[-1].counts) if timeline.refused_views else None,
+        rejected_by_perception=dict(timeline.perception[-1].counts) if timeline.perception else None,
     )
 
 

@@ -98,6 +98,8 @@ class Report:
     recall_over_time: (seconds since the take-off command, views taken by then, recall within 5 cm of the mapper's surface at
     that time); time_to_recall_s: by recall, the first of these times that reaches it. oracle_s: time that a tour with full
     knowledge of the scene needs to see 95 % of it well. refused_views: keyframes that the mapper rejected, by reason.
+    rejected_by_perception: depth frames, poses and inertial samples that perception rejected, by reason; None if it published
+    no counts.
     """
 
     scene: str
@@ -123,6 +125,7 @@ class Report:
     stream: ReportStream
     safety: ReportSafety
     refused_views: Mapping[str, int] | None
+    rejected_by_perception: Mapping[str, int] | None = None
 
     @property
     def completed(self) -> bool:

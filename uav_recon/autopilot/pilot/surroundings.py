@@ -89,3 +89,7 @@ class Surroundings:
     def depth_age_s(self, now_s: float) -> float:
         """Return the age (s) of the newest valid frame with enough returns, infinity for none."""
         return now_s - self._believed_s
+
+    def rejects_depth(self, now_s: float, within_s: float) -> bool:
+        """Return True if a frame with enough returns came within this time, and the newest one is inconsistent."""
+        return self.ahead is not None and self.ahead.stamp_s > self._believed_s and now_s - self.ahead.stamp_s <= within_s
