@@ -16,6 +16,7 @@ from sitl.geometry.quaternion import yaw_of
 
 Change = Callable[[Any, np.random.Generator], Any]
 HULL_M = 0.20
+LIFTED_M = 0.15  # height of the body's centre above its place on the pad
 
 
 class DepthSilence(Injector):
@@ -42,6 +43,57 @@ class AlteredDepth(Injector):
         if since_s >= self._for_s:
             return [(0.0, frame)]
         return [(0.0, dataclasses.replace(frame, depth_mm=self._change(frame.depth_mm, self._rng)))]
+
+
+class SingleFrames(Injector):
+    """Wrong depth values in one frame, again and again after every_s."""
+
+    def __init__(self, change: Change, every_s: float) -> None:
+        self._change = change
+        self._every_s = every_s
+        self._next_s = 0.0
+        self._rng = np.random.default_rng(5)
+
+    def depth(self, since_s: float, frame: DepthFrame) -> DelayedItems[DepthFrame]:
+        """Change the first frame of each period."""
+        if since_s < self._next_s:
+            return [(0.0, frame)]
+        self._next_s = since_s + self._every_s
+        return [(0.0, dataclasses.replace(frame, depth_mm=self._change(frame.depth_mm, self._rng)))]
+
+
+class ScatteredFrames(Injector):
+    """Wrong depth values in a random share of the frames."""
+
+    def __init__(self, change: Change, share: float, seed: int) -> None:
+        self._change = change
+        self._share = share
+        self._rng = np.random.default_rng(seed)
+
+    def depth(self, since_s: float, frame: DepthFrame) -> DelayedItems[DepthFrame]:
+        """Change this share of the frames."""
+        if self._rng.random() >= self._share:
+            return [(0.0, frame)]
+        return [(0.0, dataclasses.replace(frame, depth_mm=self._change(frame.depth_mm, self._rng)))]
+
+
+class EmptyAfterLiftOff(Injector):
+    """No returns in the first frames in the air."""
+
+    def __init__(self, for_s: float) -> None:
+        self._for_s = for_s
+        self._lifted_s = math.inf
+
+    def turn(self, at: InjectionContext, since_s: float) -> None:
+        """Record the time of the lift-off."""
+        if at.world.flyer.truth().position[2] > LIFTED_M:
+            self._lifted_s = min(self._lifted_s, since_s)
+
+    def depth(self, since_s: float, frame: DepthFrame) -> DelayedItems[DepthFrame]:
+        """Empty the frames of the first for_s seconds in the air."""
+        if not self._lifted_s <= since_s < self._lifted_s + self._for_s:
+            return [(0.0, frame)]
+        return [(0.0, dataclasses.replace(frame, depth_mm=np.zeros_like(frame.depth_mm)))]
 
 
 class LateFrames(Injector):
@@ -102,6 +154,32 @@ def salted(share: float) -> Change:
     return lambda depth, rng: np.where(rng.random(depth.shape) < share, rng.integers(300, 6000, depth.shape), depth).astype(
         np.uint16
     )
+
+
+def thinned(share: float) -> Change:
+    """Return a change that leaves returns in this share of the pixels."""
+    return lambda depth, rng: np.where(rng.random(depth.shape) < share, depth, 0).astype(np.uint16)
+
+
+def ghost(centred: bool, near_mm: int = 1100, far_mm: int = 1500) -> Change:
+    """Return a change that adds a near patch, as stereo matching of a repeated pattern does.
+
+    It has a quarter of the image's width and height, one range in each frame, and hides what is behind it. centred: it lies in
+    the middle of the image, else anywhere.
+    """
+
+    def change(depth: Any, rng: np.random.Generator) -> Any:
+        rows, columns = depth.shape
+        high, wide = rows // 4, columns // 4
+        top, left = ((rows - high) // 2, (columns - wide) // 2)
+        if not centred:
+            top, left = int(rng.integers(0, rows - high)), int(rng.integers(0, columns - wide))
+        out, range_mm = depth.copy(), int(rng.integers(near_mm, far_mm))
+        patch = out[top : top + high, left : left + wide]
+        patch[(patch == 0) | (patch > range_mm)] = range_mm
+        return out
+
+    return change
 
 
 def shifted(pixels: int) -> Change:

@@ -79,6 +79,11 @@ class Surroundings:
                 self._sight.add(nearby, then.odom_from_body)
                 self.sudden_obstacle = self._neighbourhood.look(nearby, then.odom_from_body)
 
+    @property
+    def ghost_s(self) -> float:
+        """Time at which the camera last showed an obstacle where nothing stands."""
+        return self._neighbourhood.ghost_s
+
     def forget(self) -> None:
         """Forget everything after a jump of odom: what was seen and mapped before is elsewhere now."""
         self.known_free = None
