@@ -227,6 +227,36 @@ def test_stamps_of_another_clock_shut_out_none_of_those_after_it(world: World, o
     assert np.count_nonzero(since_s >= 2.0 - 1e-6) >= 28
 
 
+def test_what_is_rejected_is_published_by_reason(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
+    right, status = world.poll, MemoryChannel(PerceptionStatus)
+
+    def poll() -> Frame | None:
+        frame = right()
+        if frame is None or frame.sequence % 15 >= 3:
+            return frame
+        late = frame.sequence % 15 == 2
+        empty = np.full_like(frame.depth_m, np.nan)
+        return replace(frame, stamp_s=frame.stamp_s - 5.0) if late else replace(frame, depth_m=empty)
+
+    monkeypatch.setattr(world, "poll", poll)
+    nearby = MemoryChannel(MinRangeGrid)
+    perception = Perception(
+        world, world, FusionFilter(), FixedMount(BODY_FROM_DEPTH), MemoryChannel(StampedPose), MemoryChannel(PosedFrame),
+        nearby, status, world.clock,
+    )  # fmt: skip
+    for step in range(401):
+        world.clock.advance_to(MOTION.start_s + step / 100)
+        perception.step()
+    told, grid = status.latest(), nearby.latest()
+    assert told is not None and grid is not None
+    assert status.sequence() == 5, "once a second"
+    assert dict(told.rejected_frames) == {ReasonCode.DEPTH_FRAME_EMPTY: 8, ReasonCode.DEPTH_FRAME_STAMP: 4}
+    assert told.counts() == {"depth-frame-empty": 8, "depth-frame-stamp": 4}
+    assert told.newest is not None
+    assert told.newest_s > MOTION.start_s + 3.0
+    assert told.frames == perception.published_frames > 40
+
+
 def test_a_step_without_anything_is_quiet() -> None:
     world = World(ManualClock(0.0), poses_until_s=0.0)
     odom, frames = MemoryChannel(StampedPose), MemoryChannel(PosedFrame)

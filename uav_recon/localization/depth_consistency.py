@@ -39,6 +39,7 @@ _REJECTION_POSE = ViewSelection(
 _MIN_RETURNS_SHARE = 0.2  #: reject: a frame with returns in fewer of its pixels; it changes nothing else
 _CALM = 3  #: reject: after a rejected frame, until this many in a row fit each other and what was seen before it
 _CLEARED_SHARE = 0.7  #: reject: after a rejected frame, while fewer of the points fit that it contradicted
+_CLEAN_SHARE = 0.005  #: reject: after a frame that contradicts the newest view only, while a shift fits more of the one before
 _BRIEF_S = 1.0  #: reject: for longer than this after a rejected frame, what follows must be confirmed by views from before it
 _CLEARED_IN_VIEW_SHARE = 0.5  #: reject: the same, while fewer of these points are in view
 _HIDDEN_SHARE = 0.5  #: reject: a frame with something in front of more points: a person that comes near hides fewer
@@ -117,16 +118,16 @@ class DepthConsistencyMonitor:
         newest, others = self._past_views.compare_newest(*seen), self._past_views.compare_oldest(*seen, OVERLAPPING)
         overlapping = next(others, None)
         asked = newest is not None and (newest.age_s <= _MAX_PAUSE_S or self._doubt is not None)
-        aside = asked and self._past_views.gain_aside(*seen[1:]) > _ASIDE_SHARE
+        aside = asked and newest is not None and self._past_views.gain_aside(newest, *seen[1:]) > _ASIDE_SHARE
         fits = newest is None or _follows(newest) or _follows(overlapping)  # or something in front of it has left
         if self._doubt is not None:
             shown = not aside and any(self._shows_no_shift(then, seen) for then in (newest, overlapping))
             ended = self._doubt.ended_by(seen, newest, overlapping, contradicted=aside or not fits)
-            if not (shown or ended):
+            if not (shown or ended or self._newest_was_wrong(seen)):
                 return Reason(ReasonCode.DEPTH_FRAME_UNCONFIRMED)
         elif aside or not fits:
             witnesses = self._past_views.contradicted(*seen[1:])
-            self._doubt = _Doubt(frame.stamp_s, witnesses, CameraPose.of(odom_from_depth))
+            self._doubt = _Doubt(frame.stamp_s, witnesses, CameraPose.of(odom_from_depth), self._fits_elder(seen))
             return Reason(ReasonCode.DEPTH_FRAME_SHIFTED if aside else ReasonCode.DEPTH_FRAME_CONTRADICTS)
         self._doubt = None
         self._drift_rate.update(frame, odom_from_depth)
@@ -138,6 +139,21 @@ class DepthConsistencyMonitor:
         self._hear(frame.stamp_s, moved or _seen_through(overlapping) or self._drift_message())
         self._past_views.remember(*seen)
         return None
+
+    def _fits_elder(self, seen: Seen) -> bool:
+        """Return True if the frame fits the view accepted before the newest one, without any sign of a shift."""
+        then = self._past_views.compare_elder(*seen)
+        return _fits(then) and self._past_views.gain_aside(then, *seen[1:]) <= _CLEAN_SHARE
+
+    def _newest_was_wrong(self, seen: Seen) -> bool:
+        """Return True, and forget the newest accepted frame, if all frames since fit what was seen before it.
+
+        A single wrong frame may be accepted: before a plain wall a shift does not show.
+        """
+        if self._doubt is None or not self._doubt.blames_newest or not self._fits_elder(seen):
+            return False
+        self._past_views.drop_newest()
+        return True
 
     def _shows_no_shift(self, then: ViewComparison | None, seen: Seen) -> bool:
         """Return True if the frame fits a view that it would not fit with a shift."""
@@ -190,13 +206,19 @@ class _Doubt:
       turns fast, and the fault did not last.
     """
 
-    def __init__(self, begun_s: float, witnesses: AnyArray, stand: CameraPose) -> None:
+    def __init__(self, begun_s: float, witnesses: AnyArray, stand: CameraPose, elder_fits: bool) -> None:
+        self._elder_fits = elder_fits
         self._begun_s = begun_s
         self._witnesses = witnesses
         self._stand = stand
         self._since = PastViews()
         self._run = 0
         self._lasting = False
+
+    @property
+    def blames_newest(self) -> bool:
+        """True if the first rejected frame contradicted only the newest view from before it, and enough in a row followed."""
+        return self._elder_fits and self._run >= _CALM
 
     def interrupt(self) -> None:
         """Begin to count again after a frame that is wrong in itself."""
@@ -206,7 +228,8 @@ class _Doubt:
         self, seen: Seen, newest: ViewComparison | None, overlapping: ViewComparison | None, contradicted: bool
     ) -> bool:
         """Return True if this frame ends the doubt. newest, overlapping: comparisons with views from before it."""
-        follows = _fits(self._since.compare_newest(*seen)) and self._since.gain_aside(*seen[1:]) <= _ASIDE_SHARE
+        then = self._since.compare_newest(*seen)
+        follows = _fits(then) and self._since.gain_aside(then, *seen[1:]) <= _ASIDE_SHARE
         self._run = self._run + 1 if follows else 1
         self._since.remember(*seen)
         self._lasting |= contradicted and self._run >= _CALM

@@ -16,6 +16,8 @@ from sitl.geometry.quaternion import yaw_of
 
 Change = Callable[[Any, np.random.Generator], Any]
 HULL_M = 0.20
+AHEAD_RAD = math.radians(25.0)  # from the heading: a box 1 m away is still in the image
+APPEARED = "box appeared"  # key in notes: seconds from the onset
 LIFTED_M = 0.15  # height of the body's centre above its place on the pad
 
 
@@ -216,6 +218,28 @@ class ObstacleAppears(Injector):
         away = HULL_M + self._ahead_m + self._half_m[0]
         x, y = (truth.position[k] + truth.velocity[k] / speed * away for k in (0, 1))
         add_obstacle(at, Obstacle(at.now_s, self._half_m, lambda _: (x, y, self._half_m[2] - 0.1)))
+
+
+class ObstacleAppearsLater(ObstacleAppears):
+    """The same, after a while, at the first moment of fast flight in the camera's direction."""
+
+    def __init__(self, ahead_m: float, after_s: float, speed_mps: float) -> None:
+        super().__init__(ahead_m)
+        self._after_s = after_s
+        self._speed_mps = speed_mps
+
+    def begin(self, at: InjectionContext) -> None:
+        """Wait."""
+
+    def turn(self, at: InjectionContext, since_s: float) -> None:
+        """Add the box once it is time."""
+        truth = at.world.flyer.truth()
+        vx, vy = truth.velocity[:2]
+        off_nose_rad = abs(math.remainder(math.atan2(vy, vx) - yaw_of(truth.quat_wxyz), math.tau))
+        due = since_s >= self._after_s and math.hypot(vx, vy) >= self._speed_mps and off_nose_rad <= AHEAD_RAD
+        if due and APPEARED not in at.notes:
+            at.notes[APPEARED] = since_s
+            super().begin(at)
 
 
 class ObstacleApproaches(Injector):

@@ -8,12 +8,14 @@ from sitl.faults.injectors import operator_silence
 from sitl.faults.injectors.base import Injector
 from sitl.faults.injectors.companion import Crash
 from sitl.faults.injectors.depth_camera import (
+    APPEARED,
     AlteredDepth,
     DepthSilence,
     EmptyAfterLiftOff,
     FrozenImage,
     LateFrames,
     ObstacleAppears,
+    ObstacleAppearsLater,
     ObstacleApproaches,
     ReorderedFrames,
     ScatteredFrames,
@@ -202,6 +204,18 @@ TABLE_C = (
         (COMPLETES, clear(0.10)),
         observe_s=240.0,
         views=SHORT_VIEWS,
+    ),
+    Scenario(
+        "C10b",
+        "obstacle appears among ghosts",
+        "as C10, and after 10 s or more a box appears 1.0 m ahead of the hull during fast flight",
+        lambda n: [ScatteredFrames(ghost(n % 2 == 0), (0.03, 0.15)[n // 2 % 2], n), ObstacleAppearsLater(1.0, 10.0, 0.5)],
+        (
+            Limit("the box appears", m.noted(APPEARED), 90.0, "s"),
+            Limit("clearance to the box", lambda e: e.min_obstacle_distance_m, 0.10, "m", at_least=True),
+            clear(0.10),
+        ),
+        observe_s=120.0,
     ),
 )
 
