@@ -146,6 +146,21 @@ def test_one_wrong_frame_is_one_frame(flight: Flight, change: object, late: int,
         assert flight.see()
 
 
+def test_a_wrong_frame_that_was_accepted_raises_no_lasting_doubt(flight: Flight) -> None:
+    """Before a plain wall a shifted image fits; the honest one after it does not fit that."""
+    flight.turning, accepted, doubted = 0.16, 0, 0
+    for _ in range(60):
+        assert flight.see()
+        after = copy.deepcopy(flight)
+        if after.see(lambda depth_m: np.roll(depth_m, 10, axis=1)):
+            accepted += 1
+            believed = [after.see() for _ in range(12)]
+            doubted += not believed[0]
+            assert believed[3:] == [True] * 9
+    assert accepted >= 5
+    assert doubted >= 1
+
+
 def test_empty_frames_neither_begin_nor_prolong_a_doubt(flight: Flight) -> None:
     assert not any(flight.see(_empty) for _ in range(12))
     assert flight.see()
