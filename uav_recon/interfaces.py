@@ -9,6 +9,7 @@ from typing import Protocol, TypeVar, runtime_checkable
 from uav_recon.types.camera import Frame, ImuSample, PosedFrame
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.maps import SurfaceElements, VoxelMap
+from uav_recon.types.perception_status import PerceptionStatus
 from uav_recon.types.pose import MapCorrection, Pose, StampedPose
 from uav_recon.types.reason import Reason
 from uav_recon.types.tasks import NothingLeft, PlanRequest, ViewPath, Viewpoint
@@ -328,6 +329,10 @@ class Journal(Protocol):
 
     def refused_views(self, stamp_s: float, counts: Mapping[str, int]) -> None:
         """Log the number of keyframes rejected by the mapper, by reason as text."""
+        ...
+
+    def perception(self, status: PerceptionStatus) -> None:
+        """Log what perception has rejected so far."""
         ...
 
     def outcome(self, stamp_s: float, aborted: Reason | None, stop_reason: Reason | None) -> None:

@@ -37,5 +37,5 @@ def direct_channels() -> FlightChannels:
     """Return all channels of a flight."""
     return FlightChannels(
         DirectChannel(), DirectChannel(), DirectChannel(), DirectChannel(), DirectChannel(), DirectChannel(),
-        DirectChannel(), DirectChannel(), DirectChannel(), DirectChannel(), DirectChannel(),
+        DirectChannel(), DirectChannel(), DirectChannel(), DirectChannel(), DirectChannel(), DirectChannel(),
     )  # fmt: skip

@@ -11,6 +11,7 @@ MISSION_SILENT = "mission-silent"
 MISSION_STALE = "mission-stale"
 NO_DEPTH = "no-depth"
 DEPTH_STALE = "depth-stale"
+DEPTH_NOT_BELIEVED = "depth-not-believed"
 ODOMETRY_DRIFT = "odometry-drift"
 SURFACES_MOVED = "surfaces-moved"
 SURFACES_GONE = "surfaces-gone"
@@ -46,9 +47,9 @@ NO_OPERATOR = (OPERATOR_SILENT, OPERATOR_LOST_RETURNING)
 CONTROL_LOST = (CONTROL_RELEASED, AUTOPILOT_LANDS)
 # What a reason for a landing is: a refusal, a stranger or a slow link is none; whose the vehicle is by then is one too.
 LANDING = (
-    *CONTROL_LOST, *DRIFT, OPERATOR_LAND, MISSION_LAND, "stop-requested", NO_POSE, MISSION_SILENT, NO_DEPTH, TWO_AUTOPILOTS,
-    ARMING_GIVEN_UP, PARAMETER_CHANGED, "poses-disagree", "few-poses", "imu-disagrees", "refused-too-long", "many-refusals",
-    "held-too-long", "odometry-restarted", "outside-fence-too-long", "retreat-blocked", "evasion-blocked", "no-room-to-evade",
-    "takeoff-given-up", "arming-withdrawn", "armed-late", "armed-by-other", "disarmed-in-flight", "disarmed-before-takeoff",
-    "land-requested", ESTIMATE_POSITION, ESTIMATE_VELOCITY, OFF_HEIGHT,
+    *CONTROL_LOST, *DRIFT, OPERATOR_LAND, MISSION_LAND, "stop-requested", NO_POSE, MISSION_SILENT, NO_DEPTH, DEPTH_NOT_BELIEVED,
+    TWO_AUTOPILOTS, ARMING_GIVEN_UP, PARAMETER_CHANGED, "poses-disagree", "few-poses", "imu-disagrees", "refused-too-long",
+    "many-refusals", "held-too-long", "odometry-restarted", "outside-fence-too-long", "retreat-blocked", "evasion-blocked",
+    "no-room-to-evade", "takeoff-given-up", "arming-withdrawn", "armed-late", "armed-by-other", "disarmed-in-flight",
+    "disarmed-before-takeoff", "land-requested", ESTIMATE_POSITION, ESTIMATE_VELOCITY, OFF_HEIGHT,
 )  # fmt: skip

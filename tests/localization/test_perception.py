@@ -15,6 +15,7 @@ from uav_recon.localization.fusion_filter import FusionFilter
 from uav_recon.localization.perception import Perception
 from uav_recon.types.camera import Frame, ImuSample, Intrinsics, PosedFrame, body_from_camera
 from uav_recon.types.min_range_grid import MinRangeGrid
+from uav_recon.types.perception_status import PerceptionStatus
 from uav_recon.types.pose import Pose, PoseHealth, StampedPose
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
@@ -91,8 +92,9 @@ def _run(world: World, duration_s: float = 4.0, frame_wait_s: float = 0.2) -> tu
     odom, frames, seen = MemoryChannel(StampedPose), MemoryChannel(PosedFrame), Seen()
     mount = FixedMount(BODY_FROM_DEPTH)
     perception = Perception(
-        world, world, FusionFilter(), mount, odom, frames, MemoryChannel(MinRangeGrid), world.clock, frame_wait_s=frame_wait_s
-    )
+        world, world, FusionFilter(), mount, odom, frames, MemoryChannel(MinRangeGrid), MemoryChannel(PerceptionStatus),
+        world.clock, frame_wait_s=frame_wait_s,
+    )  # fmt: skip
     for step in range(int(duration_s * 100)):
         world.clock.advance_to(MOTION.start_s + step / 100)
         before = odom.sequence(), frames.sequence()
@@ -140,7 +142,7 @@ def test_a_frame_gets_the_pose_of_its_own_stamp_once_it_is_known(world: World) -
         truth = MOTION.pose(posed.frame.stamp_s) @ BODY_FROM_DEPTH
         np.testing.assert_allclose(posed.world_from_depth.matrix(), truth.matrix(), atol=0.006)
     assert [posed.frame.stamp_s for _, posed in seen.frames] == sorted({posed.frame.stamp_s for _, posed in seen.frames})
-    assert perception.published_frames + perception.dropped_frames >= len(world.given) - 2
+    assert perception.published_frames + perception.dropped_frames.total() >= len(world.given) - 2
 
 
 def test_a_frame_waits_no_longer_than_allowed(world: World) -> None:
@@ -192,7 +194,7 @@ def test_frames_with_impossible_stamps_are_dropped(world: World) -> None:
     world.frame_stamp_shift_s = 3.0
     perception, seen = _run(world, 2.0)
     assert seen.frames == []
-    assert perception.dropped_frames == len(world.given)
+    assert perception.dropped_frames.total() == len(world.given)
 
 
 def test_each_frame_is_mapped_once_however_often_it_comes(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -212,7 +214,7 @@ def test_each_frame_is_mapped_once_however_often_it_comes(world: World, monkeypa
     stamps_s = [posed.frame.stamp_s for _, posed in seen.frames]
     assert len(stamps_s) > 55
     assert stamps_s == sorted(set(stamps_s))
-    assert perception.dropped_frames > 60
+    assert perception.dropped_frames.total() > 60
 
 
 @pytest.mark.parametrize("off_s", [-3600.0, 3600.0, 0.5])
@@ -225,11 +227,44 @@ def test_stamps_of_another_clock_shut_out_none_of_those_after_it(world: World, o
     assert np.count_nonzero(since_s >= 2.0 - 1e-6) >= 28
 
 
+def test_what_is_rejected_is_published_by_reason(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
+    right, status = world.poll, MemoryChannel(PerceptionStatus)
+
+    def poll() -> Frame | None:
+        frame = right()
+        if frame is None or frame.sequence % 15 >= 3:
+            return frame
+        late = frame.sequence % 15 == 2
+        empty = np.full_like(frame.depth_m, np.nan)
+        return replace(frame, stamp_s=frame.stamp_s - 5.0) if late else replace(frame, depth_m=empty)
+
+    monkeypatch.setattr(world, "poll", poll)
+    nearby = MemoryChannel(MinRangeGrid)
+    perception = Perception(
+        world, world, FusionFilter(), FixedMount(BODY_FROM_DEPTH), MemoryChannel(StampedPose), MemoryChannel(PosedFrame),
+        nearby, status, world.clock,
+    )  # fmt: skip
+    for step in range(401):
+        world.clock.advance_to(MOTION.start_s + step / 100)
+        perception.step()
+    told, grid = status.latest(), nearby.latest()
+    assert told is not None and grid is not None
+    assert status.sequence() == 5, "once a second"
+    assert dict(told.rejected_frames) == {ReasonCode.DEPTH_FRAME_EMPTY: 8, ReasonCode.DEPTH_FRAME_STAMP: 4}
+    assert told.counts() == {"depth-frame-empty": 8, "depth-frame-stamp": 4}
+    assert told.newest is not None
+    assert told.newest_s > MOTION.start_s + 3.0
+    assert told.frames == perception.published_frames > 40
+
+
 def test_a_step_without_anything_is_quiet() -> None:
     world = World(ManualClock(0.0), poses_until_s=0.0)
     odom, frames = MemoryChannel(StampedPose), MemoryChannel(PosedFrame)
     nearby = MemoryChannel(MinRangeGrid)
-    perception = Perception(world, world, FusionFilter(), FixedMount(BODY_FROM_DEPTH), odom, frames, nearby, world.clock)
+    perception = Perception(
+        world, world, FusionFilter(), FixedMount(BODY_FROM_DEPTH), odom, frames, nearby, MemoryChannel(PerceptionStatus),
+        world.clock,
+    )  # fmt: skip
     perception.step()
     assert odom.latest() is None
     assert frames.latest() is None

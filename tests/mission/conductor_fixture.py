@@ -20,6 +20,7 @@ from uav_recon.recording.flight_log import FlightLog
 from uav_recon.types.camera import Frame, Intrinsics, PosedFrame
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.maps import FREE, OCCUPIED, FreeSpace, GridSpec, SurfaceElements, VoxelMap
+from uav_recon.types.perception_status import PerceptionStatus
 from uav_recon.types.pose import MapCorrection, Pose
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
@@ -150,7 +151,7 @@ class Desk:
         self.wires = MissionChannels(
             MemoryChannel(PosedFrame), MemoryChannel(VehicleState), MemoryChannel(Intent), MemoryChannel(MissionProgress),
             MemoryChannel(VoxelMap), MemoryChannel(SurfaceElements), MemoryChannel(ViewPath),
-            MemoryChannel(MapCorrection), MemoryChannel(FreeSpace),
+            MemoryChannel(MapCorrection), MemoryChannel(FreeSpace), MemoryChannel(PerceptionStatus),
         )  # fmt: skip
         self.voxels = OpenSpace()
         self.planner = ThreeViews()

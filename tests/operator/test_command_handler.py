@@ -13,6 +13,7 @@ from uav_recon.clock import ManualClock
 from uav_recon.operator.command_handler import SILENT_S, CommandHandler
 from uav_recon.operator.status import Status
 from uav_recon.types.operator_command import GivenCommand, OperatorCommand
+from uav_recon.types.perception_status import PerceptionStatus
 from uav_recon.types.pose import Pose, StampedPose
 from uav_recon.types.reason import Reason, codes_of, text_of
 from uav_recon.types.reason_code import ReasonCode
@@ -37,10 +38,11 @@ class Vehicle:
         vehicle.publish(VehicleState(99.9, at, np.zeros(3), True, "OFFBOARD", phase, 0.83, False, float("nan"), 1, 2, note))
         odom.publish(StampedPose(99.96, at, np.zeros(3), quality=97))
         self.progress = progress
+        self.perception = MemoryChannel(PerceptionStatus)
         progress.publish(MissionProgress(99.9, "survey", "explore", 31, 120, 42.7, 18.4, 5, 7, 40, 0.2, None, False))
         if mission:
             self.intent.publish(Intent(99.9, Goal.FLY))
-        self.clerk = CommandHandler(self, vehicle, self.intent, progress, odom, self.orders, self.clock)
+        self.clerk = CommandHandler(self, vehicle, self.intent, progress, odom, self.perception, self.orders, self.clock)
 
     def request_land(self, why: Reason) -> None:
         self.asked.append(f"land: {why.code.value}")
@@ -168,6 +170,7 @@ def test_status_reads_like_an_instrument_panel() -> None:
         "speed     -",
         "refused   2 by the guard",
         "note      refused: pose is stale",
+        "rejected  -",
     ]
 
 
@@ -180,6 +183,20 @@ def test_status_says_why_the_speed_is_reduced() -> None:
     assert "speed     at most 0.30 m/s: no inertial samples" in status.lines()
     assert (status.max_speed_mps, status.slow_codes) == (0.3, ("no-imu",))
     assert Status.told(json.loads(json.dumps(status.as_json()))) == status
+
+
+def test_what_perception_rejected_is_in_the_status() -> None:
+    flying = Vehicle(FlightPhase.FLYING)
+    frames = ((ReasonCode.DEPTH_FRAME_EMPTY, 3), (ReasonCode.DEPTH_FRAME_NOISE, 12))
+    newest = Reason(ReasonCode.DEPTH_FRAME_EMPTY, (0.1,))
+    flying.perception.publish(PerceptionStatus(99.5, 800, frames, (("jump", 2),), newest, 97.0))
+    status = flying.clerk.status()
+    assert status.perception == {"depth-frame-empty": 3, "depth-frame-noise": 12, "pose jump": 2}
+    assert Status.told(status.as_json()) == status
+    assert status.lines()[-1] == (
+        "rejected  perception: 12 depth-frame-noise, 3 depth-frame-empty, 2 pose jump;"
+        " newest 3 s ago: depth frame: returns in 10% of the pixels"
+    )
 
 
 def test_what_is_not_known_is_a_dash() -> None:

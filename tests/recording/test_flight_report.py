@@ -11,6 +11,7 @@ import pytest
 from uav_recon.recording.flight_log import FlightLog, read_timeline
 from uav_recon.recording.flight_report import FlightInfo, build_report, publish
 from uav_recon.recording.report import Report
+from uav_recon.types.perception_status import PerceptionStatus
 from uav_recon.types.pose import Pose
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
@@ -35,6 +36,11 @@ def flight(folder: Path) -> None:
     log.view(13.0, 1, Pose.identity())
     log.refusal(14.0, Reason(ReasonCode.MAP_BLOCKS_PATH))
     log.outcome(40.0, None, Reason(ReasonCode.NO_FRONTIERS_LEFT))
+    frames = ((ReasonCode.DEPTH_FRAME_EMPTY, 2),)
+    log.perception(PerceptionStatus(20.0, 150, frames[:0], (("jump", 1),)))
+    log.perception(
+        PerceptionStatus(40.0, 300, frames, (("jump", 1), ("imu stamp", 5)), Reason(ReasonCode.DEPTH_FRAME_EMPTY, (0.0,)), 39.0)
+    )
     log.refused_views(41.0, {"no depth": 3, "memory is full": 1})
     log.close()
 
@@ -55,6 +61,7 @@ def test_a_real_flight_gets_a_report(tmp_path: Path) -> None:
     assert report.safety.contacts is None
     assert report.safety.refusals == 1
     assert report.refused_views == {"no depth": 3, "memory is full": 1}
+    assert report.rejected_by_perception == {"depth-frame-empty": 2, "imu stamp": 5, "pose jump": 1}
     assert "not measured" in (tmp_path / "report.html").read_text(encoding="utf-8")
 
 

@@ -51,6 +51,8 @@ def health(now_s: float, **changes: Any) -> FailsafeInputs:
         ({"depth_age_s": 0.3}, FailsafeAction.FLY, None),
         ({"depth_age_s": 0.31}, FailsafeAction.HOLD, because(ReasonCode.NO_DEPTH, 0.3)),
         ({"depth_age_s": 3.01}, FailsafeAction.RETREAT, because(ReasonCode.NO_DEPTH, 3.0)),
+        ({"depth_age_s": 3.01, "depth_rejected": True}, FailsafeAction.RETREAT, because(ReasonCode.DEPTH_NOT_BELIEVED, 3.0)),
+        ({"depth_age_s": 0.2, "depth_rejected": True}, FailsafeAction.FLY, None),
         ({"depth_age_s": math.inf}, FailsafeAction.LAND, because(ReasonCode.NO_DEPTH, math.inf)),
         ({"depth_age_s": 4.0, "pose_age_s": 0.5}, FailsafeAction.RETREAT, because(ReasonCode.NO_DEPTH, 4.0)),
         ({"depth_age_s": 4.0, "pose_age_s": 2.0}, FailsafeAction.LAND, because(ReasonCode.NO_POSE, 2.0)),

@@ -227,7 +227,9 @@ def make_perception(
     )
     fusion = FusionFilter(pose_lost_s=config.localization.pose_lost_s)
     rate_hz, wait_s = config.localization.rate_hz, config.localization.frame_wait_s
-    return Perception(camera, poses, fusion, mount, wires.odom, wires.frames, wires.nearby, clock, rate_hz, wait_s)
+    return Perception(
+        camera, poses, fusion, mount, wires.odom, wires.frames, wires.nearby, wires.perception, clock, rate_hz, wait_s
+    )
 
 
 def _camera(config: Config, clock: Clock, stopped: Callable[[], bool]) -> tuple[DepthCamera, PoseSource]:
@@ -385,7 +387,7 @@ def make_conductor(
     )
     channels = MissionChannels(
         wires.frames, wires.vehicle, wires.intent, wires.progress, wires.voxels, wires.surface, wires.plan,
-        wires.correction, wires.free,
+        wires.correction, wires.free, wires.perception,
     )  # fmt: skip
     motions = (make_motion(config, kept_m) for kept_m in (clearance_m, retreat_m))
     stages = MissionStages(voxels, make_keyframe_selection(config, voxels), mapper, planner, *motions)

@@ -14,6 +14,7 @@ from uav_recon.interfaces import Channel
 from uav_recon.types.camera import PosedFrame
 from uav_recon.types.maps import FreeSpace, SurfaceElements, VoxelMap
 from uav_recon.types.min_range_grid import MinRangeGrid
+from uav_recon.types.perception_status import PerceptionStatus
 from uav_recon.types.pose import MapCorrection, StampedPose
 from uav_recon.types.tasks import ViewPath
 from uav_recon.types.trajectory import Intent
@@ -35,9 +36,10 @@ class FlightChannels:
     correction: Channel[MapCorrection]
     free: Channel[FreeSpace]
     nearby: Channel[MinRangeGrid]
+    perception: Channel[PerceptionStatus]
 
 
-PERCEPTION_WRITES = frozenset({"odom", "frames", "correction", "nearby"})
+PERCEPTION_WRITES = frozenset({"odom", "frames", "correction", "nearby", "perception"})
 PILOT_WRITES = frozenset({"vehicle"})
 MISSION_WRITES = frozenset({"intent", "progress", "voxels", "surface", "plan", "free"})
 _KIBIBYTE = 1 << 10
@@ -54,6 +56,7 @@ _FILES: dict[str, tuple[Any, int]] = {  # type of the value and capacity in byte
     "correction": (MapCorrection, _MEBIBYTE),
     "free": (FreeSpace, 4 * _MEBIBYTE),
     "nearby": (MinRangeGrid, 64 * _KIBIBYTE),
+    "perception": (PerceptionStatus, 64 * _KIBIBYTE),
 }
 
 
@@ -63,6 +66,7 @@ def memory_channels() -> FlightChannels:
         MemoryChannel(StampedPose), MemoryChannel(PosedFrame), MemoryChannel(VehicleState), MemoryChannel(Intent),
         MemoryChannel(MissionProgress), MemoryChannel(VoxelMap), MemoryChannel(SurfaceElements), MemoryChannel(ViewPath),
         MemoryChannel(MapCorrection), MemoryChannel(FreeSpace), MemoryChannel(MinRangeGrid),
+        MemoryChannel(PerceptionStatus),
     )  # fmt: skip
 
 

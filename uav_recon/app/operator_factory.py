@@ -54,7 +54,7 @@ def operator_socket(config: Config) -> Path:
 
 def make_command_handler(wires: FlightChannels, pilot: Pilot, orders: Channel[GivenCommand], clock: Clock) -> CommandHandler:
     """Return the handler of the operator's commands."""
-    return CommandHandler(pilot, wires.vehicle, wires.intent, wires.progress, wires.odom, orders, clock)
+    return CommandHandler(pilot, wires.vehicle, wires.intent, wires.progress, wires.odom, wires.perception, orders, clock)
 
 
 def make_command_socket(config: Config, wires: FlightChannels, pilot: Pilot, clock: Clock) -> CommandSocket:

@@ -21,7 +21,7 @@ from uav_recon.localization.past_view_comparison import (
     ViewSelection,
 )
 from uav_recon.types.camera import Frame, Intrinsics
-from uav_recon.types.frames import Float32Array
+from uav_recon.types.frames import AnyArray, Float32Array
 from uav_recon.types.pose import Pose
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
@@ -36,7 +36,12 @@ _MIN_SHIFT_LOSS_SHARE = 0.03
 _REJECTION_POSE = ViewSelection(
     0.10, math.cos(math.radians(3.0))
 )  # the camera pose is that of the first rejected frame, so that its cause would be seen
-_CALM = 3  #: reject: after a rejected frame, until this many in a row fit from where it was taken
+_MIN_RETURNS_SHARE = 0.2  #: reject: a frame with returns in fewer of its pixels; it changes nothing else
+_CALM = 3  #: reject: after a rejected frame, until this many in a row fit each other and what was seen before it
+_CLEARED_SHARE = 0.7  #: reject: after a rejected frame, while fewer of the points fit that it contradicted
+_CLEAN_SHARE = 0.005  #: reject: after a frame that contradicts the newest view only, while a shift fits more of the one before
+_BRIEF_S = 1.0  #: reject: for longer than this after a rejected frame, what follows must be confirmed by views from before it
+_CLEARED_IN_VIEW_SHARE = 0.5  #: reject: the same, while fewer of these points are in view
 _HIDDEN_SHARE = 0.5  #: reject: a frame with something in front of more points: a person that comes near hides fewer
 _ASIDE_SHARE = 0.02  #: reject: a frame of which a shift makes more points fit; valid frames after such a pause: 1.4 %
 _MAX_PAUSE_S = 0.6  #: reject: a shift is looked for only against an image that is not older
@@ -51,6 +56,9 @@ _SEEN_THROUGH_SHARE = 0.4  #: land: points of an older view that are not there: 
 _RUNNING = 3  #: land: frames in a row that must show drift
 _KEPT_S = 2.0  #: land: a drift that was shown holds for this time
 _FROZEN_M = 0.04  #: reject: a frame equal to the last bit to one that the camera took farther away: it is frozen
+_STRIDE = 4  # a large image is sampled for its share of returns
+_SAMPLED_PX = 64  # a smaller image is not
+Seen = tuple[float, Float32Array, Intrinsics, Pose]  # stamp (s), depth (m), its lens, pose in odom
 _FROZEN_COS = math.cos(math.radians(1.0))  #: reject: the same, turned by more
 
 
@@ -59,59 +67,97 @@ class DepthConsistencyMonitor:
 
     Every frame is passed once with its pose: about 0.4 ms each, 1 ms with colour. warm_up() compiles the kernels.
 
-    After a rejection, frames are rejected until (a) one fits a stored view in which a shift would be visible, or (b) three in a
-    row fit from the pose of the first rejected one, where a wrong frame would be rejected again.
+    A frame that is nearly empty, has isolated pixels, or is frozen is rejected by itself alone. A frame that contradicts
+    earlier views raises a doubt, because a wrong frame may be followed by one that fits by chance. The doubt ends at a frame
+    that fits a stored view in which a shift would be visible, or at the third frame in a row that fits the one before it and
+    the views from before the doubt, see _Doubt.
     """
 
     def __init__(self) -> None:
         self._past_views = PastViews()
         self._reset_counter = 0
-        self._doubted: CameraPose | None = (
-            None  # where the first of the pictures was taken that are not believed; None: they are
-        )
-        self._calm = self._running = 0
+        self._doubt: _Doubt | None = None  # None: the newest frame that could be compared was accepted
+        self._running = 0
         self._drift_rate = DriftRateEstimator()
         self._drift: Reason | None = None
         self._drift_s = -math.inf
         self._same: tuple[Float32Array, Pose] | None = None
 
-    def believes(self, frame: Frame, odom_from_depth: Pose, reset_counter: int) -> bool:
-        """Return True if the frame may be used for mapping and flight."""
+    def rejection(self, frame: Frame, odom_from_depth: Pose | None, reset_counter: int = 0) -> Reason | None:
+        """Return why the frame may not be used for mapping and flight, None if it may.
+
+        Without a pose only the number of returns is checked.
+        """
+        share = _returns_share(frame.depth_m)
+        if share < _MIN_RETURNS_SHARE:
+            return Reason(ReasonCode.DEPTH_FRAME_EMPTY, (share,))
+        if odom_from_depth is None:
+            return None
         if reset_counter != self._reset_counter:
             self._reset_counter = reset_counter
             self._past_views.forget()
             self._drift_rate.forget()
+            self._doubt = None
+        fault = self._fault_in_itself(frame.depth_m, odom_from_depth)
+        if fault is not None:
+            if self._doubt is not None:
+                self._doubt.interrupt()
+            return fault
+        return self._against_views(frame, odom_from_depth)
+
+    def _fault_in_itself(self, depth_m: Float32Array, odom_from_depth: Pose) -> Reason | None:
+        """Return why a frame is wrong whatever was seen before, None for nothing."""
+        alone, frozen = isolated_pixel_fraction(depth_m), self._frozen(depth_m, odom_from_depth)
+        if alone > _ALONE_SHARE:
+            return Reason(ReasonCode.DEPTH_FRAME_NOISE, (alone,))
+        return Reason(ReasonCode.DEPTH_FRAME_FROZEN) if frozen else None
+
+    def _against_views(self, frame: Frame, odom_from_depth: Pose) -> Reason | None:
+        """Compare a frame with earlier views; remember it if it is accepted."""
         seen = (frame.stamp_s, frame.depth_m, frame.depth_intrinsics, odom_from_depth)
         newest, others = self._past_views.compare_newest(*seen), self._past_views.compare_oldest(*seen, OVERLAPPING)
         overlapping = next(others, None)
-        alone, frozen = isolated_pixel_fraction(frame.depth_m) > _ALONE_SHARE, self._frozen(frame.depth_m, odom_from_depth)
-        doubted = self._doubted is not None
-        asked = newest is not None and (newest.age_s <= _MAX_PAUSE_S or doubted)
-        aside = asked and self._past_views.gain_aside(*seen[1:]) > _ASIDE_SHARE
-        if not doubted:
-            fits = _follows(newest) or _follows(overlapping)  # or something in front of it has left
-        else:
-            fits = any(
-                _fits(then) and self._past_views.loss_aside(then, *seen[1:]) >= _MIN_SHIFT_LOSS_SHARE
-                for then in (newest, overlapping)
-            )
-            fits |= self._is_over(_fits(newest) and not (alone or frozen or aside), odom_from_depth)
-        unasked = newest is None and not (doubted and self._past_views.has_view)
-        believed = not (alone or frozen or aside) and (fits or unasked)
-        if not believed:
-            self._doubted = self._doubted or CameraPose.of(odom_from_depth)
-        else:
-            self._doubted = None
-            self._calm = 0
-            self._drift_rate.update(frame, odom_from_depth)
-            moved = (
-                _moved(self._past_views.compare_oldest(*seen, ALIKE), _EXPLAINED_SHARE)
-                or _moved(self._past_views.compare_oldest(*seen, ALIKE_LATELY), _EXPLAINED_SHARE)
-                or _moved(itertools.chain(filter(None, [overlapping]), others), _MAX_SHARE)
-            )
-            self._hear(frame.stamp_s, moved or _seen_through(overlapping) or self._drift_message())
-            self._past_views.remember(*seen)
-        return believed
+        asked = newest is not None and (newest.age_s <= _MAX_PAUSE_S or self._doubt is not None)
+        aside = asked and newest is not None and self._past_views.gain_aside(newest, *seen[1:]) > _ASIDE_SHARE
+        fits = newest is None or _follows(newest) or _follows(overlapping)  # or something in front of it has left
+        if self._doubt is not None:
+            shown = not aside and any(self._shows_no_shift(then, seen) for then in (newest, overlapping))
+            ended = self._doubt.ended_by(seen, newest, overlapping, contradicted=aside or not fits)
+            if not (shown or ended or self._newest_was_wrong(seen)):
+                return Reason(ReasonCode.DEPTH_FRAME_UNCONFIRMED)
+        elif aside or not fits:
+            witnesses = self._past_views.contradicted(*seen[1:])
+            self._doubt = _Doubt(frame.stamp_s, witnesses, CameraPose.of(odom_from_depth), self._fits_elder(seen))
+            return Reason(ReasonCode.DEPTH_FRAME_SHIFTED if aside else ReasonCode.DEPTH_FRAME_CONTRADICTS)
+        self._doubt = None
+        self._drift_rate.update(frame, odom_from_depth)
+        moved = (
+            _moved(self._past_views.compare_oldest(*seen, ALIKE), _EXPLAINED_SHARE)
+            or _moved(self._past_views.compare_oldest(*seen, ALIKE_LATELY), _EXPLAINED_SHARE)
+            or _moved(itertools.chain(filter(None, [overlapping]), others), _MAX_SHARE)
+        )
+        self._hear(frame.stamp_s, moved or _seen_through(overlapping) or self._drift_message())
+        self._past_views.remember(*seen)
+        return None
+
+    def _fits_elder(self, seen: Seen) -> bool:
+        """Return True if the frame fits the view accepted before the newest one, without any sign of a shift."""
+        then = self._past_views.compare_elder(*seen)
+        return _fits(then) and self._past_views.gain_aside(then, *seen[1:]) <= _CLEAN_SHARE
+
+    def _newest_was_wrong(self, seen: Seen) -> bool:
+        """Return True, and forget the newest accepted frame, if all frames since fit what was seen before it.
+
+        A single wrong frame may be accepted: before a plain wall a shift does not show.
+        """
+        if self._doubt is None or not self._doubt.blames_newest or not self._fits_elder(seen):
+            return False
+        self._past_views.drop_newest()
+        return True
+
+    def _shows_no_shift(self, then: ViewComparison | None, seen: Seen) -> bool:
+        """Return True if the frame fits a view that it would not fit with a shift."""
+        return _fits(then) and self._past_views.loss_aside(then, *seen[1:]) >= _MIN_SHIFT_LOSS_SHARE
 
     def drift(self, now_s: float) -> Reason | None:
         """Return the drift of the pose that depth shows, None for nothing."""
@@ -125,14 +171,8 @@ class DepthConsistencyMonitor:
         wall.setflags(write=False)
         colour = np.zeros((2, 2, 3), dtype=np.uint8)
         other, here = DepthConsistencyMonitor(), Pose.identity()
-        for n, depth_m in enumerate((wall, wall, 2.0 * wall, wall)):
-            other.believes(Frame(0.1 * n, n, depth_m, lens, colour, lens, here), here, 0)
-
-    def _is_over(self, fits: bool, odom_from_depth: Pose) -> bool:
-        """Return True if the cause of the rejection is no longer seen from where it was."""
-        there = self._doubted is not None and self._doubted.like(CameraPose.of(odom_from_depth), _REJECTION_POSE)
-        self._calm = self._calm + 1 if fits and there else 0
-        return self._calm >= _CALM
+        for n, depth_m in enumerate((wall, wall, 2.0 * wall, wall, wall, wall)):
+            other.rejection(Frame(0.1 * n, n, depth_m, lens, colour, lens, here), here)
 
     def _hear(self, stamp_s: float, said: Reason | None) -> None:
         self._running = self._running + 1 if said is not None else 0
@@ -154,6 +194,63 @@ class DepthConsistencyMonitor:
         first = self._same[1]
         moved_m = math.dist(first.translation_m.tolist(), odom_from_depth.translation_m.tolist())
         return moved_m > _FROZEN_M or float(first.rotation()[:, 2] @ odom_from_depth.rotation()[:, 2]) < _FROZEN_COS
+
+
+class _Doubt:
+    """The time after a frame that contradicted earlier views.
+
+    It ends at the third frame in a row that fits the one before it, if no view from before the doubt speaks against it:
+    - the newest such view is in view and fits, and the points that the first rejected frame contradicted are in view again and
+      fit, or the camera stands where that frame was taken: a lasting fault would still show there; or
+    - the newest such view is out of view within _BRIEF_S, and no three frames in a row contradicted what was seen: the camera
+      turns fast, and the fault did not last.
+    """
+
+    def __init__(self, begun_s: float, witnesses: AnyArray, stand: CameraPose, elder_fits: bool) -> None:
+        self._elder_fits = elder_fits
+        self._begun_s = begun_s
+        self._witnesses = witnesses
+        self._stand = stand
+        self._since = PastViews()
+        self._run = 0
+        self._lasting = False
+
+    @property
+    def blames_newest(self) -> bool:
+        """True if the first rejected frame contradicted only the newest view from before it, and enough in a row followed."""
+        return self._elder_fits and self._run >= _CALM
+
+    def interrupt(self) -> None:
+        """Begin to count again after a frame that is wrong in itself."""
+        self._run = 0
+
+    def ended_by(
+        self, seen: Seen, newest: ViewComparison | None, overlapping: ViewComparison | None, contradicted: bool
+    ) -> bool:
+        """Return True if this frame ends the doubt. newest, overlapping: comparisons with views from before it."""
+        then = self._since.compare_newest(*seen)
+        follows = _fits(then) and self._since.gain_aside(then, *seen[1:]) <= _ASIDE_SHARE
+        self._run = self._run + 1 if follows else 1
+        self._since.remember(*seen)
+        self._lasting |= contradicted and self._run >= _CALM
+        if contradicted or self._run < _CALM:
+            return False
+        if newest is None:
+            brief = not self._lasting and seen[0] - self._begun_s <= _BRIEF_S
+            return brief and (overlapping is None or _fits(overlapping))
+        return _fits(newest) and (self._is_cleared(seen) or self._stand.like(CameraPose.of(seen[3]), _REJECTION_POSE))
+
+    def _is_cleared(self, seen: Seen) -> bool:
+        """Return True if the points that the first rejected frame contradicted are in view and fit."""
+        in_view, fitting = self._since.fit_counts(self._witnesses, *seen[1:])
+        return in_view >= _CLEARED_IN_VIEW_SHARE * len(self._witnesses) and fitting >= _CLEARED_SHARE * in_view
+
+
+def _returns_share(depth_m: Float32Array) -> float:
+    """Return the share of pixels with a return, from every fourth row and column."""
+    stride = _STRIDE if min(depth_m.shape) >= _SAMPLED_PX else 1
+    sample = depth_m[::stride, ::stride]
+    return float(np.count_nonzero(sample > 0.0)) / sample.size
 
 
 def _follows(then: ViewComparison | None) -> bool:

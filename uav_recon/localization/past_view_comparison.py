@@ -15,7 +15,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from uav_recon.localization.point_to_plane import MIN_POINTS, MOST, residuals, shares, shift_gain, shift_loss, shift_of, surface
+from uav_recon.localization.point_to_plane import (
+    MIN_POINTS,
+    MOST,
+    contradicted_points,
+    fit_counts,
+    residuals,
+    shares,
+    shift_gain,
+    shift_loss,
+    shift_of,
+    surface,
+)
 from uav_recon.types.camera import Intrinsics
 from uav_recon.types.frames import AnyArray, Float32Array, FloatArray
 from uav_recon.types.pose import Pose
@@ -93,6 +104,7 @@ class PastViews:
     def __init__(self) -> None:
         self._views: deque[_View] = deque()
         self._newest: _View | None = None
+        self._elder: _View | None = None  # the one before the newest
 
     @property
     def has_view(self) -> bool:
@@ -102,11 +114,18 @@ class PastViews:
     def forget(self) -> None:
         """Forget all views after a jump of odom: none of them was seen in the new odom."""
         self._views.clear()
-        self._newest = None
+        self._newest = self._elder = None
+
+    def drop_newest(self) -> None:
+        """Forget the newest accepted image, because it was wrong."""
+        if self._views and self._views[-1] is self._newest:
+            self._views.pop()
+        self._newest, self._elder = self._elder, None
 
     def remember(self, stamp_s: float, depth_m: Float32Array, lens: Intrinsics, odom_from_depth: Pose) -> None:
         """Store an accepted image as the newest; one every half second is kept."""
         points = surface(depth_m, lens.pinhole_px(), odom_from_depth.rotation(), odom_from_depth.translation_m)
+        self._elder = self._newest
         self._newest = _View(stamp_s, CameraPose.of(odom_from_depth), points)
         if not self._views or stamp_s - self._views[-1].stamp_s >= _EVERY_S:
             self._views.append(self._newest)
@@ -122,6 +141,12 @@ class PastViews:
         """
         return None if self._newest is None else _compared(self._newest, stamp_s, depth_m, lens, odom_from_depth, MIN_POINTS)
 
+    def compare_elder(
+        self, stamp_s: float, depth_m: Float32Array, lens: Intrinsics, odom_from_depth: Pose
+    ) -> ViewComparison | None:
+        """Compare with the image accepted before the newest; None if too little of it is in view."""
+        return None if self._elder is None else _compared(self._elder, stamp_s, depth_m, lens, odom_from_depth)
+
     def compare_oldest(
         self, stamp_s: float, depth_m: Float32Array, lens: Intrinsics, odom_from_depth: Pose, likeness: ViewSelection
     ) -> Iterator[ViewComparison]:
@@ -134,15 +159,14 @@ class PastViews:
             if found is not None:
                 yield found
 
-    def gain_aside(self, depth_m: Float32Array, lens: Intrinsics, odom_from_depth: Pose) -> float:
-        """Return the share of the newest accepted image that only fits the present one shifted.
+    @staticmethod
+    def gain_aside(then: ViewComparison, depth_m: Float32Array, lens: Intrinsics, odom_from_depth: Pose) -> float:
+        """Return the share of that view that only fits the present image shifted.
 
         It is meant for images a moment apart.
         """
-        if self._newest is None:
-            return 0.0
         rotation, place = odom_from_depth.rotation(), odom_from_depth.translation_m
-        return float(shift_gain(self._newest.points, depth_m, lens.pinhole_px(), rotation, place))
+        return float(shift_gain(then.points, depth_m, lens.pinhole_px(), rotation, place))
 
     @staticmethod
     def loss_aside(then: ViewComparison, depth_m: Float32Array, lens: Intrinsics, odom_from_depth: Pose) -> float:
@@ -152,6 +176,22 @@ class PastViews:
         """
         rotation, place = odom_from_depth.rotation(), odom_from_depth.translation_m
         return float(shift_loss(then.points, depth_m, lens.pinhole_px(), rotation, place))
+
+    def contradicted(self, depth_m: Float32Array, lens: Intrinsics, odom_from_depth: Pose) -> AnyArray:
+        """Return the points (N, 6) of the newest accepted image that the present one contradicts."""
+        if self._newest is None:
+            return np.empty((0, 6))
+        return contradicted_points(
+            self._newest.points, depth_m, lens.pinhole_px(), odom_from_depth.rotation(), odom_from_depth.translation_m
+        )
+
+    @staticmethod
+    def fit_counts(points: AnyArray, depth_m: Float32Array, lens: Intrinsics, odom_from_depth: Pose) -> tuple[int, int]:
+        """Return how many points (N, 6) are in view, and how many of these fit the image."""
+        in_view, fitting = fit_counts(
+            points, depth_m, lens.pinhole_px(), odom_from_depth.rotation(), odom_from_depth.translation_m
+        )
+        return int(in_view), int(fitting)
 
     def _alike(self, stamp_s: float, odom_from_depth: Pose, likeness: ViewSelection) -> Iterator[_View]:
         """Yield the views that meet the selection, oldest first."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections import deque
+from collections import Counter, deque
 from dataclasses import replace
 
 from uav_recon.clock import RateKeeper
@@ -15,11 +15,15 @@ from uav_recon.localization.fusion_filter import FusionFilter
 from uav_recon.localization.min_range_binning import nearest_in_cells
 from uav_recon.types.camera import Frame, PosedFrame
 from uav_recon.types.min_range_grid import MinRangeGrid
+from uav_recon.types.perception_status import PerceptionStatus
 from uav_recon.types.pose import Pose, PoseHealth, StampedPose
+from uav_recon.types.reason import Reason
+from uav_recon.types.reason_code import ReasonCode
 
 _OLDEST_FRAME_S = 1.0  #: reject: an older frame
 _FUTURE_S = 0.01  #: reject: a frame stamped later than the clock by this
 _WAITING_FRAMES = 4  #: reject: the oldest of more frames that wait for a pose: at 15 Hz this is more than the longest wait
+_STATUS_RATE_HZ = 1.0
 
 
 class Perception:
@@ -32,8 +36,8 @@ class Perception:
     at or after its stamp was fused, or frame_wait_s. A frame is dropped if its own pose is not known, if it is rejected as
     inconsistent, or if it is not newer than all before it: it was mapped already, or its turn has passed. The minimum range
     grid of a frame is published at once, with or without a pose, valid or not. Odometry that depth contradicts has health
-    WRONG; its quality stays, because it is better than none for landing. ``published_odom``, ``published_frames`` and
-    ``dropped_frames`` are counters.
+    WRONG; its quality stays, because it is better than none for landing. ``published_odom`` and ``published_frames`` are
+    counters, ``dropped_frames`` counts by reason; all of them are published once a second.
     """
 
     def __init__(
@@ -45,6 +49,7 @@ class Perception:
         odom: Channel[StampedPose],
         frames: Channel[PosedFrame],
         nearby: Channel[MinRangeGrid],
+        status: Channel[PerceptionStatus],
         clock: Clock,
         rate_hz: float = 30.0,
         frame_wait_s: float = 0.2,
@@ -56,15 +61,19 @@ class Perception:
         self._odom = odom
         self._frames = frames
         self._nearby = nearby
+        self._status = status
         self._clock = clock
         self._frame_wait_s = frame_wait_s
         self._depth_consistency = DepthConsistencyMonitor()
         warm_up()
         self._rate = RateKeeper(rate_hz, clock.now_s())
+        self._status_rate = RateKeeper(_STATUS_RATE_HZ, clock.now_s())
         self._waiting: deque[Frame] = deque()
         self._newest_frame_s = -math.inf  # never later than now: no stamp of another clock can block the frames after it
         self._said_lost = True
-        self.published_odom = self.published_frames = self.dropped_frames = 0
+        self.published_odom = self.published_frames = 0
+        self.dropped_frames: Counter[ReasonCode] = Counter()
+        self._newest_drop: tuple[float, Reason | None] = -math.inf, None
 
     def step(self) -> None:
         """Read new inputs and publish what is due."""
@@ -77,6 +86,8 @@ class Perception:
             self._publish_odom(now_s)
         self._take_frame(now_s)
         self._publish_frame(now_s)
+        if self._status_rate.due(now_s):
+            self._status.publish(self._status_at(now_s))
 
     def _publish_odom(self, now_s: float) -> None:
         estimate = self._fusion.odom_at(now_s)
@@ -95,27 +106,37 @@ class Perception:
             return
         timely = now_s - _OLDEST_FRAME_S <= frame.stamp_s <= now_s + _FUTURE_S
         if not (timely and frame.stamp_s > self._newest_frame_s):
-            self.dropped_frames += 1
+            self._drop(now_s, Reason(ReasonCode.DEPTH_FRAME_STAMP))
             return
         self._newest_frame_s = frame.stamp_s
         body_from_depth = self._mount.body_from_depth(frame.stamp_s)
         if body_from_depth is not None:
-            believed = self._believes(frame, body_from_depth)
-            self._nearby.publish(nearest_in_cells(frame, body_from_depth, believed))
-            if not believed:
-                self.dropped_frames += 1
+            rejection = self._rejection(frame, body_from_depth)
+            self._nearby.publish(nearest_in_cells(frame, body_from_depth, believed=rejection is None))
+            if rejection is not None:
+                self._drop(now_s, rejection)
                 return
         if len(self._waiting) == _WAITING_FRAMES:
             self._waiting.popleft()
-            self.dropped_frames += 1
+            self._drop(now_s, Reason(ReasonCode.DEPTH_FRAME_UNPLACED))
         self._waiting.append(frame)
 
-    def _believes(self, frame: Frame, body_from_depth: Pose) -> bool:
+    def _rejection(self, frame: Frame, body_from_depth: Pose) -> Reason | None:
         """Check the frame with the pose extrapolated to its stamp: its own pose arrives later."""
         estimate = self._fusion.odom_at(frame.stamp_s)
         if estimate is None or estimate.quality == 0:
-            return True
-        return self._depth_consistency.believes(frame, estimate.odom_from_body @ body_from_depth, estimate.reset_counter)
+            return self._depth_consistency.rejection(frame, None)
+        return self._depth_consistency.rejection(frame, estimate.odom_from_body @ body_from_depth, estimate.reset_counter)
+
+    def _drop(self, now_s: float, reason: Reason) -> None:
+        self.dropped_frames[reason.code] += 1
+        self._newest_drop = now_s, reason
+
+    def _status_at(self, now_s: float) -> PerceptionStatus:
+        frames = tuple(sorted(self.dropped_frames.items()))
+        samples = tuple(sorted((reason.value, count) for reason, count in self._fusion.rejected.items()))
+        newest_s, newest = self._newest_drop
+        return PerceptionStatus(now_s, self.published_frames, frames, samples, newest, newest_s)
 
     def _publish_frame(self, now_s: float) -> None:
         """Publish at most one frame per step.
@@ -131,7 +152,7 @@ class Perception:
         estimate = self._fusion.odom_at(frame.stamp_s)
         body_from_depth = self._mount.body_from_depth(frame.stamp_s)
         if estimate is None or estimate.quality == 0 or body_from_depth is None:
-            self.dropped_frames += 1
+            self._drop(now_s, Reason(ReasonCode.DEPTH_FRAME_UNPLACED))
             return
         # Maps are in odom, which never jumps: near obstacles fit the recent map, even if the source corrects its map.
         # The mission would have to re-pose its keyframes by estimate.correction before it could map in the world.

@@ -105,10 +105,7 @@ def residuals(
     (3). Also returns the number of points well within range for which this image has no return.
     """
     height, width = depth_m.shape
-    out, number, gone, reach_m = np.empty((points.shape[0], 6)), 0, 0, 0.0
-    for n in range(points.shape[0]):
-        dx, dy, dz = points[n, 0] - place[0], points[n, 1] - place[1], points[n, 2] - place[2]
-        reach_m = max(reach_m, _WITHIN * (rotation[0, 2] * dx + rotation[1, 2] * dy + rotation[2, 2] * dz))
+    out, number, gone, reach_m = np.empty((points.shape[0], 6)), 0, 0, _reach_m(points, rotation, place)
     for n in range(points.shape[0]):
         u, v, deep = seen_at(points[n], camera, rotation, place)
         if not (0 <= u < width and 0 <= v < height):
@@ -123,6 +120,55 @@ def residuals(
             out[number, k] = points[n, k]
         number += 1
     return out[:number], gone
+
+
+@kernel
+def _reach_m(points: AnyArray, rotation: AnyArray, place: AnyArray) -> float:
+    """Return the depth (m) up to which a point of another image is well within range."""
+    reach_m = 0.0
+    for n in range(points.shape[0]):
+        dx, dy, dz = points[n, 0] - place[0], points[n, 1] - place[1], points[n, 2] - place[2]
+        reach_m = max(reach_m, _WITHIN * (rotation[0, 2] * dx + rotation[1, 2] * dy + rotation[2, 2] * dz))
+    return reach_m
+
+
+@kernel
+def contradicted_points(points: AnyArray, depth_m: AnyArray, camera: AnyArray, rotation: AnyArray, place: AnyArray) -> AnyArray:
+    """Return those of the points (N, 6) of another image that this one contradicts, (M, 6).
+
+    They are in view with a return that does not fit, or well within range without a return.
+    """
+    height, width = depth_m.shape
+    out, number, reach_m = np.empty(points.shape), 0, _reach_m(points, rotation, place)
+    for n in range(points.shape[0]):
+        u, v, deep = seen_at(points[n], camera, rotation, place)
+        if not (0 <= u < width and 0 <= v < height):
+            continue
+        z = float(depth_m[v, u])
+        if np.isfinite(z):
+            wrong = abs(_off_m(points[n], u, v, z, camera, rotation, place)) > _SHARP_M + _SHARP_PER_M * z * z
+        else:
+            wrong = deep <= reach_m
+        if wrong:
+            out[number] = points[n]
+            number += 1
+    return out[:number]
+
+
+@kernel
+def fit_counts(points: AnyArray, depth_m: AnyArray, camera: AnyArray, rotation: AnyArray, place: AnyArray) -> tuple[int, int]:
+    """Return how many of the points (N, 6) are in view, and how many of these have a return that fits."""
+    height, width = depth_m.shape
+    in_view = fitting = 0
+    for n in range(points.shape[0]):
+        u, v, _ = seen_at(points[n], camera, rotation, place)
+        if not (0 <= u < width and 0 <= v < height):
+            continue
+        in_view += 1
+        z = float(depth_m[v, u])
+        if np.isfinite(z):
+            fitting += int(abs(_off_m(points[n], u, v, z, camera, rotation, place)) <= _SHARP_M + _SHARP_PER_M * z * z)
+    return in_view, fitting
 
 
 @kernel

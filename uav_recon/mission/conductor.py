@@ -24,6 +24,7 @@ from uav_recon.mission.map_publisher import MapPublisher
 from uav_recon.mission.mission_log import MissionLog
 from uav_recon.mission.mission_setup import MissionChannels, MissionParameters, MissionStages
 from uav_recon.mission.operator_watchdog import OperatorWatchdog
+from uav_recon.mission.perception_log import PerceptionLog
 from uav_recon.mission.return_home import ReturnHome
 from uav_recon.mission.speed_limit_log import SpeedLimitLog
 from uav_recon.mission.state_machine import Phase, advance
@@ -64,6 +65,7 @@ class Conductor:
         self._parameters = orders
         self._clock = clock
         self._log = MissionLog(journal, orders.views)
+        self._perception_log = PerceptionLog(wires.perception, journal)
         self._captures = ViewSchedule(VIEW_LATE_S)
         self._course = FlightTrack(orders.camera_pitch_down_rad)
         self._executor = TrajectoryExecutor(stages.motion, self._course, self._captures, self._log)
@@ -140,6 +142,7 @@ class Conductor:
             self._act(now_s, vehicle)
         elif self._abort:  # no vehicle was ever reported, so there is none to land
             self._change_phase(Phase.DONE, now_s)
+        self._perception_log.step(now_s)
         self._publish(now_s)
 
     # -- map ----------------------------------------------------------------------------------------------------------
@@ -309,5 +312,6 @@ class Conductor:
         home = self.phase is Phase.DONE and self._arrived and not self._log.aborted
         why = self._log.aborted or self._log.note or Reason(ReasonCode.ENDED_IN_PHASE, (self.phase.value,))
         aborted = None if home else why
+        self._perception_log.close()
         self._log.close(self._clock.now_s(), aborted)
         return aborted

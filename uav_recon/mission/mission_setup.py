@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from uav_recon.interfaces import Channel, Mapper, OccupancyMapInterface, Planner, SpeedLimitedMotion, ViewBudget
 from uav_recon.types.camera import PosedFrame
 from uav_recon.types.maps import FreeSpace, SurfaceElements, VoxelMap
+from uav_recon.types.perception_status import PerceptionStatus
 from uav_recon.types.pose import MapCorrection
 from uav_recon.types.tasks import ViewPath
 from uav_recon.types.trajectory import Intent
@@ -42,6 +43,7 @@ class MissionChannels:
     plan: Channel[ViewPath]
     correction: Channel[MapCorrection]
     free: Channel[FreeSpace]
+    perception: Channel[PerceptionStatus]
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from uav_recon.interfaces import Channel, Clock
 from uav_recon.operator.command_socket import Answer
 from uav_recon.operator.status import Status
 from uav_recon.types.operator_command import GivenCommand, OperatorCommand
+from uav_recon.types.perception_status import PerceptionStatus
 from uav_recon.types.pose import StampedPose
 from uav_recon.types.reason import Reason, codes_of
 from uav_recon.types.reason_code import ReasonCode
@@ -56,6 +57,7 @@ class CommandHandler:
         intent: Channel[Intent],
         progress: Channel[MissionProgress],
         odom: Channel[StampedPose],
+        perception: Channel[PerceptionStatus],
         orders: Channel[GivenCommand],
         clock: Clock,
     ) -> None:
@@ -66,6 +68,7 @@ class CommandHandler:
         self._intent = intent
         self._progress = progress
         self._odom = odom
+        self._perception = perception
 
     def serve(self, word: str) -> Answer:
         """Return the answer to a word, which is status or a command.
@@ -88,8 +91,9 @@ class CommandHandler:
     def status(self) -> Status:
         """Return the present status."""
         return Status.of(
-            self._clock.now_s(), _newest(self._vehicle), _newest(self._odom), _newest(self._progress), self._mission_receives()
-        )
+            self._clock.now_s(), _newest(self._vehicle), _newest(self._odom), _newest(self._progress), self._mission_receives(),
+            _newest(self._perception),
+        )  # fmt: skip
 
     def _refusal(self, order: OperatorCommand) -> Reason | None:
         phase = self._pilot.phase

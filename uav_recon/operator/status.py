@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 from uav_recon import json_codec
+from uav_recon.types.perception_status import PerceptionStatus
 from uav_recon.types.pose import StampedPose
 from uav_recon.types.reason import codes_of, text_of
 from uav_recon.types.vehicle import FlightPhase, MissionProgress, VehicleState
@@ -20,7 +22,8 @@ class Status:
 
     pilot: its phase; mission: its phase, or "silent". note: the pilot's newest reason as text, or what the mission waits for on
     the ground, note_codes: its codes; refusals: number of proposals that the guard has rejected. max_speed_mps: reduced speed
-    limit, None if it is not reduced; slow_reason: why as text, slow_codes: its codes.
+    limit, None if it is not reduced; slow_reason: why as text, slow_codes: its codes. perception: what perception has rejected,
+    counts by reason; perception_newest, perception_newest_s: the newest rejected depth frame and its age.
     """
 
     pilot: str
@@ -41,6 +44,9 @@ class Status:
     max_speed_mps: float | None = None
     slow_reason: str = ""
     slow_codes: tuple[str, ...] = ()
+    perception: Mapping[str, int] = field(default_factory=dict)
+    perception_newest: str = ""
+    perception_newest_s: float | None = None
 
     @staticmethod
     def of(
@@ -49,6 +55,7 @@ class Status:
         pose: StampedPose | None,
         progress: MissionProgress | None,
         mission_receives: bool,
+        perception: PerceptionStatus | None = None,
     ) -> Status:
         """Return the status from the newest value of each channel.
 
@@ -78,6 +85,9 @@ class Status:
             max_speed_mps=_finite(vehicle.max_speed_mps, 2),
             slow_reason=text_of(vehicle.slow_reason),
             slow_codes=codes_of(vehicle.slow_reason),
+            perception={} if perception is None else perception.counts(),
+            perception_newest="" if perception is None else text_of(perception.newest),
+            perception_newest_s=None if perception is None else _finite(now_s - perception.newest_s, 1),
         )
 
     @staticmethod
@@ -106,8 +116,15 @@ class Status:
             "speed": None if self.max_speed_mps is None else f"at most {self.max_speed_mps:.2f} m/s: {self.slow_reason}",
             "refused": f"{self.refusals} by the guard" if self.refusals else None,
             "note": self.note or None,
+            "rejected": self._rejected(),
         }
         return [f"{name:9} {value if value is not None else '-'}" for name, value in known.items()]
+
+    def _rejected(self) -> str | None:
+        """Return what perception rejected, most frequent first; None for nothing."""
+        counts = sorted(self.perception.items(), key=lambda item: (-item[1], item[0]))
+        newest = f"; newest {self.perception_newest_s:.0f} s ago: {self.perception_newest}" if self.perception_newest else ""
+        return "perception: " + ", ".join(f"{count} {name}" for name, count in counts) + newest if counts else None
 
 
 def _age(age_s: float | None) -> str:

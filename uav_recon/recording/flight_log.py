@@ -19,6 +19,7 @@ import numpy as np
 from uav_recon import json_codec
 from uav_recon.json_codec import Float
 from uav_recon.types.frames import FloatArray
+from uav_recon.types.perception_status import PerceptionStatus
 from uav_recon.types.pose import Pose
 from uav_recon.types.reason import Reason, codes_of, text_of
 from uav_recon.types.vehicle import MissionProgress
@@ -115,6 +116,16 @@ class RefusedViewsRecord:
 
 
 @dataclass(frozen=True, slots=True)
+class PerceptionRecord:
+    """What perception has rejected so far: (reason, count) each, and the newest rejected depth frame as text."""
+
+    stamp_s: Float
+    frames: int
+    counts: tuple[tuple[str, int], ...]
+    newest: str = ""
+
+
+@dataclass(frozen=True, slots=True)
 class OutcomeRecord:
     """Outcome of the flight: "completed" or "aborted: reason".
 
@@ -142,6 +153,7 @@ class Timeline:
     refusals: tuple[RefusalRecord, ...]
     speed_limits: tuple[SpeedLimitRecord, ...]
     refused_views: tuple[RefusedViewsRecord, ...]
+    perception: tuple[PerceptionRecord, ...]
     outcomes: tuple[OutcomeRecord, ...]
     torn_lines: int
 
@@ -191,6 +203,7 @@ _KINDS: dict[str, type[Any]] = {
     "refusal": RefusalRecord,
     "speed limit": SpeedLimitRecord,
     "refused views": RefusedViewsRecord,
+    "perception": PerceptionRecord,
     "outcome": OutcomeRecord,
 }
 
@@ -262,6 +275,11 @@ class FlightLog:
         """Add the number of keyframes that the mapper rejected, by reason."""
         self._write("refused views", RefusedViewsRecord(stamp_s, tuple(sorted(counts.items()))))
 
+    def perception(self, status: PerceptionStatus) -> None:
+        """Add what perception has rejected so far."""
+        counts = tuple(sorted(status.counts().items()))
+        self._write("perception", PerceptionRecord(status.stamp_s, status.frames, counts, text_of(status.newest)))
+
     def outcome(self, stamp_s: float, aborted: Reason | None, stop_reason: Reason | None) -> None:
         """Add the last line. aborted: None for a flight that was completed."""
         codes, stop_codes = codes_of(aborted), codes_of(stop_reason)
@@ -309,6 +327,7 @@ def read_timeline(folder: Path) -> Timeline:
         refusals=tuple(found["refusal"]),
         speed_limits=tuple(found["speed limit"]),
         refused_views=tuple(found["refused views"]),
+        perception=tuple(found["perception"]),
         outcomes=tuple(found["outcome"]),
         torn_lines=torn,
     )

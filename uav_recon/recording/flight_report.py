@@ -64,6 +64,7 @@ def build_report(folder: Path, card: FlightInfo, wall_s: float) -> Report:
         safety=ReportSafety(None, None, None, None, None, refusals=len(timeline.refusals), failsafes=0),
         refused_views=dict(timeline.refused_views[-1].counts) if timeline.refused_views else None,
         reduced_speed_s=timeline.reduced_speed_s(min(stamps_s), max(stamps_s)) if stamps_s else {},
+        rejected_by_perception=dict(timeline.perception[-1].counts) if timeline.perception else None,
     )
 
 

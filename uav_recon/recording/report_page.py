@@ -71,6 +71,7 @@ def render_page(report: Report, pictures: Sequence[Picture], notes: Sequence[str
         '<div class="tables">',
         _quality(report),
         _refused_views(report),
+        _rejected_by_perception(report),
         _safety(report),
         _planning(report),
         _flight(report),
@@ -156,6 +157,15 @@ def _refused_views(report: Report) -> str:
     reasons = sorted(refused.items(), key=lambda item: (-item[1], item[0]))
     rows = [(reason[:1].upper() + reason[1:], str(count)) for reason, count in reasons]
     return _table("Views that the mapper refused", [*rows, ("All", str(sum(refused.values())))])
+
+
+def _rejected_by_perception(report: Report) -> str:
+    rejected = report.rejected_by_perception
+    if rejected is None:
+        return ""
+    reasons = sorted(rejected.items(), key=lambda item: (-item[1], item[0]))
+    rows = [(reason[:1].upper() + reason[1:].replace("-", " "), str(count)) for reason, count in reasons]
+    return _table("What perception rejected", [*rows, ("All", str(sum(rejected.values())))])
 
 
 def _safety(report: Report) -> str:

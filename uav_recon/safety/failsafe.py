@@ -53,7 +53,7 @@ class FailsafeInputs:
     inside: the position is inside the fence itself. refusals: number of refusals.
 
     pose_age_s: of the newest sound pose, or since any was fed if longer. lost, wrong: the reason, or None.
-    refused_s: without motion.
+    refused_s: without motion. depth_rejected: depth frames arrive, and none is believed.
     """
 
     now_s: float
@@ -65,6 +65,7 @@ class FailsafeInputs:
     lost: Reason | None = None
     wrong: Reason | None = None
     refused_s: float = 0.0
+    depth_rejected: bool = False
 
 
 class Failsafe:
@@ -101,10 +102,11 @@ class Failsafe:
 
     def _wanted(self, health: FailsafeInputs) -> tuple[FailsafeAction, Reason | None]:
         p, over, refused = self._patience, self._outside_too_long(health) or health.wrong, self._refused_too_often(health)
+        no_depth = ReasonCode.DEPTH_NOT_BELIEVED if health.depth_rejected else ReasonCode.NO_DEPTH
         silences = (
             (ReasonCode.NO_POSE, health.pose_age_s, (p.pose_timeout_s, math.inf, p.pose_land_s)),
             (ReasonCode.MISSION_SILENT, health.intent_age_s, (p.intent_timeout_s, p.retreat_timeout_s, p.land_timeout_s)),
-            (ReasonCode.NO_DEPTH, health.depth_age_s, (p.depth_timeout_s, p.depth_retreat_s, p.depth_land_s)),
+            (no_depth, health.depth_age_s, (p.depth_timeout_s, p.depth_retreat_s, p.depth_land_s)),
             (ReasonCode.REFUSED_TOO_LONG, health.refused_s, (math.inf, math.inf, p.land_timeout_s)),
         )
         rungs = [_action_of(age_s, limits_s) for _, age_s, limits_s in silences]

@@ -101,6 +101,9 @@ class ReasonCode(str, Enum):
     NO_POSE = "no-pose", "no pose for {0:.1f} s", "", (123.4,)
     MISSION_SILENT = "mission-silent", "mission silent for {0:.1f} s", "", (123.4,)
     NO_DEPTH = "no-depth", "no depth for {0:.1f} s", "", (123.4,)
+    DEPTH_NOT_BELIEVED = (
+        "depth-not-believed", "depth not believed for {0:.1f} s", "depth frames come, none is believed for {0:.1f} s", (123.4,),
+    )  # fmt: skip
     REFUSED_TOO_LONG = "refused-too-long", "refused for {0:.1f} s", "", (123.4,)
     MANY_REFUSALS = "many-refusals", "{0:d} refusals in a second", "", (3,)
     OUTSIDE_FENCE_TOO_LONG = "outside-fence-too-long", "outside the fence for {0:.0f} s", "", (10.0,)
@@ -134,6 +137,22 @@ class ReasonCode(str, Enum):
         "surfaces-gone", "surfaces gone, {0:.0%} of those {1:.0f} s ago", "{0:.0%} of the surfaces seen {1:.0f} s ago are gone",
         (1.0, 120.0),
     )  # fmt: skip
+    DEPTH_FRAME_EMPTY = (
+        "depth-frame-empty", "depth frame: returns in {0:.0%}", "depth frame: returns in {0:.0%} of the pixels", (1.0,),
+    )  # fmt: skip
+    DEPTH_FRAME_NOISE = (
+        "depth-frame-noise", "depth frame: {0:.0%} isolated pixels", "depth frame: {0:.0%} of the pixels are isolated", (1.0,),
+    )  # fmt: skip
+    DEPTH_FRAME_FROZEN = "depth-frame-frozen", "depth frame: frozen", "depth frame: the same image after the camera moved"
+    DEPTH_FRAME_SHIFTED = "depth-frame-shifted", "depth frame: shifted image"
+    DEPTH_FRAME_CONTRADICTS = (
+        "depth-frame-contradicts", "depth frame: contradicts earlier ones", "depth frame: contradicts what was seen before",
+    )  # fmt: skip
+    DEPTH_FRAME_UNCONFIRMED = (
+        "depth-frame-unconfirmed", "depth frame: not confirmed yet", "depth frame: not yet confirmed after a wrong one",
+    )  # fmt: skip
+    DEPTH_FRAME_STAMP = "depth-frame-stamp", "depth frame: wrong time stamp", "depth frame: too old, too new, or out of order"
+    DEPTH_FRAME_UNPLACED = "depth-frame-unplaced", "depth frame: no pose", "depth frame: no pose at its stamp"
     ODOMETRY_RESTARTED = "odometry-restarted", "odometry restarted, the map does not fit it"
     POSE_SOURCE_RESET = "pose-source-reset", "pose source was reset, holding"
 

@@ -16,6 +16,9 @@ from sitl.geometry.quaternion import yaw_of
 
 Change = Callable[[Any, np.random.Generator], Any]
 HULL_M = 0.20
+AHEAD_RAD = math.radians(25.0)  # from the heading: a box 1 m away is still in the image
+APPEARED = "box appeared"  # key in notes: seconds from the onset
+LIFTED_M = 0.15  # height of the body's centre above its place on the pad
 
 
 class DepthSilence(Injector):
@@ -42,6 +45,57 @@ class AlteredDepth(Injector):
         if since_s >= self._for_s:
             return [(0.0, frame)]
         return [(0.0, dataclasses.replace(frame, depth_mm=self._change(frame.depth_mm, self._rng)))]
+
+
+class SingleFrames(Injector):
+    """Wrong depth values in one frame, again and again after every_s."""
+
+    def __init__(self, change: Change, every_s: float) -> None:
+        self._change = change
+        self._every_s = every_s
+        self._next_s = 0.0
+        self._rng = np.random.default_rng(5)
+
+    def depth(self, since_s: float, frame: DepthFrame) -> DelayedItems[DepthFrame]:
+        """Change the first frame of each period."""
+        if since_s < self._next_s:
+            return [(0.0, frame)]
+        self._next_s = since_s + self._every_s
+        return [(0.0, dataclasses.replace(frame, depth_mm=self._change(frame.depth_mm, self._rng)))]
+
+
+class ScatteredFrames(Injector):
+    """Wrong depth values in a random share of the frames."""
+
+    def __init__(self, change: Change, share: float, seed: int) -> None:
+        self._change = change
+        self._share = share
+        self._rng = np.random.default_rng(seed)
+
+    def depth(self, since_s: float, frame: DepthFrame) -> DelayedItems[DepthFrame]:
+        """Change this share of the frames."""
+        if self._rng.random() >= self._share:
+            return [(0.0, frame)]
+        return [(0.0, dataclasses.replace(frame, depth_mm=self._change(frame.depth_mm, self._rng)))]
+
+
+class EmptyAfterLiftOff(Injector):
+    """No returns in the first frames in the air."""
+
+    def __init__(self, for_s: float) -> None:
+        self._for_s = for_s
+        self._lifted_s = math.inf
+
+    def turn(self, at: InjectionContext, since_s: float) -> None:
+        """Record the time of the lift-off."""
+        if at.world.flyer.truth().position[2] > LIFTED_M:
+            self._lifted_s = min(self._lifted_s, since_s)
+
+    def depth(self, since_s: float, frame: DepthFrame) -> DelayedItems[DepthFrame]:
+        """Empty the frames of the first for_s seconds in the air."""
+        if not self._lifted_s <= since_s < self._lifted_s + self._for_s:
+            return [(0.0, frame)]
+        return [(0.0, dataclasses.replace(frame, depth_mm=np.zeros_like(frame.depth_mm)))]
 
 
 class LateFrames(Injector):
@@ -104,6 +158,32 @@ def salted(share: float) -> Change:
     )
 
 
+def thinned(share: float) -> Change:
+    """Return a change that leaves returns in this share of the pixels."""
+    return lambda depth, rng: np.where(rng.random(depth.shape) < share, depth, 0).astype(np.uint16)
+
+
+def ghost(centred: bool, near_mm: int = 1100, far_mm: int = 1500) -> Change:
+    """Return a change that adds a near patch, as stereo matching of a repeated pattern does.
+
+    It has a quarter of the image's width and height, one range in each frame, and hides what is behind it. centred: it lies in
+    the middle of the image, else anywhere.
+    """
+
+    def change(depth: Any, rng: np.random.Generator) -> Any:
+        rows, columns = depth.shape
+        high, wide = rows // 4, columns // 4
+        top, left = ((rows - high) // 2, (columns - wide) // 2)
+        if not centred:
+            top, left = int(rng.integers(0, rows - high)), int(rng.integers(0, columns - wide))
+        out, range_mm = depth.copy(), int(rng.integers(near_mm, far_mm))
+        patch = out[top : top + high, left : left + wide]
+        patch[(patch == 0) | (patch > range_mm)] = range_mm
+        return out
+
+    return change
+
+
 def shifted(pixels: int) -> Change:
     """Return a change that rolls the image sideways by some pixels."""
     return lambda depth, _: np.roll(depth, pixels, axis=1)
@@ -138,6 +218,28 @@ class ObstacleAppears(Injector):
         away = HULL_M + self._ahead_m + self._half_m[0]
         x, y = (truth.position[k] + truth.velocity[k] / speed * away for k in (0, 1))
         add_obstacle(at, Obstacle(at.now_s, self._half_m, lambda _: (x, y, self._half_m[2] - 0.1)))
+
+
+class ObstacleAppearsLater(ObstacleAppears):
+    """The same, after a while, at the first moment of fast flight in the camera's direction."""
+
+    def __init__(self, ahead_m: float, after_s: float, speed_mps: float) -> None:
+        super().__init__(ahead_m)
+        self._after_s = after_s
+        self._speed_mps = speed_mps
+
+    def begin(self, at: InjectionContext) -> None:
+        """Wait."""
+
+    def turn(self, at: InjectionContext, since_s: float) -> None:
+        """Add the box once it is time."""
+        truth = at.world.flyer.truth()
+        vx, vy = truth.velocity[:2]
+        off_nose_rad = abs(math.remainder(math.atan2(vy, vx) - yaw_of(truth.quat_wxyz), math.tau))
+        due = since_s >= self._after_s and math.hypot(vx, vy) >= self._speed_mps and off_nose_rad <= AHEAD_RAD
+        if due and APPEARED not in at.notes:
+            at.notes[APPEARED] = since_s
+            super().begin(at)
 
 
 class ObstacleApproaches(Injector):

@@ -8,19 +8,26 @@ from sitl.faults.injectors import operator_silence
 from sitl.faults.injectors.base import Injector
 from sitl.faults.injectors.companion import Crash
 from sitl.faults.injectors.depth_camera import (
+    APPEARED,
     AlteredDepth,
     DepthSilence,
+    EmptyAfterLiftOff,
     FrozenImage,
     LateFrames,
     ObstacleAppears,
+    ObstacleAppearsLater,
     ObstacleApproaches,
     ReorderedFrames,
+    ScatteredFrames,
     ShiftedTimestamps,
+    SingleFrames,
     bit_errors,
     constant,
+    ghost,
     salted,
     scaled,
     shifted,
+    thinned,
 )  # fmt: skip
 from sitl.faults.injectors.mavlink_link import Corrupted, DuplicatedFrames, Garbage, Jitter, PacketLoss, Unplugged
 from sitl.faults.injectors.process_signals import ProcessKilled
@@ -111,6 +118,25 @@ TABLE_C = (
         onset=FAST,
     ),
     Scenario(
+        "C4c",
+        "single frames wrong",
+        "one frame empty every 3 s; every 5 s; with returns in 10 % of the pixels every 3 s; random in 30 % of them; shifted",
+        lambda n: [_single(n)],
+        (COMPLETES, clear(0.10)),
+        observe_s=240.0,
+        views=SHORT_VIEWS,
+    ),
+    Scenario(
+        "C4d",
+        "first frames in the air empty",
+        "no returns for 1 s after the lift-off",
+        lambda n: [EmptyAfterLiftOff(1.0)],
+        (COMPLETES, clear(0.10)),
+        onset=Onset((0.0, 0.0), at_boot=True),
+        observe_s=240.0,
+        views=SHORT_VIEWS,
+    ),
+    Scenario(
         "C5",
         "glass, black, mirror",
         "surfaces that stereo cannot measure",
@@ -170,7 +196,34 @@ TABLE_C = (
         onset=STILL,
         observe_s=20.0,
     ),
+    Scenario(
+        "C10",
+        "ghost obstacles",
+        "a patch 1.1 to 1.5 m away, in the middle of the image or anywhere, in 3 % or 15 % of the frames",
+        lambda n: [ScatteredFrames(ghost(centred=n % 2 == 0), (0.03, 0.15)[n // 2 % 2], n)],
+        (COMPLETES, clear(0.10)),
+        observe_s=240.0,
+        views=SHORT_VIEWS,
+    ),
+    Scenario(
+        "C10b",
+        "obstacle appears among ghosts",
+        "as C10, and after 10 s or more a box appears 1.0 m ahead of the hull during fast flight",
+        lambda n: [ScatteredFrames(ghost(n % 2 == 0), (0.03, 0.15)[n // 2 % 2], n), ObstacleAppearsLater(1.0, 10.0, 0.5)],
+        (
+            Limit("the box appears", m.noted(APPEARED), 90.0, "s"),
+            Limit("clearance to the box", lambda e: e.min_obstacle_distance_m, 0.10, "m", at_least=True),
+            clear(0.10),
+        ),
+        observe_s=120.0,
+    ),
 )
+
+
+def _single(n: int) -> Injector:
+    cases = ((constant(0), 3.0), (constant(0), 5.0), (thinned(0.1), 3.0), (salted(0.3), 3.0), (shifted(32), 3.0))
+    change, every_s = cases[n % len(cases)]
+    return SingleFrames(change, every_s)
 
 
 def _corrupt(n: int) -> Injector:

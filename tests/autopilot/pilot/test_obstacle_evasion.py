@@ -36,8 +36,8 @@ def _situation(now_s: float, free: FreeSpaceCheck | None = None) -> GuardInputs:
     return GuardInputs(now_s, (0.0, 0.0, 1.1), 0.0, np.eye(3), 0.03, 0.05, 0, free or _free(), None)
 
 
-def _seen(stamp_s: float, away_m: float, cells: int = MANY) -> SuddenObstacle:
-    return SuddenObstacle(stamp_s, np.tile(HERE + np.array([away_m, 0.0, 0.0]), (cells, 1)), away_m)
+def _seen(stamp_s: float, away_m: float, cells: int = MANY, sights: int = 3, shown_s: float = 0.3) -> SuddenObstacle:
+    return SuddenObstacle(stamp_s, np.tile(HERE + np.array([away_m, 0.0, 0.0]), (cells, 1)), away_m, sights, shown_s)
 
 
 @pytest.fixture
@@ -95,6 +95,39 @@ def test_the_same_sight_heard_twice_is_one(evasion: ObstacleEvasion) -> None:
     evasion.update(little)
     evasion.update(little)
     assert not evasion.must_stop(1.0)
+
+
+@pytest.mark.parametrize(
+    ("sights", "shown_s", "confirmed"), [(1, 0.0, False), (2, 0.3, False), (3, 0.19, False), (3, 0.2, True)]
+)
+def test_a_camera_that_showed_a_ghost_stops_the_vehicle_for_what_several_frames_show(
+    evasion: ObstacleEvasion, sights: int, shown_s: float, confirmed: bool
+) -> None:
+    seen = _seen(40.0, 1.2, sights=sights, shown_s=shown_s)
+    evasion.update(seen, ghost_s=10.0)
+    assert evasion.must_stop(40.0) is confirmed, "30 s after a ghost"
+    evasion.update(seen, ghost_s=9.9)
+    assert evasion.must_stop(40.0)
+
+
+@pytest.mark.parametrize(("sights", "shown_s", "aside"), [(2, 0.3, False), (3, 0.19, False), (3, 0.2, True)])
+def test_it_steps_aside_only_from_what_several_frames_show(
+    evasion: ObstacleEvasion, sights: int, shown_s: float, aside: bool
+) -> None:
+    """As it was with a ghost in 15 % of the frames: two of them seemed to approach, and with no room aside it landed."""
+    for stamp_s, away_m in ((1.0, 2.3), (1.1, 2.2)):
+        evasion.update(_seen(stamp_s, away_m))
+    evasion.update(_seen(1.2, 2.1, sights=sights, shown_s=shown_s))
+    assert (evasion.step_aside(REST, _situation(1.2)) is not None) is aside
+
+
+@pytest.mark.parametrize(("away_m", "aside"), [((2.0, 1.9, 1.8), True), ((2.0, 1.7, 1.8), False), ((2.3, 1.9, 1.8), False)])
+def test_what_does_not_come_on_steadily_is_not_stepped_aside_from(
+    evasion: ObstacleEvasion, away_m: tuple[float, float, float], aside: bool
+) -> None:
+    for n, range_m in enumerate(away_m):
+        evasion.update(_seen(1.0 + 0.15 * n, range_m, sights=n + 1, shown_s=0.15 * n))
+    assert (evasion.step_aside(REST, _situation(1.3)) is not None) is aside
 
 
 @pytest.mark.parametrize(("away_m", "stops"), [(1.6, True), (1.61, False)])
@@ -161,7 +194,7 @@ def test_a_step_aside_does_not_lead_into_what_comes_on(
 def test_a_step_aside_reckons_with_all_that_is_seen_of_what_comes_on(evasion: ObstacleEvasion, left: float) -> None:
     wide = HERE + np.column_stack([np.full(MANY, 2.4), left * np.linspace(0.0, 1.2, MANY), np.zeros(MANY)])
     for stamp_s, nearer_m in ((1.0, 0.0), (1.2, 0.16)):
-        evasion.update(SuddenObstacle(stamp_s, wide - np.array([nearer_m, 0.0, 0.0]), 2.4 - nearer_m))
+        evasion.update(SuddenObstacle(stamp_s, wide - np.array([nearer_m, 0.0, 0.0]), 2.4 - nearer_m, 3, 0.3))
     way = evasion.step_aside(REST, _situation(1.2, _free(_cone(np.radians(90.0)))))
     assert isinstance(way, Trajectory)
     assert left * way.position_m[-1][1] < -0.8, "its nearest corner is straight ahead, and the rest of it to one side"
@@ -214,7 +247,7 @@ def test_a_step_aside_keeps_the_room_of_planned_ways_where_there_is_any(
 def test_a_step_aside_along_the_fence_keeps_inside_its_inset(evasion: ObstacleEvasion) -> None:
     here = np.array([0.0, 2.2, 1.1])
     for stamp_s, away_m in ((1.0, 2.2), (1.2, 2.04)):
-        evasion.update(SuddenObstacle(stamp_s, np.tile(here - np.array([0.0, away_m, 0.0]), (MANY, 1)), away_m))
+        evasion.update(SuddenObstacle(stamp_s, np.tile(here - np.array([0.0, away_m, 0.0]), (MANY, 1)), away_m, 3, 0.3))
     way = evasion.step_aside(Setpoint.hold(here, 0.0), _situation(1.2))
     assert isinstance(way, Trajectory)
     assert way.position_m[-1][1] <= 2.6 + 1e-9, "0.1 m inside the inset, which ends at 2.7"

@@ -53,6 +53,33 @@ def test_what_comes_on_is_told_of_again_and_again(around: SuddenObstacleDetector
     assert all(intruder is not None for intruder in found)
 
 
+def test_frames_in_a_row_that_show_it_are_counted(around: SuddenObstacleDetector) -> None:
+    seen = [_look(around, 6 + n, box_m=1.5) for n in range(3)]
+    assert [found and found.sights for found in seen] == [1, 2, 3]
+    assert seen[2] is not None
+    assert seen[2].shown_s == pytest.approx(2 * PERIOD_S)
+    assert around.ghost_s == -np.inf
+    jumped = _look(around, 9, box_m=0.7)  # 0.8 m in a sixth of a second
+    assert jumped is not None
+    assert (jumped.sights, jumped.shown_s) == (1, 0.0)
+
+
+def test_what_comes_and_goes_is_a_ghost(around: SuddenObstacleDetector) -> None:
+    assert _look(around, 6, box_m=1.3) is not None
+    assert around.ghost_s == -np.inf
+    assert _look(around, 7) is None
+    assert around.ghost_s == pytest.approx(7 * PERIOD_S)
+    again = _look(around, 8, box_m=1.3)
+    assert again is not None
+    assert again.sights == 1
+
+
+def test_what_left_the_view_is_no_ghost(around: SuddenObstacleDetector) -> None:
+    assert _look(around, 6, box_m=1.3) is not None
+    _look(around, 7, here=Pose.from_yaw(0.3 + 2.0, HERE.translation_m))
+    assert around.ghost_s == -np.inf
+
+
 def test_noise_of_depth_and_pose_is_nothing() -> None:
     around, dice = SuddenObstacleDetector(), np.random.default_rng(2)
     for n in range(60):

@@ -34,12 +34,15 @@ def test_a_picture_that_is_not_believed_is_none_but_for_what_is_near_in_it() -> 
     channel.publish(_nearby(5.2, 4.0, believed=False))
     lookout.step(pose(5.2), 5.2)
     assert math.isclose(lookout.depth_age_s(5.2), 0.2)
+    assert lookout.rejects_depth(5.2, 0.3)
+    assert not lookout.rejects_depth(5.6, 0.3), "no frame comes any more"
     assert lookout.ahead is not None
     assert lookout.ahead.room_m(FORWARD) > 3.0
     assert not sight.saw_free((3.0, 0.0, 0.0), 5.2)
     channel.publish(_nearby(5.4, 4.0))
     lookout.step(pose(5.4), 5.4)
     assert lookout.depth_age_s(5.4) == 0.0
+    assert not lookout.rejects_depth(5.4, 0.3)
     assert sight.saw_free((3.0, 0.0, 0.0), 5.4)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import numpy as np
@@ -19,8 +20,13 @@ IDENTIFIER = -3  # identifier of the step aside
 
 _FRESH_S = 0.5  #: evade: an obstacle that was not seen within this time no longer counts
 _MANY_CELLS = 8  #: evade: with fewer cells it must be seen twice within _FRESH_S: one frame alone may be wrong
+_GHOST_S = 30.0  #: evade: for this time after a ghost of the depth camera, it stops for a confirmed obstacle only
+_CONFIRMING = 3  #: evade: an obstacle is confirmed, and stepped aside from, if this many frames in a row show it
+_CONFIRMING_S = 0.2  #: evade: the same, for at least this time: a camera of 30 Hz shows a ghost in several frames
+_KEPT = 15  # sights that are kept: half a second of a camera of 30 Hz
 _STOP_M = 1.6  #: evade: stops for a sudden obstacle within this distance of the body's centre
 _COMING_MPS = 0.25  #: evade: steps aside from an obstacle that approaches at least this fast; a slower one is only stopped for
+_FASTEST_MPS = 2.5  #: evade: something that seems to approach faster is not one obstacle
 _EVADE_M = 2.5  #: evade: an approaching obstacle farther away than this is ignored
 _STEP_M = 1.2  #: evade: length of a step aside
 _STEP_MPS = 0.5  #: evade: speed of a step aside
@@ -46,15 +52,20 @@ class ObstacleEvasion:
         self._stop_m = _STOP_M + (vehicle_radius_m - _RADIUS_M)
         self._pass_m = _PASS_M + (vehicle_radius_m - _RADIUS_M)
         self._heard: list[SuddenObstacle] = []
+        self._ghost_s = -math.inf
 
-    def update(self, intruder: SuddenObstacle | None) -> None:
-        """Add the obstacle in the newest depth frame, None for nothing."""
+    def update(self, intruder: SuddenObstacle | None, ghost_s: float = -math.inf) -> None:
+        """Add the obstacle in the newest depth frame, None for nothing.
+
+        ghost_s: when the camera last showed an obstacle where nothing stands.
+        """
+        self._ghost_s = ghost_s
         if intruder is not None and not (self._heard and self._heard[-1] is intruder):
-            self._heard = [*self._heard[-3:], intruder]
+            self._heard = [*self._heard[-_KEPT:], intruder]
 
     def must_stop(self, now_s: float) -> bool:
         """Return True if something near was not there before, or approaches."""
-        if not self._heard or not self._fresh(now_s) or not self._is_sure():
+        if not self._heard or not self._fresh(now_s) or not self._is_sure(now_s):
             return False
         away_m = [one.away_m for one in self._heard[-2:]]
         return away_m[-1] <= self._stop_m or (away_m[-1] <= _EVADE_M and self._nearer_mps(away_m, now_s) >= _COMING_MPS)
@@ -66,14 +77,15 @@ class ObstacleEvasion:
     def step_aside(self, rest: Setpoint, situation: GuardInputs) -> Trajectory | Reason | None:
         """Return a trajectory from rest out of the path of an approaching obstacle.
 
-        None if nothing approaches, a reason if no end is known free. It approaches if its positions come nearer to the rest
-        position: the vehicle itself still comes nearer while it stops. Where possible the clearance is that of planned paths;
-        otherwise it is smaller: coming near a wall is better than coming near the obstacle.
+        None if nothing approaches for sure, a reason if no end is known free. It approaches if its positions come nearer to the
+        rest position, from each sight to the next: the vehicle itself still comes nearer while it stops. Where possible the
+        clearance is that of planned paths; otherwise it is smaller: coming near a wall is better than coming near the obstacle.
         """
         here = rest.position_m
-        away_m = [_level_m(one.places_m[0], here) for one in self._heard[-2:]]
-        coming_mps = self._nearer_mps(away_m, situation.now_s)
-        if coming_mps < _COMING_MPS or away_m[-1] > _EVADE_M:
+        if not self._is_confirmed() or _level_m(self._heard[-1].places_m[0], here) > _EVADE_M:
+            return None
+        coming_mps = self._coming_mps(here)
+        if not _COMING_MPS <= coming_mps <= _FASTEST_MPS:
             return None
         ends = _ways_aside(here, self._heard[-1].places_m, coming_mps, self._pass_m)
         for room_m, inside_m in _CLEARANCES_M:
@@ -87,13 +99,33 @@ class ObstacleEvasion:
         """Return True if a step aside is done."""
         return now_s - way.start_s - way.duration_s >= _AFTER_S
 
-    def _is_sure(self) -> bool:
+    def _is_sure(self, now_s: float) -> bool:
         last = self._heard[-1]
+        if now_s - self._ghost_s <= _GHOST_S:
+            return self._is_confirmed()
         again = len(self._heard) > 1 and last.stamp_s - self._heard[-2].stamp_s <= _FRESH_S
         return len(last.places_m) >= _MANY_CELLS or again
 
+    def _is_confirmed(self) -> bool:
+        return self._heard[-1].sights >= _CONFIRMING and self._heard[-1].shown_s >= _CONFIRMING_S
+
     def _fresh(self, now_s: float) -> bool:
         return now_s - self._heard[-1].stamp_s <= _FRESH_S
+
+    def _coming_mps(self, here: FloatArray) -> float:
+        """Return the approach speed in the older and the newer half of the newest sights, the lower of both.
+
+        Infinity if one of them is no such speed.
+        """
+        newest_s = self._heard[-1].stamp_s
+        sights = [one for one in self._heard[-self._heard[-1].sights :] if newest_s - one.stamp_s <= _FRESH_S]
+        ends = (sights[0], sights[len(sights) // 2], sights[-1])
+        speeds = [
+            (_level_m(a.places_m[0], here) - _level_m(b.places_m[0], here)) / (b.stamp_s - a.stamp_s)
+            for a, b in itertools.pairwise(ends)
+            if b.stamp_s > a.stamp_s
+        ]
+        return math.inf if not speeds or max(speeds) > _FASTEST_MPS else min(speeds)
 
     def _nearer_mps(self, away_m: list[float], now_s: float) -> float:
         """Return the approach speed from its newest two distances; 0 without them."""

@@ -181,7 +181,7 @@ class Pilot:
         self._estimate.update(self._poses.pose, now_s)
         self._surroundings.step(self._poses.pose, now_s)
         if self.phase in IN_THE_AIR:  # while it arms it stands, and does not evade
-            self._selector.evasion.update(self._surroundings.sudden_obstacle)
+            self._selector.evasion.update(self._surroundings.sudden_obstacle, self._surroundings.ghost_s)
 
     def _read_mission(self, now_s: float) -> None:
         """Read the mission's intent, and what it ends: a hold, or the ban on another take-off."""

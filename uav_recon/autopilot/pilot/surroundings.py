@@ -79,6 +79,11 @@ class Surroundings:
                 self._sight.add(nearby, then.odom_from_body)
                 self.sudden_obstacle = self._neighbourhood.look(nearby, then.odom_from_body)
 
+    @property
+    def ghost_s(self) -> float:
+        """Time at which the camera last showed an obstacle where nothing stands."""
+        return self._neighbourhood.ghost_s
+
     def forget(self) -> None:
         """Forget everything after a jump of odom: what was seen and mapped before is elsewhere now."""
         self.known_free = None
@@ -89,3 +94,7 @@ class Surroundings:
     def depth_age_s(self, now_s: float) -> float:
         """Return the age (s) of the newest valid frame with enough returns, infinity for none."""
         return now_s - self._believed_s
+
+    def rejects_depth(self, now_s: float, within_s: float) -> bool:
+        """Return True if a frame with enough returns came within this time, and the newest one is inconsistent."""
+        return self.ahead is not None and self.ahead.stamp_s > self._believed_s and now_s - self.ahead.stamp_s <= within_s

@@ -92,6 +92,11 @@ def test_frames_are_lost_repeated_and_late() -> None:
     assert depth_camera.DepthSilence(0.3).depth(0.2, frame()) == []
     assert depth_camera.LateFrames(0.5).depth(0.0, frame())[0][0] == 0.5
     assert len(depth_camera.ReorderedFrames().depth(0.0, frame())) == 2
+    single = depth_camera.SingleFrames(depth_camera.constant(0), 3.0)
+    emptied = [not single.depth(n / 6, frame())[0][1].depth_mm.any() for n in range(60)]
+    assert [n for n, empty in enumerate(emptied) if empty] == [0, 18, 36, 54]
+    scattered = depth_camera.ScatteredFrames(depth_camera.constant(0), 0.15, seed=3)
+    assert 100 <= sum(not scattered.depth(n / 6, frame())[0][1].depth_mm.any() for n in range(1000)) <= 200
     redated = depth_camera.ShiftedTimestamps(-3600.0, 1.0)
     assert [redated.depth(since_s, frame(5000.0))[0][1].stamp_s for since_s in (0.0, 0.9, 1.0)] == [1400.0, 1400.0, 5000.0]
     hung = depth_camera.FrozenImage()

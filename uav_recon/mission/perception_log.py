@@ -1,0 +1,40 @@
+"""Perception log: what perception rejects, written to the flight log when it changes."""
+
+from __future__ import annotations
+
+import math
+
+from uav_recon.interfaces import Channel, Journal
+from uav_recon.types.perception_status import PerceptionStatus
+
+PERIOD_S = 10.0  #: internal: shortest time between two entries; a reason that is new is written at once
+
+
+class PerceptionLog:
+    """Writes the counts of perception: at once for a new reason, else at most every PERIOD_S, and at the end."""
+
+    def __init__(self, channel: Channel[PerceptionStatus], journal: Journal) -> None:
+        self._channel = channel
+        self._journal = journal
+        self._written: PerceptionStatus | None = None
+        self._written_s = -math.inf
+
+    def step(self, now_s: float) -> None:
+        """Write what is new."""
+        newest, written = self._channel.latest(), self._written
+        if newest is None:
+            return
+        counts, before = newest.counts(), {} if written is None else written.counts()
+        if counts.keys() - before.keys() or (counts != before and now_s - self._written_s >= PERIOD_S):
+            self._write(newest)
+            self._written_s = now_s
+
+    def close(self) -> None:
+        """Write the last counts, also if nothing was rejected."""
+        newest = self._channel.latest()
+        if newest is not None:
+            self._write(newest)
+
+    def _write(self, status: PerceptionStatus) -> None:
+        self._journal.perception(status)
+        self._written = status

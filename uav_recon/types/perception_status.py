@@ -1,0 +1,32 @@
+"""Perception status: what perception rejected since it started, by reason."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from uav_recon.types.reason import Reason
+from uav_recon.types.reason_code import ReasonCode
+
+
+@dataclass(frozen=True, slots=True)
+class PerceptionStatus:
+    """Counts of perception since its start, and its newest rejection of a depth frame.
+
+    frames: depth frames that were given on. rejected_frames: (reason, count) of the others. rejected_samples: (reason as text,
+    count) of rejected poses and inertial samples. newest: None before the first rejected frame; newest_s: its stamp.
+    """
+
+    stamp_s: float
+    frames: int = 0
+    rejected_frames: tuple[tuple[ReasonCode, int], ...] = ()
+    rejected_samples: tuple[tuple[str, int], ...] = ()
+    newest: Reason | None = None
+    newest_s: float = -math.inf
+
+    def counts(self) -> dict[str, int]:
+        """Return all counts of rejections by name: the code of a frame's reason, or "pose" or "imu" and the sample's reason."""
+        frames = {code.value: count for code, count in self.rejected_frames}
+        return frames | {
+            reason if reason.startswith("imu ") else f"pose {reason}": count for reason, count in self.rejected_samples
+        }
