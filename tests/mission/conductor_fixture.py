@@ -173,6 +173,7 @@ class Desk:
         self.stands = False
         self.battery = 0.9
         self.max_speed_mps = math.inf
+        self.slow_reason: Reason | None = None
         self.attended = False
         self._received_s = -math.inf
         self.seen: list[Phase] = []
@@ -235,7 +236,7 @@ class Desk:
         self.wires.vehicle.publish(
             VehicleState(self.clock.now_s(), Pose.from_yaw(yaw, position), np.zeros(3), armed, "OFFBOARD", self.phase,
                          self.battery, self.human, float("nan"), 1, self.refusals, self.note, self.max_speed_mps,
-                         self._received_s)
+                         self._received_s, slow_reason=self.slow_reason)
         )  # fmt: skip
 
     def _frame(self) -> None:

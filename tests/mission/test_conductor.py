@@ -73,6 +73,19 @@ def test_frames_lost_holds_and_goes_on_when_they_are_back(desk: Desk) -> None:
     assert desk.conductor.close() is None
 
 
+def test_the_reason_for_a_reduced_speed_is_in_the_timeline_and_is_no_refusal(desk: Desk) -> None:
+    desk.conductor.request_start()
+    desk.run(30.0, until=Phase.SURVEY)
+    desk.max_speed_mps, desk.slow_reason = 0.3, Reason(ReasonCode.NO_IMU)
+    desk.run(2.0)
+    desk.max_speed_mps, desk.slow_reason = math.inf, None
+    desk.run(2.0)
+    timeline = read_timeline(desk.folder)
+    limits = [(limit.max_speed_mps, limit.codes) for limit in timeline.speed_limits]
+    assert limits == [(0.3, (ReasonCode.NO_IMU,)), (None, ())]
+    assert not timeline.refusals
+
+
 def test_a_battery_that_falls_for_a_moment_ends_nothing_and_one_that_stays_low_ends_the_survey(desk: Desk) -> None:
     desk.conductor.request_start()
     desk.run(30.0, until=Phase.SURVEY)
