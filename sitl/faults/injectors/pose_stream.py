@@ -107,6 +107,15 @@ def map_turned(degrees: float) -> Change:
     return lambda record, since_s: dataclasses.replace(turn(record, since_s), position_m=spin @ record.position_m)
 
 
+def other_origin(yaw_deg: float = 0.0, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Change:
+    """Return a change to a source whose origin is not the take-off pad.
+
+    yaw_deg, x, y, z: heading and position (m) of the pad in the source's frame.
+    """
+    turn, move = map_turned(yaw_deg), moved(x, y, z)
+    return lambda record, since_s: move(turn(record, since_s), since_s)
+
+
 def stamped(shift_s: float) -> Change:
     """Return a change that shifts the time stamp, as another clock does."""
     return lambda record, _: dataclasses.replace(record, stamp_s=record.stamp_s + shift_s)

@@ -48,6 +48,17 @@ def heading_error_step(for_s: float = 3.0) -> Measure:
     return measure
 
 
+def pose_error_armed(e: FlightEvidence) -> float:
+    """Return ODOMETRY's greatest distance (m) from the true position while the motors run.
+
+    It is inf without ODOMETRY in that time.
+    """
+    w = e.wire
+    armed = np.interp(w.odometry_s, e.stamp_s, e.armed.astype(np.float64)) > 0.5
+    truth = np.stack([np.interp(w.odometry_s, e.stamp_s, e.position_m[:, axis]) for axis in range(3)], axis=1)
+    return float(np.linalg.norm(w.odometry_m - truth, axis=1)[armed].max()) if armed.any() else math.inf
+
+
 def pose_step(e: FlightEvidence) -> float:
     """Return the longest step (m) of ODOMETRY beyond the true motion.
 

@@ -28,6 +28,7 @@ from sitl.faults.injectors.pose_stream import (
     invalid,
     map_turned,
     moved,
+    other_origin,
     stamped,
     turned,
 )  # fmt: skip
@@ -70,6 +71,7 @@ OFFSETS = tuple((mps2, 0.0) if k else (0.0, mps2) for mps2 in (1.0, 2.0, 4.0, 8.
 ON_STAGE = Onset(speed_mps=0.6, away_m=4.2)
 GONE_AND_BACK = tuple(((0.5, 2.0, 10.0)[n % 3], (0.0, 0.3, 1.0)[(n + n // 3) % 3]) for n in range(9))
 CLOSURES = (moved(x=0.5), moved(y=2.0), map_turned(10.0))
+ORIGINS = (other_origin(yaw_deg=30.0), other_origin(z=0.3), other_origin(x=2.0), other_origin(y=-2.0))
 SPOILT = tuple(
     invalid(k) for k in ("nan place", "inf place", "nan turn", "zero turn", "long turn", "nan variance", "nan stamp")
 )
@@ -505,6 +507,20 @@ TABLE_B = (
         HONEST_POSES,
         onset=AT_ONCE,
         observe_s=480.0,
+    ),
+    Scenario(
+        "B16",
+        "origin is not the pad",
+        "a pose source whose origin is rotated by 30 degrees, lowered by 0.3 m, or 2 m beside the pad, from boot",
+        lambda n: [AlteredPoses(ORIGINS[n % 4])],
+        (
+            Limit("ODOMETRY off the world at the pad", odometry_metrics.pose_error_armed, 0.15, "m"),
+            clear(0.10),
+            COMPLETES,
+            NO_FAILSAFE,
+        ),
+        onset=Onset((0.0, 0.0), at_boot=True),
+        observe_s=240.0,
         views=SHORT_VIEWS,
     ),
 )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import random
 from types import SimpleNamespace
@@ -70,6 +71,17 @@ def test_a_heading_flips() -> None:
     assert yaw_of((w, x, y, z)) == pytest.approx(math.pi / 2)
     moved = one(pose_stream.AlteredPoses(pose_stream.map_turned(90.0)))
     np.testing.assert_allclose(moved.position_m, [-2.0, 1.0, 1.0], atol=1e-9)
+
+
+def test_a_source_with_another_origin_turns_about_the_pad() -> None:
+    """The pad itself, and what is a metre ahead of it and two to the left, as the source sees them."""
+    change = pose_stream.other_origin(yaw_deg=90.0, x=2.0, z=0.3)
+    pad = dataclasses.replace(record(), position_m=np.zeros(3))
+    np.testing.assert_allclose(change(pad, 0.0).position_m, [2.0, 0.0, 0.3], atol=1e-9)
+    seen = change(record(), 0.0)
+    np.testing.assert_allclose(seen.position_m, [0.0, 1.0, 1.3], atol=1e-9)
+    w, x, y, z = seen.quat_wxyz
+    assert yaw_of((w, x, y, z)) == pytest.approx(math.pi / 2)
 
 
 @pytest.mark.parametrize("kind", ["nan place", "inf place", "nan turn", "zero turn", "long turn", "nan variance", "nan stamp"])
