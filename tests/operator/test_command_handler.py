@@ -170,6 +170,7 @@ def test_status_reads_like_an_instrument_panel() -> None:
         "speed     -",
         "refused   2 by the guard",
         "note      refused: pose is stale",
+        "origin    -",
         "rejected  -",
     ]
 

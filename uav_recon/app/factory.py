@@ -41,6 +41,7 @@ if TYPE_CHECKING:  # each process imports only the stages that it runs
     from uav_recon.safety.recently_seen_space import RecentlySeenSpace
 
 CAMERA_WAIT_S = 240.0
+PAD_FILE = "pad_origin.json"  # in the runtime folder
 NARROW_M = 0.15  #: plan: clearance of the hull on paths to where planner.clearance_m leads no more
 INSIDE_M = 0.03  #: plan: a motion stays this much farther inside the fence than the guard requires
 #: plan: clearance of the hull on the last possible paths home: the vehicle flew there, even if the map differs
@@ -214,6 +215,7 @@ def make_perception(
     """
     from uav_recon.localization.camera_mount import FixedMount, GimbalMount
     from uav_recon.localization.fusion_filter import FusionFilter
+    from uav_recon.localization.pad_origin import PadOrigin
     from uav_recon.localization.perception import Perception
 
     camera, poses = _camera(config, clock, stopped)
@@ -226,10 +228,14 @@ def make_perception(
         else GimbalMount(position, wires.vehicle)
     )
     fusion = FusionFilter(pose_lost_s=config.localization.pose_lost_s)
+    pad = None
+    if config.localization.origin == "pad" and config.camera.source != "recorded":
+        poses = pad = PadOrigin(poses, wires.vehicle, config.runtime.folder / PAD_FILE)
     rate_hz, wait_s = config.localization.rate_hz, config.localization.frame_wait_s
     return Perception(
-        camera, poses, fusion, mount, wires.odom, wires.frames, wires.nearby, wires.perception, clock, rate_hz, wait_s
-    )
+        camera, poses, fusion, mount, wires.odom, wires.frames, wires.nearby, wires.perception, clock, rate_hz, wait_s,
+        origin=lambda: None if pad is None else pad.reason,
+    )  # fmt: skip
 
 
 def _camera(config: Config, clock: Clock, stopped: Callable[[], bool]) -> tuple[DepthCamera, PoseSource]:

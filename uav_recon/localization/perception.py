@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter, deque
+from collections.abc import Callable
 from dataclasses import replace
 
 from uav_recon.clock import RateKeeper
@@ -37,7 +38,7 @@ class Perception:
     inconsistent, or if it is not newer than all before it: it was mapped already, or its turn has passed. The minimum range
     grid of a frame is published at once, with or without a pose, valid or not. Odometry that depth contradicts has health
     WRONG; its quality stays, because it is better than none for landing. ``published_odom`` and ``published_frames`` are
-    counters, ``dropped_frames`` counts by reason; all of them are published once a second.
+    counters, ``dropped_frames`` counts by reason; all of them are published once a second, with the origin of the poses.
     """
 
     def __init__(
@@ -53,6 +54,8 @@ class Perception:
         clock: Clock,
         rate_hz: float = 30.0,
         frame_wait_s: float = 0.2,
+        *,
+        origin: Callable[[], Reason | None] = lambda: None,
     ) -> None:
         self._camera = camera
         self._poses = poses
@@ -64,6 +67,7 @@ class Perception:
         self._status = status
         self._clock = clock
         self._frame_wait_s = frame_wait_s
+        self._origin = origin
         self._depth_consistency = DepthConsistencyMonitor()
         warm_up()
         self._rate = RateKeeper(rate_hz, clock.now_s())
@@ -136,7 +140,7 @@ class Perception:
         frames = tuple(sorted(self.dropped_frames.items()))
         samples = tuple(sorted((reason.value, count) for reason, count in self._fusion.rejected.items()))
         newest_s, newest = self._newest_drop
-        return PerceptionStatus(now_s, self.published_frames, frames, samples, newest, newest_s)
+        return PerceptionStatus(now_s, self.published_frames, frames, samples, newest, newest_s, self._origin())
 
     def _publish_frame(self, now_s: float) -> None:
         """Publish at most one frame per step.

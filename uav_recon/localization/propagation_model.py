@@ -39,7 +39,8 @@ GYRO = PropagationModel(
     gyro=True, accelerometer=False, acceleration=0.1, offset_walk=1.2, rate=0.0015, bias_walk=3e-4, bias_start=0.02,
     offset_start=1.0,
 )  # fmt: skip
+# The walk of the turn rate covers a vehicle that leans by 0.1 rad within an eighth of a second to brake.
 KINEMATIC = PropagationModel(
-    gyro=False, accelerometer=False, acceleration=0.1, offset_walk=1.2, rate=0.02, bias_walk=1.0, bias_start=1.0,
+    gyro=False, accelerometer=False, acceleration=0.1, offset_walk=1.2, rate=0.05, bias_walk=4.0, bias_start=2.0,
     offset_start=1.0,
 )  # fmt: skip

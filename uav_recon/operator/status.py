@@ -23,7 +23,8 @@ class Status:
     pilot: its phase; mission: its phase, or "silent". note: the pilot's newest reason as text, or what the mission waits for on
     the ground, note_codes: its codes; refusals: number of proposals that the guard has rejected. max_speed_mps: reduced speed
     limit, None if it is not reduced; slow_reason: why as text, slow_codes: its codes. perception: what perception has rejected,
-    counts by reason; perception_newest, perception_newest_s: the newest rejected depth frame and its age.
+    counts by reason; perception_newest, perception_newest_s: the newest rejected depth frame and its age. origin:
+    where the take-off pad is, if not at the pose source's origin.
     """
 
     pilot: str
@@ -47,6 +48,7 @@ class Status:
     perception: Mapping[str, int] = field(default_factory=dict)
     perception_newest: str = ""
     perception_newest_s: float | None = None
+    origin: str = ""
 
     @staticmethod
     def of(
@@ -88,6 +90,7 @@ class Status:
             perception={} if perception is None else perception.counts(),
             perception_newest="" if perception is None else text_of(perception.newest),
             perception_newest_s=None if perception is None else _finite(now_s - perception.newest_s, 1),
+            origin="" if perception is None else text_of(perception.origin),
         )
 
     @staticmethod
@@ -116,6 +119,7 @@ class Status:
             "speed": None if self.max_speed_mps is None else f"at most {self.max_speed_mps:.2f} m/s: {self.slow_reason}",
             "refused": f"{self.refusals} by the guard" if self.refusals else None,
             "note": self.note or None,
+            "origin": self.origin or None,
             "rejected": self._rejected(),
         }
         return [f"{name:9} {value if value is not None else '-'}" for name, value in known.items()]

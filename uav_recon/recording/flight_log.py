@@ -117,12 +117,16 @@ class RefusedViewsRecord:
 
 @dataclass(frozen=True, slots=True)
 class PerceptionRecord:
-    """What perception has rejected so far: (reason, count) each, and the newest rejected depth frame as text."""
+    """What perception has rejected so far: (reason, count) each, and the newest rejected depth frame as text.
+
+    origin: where the take-off pad is, if not at the pose source's origin.
+    """
 
     stamp_s: Float
     frames: int
     counts: tuple[tuple[str, int], ...]
     newest: str = ""
+    origin: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -278,7 +282,8 @@ class FlightLog:
     def perception(self, status: PerceptionStatus) -> None:
         """Add what perception has rejected so far."""
         counts = tuple(sorted(status.counts().items()))
-        self._write("perception", PerceptionRecord(status.stamp_s, status.frames, counts, text_of(status.newest)))
+        texts = text_of(status.newest), text_of(status.origin)
+        self._write("perception", PerceptionRecord(status.stamp_s, status.frames, counts, *texts))
 
     def outcome(self, stamp_s: float, aborted: Reason | None, stop_reason: Reason | None) -> None:
         """Add the last line. aborted: None for a flight that was completed."""

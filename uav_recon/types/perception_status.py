@@ -15,6 +15,7 @@ class PerceptionStatus:
 
     frames: depth frames that were given on. rejected_frames: (reason, count) of the others. rejected_samples: (reason as text,
     count) of rejected poses and inertial samples. newest: None before the first rejected frame; newest_s: its stamp.
+    origin: where the take-off pad is, if not at the pose source's origin.
     """
 
     stamp_s: float
@@ -23,6 +24,7 @@ class PerceptionStatus:
     rejected_samples: tuple[tuple[str, int], ...] = ()
     newest: Reason | None = None
     newest_s: float = -math.inf
+    origin: Reason | None = None
 
     def counts(self) -> dict[str, int]:
         """Return all counts of rejections by name: the code of a frame's reason, or "pose" or "imu" and the sample's reason."""

@@ -153,6 +153,11 @@ class ReasonCode(str, Enum):
     )  # fmt: skip
     DEPTH_FRAME_STAMP = "depth-frame-stamp", "depth frame: wrong time stamp", "depth frame: too old, too new, or out of order"
     DEPTH_FRAME_UNPLACED = "depth-frame-unplaced", "depth frame: no pose", "depth frame: no pose at its stamp"
+    PAD_IS_ORIGIN = (
+        "pad-is-origin", "pad {0:.1f} m, {1:.0f} deg off source's origin",
+        "the take-off pad is {0:.2f} m and {1:.0f} degrees off the pose source's origin: the world begins at the pad",
+        (1234.5, -180.0),
+    )  # fmt: skip
     ODOMETRY_RESTARTED = "odometry-restarted", "odometry restarted, the map does not fit it"
     POSE_SOURCE_RESET = "pose-source-reset", "pose source was reset, holding"
 

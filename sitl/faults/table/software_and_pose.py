@@ -507,6 +507,7 @@ TABLE_B = (
         HONEST_POSES,
         onset=AT_ONCE,
         observe_s=480.0,
+        views=SHORT_VIEWS,
     ),
     Scenario(
         "B16",

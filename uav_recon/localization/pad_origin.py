@@ -1,0 +1,129 @@
+"""Origin of the world at the take-off pad, for a pose source whose own origin is elsewhere.
+
+Fence, home and the declared free space hang on the pose of the body on the pad. The heading and the position of the source are
+measured there at rest; its roll and pitch are kept, because they show where down is.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections import deque
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from uav_recon.interfaces import Channel, PoseSource
+from uav_recon.types.frames import FloatArray
+from uav_recon.types.pose import Pose, StampedPose
+from uav_recon.types.reason import Reason
+from uav_recon.types.reason_code import ReasonCode
+from uav_recon.types.vehicle import VehicleState
+
+_REST_S = 0.5  #: refuse: no odometry before the pose source was at rest on the pad for this time
+_REST_POSES = 5  #: refuse: nor with fewer poses in it
+_REST_M = 0.03  #: refuse: at rest, the positions of a source differ by less
+_REST_RAD = math.radians(2.0)  #: refuse: at rest, the headings of a source differ by less
+_FAR_M = 0.1  #: internal: a pad that is farther from the source's origin is reported
+_TURNED_RAD = math.radians(3.0)  #: internal: a pad whose heading differs by more is reported
+
+
+class PadOrigin:
+    """A pose source in the frame of the take-off pad; gives no pose before the pad is known.
+
+    source: the poses as they come. vehicle: tells whether the vehicle is in the air. file: keeps the pad for a restart in the
+    air. ``reason``: None, or where the pad is in the source's frame if that is not its origin.
+    """
+
+    def __init__(self, source: PoseSource, vehicle: Channel[VehicleState], file: Path) -> None:
+        self._source = source
+        self._vehicle = vehicle
+        self._file = file
+        self._rest: deque[StampedPose] = deque()
+        self._pad_from_source: Pose | None = None
+        self.reason: Reason | None = None
+
+    def poses(self) -> list[StampedPose]:
+        """Return the poses since the last call, in the frame of the pad, oldest first."""
+        poses = self._source.poses()
+        if self._pad_from_source is None:
+            poses = self._find_pad(poses)
+        pad = self._pad_from_source
+        return [] if pad is None else [_moved(pose, pad) for pose in poses]
+
+    def _find_pad(self, poses: list[StampedPose]) -> list[StampedPose]:
+        """Look for the pad; returns the poses from then on."""
+        state = self._vehicle.latest()
+        if state is not None and state.armed:  # a restart in the air, which is no pad
+            if (kept := _load(self._file)) is not None:
+                self._set(kept)
+            return poses
+        for index, pose in enumerate(poses):
+            if self._at_rest(pose):
+                self._set(_pad(self._rest))
+                with suppress(OSError):  # without the file a restart in the air finds no pad, and the vehicle lands
+                    _save(self._file, self._pad_from_source)
+                return poses[index:]
+        return []
+
+    def _at_rest(self, pose: StampedPose) -> bool:
+        if pose.quality <= 0 or not math.isfinite(pose.stamp_s):
+            return False
+        rest = self._rest
+        if rest and (not 0.0 < pose.stamp_s - rest[-1].stamp_s < _REST_S or _apart(rest[0], pose)):
+            rest.clear()
+        rest.append(pose)
+        return len(rest) >= _REST_POSES and pose.stamp_s - rest[0].stamp_s >= _REST_S
+
+    def _set(self, pad_from_source: Pose) -> None:
+        self._pad_from_source = pad_from_source
+        source_from_pad = pad_from_source.inverse()
+        away_m, turn_rad = float(np.linalg.norm(source_from_pad.translation_m)), source_from_pad.yaw_rad()
+        if away_m > _FAR_M or abs(turn_rad) > _TURNED_RAD:
+            self.reason = Reason(ReasonCode.PAD_IS_ORIGIN, (away_m, math.degrees(turn_rad)))
+
+
+def _apart(a: StampedPose, b: StampedPose) -> bool:
+    """Return True if a body at rest does not have both poses."""
+    way_m = float(np.linalg.norm(a.odom_from_body.translation_m - b.odom_from_body.translation_m))
+    turn_rad = math.remainder(a.odom_from_body.yaw_rad() - b.odom_from_body.yaw_rad(), math.tau)
+    return not (way_m <= _REST_M and abs(turn_rad) <= _REST_RAD)
+
+
+def _pad(rest: deque[StampedPose]) -> Pose:
+    """Return pad_from_source: the inverse of the median position and the mean heading."""
+    place_m = np.median([pose.odom_from_body.translation_m for pose in rest], axis=0)
+    first_rad = rest[0].odom_from_body.yaw_rad()
+    turns_rad = [math.remainder(pose.odom_from_body.yaw_rad() - first_rad, math.tau) for pose in rest]
+    return Pose.from_yaw(first_rad + sum(turns_rad) / len(turns_rad), place_m).inverse()
+
+
+def _moved(pose: StampedPose, pad_from_source: Pose) -> StampedPose:
+    """Return a pose of the source in the frame of the pad."""
+    turn = pad_from_source.rotation()
+    both = np.kron(np.eye(2), turn)
+    covariance: FloatArray = both @ pose.covariance @ both.T if pose.covariance.shape == (6, 6) else pose.covariance
+    return replace(
+        pose,
+        odom_from_body=pad_from_source @ pose.odom_from_body,
+        velocity_odom_mps=turn @ pose.velocity_odom_mps,
+        covariance=covariance,
+    )
+
+
+def _save(file: Path, pad_from_source: Pose | None) -> None:
+    assert pad_from_source is not None
+    numbers = [*pad_from_source.quat_wxyz.tolist(), *pad_from_source.translation_m.tolist()]
+    temporary = file.with_suffix(".new")
+    temporary.write_text(json.dumps(numbers))
+    temporary.replace(file)
+
+
+def _load(file: Path) -> Pose | None:
+    try:
+        numbers = np.array(json.loads(file.read_text()), dtype=np.float64)
+        return Pose(numbers[:4], numbers[4:])
+    except (OSError, ValueError, TypeError, IndexError):
+        return None
