@@ -170,7 +170,7 @@ class EstimateMonitor:
         self._velocity.update(float(np.linalg.norm(mean_mps - (fed_m - begin_m) / (stamp_s - begin_s))), stamp_s)
 
     def _lasting(self, least_s: float, height_s: float) -> Reason | None:
-        """Return the deviation of the estimate that has lasted least_s, or the height's for height_s."""
+        """Return the estimate's deviation that has lasted least_s, or the height's for height_s."""
         if self._position.for_s >= least_s:
             return Reason(ReasonCode.ESTIMATE_POSITION, (self._position.value,))
         if self._velocity.for_s >= least_s:
