@@ -185,7 +185,7 @@ TABLE_E = (
         lambda n: [ProgramHeartbeats(PROGRAMS[n % len(PROGRAMS)], states=n % len(PROGRAMS) < 2)],
         (
             Limit("first arm command", m.first_arm, 60.0, "s"),
-            Limit("reported", statustext_after_arming(codes.INTRUDER_HEARTBEAT, codes.INTRUDER_OWN_ID), 2.0, "s"),
+            told(codes.INTRUDER_HEARTBEAT, codes.INTRUDER_OWN_ID, within_s=60.0),  # once the flight begins
             NO_FAILSAFE,
             RETURNS,
         ),

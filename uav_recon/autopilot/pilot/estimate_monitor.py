@@ -19,9 +19,9 @@ from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.trajectory import Setpoint
 
-_MAX_POSITION_M = 0.3  #: hold: the autopilot's position is farther off the poses for _HOLD_S; undisturbed at most 0.1 m
-_MAX_VELOCITY_MPS = 0.2  #: hold: its mean velocity over _WINDOW_S is farther off that of the poses for _HOLD_S
-_MAX_HEIGHT_M = 0.3  #: hold: the vehicle is farther above or below its setpoints for _HOLD_S
+_MAX_POSITION_M = 0.3  #: hold: the autopilot's position is farther off the poses for _HOLD_S; honest at most 0.04 m
+_MAX_VELOCITY_MPS = 0.2  #: hold: its mean velocity is farther off that of the poses for _HOLD_S; honest at most 0.09 m/s
+_MAX_HEIGHT_M = 0.3  #: hold: the vehicle is farther above or below its setpoints for _HOLD_S; honest at most 0.07 m
 _HOLD_S = 1.0  #: hold: duration of one of these deviations, without a break
 _LAND_S = 3.0  #: land: duration of one of these deviations, without a break
 #: land: the vehicle is this far above or below its setpoints while position or velocity exceeds its limit: it moves on, and
@@ -170,7 +170,7 @@ class EstimateMonitor:
         self._velocity.update(float(np.linalg.norm(mean_mps - (fed_m - begin_m) / (stamp_s - begin_s))), stamp_s)
 
     def _lasting(self, least_s: float, height_s: float) -> Reason | None:
-        """Return the deviation of the estimate that has lasted least_s, or the height's for height_s."""
+        """Return the estimate's deviation that has lasted least_s, or the height's for height_s."""
         if self._position.for_s >= least_s:
             return Reason(ReasonCode.ESTIMATE_POSITION, (self._position.value,))
         if self._velocity.for_s >= least_s:
