@@ -102,7 +102,10 @@ class RefusedViewsRecord:
 
 @dataclass(frozen=True, slots=True)
 class PerceptionRecord:
-    """What perception has rejected so far: (reason, count) each, and the newest rejected depth frame as text."""
+    """Rejections by perception until this stamp: (reason, count) each.
+
+    newest: the newest rejected depth frame as text.
+    """
 
     stamp_s: Float
     frames: int
@@ -240,7 +243,7 @@ class FlightLog:
         self._write("refused views", RefusedViewsRecord(stamp_s, tuple(sorted(counts.items()))))
 
     def perception(self, status: PerceptionStatus) -> None:
-        """Add what perception has rejected so far."""
+        """Add the counts of what perception has rejected."""
         counts = tuple(sorted(status.counts().items()))
         self._write("perception", PerceptionRecord(status.stamp_s, status.frames, counts, text_of(status.newest)))
 
