@@ -19,7 +19,7 @@ def test_a_new_reason_is_written_at_once_and_more_of_it_every_ten_seconds(tmp_pa
     log = PerceptionLog(channel, journal)
     log.step(0.0)
     for second in range(26):
-        frames = ((EMPTY, second),) if second else ()
+        frames: tuple[tuple[ReasonCode, int], ...] = ((EMPTY, second),) if second else ()
         frames += ((NOISE, 1),) if second >= 13 else ()
         channel.publish(PerceptionStatus(float(second), 6 * second, frames, (), Reason(EMPTY, (0.04,)), float(second)))
         log.step(float(second))

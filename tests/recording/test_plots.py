@@ -18,7 +18,7 @@ from uav_recon.recording.plots import coverage_over_time, path_over_plan, planni
 from uav_recon.types.frames import ByteArray
 from uav_recon.types.maps import TriangleMesh
 
-EMPTY = Timeline((), (), (), (), (), (), (), 0)
+EMPTY = Timeline((), (), (), (), (), (), (), (), 0)
 
 
 def loaded(path: Path) -> ByteArray:
