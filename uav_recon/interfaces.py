@@ -332,7 +332,7 @@ class Journal(Protocol):
         ...
 
     def perception(self, status: PerceptionStatus) -> None:
-        """Log what perception has rejected so far."""
+        """Log the counts of what perception has rejected."""
         ...
 
     def outcome(self, stamp_s: float, aborted: Reason | None, stop_reason: Reason | None) -> None:

@@ -56,10 +56,10 @@ _SEEN_THROUGH_SHARE = 0.4  #: land: points of an older view that are not there: 
 _RUNNING = 3  #: land: frames in a row that must show drift
 _KEPT_S = 2.0  #: land: a drift that was shown holds for this time
 _FROZEN_M = 0.04  #: reject: a frame equal to the last bit to one that the camera took farther away: it is frozen
-_STRIDE = 4  # a large image is sampled for its share of returns
-_SAMPLED_PX = 64  # a smaller image is not
-Seen = tuple[float, Float32Array, Intrinsics, Pose]  # stamp (s), depth (m), its lens, pose in odom
 _FROZEN_COS = math.cos(math.radians(1.0))  #: reject: the same, turned by more
+_STRIDE = 4  # a large image is sampled for its share of returns
+_SAMPLED_PX = 64  #: internal: a smaller image is not sampled
+Seen = tuple[float, Float32Array, Intrinsics, Pose]  # stamp (s), depth (m), its lens, pose in odom
 
 
 class DepthConsistencyMonitor:
@@ -141,12 +141,12 @@ class DepthConsistencyMonitor:
         return None
 
     def _fits_elder(self, seen: Seen) -> bool:
-        """Return True if the frame fits the view accepted before the newest one, without any sign of a shift."""
+        """Return True if the frame fits the view before the newest one, with no sign of a shift."""
         then = self._past_views.compare_elder(*seen)
         return _fits(then) and self._past_views.gain_aside(then, *seen[1:]) <= _CLEAN_SHARE
 
     def _newest_was_wrong(self, seen: Seen) -> bool:
-        """Return True, and forget the newest accepted frame, if all frames since fit what was seen before it.
+        """Return True, and forget the newest accepted frame, if those since fit the one before it.
 
         A single wrong frame may be accepted: before a plain wall a shift does not show.
         """
@@ -217,7 +217,10 @@ class _Doubt:
 
     @property
     def blames_newest(self) -> bool:
-        """True if the first rejected frame contradicted only the newest view from before it, and enough in a row followed."""
+        """True if the newest view from before the doubt is the wrong one.
+
+        The first rejected frame contradicted no other, and enough frames in a row follow it.
+        """
         return self._elder_fits and self._run >= _CALM
 
     def interrupt(self) -> None:
@@ -227,7 +230,10 @@ class _Doubt:
     def ended_by(
         self, seen: Seen, newest: ViewComparison | None, overlapping: ViewComparison | None, contradicted: bool
     ) -> bool:
-        """Return True if this frame ends the doubt. newest, overlapping: comparisons with views from before it."""
+        """Return True if this frame ends the doubt.
+
+        newest, overlapping: comparisons with views from before it.
+        """
         then = self._since.compare_newest(*seen)
         follows = _fits(then) and self._since.gain_aside(then, *seen[1:]) <= _ASIDE_SHARE
         self._run = self._run + 1 if follows else 1

@@ -187,7 +187,7 @@ class PastViews:
 
     @staticmethod
     def fit_counts(points: AnyArray, depth_m: Float32Array, lens: Intrinsics, odom_from_depth: Pose) -> tuple[int, int]:
-        """Return how many points (N, 6) are in view, and how many of these fit the image."""
+        """Return the number of points (N, 6) in view, and of those that fit the image."""
         in_view, fitting = fit_counts(
             points, depth_m, lens.pinhole_px(), odom_from_depth.rotation(), odom_from_depth.translation_m
         )

@@ -157,7 +157,7 @@ def contradicted_points(points: AnyArray, depth_m: AnyArray, camera: AnyArray, r
 
 @kernel
 def fit_counts(points: AnyArray, depth_m: AnyArray, camera: AnyArray, rotation: AnyArray, place: AnyArray) -> tuple[int, int]:
-    """Return how many of the points (N, 6) are in view, and how many of these have a return that fits."""
+    """Return the number of points (N, 6) in view, and of those with a return that fits."""
     height, width = depth_m.shape
     in_view = fitting = 0
     for n in range(points.shape[0]):

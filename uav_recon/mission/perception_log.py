@@ -11,7 +11,10 @@ PERIOD_S = 10.0  #: internal: shortest time between two entries; a reason that i
 
 
 class PerceptionLog:
-    """Writes the counts of perception: at once for a new reason, else at most every PERIOD_S, and at the end."""
+    """Writes the counts of perception when they change.
+
+    A new reason is written at once, more of the same at most every PERIOD_S, and the last counts at the end.
+    """
 
     def __init__(self, channel: Channel[PerceptionStatus], journal: Journal) -> None:
         self._channel = channel

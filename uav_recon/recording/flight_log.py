@@ -117,9 +117,9 @@ class RefusedViewsRecord:
 
 @dataclass(frozen=True, slots=True)
 class PerceptionRecord:
-    """What perception has rejected so far: (reason, count) each, and the newest rejected depth frame as text.
+    """Rejections by perception until this stamp: (reason, count) each.
 
-    origin: where the take-off pad is, if not at the pose source's origin.
+    newest: the newest rejected depth frame as text. origin: where the take-off pad is, if not at the pose source's origin.
     """
 
     stamp_s: Float
@@ -280,7 +280,7 @@ class FlightLog:
         self._write("refused views", RefusedViewsRecord(stamp_s, tuple(sorted(counts.items()))))
 
     def perception(self, status: PerceptionStatus) -> None:
-        """Add what perception has rejected so far."""
+        """Add the counts of what perception has rejected."""
         counts = tuple(sorted(status.counts().items()))
         texts = text_of(status.newest), text_of(status.origin)
         self._write("perception", PerceptionRecord(status.stamp_s, status.frames, counts, *texts))

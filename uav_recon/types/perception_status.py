@@ -27,7 +27,10 @@ class PerceptionStatus:
     origin: Reason | None = None
 
     def counts(self) -> dict[str, int]:
-        """Return all counts of rejections by name: the code of a frame's reason, or "pose" or "imu" and the sample's reason."""
+        """Return all counts of rejections by name.
+
+        A name is the code of a frame's reason, or "pose" or "imu" and the reason of a sample.
+        """
         frames = {code.value: count for code, count in self.rejected_frames}
         return frames | {
             reason if reason.startswith("imu ") else f"pose {reason}": count for reason, count in self.rejected_samples

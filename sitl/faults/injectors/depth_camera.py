@@ -221,7 +221,7 @@ class ObstacleAppears(Injector):
 
 
 class ObstacleAppearsLater(ObstacleAppears):
-    """The same, after a while, at the first moment of fast flight in the camera's direction."""
+    """A box that appears at the first fast flight forwards after a while."""
 
     def __init__(self, ahead_m: float, after_s: float, speed_mps: float) -> None:
         super().__init__(ahead_m)

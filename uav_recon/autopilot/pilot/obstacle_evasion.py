@@ -23,7 +23,7 @@ _MANY_CELLS = 8  #: evade: with fewer cells it must be seen twice within _FRESH_
 _GHOST_S = 30.0  #: evade: for this time after a ghost of the depth camera, it stops for a confirmed obstacle only
 _CONFIRMING = 3  #: evade: an obstacle is confirmed, and stepped aside from, if this many frames in a row show it
 _CONFIRMING_S = 0.2  #: evade: the same, for at least this time: a camera of 30 Hz shows a ghost in several frames
-_KEPT = 15  # sights that are kept: half a second of a camera of 30 Hz
+_KEPT = 15  #: internal: sights that are kept: half a second of a camera of 30 Hz
 _STOP_M = 1.6  #: evade: stops for a sudden obstacle within this distance of the body's centre
 _COMING_MPS = 0.25  #: evade: steps aside from an obstacle that approaches at least this fast; a slower one is only stopped for
 _FASTEST_MPS = 2.5  #: evade: something that seems to approach faster is not one obstacle
@@ -113,7 +113,7 @@ class ObstacleEvasion:
         return now_s - self._heard[-1].stamp_s <= _FRESH_S
 
     def _coming_mps(self, here: FloatArray) -> float:
-        """Return the approach speed in the older and the newer half of the newest sights, the lower of both.
+        """Return the lower of the approach speeds in the older and newer half of the newest sights.
 
         Infinity if one of them is no such speed.
         """

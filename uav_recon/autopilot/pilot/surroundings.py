@@ -96,5 +96,8 @@ class Surroundings:
         return now_s - self._believed_s
 
     def rejects_depth(self, now_s: float, within_s: float) -> bool:
-        """Return True if a frame with enough returns came within this time, and the newest one is inconsistent."""
+        """Return True if frames came within this time, and the newest one is inconsistent.
+
+        Only frames with enough returns count.
+        """
         return self.ahead is not None and self.ahead.stamp_s > self._believed_s and now_s - self.ahead.stamp_s <= within_s
