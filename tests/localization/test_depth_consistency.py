@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from textured_room import ranges_m
 
+from uav_recon.localization.camera_motion import CameraMotion
 from uav_recon.localization.depth_consistency import DepthConsistencyMonitor, _moved
 from uav_recon.localization.past_view_comparison import ViewComparison
 from uav_recon.types.camera import Frame, Intrinsics, body_from_camera
@@ -58,7 +59,7 @@ class Flight:
         colour = np.zeros((2, 2, 3), np.uint8)
         frame = Frame(self.n * PERIOD_S, self.n, depth_m.astype(np.float32), LENS, colour, LENS, Pose.identity())
         self.n += 1
-        return self.credence.rejection(frame, said) is None
+        return self.credence.rejection(frame, CameraMotion.at_rest(said)) is None
 
     @property
     def drift(self) -> Reason | None:
@@ -299,7 +300,7 @@ def test_a_jump_of_odom_itself_begins_anew(flight: Flight) -> None:
     here = Pose.from_yaw(0.0, np.array([2.0, 1.0, 1.0])) @ BODY_FROM_DEPTH
     frame = Frame(flight.n * PERIOD_S, flight.n, 0.5 * _depth(here), LENS, np.zeros((2, 2, 3), np.uint8), LENS, here)
     assert not flight.see(lambda depth_m: 0.5 * depth_m)
-    assert flight.credence.rejection(frame, here, 1) is None
+    assert flight.credence.rejection(frame, CameraMotion.at_rest(here), 1) is None
 
 
 def _told(

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from textured_room import RGB_LENS, camera_at, depth_of, frame_of, moved, plaster, rgb_of
 
+from uav_recon.localization.camera_motion import CameraMotion
 from uav_recon.localization.feature_tracking import FeatureTracker, TrackedPoints
 from uav_recon.types.camera import Frame, Intrinsics
 from uav_recon.types.frames import FloatArray
@@ -15,6 +16,7 @@ from uav_recon.types.pose import Pose
 
 ROOM_M = np.array([[-3.0, -2.0, 0.0], [3.0, 2.5, 2.6]])
 HERE = camera_at(0.0, 0.0, 1.2, 0.3)
+STILL = CameraMotion.at_rest(HERE)
 PERIOD_S = 1.0 / 6.0
 
 
@@ -30,7 +32,8 @@ def _flown(
     seen = None
     for n in range(pictures):
         camera = camera_at(0.03 * n, 0.05 * n, 1.2, 0.3 + 0.04 * n)
-        seen = flow.update(_frame(n, camera, lens), moved(camera, n * PERIOD_S * (np.zeros(3) if drift is None else drift)))
+        said = moved(camera, n * PERIOD_S * (np.zeros(3) if drift is None else drift))
+        seen = flow.update(_frame(n, camera, lens), CameraMotion.at_rest(said))
     return seen
 
 
@@ -75,7 +78,7 @@ def test_a_frozen_picture_tells_nothing() -> None:
     frame = _frame(0, HERE)
     for n in range(8):
         shown = dataclasses.replace(frame, stamp_s=n * PERIOD_S)
-        assert flow.update(shown, moved(HERE, np.array([0.0, 0.01 * n, 0.0]))) is None
+        assert flow.update(shown, CameraMotion.at_rest(moved(HERE, np.array([0.0, 0.01 * n, 0.0])))) is None
 
 
 @pytest.mark.parametrize("wrong", ["stamp", "empty", "black", "of noise"])
@@ -89,21 +92,22 @@ def test_what_is_no_picture_tells_nothing(wrong: str) -> None:
             "black": rng.integers(0, 2, frame.rgb.shape, dtype=np.uint8),
             "of noise": rng.integers(0, 255, frame.rgb.shape, dtype=np.uint8),
         }[wrong]
-        seen = flow.update(dataclasses.replace(frame, rgb=rgb), HERE)
+        seen = flow.update(dataclasses.replace(frame, rgb=rgb), STILL)
         assert seen is None or (seen.age_s >= 0.3).sum() < 10
 
 
 @pytest.mark.parametrize("why", ["a pause", "odometry restarts"])
 def test_nothing_is_compared_across(why: str) -> None:
     flow = FeatureTracker()
-    assert flow.update(_frame(0, HERE), HERE) is None
-    assert flow.update(_frame(1, HERE), HERE) is not None
+    assert flow.update(_frame(0, HERE), STILL) is None
+    assert flow.update(_frame(1, HERE), STILL) is not None
     if why == "odometry restarts":
         flow.forget()
-    assert flow.update(_frame(2 if why == "odometry restarts" else 5, HERE), HERE) is None
+    assert flow.update(_frame(2 if why == "odometry restarts" else 5, HERE), STILL) is None
 
 
 def test_what_has_no_depth_is_not_followed() -> None:
     flow = FeatureTracker()
     for n in range(3):
-        assert flow.update(dataclasses.replace(_frame(n, HERE), depth_m=np.full((120, 212), np.nan, np.float32)), HERE) is None
+        blank = dataclasses.replace(_frame(n, HERE), depth_m=np.full((120, 212), np.nan, np.float32))
+        assert flow.update(blank, STILL) is None

@@ -9,6 +9,8 @@ from typing import TypeGuard
 
 import numpy as np
 
+from uav_recon.localization.calibration_filter import CameraCalibration
+from uav_recon.localization.camera_motion import CameraMotion
 from uav_recon.localization.depth_outliers import isolated_pixel_fraction
 from uav_recon.localization.odometry_drift_rate import DriftRateEstimator
 from uav_recon.localization.past_view_comparison import (
@@ -83,7 +85,7 @@ class DepthConsistencyMonitor:
         self._drift_s = -math.inf
         self._same: tuple[Float32Array, Pose] | None = None
 
-    def rejection(self, frame: Frame, odom_from_depth: Pose | None, reset_counter: int = 0) -> Reason | None:
+    def rejection(self, frame: Frame, motion: CameraMotion | None, reset_counter: int = 0) -> Reason | None:
         """Return why the frame may not be used for mapping and flight, None if it may.
 
         Without a pose only the number of returns is checked.
@@ -91,19 +93,19 @@ class DepthConsistencyMonitor:
         share = _returns_share(frame.depth_m)
         if share < _MIN_RETURNS_SHARE:
             return Reason(ReasonCode.DEPTH_FRAME_EMPTY, (share,))
-        if odom_from_depth is None:
+        if motion is None:
             return None
         if reset_counter != self._reset_counter:
             self._reset_counter = reset_counter
             self._past_views.forget()
             self._drift_rate.forget()
             self._doubt = None
-        fault = self._fault_in_itself(frame.depth_m, odom_from_depth)
+        fault = self._fault_in_itself(frame.depth_m, motion.odom_from_depth)
         if fault is not None:
             if self._doubt is not None:
                 self._doubt.interrupt()
             return fault
-        return self._against_views(frame, odom_from_depth)
+        return self._against_views(frame, motion)
 
     def _fault_in_itself(self, depth_m: Float32Array, odom_from_depth: Pose) -> Reason | None:
         """Return why a frame is wrong whatever was seen before, None for nothing."""
@@ -112,8 +114,9 @@ class DepthConsistencyMonitor:
             return Reason(ReasonCode.DEPTH_FRAME_NOISE, (alone,))
         return Reason(ReasonCode.DEPTH_FRAME_FROZEN) if frozen else None
 
-    def _against_views(self, frame: Frame, odom_from_depth: Pose) -> Reason | None:
+    def _against_views(self, frame: Frame, motion: CameraMotion) -> Reason | None:
         """Compare a frame with earlier views; remember it if it is accepted."""
+        odom_from_depth = motion.odom_from_depth
         seen = (frame.stamp_s, frame.depth_m, frame.depth_intrinsics, odom_from_depth)
         newest, others = self._past_views.compare_newest(*seen), self._past_views.compare_oldest(*seen, OVERLAPPING)
         overlapping = next(others, None)
@@ -130,7 +133,7 @@ class DepthConsistencyMonitor:
             self._doubt = _Doubt(frame.stamp_s, witnesses, CameraPose.of(odom_from_depth), self._fits_elder(seen))
             return Reason(ReasonCode.DEPTH_FRAME_SHIFTED if aside else ReasonCode.DEPTH_FRAME_CONTRADICTS)
         self._doubt = None
-        self._drift_rate.update(frame, odom_from_depth)
+        self._drift_rate.update(frame, motion)
         moved = (
             _moved(self._past_views.compare_oldest(*seen, ALIKE), _EXPLAINED_SHARE)
             or _moved(self._past_views.compare_oldest(*seen, ALIKE_LATELY), _EXPLAINED_SHARE)
@@ -159,6 +162,11 @@ class DepthConsistencyMonitor:
         """Return True if the frame fits a view that it would not fit with a shift."""
         return _fits(then) and self._past_views.loss_aside(then, *seen[1:]) >= _MIN_SHIFT_LOSS_SHARE
 
+    @property
+    def calibration(self) -> CameraCalibration:
+        """Errors of the depth imager, as far as they are known."""
+        return self._drift_rate.calibration.calibration()
+
     def drift(self, now_s: float) -> Reason | None:
         """Return the drift of the pose that depth shows, None for nothing."""
         return self._drift if now_s - self._drift_s <= _KEPT_S else None
@@ -172,7 +180,7 @@ class DepthConsistencyMonitor:
         colour = np.zeros((2, 2, 3), dtype=np.uint8)
         other, here = DepthConsistencyMonitor(), Pose.identity()
         for n, depth_m in enumerate((wall, wall, 2.0 * wall, wall, wall, wall)):
-            other.rejection(Frame(0.1 * n, n, depth_m, lens, colour, lens, here), here)
+            other.rejection(Frame(0.1 * n, n, depth_m, lens, colour, lens, here), CameraMotion.at_rest(here))
 
     def _hear(self, stamp_s: float, said: Reason | None) -> None:
         self._running = self._running + 1 if said is not None else 0
@@ -182,7 +190,7 @@ class DepthConsistencyMonitor:
 
     def _drift_message(self) -> Reason | None:
         """Return the drift rate that many comparisons give together, None for nothing."""
-        if self._drift_rate.excess <= 1.0:
+        if not self._drift_rate.drifts:
             return None
         return Reason(ReasonCode.ODOMETRY_DRIFT, (float(np.linalg.norm(self._drift_rate.velocity_mps)),))
 

@@ -16,6 +16,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
+from uav_recon.localization.camera_motion import CameraMotion
 from uav_recon.localization.planar_patches import patches
 from uav_recon.types.camera import Frame
 from uav_recon.types.frames import AnyArray, BoolArray, ByteArray, FloatArray
@@ -42,24 +43,28 @@ class TrackedPoints(NamedTuple):
     """Tracked points, and the displacement of odom against each since it was first seen.
 
     along: (N, 2, 3), rows in odom whose product with a shift (3,) of odom is off_m (N, 2). range_m and age_s: (N,).
+    rows: (N, 2, 5), derivatives of off_m by delay, rotation (3) and width of the colour imager (calibration_filter).
     """
 
     along: FloatArray
     off_m: FloatArray
     range_m: FloatArray
     age_s: FloatArray
+    rows: FloatArray
 
 
 class _Points(NamedTuple):
     """Points with place_m (N, 3) in odom and since_s (N,).
 
     at_px: (N, 2) position in the newest image. displacement_px: (N, 2) its difference from the position that the pose predicts.
+    rows: (N, 2, 5), its derivatives when it was first seen, per metre of range.
     """
 
     place_m: AnyArray
     since_s: AnyArray
     at_px: AnyArray
     displacement_px: AnyArray
+    rows: AnyArray
 
     def only(self, which: BoolArray) -> _Points:
         return _Points(*(values[which] for values in self))
@@ -68,29 +73,54 @@ class _Points(NamedTuple):
         return _Points(*(np.concatenate(both) for both in zip(self, others, strict=True)))
 
 
-_NONE = _Points(np.empty((0, 3)), np.empty(0), np.empty((0, 2), np.float32), np.empty((0, 2), np.float32))
+_NONE = _Points(np.empty((0, 3)), np.empty(0), np.empty((0, 2), np.float32), np.empty((0, 2), np.float32), np.empty((0, 2, 5)))
 
 
 @dataclass(frozen=True, slots=True)
 class _Camera:
-    """A pinhole camera (fx, fy), (cx, cy) at a position in odom; axes (3, 3) are its columns."""
+    """A pinhole camera (fx, fy), (cx, cy) at a position in odom; axes (3, 3) are its columns.
+
+    velocity_mps (3,), rate_radps (3,): its motion in odom.
+    """
 
     focal_px: FloatArray
     middle_px: FloatArray
     axes: FloatArray
     place_m: FloatArray
+    velocity_mps: FloatArray
+    rate_radps: FloatArray
 
     @staticmethod
-    def of(frame: Frame, odom_from_depth: Pose, smaller: FloatArray) -> _Camera:
-        lens, pose = frame.rgb_intrinsics, odom_from_depth @ frame.rgb_from_depth.inverse()
+    def of(frame: Frame, motion: CameraMotion, smaller: FloatArray) -> _Camera:
+        lens, pose = frame.rgb_intrinsics, motion.odom_from_depth @ frame.rgb_from_depth.inverse()
         middle_px = (np.array([lens.cx, lens.cy]) + 0.5) * smaller - 0.5  # pixel (0, 0) is its centre
-        return _Camera(np.array([lens.fx, lens.fy]) * smaller, middle_px, pose.rotation(), pose.translation_m)
+        focal_px = np.array([lens.fx, lens.fy]) * smaller
+        return _Camera(focal_px, middle_px, pose.rotation(), pose.translation_m, motion.velocity_mps, motion.rate_radps)
 
     def ahead(self, place_m: AnyArray) -> AnyArray:
         """Return positions (N, 3) in the camera's own axes; those behind it get the least depth."""
         ahead_m = (place_m - self.place_m) @ self.axes
         ahead_m[:, 2] = np.maximum(ahead_m[:, 2], 1e-3)
         return ahead_m
+
+    def along(self, ahead_m: AnyArray) -> AnyArray:
+        """Return rows (N, 2, 3) in odom: the image directions at positions (N, 3) in the camera's own axes."""
+        x, y, range_m = ahead_m.T
+        across, down, deep = self.axes.T
+        return np.stack([across - np.outer(x / range_m, deep), down - np.outer(y / range_m, deep)], axis=1)
+
+    def error_rows(self, ahead_m: AnyArray, along: AnyArray) -> AnyArray:
+        """Return the derivatives (N, 2, 5) of displacements along rows by delay, rotation (3) and width."""
+        swept = self.velocity_mps + np.cross(self.rate_radps, ahead_m @ self.axes.T)
+        inside = along @ self.axes
+        return np.concatenate(
+            [
+                np.einsum("nai,ni->na", along, swept)[..., None],
+                np.cross(ahead_m[:, None, :], inside),
+                (inside[..., :2] * ahead_m[:, None, :2]).sum(axis=-1, keepdims=True),
+            ],
+            axis=-1,
+        )
 
     def pixels(self, ahead_m: AnyArray) -> AnyArray:
         """Return the positions in the image, (N, 2) float32."""
@@ -110,7 +140,7 @@ class FeatureTracker:
         self._stamp_s = -math.inf
         self._sought_s = -math.inf
 
-    def update(self, frame: Frame, odom_from_depth: Pose) -> TrackedPoints | None:
+    def update(self, frame: Frame, motion: CameraMotion) -> TrackedPoints | None:
         """Track the points into an image and look for new ones.
 
         None if there is no point to track, or no image.
@@ -121,13 +151,13 @@ class FeatureTracker:
         still = self._grey is not None and np.array_equal(grey, self._grey)  # the camera repeated the image
         if still or not frame.stamp_s - self._stamp_s <= _PAUSE_S:
             self.forget()
-        eye = _Camera.of(frame, odom_from_depth, smaller)
+        eye = _Camera.of(frame, motion, smaller)
         seen = self._follow(frame.stamp_s, grey, eye)
         self._grey = grey
         self._stamp_s = frame.stamp_s
         if frame.stamp_s - self._sought_s >= _EVERY_S:
             self._sought_s = frame.stamp_s
-            self._points = self._points.joined(self._new(frame, odom_from_depth, grey, eye))
+            self._points = self._points.joined(self._new(frame, motion.odom_from_depth, grey, eye))
         return seen
 
     def _follow(self, stamp_s: float, grey: ByteArray, eye: _Camera) -> TrackedPoints | None:
@@ -141,10 +171,11 @@ class FeatureTracker:
             return None
         at_px, found = _followed(self._grey, grey, points.at_px, belongs_px + points.displacement_px)
         self._points = points = points._replace(at_px=at_px, displacement_px=at_px - belongs_px).only(found)
-        x, y, range_m = eye.ahead(points.place_m).T
-        across, down, deep = eye.axes.T
-        along = np.stack([across - np.outer(x / range_m, deep), down - np.outer(y / range_m, deep)], axis=1)
-        return TrackedPoints(along, points.displacement_px * range_m[:, None] / eye.focal_px, range_m, stamp_s - points.since_s)
+        ahead_m = eye.ahead(points.place_m)
+        along, range_m = eye.along(ahead_m), ahead_m[:, 2]
+        rows = eye.error_rows(ahead_m, along) - range_m[:, None, None] * points.rows
+        off_m = points.displacement_px * range_m[:, None] / eye.focal_px
+        return TrackedPoints(along, off_m, range_m, stamp_s - points.since_s, rows)
 
     def _new(self, frame: Frame, odom_from_depth: Pose, grey: ByteArray, eye: _Camera) -> _Points:
         """Return planar patches with the strongest texture, apart from the existing points."""
@@ -160,7 +191,10 @@ class FeatureTracker:
         taken[old_row, old_column] = True
         fresh = np.flatnonzero((telling > _MIN_TEXTURE) & ~taken[row // _APART_PX, column // _APART_PX])
         best = fresh[np.argsort(-telling[fresh], kind="stable")][: _MAX - len(self._points.since_s)]
-        return _Points(place_m[best], np.full(len(best), frame.stamp_s), at_px[best], np.zeros((len(best), 2), np.float32))
+        ahead_m = eye.ahead(place_m[best])
+        rows = eye.error_rows(ahead_m, eye.along(ahead_m)) / ahead_m[:, 2, None, None]
+        none_px = np.zeros((len(best), 2), np.float32)
+        return _Points(place_m[best], np.full(len(best), frame.stamp_s), at_px[best], none_px, rows)
 
 
 def _grey(rgb: ByteArray) -> tuple[ByteArray, FloatArray]:

@@ -10,6 +10,7 @@ from dataclasses import replace
 from uav_recon.clock import RateKeeper
 from uav_recon.interfaces import Channel, Clock, DepthCamera, PoseSource
 from uav_recon.localization import error_propagation, min_range_binning, planar_patches
+from uav_recon.localization.camera_motion import CameraMotion
 from uav_recon.localization.camera_mount import Mount
 from uav_recon.localization.depth_consistency import DepthConsistencyMonitor
 from uav_recon.localization.fusion_filter import FusionFilter
@@ -25,6 +26,7 @@ _OLDEST_FRAME_S = 1.0  #: reject: an older frame
 _FUTURE_S = 0.01  #: reject: a frame stamped later than the clock by this
 _WAITING_FRAMES = 4  #: reject: the oldest of more frames that wait for a pose: at 15 Hz this is more than the longest wait
 _STATUS_RATE_HZ = 1.0
+_MOMENT_S = 0.03  # over which the velocity of the camera is measured
 
 
 class Perception:
@@ -130,7 +132,17 @@ class Perception:
         estimate = self._fusion.odom_at(frame.stamp_s)
         if estimate is None or estimate.quality == 0:
             return self._depth_consistency.rejection(frame, None)
-        return self._depth_consistency.rejection(frame, estimate.odom_from_body @ body_from_depth, estimate.reset_counter)
+        return self._depth_consistency.rejection(
+            frame, self._motion(frame.stamp_s, estimate, body_from_depth), estimate.reset_counter
+        )
+
+    def _motion(self, stamp_s: float, estimate: StampedPose, body_from_depth: Pose) -> CameraMotion:
+        """Return the motion of the depth imager at a stamp, from its pose there and a moment before."""
+        here = estimate.odom_from_body @ body_from_depth
+        before, mount = self._fusion.odom_at(stamp_s - _MOMENT_S), self._mount.body_from_depth(stamp_s - _MOMENT_S)
+        if before is None or mount is None or before.reset_counter != estimate.reset_counter:
+            return CameraMotion.at_rest(here)
+        return CameraMotion.between(before.odom_from_body @ mount, here, _MOMENT_S)
 
     def _drop(self, now_s: float, reason: Reason) -> None:
         self.dropped_frames[reason.code] += 1
@@ -153,14 +165,17 @@ class Perception:
         if self._fusion.newest_pose_s < frame.stamp_s and now_s - frame.stamp_s < self._frame_wait_s:
             return
         self._waiting.popleft()
-        estimate = self._fusion.odom_at(frame.stamp_s)
-        body_from_depth = self._mount.body_from_depth(frame.stamp_s)
+        calibration = self._depth_consistency.calibration
+        taken_s = frame.stamp_s - calibration.delay_s
+        estimate = self._fusion.odom_at(taken_s)
+        body_from_depth = self._mount.body_from_depth(taken_s)
         if estimate is None or estimate.quality == 0 or body_from_depth is None:
             self._drop(now_s, Reason(ReasonCode.DEPTH_FRAME_UNPLACED))
             return
         # Maps are in odom, which never jumps: near obstacles fit the recent map, even if the source corrects its map.
         # The mission would have to re-pose its keyframes by estimate.correction before it could map in the world.
-        self._frames.publish(PosedFrame(frame, estimate.odom_from_body @ body_from_depth, estimate.map_epoch))
+        odom_from_depth = estimate.odom_from_body @ body_from_depth @ calibration.nominal_from_true
+        self._frames.publish(PosedFrame(calibration.corrected(frame), odom_from_depth, estimate.map_epoch))
         self.published_frames += 1
 
 

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from uav_recon.geometry.jit import kernel
+from uav_recon.localization.calibration_filter import error_row
 from uav_recon.localization.point_to_plane import seen_at
 from uav_recon.types.frames import AnyArray
 
@@ -64,17 +65,28 @@ def weight_at(range_m: Any) -> Any:
 
 
 @kernel
-def normal_equations(
-    then: AnyArray, depth_m: AnyArray, camera: AnyArray, rotation: AnyArray, place: AnyArray, expected_m: AnyArray
+def normal_equations(  # noqa: C901
+    then: AnyArray,
+    rows_then: AnyArray,
+    depth_m: AnyArray,
+    camera: AnyArray,
+    rotation: AnyArray,
+    place: AnyArray,
+    velocity: AnyArray,
+    rate: AnyArray,
+    age_s: float,
+    expected: AnyArray,
 ) -> tuple[int, int, AnyArray, AnyArray]:
-    """Return the normal equations for the shift between two images.
+    """Return the normal equations for drift and camera errors between two images.
 
-    then: (N, 6), patches of the other image.
+    then: (N, 6), patches of the other image; rows_then: (N, 9), their error_row. expected: (12,), state that predicts the
+    displacements.
 
-    Result: the number of patches that this image sees too; the number of these within reach of where a shift expected_m (3,)
-    puts them; and for the latter the sums of normal times normal (3, 3) and of normal times displacement (3,).
+    Result: the number of patches that this image sees too; the number of these within reach of the prediction; and for the
+    latter the sums of row times row (12, 12) and of row times displacement (12,).
     """
-    seen, within, held, moved, room = 0, 0, np.zeros((3, 3)), np.zeros(3), np.empty(9)
+    seen, within, held, moved, room = 0, 0, np.zeros((12, 12)), np.zeros(12), np.empty(9)
+    row = np.empty(12)
     for n in range(then.shape[0]):
         away, facing = 0.0, 0.0
         for i in range(3):
@@ -90,21 +102,34 @@ def normal_equations(
             continue
         seen += 1
         x, y = (u - camera[2]) / camera[0] * z, (v - camera[3]) / camera[1] * z
-        off_m, left_m, alike = 0.0, 0.0, 0.0
+        off_m, alike = 0.0, 0.0
         for i in range(3):
             there = rotation[i, 0] * x + rotation[i, 1] * y + rotation[i, 2] * z + place[i]
             off_m += (there - then[n, i]) * then[n, 3 + i]
-            left_m += (there - then[n, i] - expected_m[i]) * then[n, 3 + i]
             alike += (rotation[i, 0] * nx + rotation[i, 1] * ny + rotation[i, 2] * nz) * then[n, 3 + i]
+            row[i] = age_s * then[n, 3 + i]
+        row[3:] = error_row(then[n, 3:], then[n, :3], rotation, place, velocity, rate) - rows_then[n]
+        left_m = off_m
+        for i in range(12):
+            left_m -= row[i] * expected[i]
         if alike < _SAME_COS or abs(left_m) > REACH_M + REACH_SHARE * z:
             continue
         within += 1
         weight = weight_at(z)
-        for i in range(3):
-            moved[i] += weight * then[n, 3 + i] * off_m
-            for k in range(3):
-                held[i, k] += weight * then[n, 3 + i] * then[n, 3 + k]
+        for i in range(12):
+            moved[i] += weight * row[i] * off_m
+            for k in range(12):
+                held[i, k] += weight * row[i] * row[k]
     return seen, within, held, moved
+
+
+@kernel
+def error_rows(then: AnyArray, rotation: AnyArray, place: AnyArray, velocity: AnyArray, rate: AnyArray) -> AnyArray:
+    """Return the error_row (N, 9) of each patch (N, 6), seen by a camera with this motion."""
+    out = np.empty((then.shape[0], 9))
+    for n in range(then.shape[0]):
+        out[n] = error_row(then[n, 3:], then[n, :3], rotation, place, velocity, rate)
+    return out
 
 
 @kernel
@@ -146,5 +171,7 @@ def warm_up() -> None:
     for array in (depth_m, place):
         array.setflags(write=False)
     camera, rotation = np.array([20.0, 20.0, 15.5, 11.5]), np.eye(3)
-    normal_equations(patches(depth_m, camera, rotation, place), depth_m, camera, rotation, place, np.zeros(3))
+    seen, rest = patches(depth_m, camera, rotation, place), np.zeros(3)
+    rows = error_rows(seen, rotation, place, rest, rest)
+    normal_equations(seen, rows, depth_m, camera, rotation, place, rest, rest, 1.0, np.zeros(12))
     weight_at(np.ones(1))

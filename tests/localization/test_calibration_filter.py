@@ -1,0 +1,133 @@
+"""What a camera that is not as the config says does to the drift rate, and how well its errors are told from a drift.
+
+The frames are rendered with the error, by the exact geometry; the filter sees them with the nominal one.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from textured_room import BARE, LENS, camera_at, depth_of, frame_of, moved, plaster, rgb_of
+
+from uav_recon.localization.calibration_filter import COLOUR_DELAY, DELAY, ROTATION, SCALE, CalibrationFilter
+from uav_recon.localization.camera_motion import CameraMotion
+from uav_recon.localization.odometry_drift_rate import DriftRateEstimator
+from uav_recon.types.frames import Float32Array, FloatArray
+from uav_recon.types.pose import Pose
+
+PERIOD_S = 1.0 / 6.0
+ROOM_M = np.array([[-3.5, -2.5, 0.0], [3.5, 2.5, 2.6]])
+CABINET_M = np.array([[1.8, 0.9, 0.0], [2.4, 1.6, 1.9]])
+TABLE_M = np.array([[-2.2, -1.8, 0.0], [-1.2, -1.0, 0.8]])
+
+
+def _path(t: float) -> Pose:
+    """Up to 0.7 m/s and 0.9 rad/s, with stops."""
+    yaw = 1.5 * math.sin(0.45 * t) + 0.35 * t
+    return camera_at(1.6 * math.sin(0.35 * t), 1.0 * math.sin(0.51 * t + 0.7), 1.2 + 0.35 * math.sin(0.6 * t), yaw)
+
+
+@dataclass(frozen=True)
+class Errors:
+    delay_s: float = 0.0
+    rotation_rad: tuple[float, float, float] = (0.0, 0.0, 0.0)  # nominal_from_true, axes of the imager
+    offset_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    scale: float = 0.0
+    colour_delay_s: float = 0.0
+    drift_mps: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+def _depth(camera: Pose, scale: float, seed: int) -> Float32Array:
+    return np.asarray((1.0 + scale) * depth_of(camera, ROOM_M, CABINET_M, TABLE_M, seed=seed), dtype=np.float32)
+
+
+def _fly(errors: Errors, seconds: float, painted: bool = False) -> tuple[DriftRateEstimator, list[bool], list[float]]:
+    """Returns the estimator, and at each frame whether it says that odom drifts, and by how much."""
+    estimator, drifts, drift_mps = DriftRateEstimator(), list[bool](), list[float]()
+    wrong = Pose.from_rotation_vector(np.array(errors.rotation_rad), np.array(errors.offset_m))
+    for n in range(round(seconds / PERIOD_S)):
+        t = n * PERIOD_S
+        true = _path(t - errors.delay_s) @ wrong.inverse()
+        rgb = BARE
+        if painted:
+            coloured = _path(t - errors.colour_delay_s) @ wrong.inverse()
+            rgb = rgb_of(coloured, plaster, ROOM_M, CABINET_M, TABLE_M, seed=n)
+        frame = frame_of(t, _depth(true, errors.scale, n), rgb)
+        by_m = np.array(errors.drift_mps) * max(t - 20.0, 0.0)
+        said, moment = moved(_path(t), by_m), moved(_path(t - 0.03), by_m)
+        estimator.update(frame, CameraMotion.between(moment, said, 0.03))
+        drifts.append(estimator.drifts)
+        drift_mps.append(float(np.linalg.norm(estimator.velocity_mps)))
+    return estimator, drifts, drift_mps
+
+
+def _state(estimator: DriftRateEstimator) -> FloatArray:
+    return estimator.calibration.state
+
+
+@pytest.mark.parametrize("delay_s", [0.0, 0.015, 0.03, -0.02])
+def test_the_age_of_frames_is_measured(delay_s: float) -> None:
+    estimator, drifts, _ = _fly(Errors(delay_s=delay_s), 45.0)
+    assert _state(estimator)[DELAY] == pytest.approx(delay_s, abs=0.006)
+    assert not any(drifts)
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_the_rotation_of_the_mount_is_measured(axis: int) -> None:
+    rotation = np.radians(1.0) * np.eye(3)[axis]
+    estimator, drifts, _ = _fly(Errors(rotation_rad=tuple(rotation.tolist())), 60.0)
+    # the true pose is the nominal one times the inverse of the error, so points appear turned by its inverse
+    np.testing.assert_allclose(_state(estimator)[ROTATION], rotation, atol=math.radians(0.5))
+    assert not any(drifts)
+
+
+@pytest.mark.parametrize("scale", [0.015, -0.015])
+def test_the_scale_of_depth_is_measured(scale: float) -> None:
+    estimator, drifts, _ = _fly(Errors(scale=scale), 60.0)
+    assert _state(estimator)[SCALE] == pytest.approx(scale, abs=0.008)
+    assert not any(drifts)
+
+
+def test_the_delay_of_the_colour_imager_is_its_own() -> None:
+    """The plaster shows little: a good third of it is measured, and little is taken for the delay of depth."""
+    estimator, drifts, _ = _fly(Errors(colour_delay_s=0.025), 30.0, painted=True)
+    assert 0.008 < _state(estimator)[COLOUR_DELAY] < 0.03
+    assert _state(estimator)[DELAY] == pytest.approx(0.0, abs=0.012)
+    assert not any(drifts)
+
+
+ALL = Errors(0.03, (0.015, -0.012, 0.010), (0.008, -0.008, 0.008), 0.012)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_all_errors_together_are_no_drift(sign: float) -> None:
+    errors = Errors(
+        sign * ALL.delay_s, tuple(sign * x for x in ALL.rotation_rad), tuple(sign * x for x in ALL.offset_m), sign * ALL.scale
+    )  # type: ignore[arg-type]
+    _, drifts, drift_mps = _fly(errors, 60.0)
+    assert not any(drifts)
+    assert np.quantile(drift_mps, 0.9) < 0.02
+
+
+@pytest.mark.parametrize("drift", [(0.06, 0.0, 0.0), (0.0, -0.06, 0.0), (0.0, 0.0, 0.06), (0.2, 0.0, 0.0)])
+def test_a_drift_is_told_among_the_errors(drift: tuple[float, float, float]) -> None:
+    _, drifts, _ = _fly(dataclasses.replace(ALL, drift_mps=drift), 40.0)
+    begun = round(20.0 / PERIOD_S)
+    first = drifts.index(True)
+    assert 0.0 < (first - begun) * PERIOD_S < (15.0 if drift[2] else 8.0)  # a mount that nods may explain a height
+
+
+def test_what_no_motion_shows_stays_at_its_prior() -> None:
+    """A camera that hangs still: a wrong mount cannot be seen, and nothing is claimed."""
+    estimator, still = DriftRateEstimator(), _path(3.0)
+    for n in range(120):
+        estimator.update(frame_of(n * PERIOD_S, _depth(still, 0.0, n)), CameraMotion.at_rest(still))
+    sigma = np.sqrt(np.diagonal(estimator.calibration.covariance))
+    prior = np.sqrt(np.diagonal(CalibrationFilter().covariance))
+    assert np.all(sigma[3:] > 0.9 * prior[3:])
+    assert np.all(np.abs(_state(estimator)[3:]) < 0.2 * prior[3:])
+    assert LENS.width == 212

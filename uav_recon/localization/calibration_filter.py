@@ -1,0 +1,173 @@
+"""Calibration filter: drift of odom, and the errors of the camera, from what successive views disagree about.
+
+An apparent surface point p of a frame is off by
+
+    e = tau (v + w x (p - c)) + R (phi x q) + s (p - c) + f R (qx, qy, 0) + R d        q = R^T (p - c)
+
+with the camera's position c, rotation R, velocity v and turn rate w in odom at the stamp: the frame shows where the camera was
+tau before its stamp, the mount is rotated by phi and moved by d, depth is too large by the share s, and the image too wide by
+the share f. Two views of one surface differ by the difference of their e, and by the drift of odom times the time between them.
+All of it is linear. A Kalman filter keeps the errors, which hardly change, apart from the drift, which does: the errors show
+when the camera turns, accelerates, or looks at a surface from elsewhere. What no motion has shown stays at its prior, zero.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from uav_recon.geometry.jit import kernel
+from uav_recon.types.camera import Frame
+from uav_recon.types.frames import AnyArray, FloatArray
+from uav_recon.types.pose import Pose
+
+# elements of the state
+DRIFT = slice(0, 3)  # m/s, odom axes
+DELAY = 3  # s
+ROTATION = slice(4, 7)  # rad, axes of the depth imager
+SCALE = 7
+WIDTH = 8
+OFFSET = slice(9, 12)  # m, axes of the depth imager
+GEOMETRY = 12  # so many elements concern depth; then the same of the colour imager, against the poses
+COLOUR_DELAY = 12
+COLOUR_ROTATION = slice(13, 16)
+COLOUR_WIDTH = 16
+SIZE = 17
+
+_DRIFT_TIME_S = 2.5  # correlation time of the drift
+_MEMORY_S = 60.0  # time in which an error of the camera may change by a prior standard deviation
+_DRIFT_MPS = 0.03  # prior standard deviations, of honest cameras
+_DELAY_S = 0.025
+_ROTATION_RAD = math.radians(0.8)
+_SCALE = 0.012
+_WIDTH = 0.008
+_OFFSET_M = 0.008
+_COLOUR_DELAY_S = 0.02
+_COLOUR_ROTATION_RAD = math.radians(0.4)
+# an error is corrected in full below, and not at all above these shares of its prior standard deviation
+_OBSERVED = 0.5
+_UNOBSERVED = 0.7
+_MOST_SIGMAS = 2.5  # a correction is never larger than so many prior standard deviations
+#: internal: variance of the displacement between two views that one second of comparisons measures
+_UNIT_M2S = 3e-5
+
+_PRIOR = np.array(
+    [
+        *(_DRIFT_MPS,) * 3, _DELAY_S, *(_ROTATION_RAD,) * 3, _SCALE, _WIDTH, *(_OFFSET_M,) * 3,
+        _COLOUR_DELAY_S, *(_COLOUR_ROTATION_RAD,) * 3, _WIDTH,
+    ]
+)  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CameraCalibration:
+    """Correction of the depth imager.
+
+    delay_s: a frame shows where the camera was so long before its stamp. nominal_from_true: pose of the true imager in that of
+    the config. scale: share by which depth is too large.
+    """
+
+    delay_s: float
+    nominal_from_true: Pose
+    scale: float
+
+    @staticmethod
+    def none() -> CameraCalibration:
+        """Return the calibration of a camera that is as the config says."""
+        return CameraCalibration(0.0, Pose.identity(), 0.0)
+
+    def corrected(self, frame: Frame) -> Frame:
+        """Return the frame with depth at its true scale."""
+        return replace(frame, depth_m=frame.depth_m / np.float32(1.0 + self.scale))
+
+
+class CalibrationFilter:
+    """State (17,) and covariance (17, 17); not thread-safe."""
+
+    def __init__(self) -> None:
+        self.state = np.zeros(SIZE)
+        self.covariance = np.diag(_PRIOR**2)
+
+    def forget_drift(self) -> None:
+        """Forget the drift after a jump of odom; the errors of the camera are still those."""
+        self._decay_drift(0.0)
+
+    def predict(self, step_s: float) -> None:
+        """Let the drift decay towards zero, and the errors of the camera change slowly."""
+        self._decay_drift(math.exp(-step_s / _DRIFT_TIME_S))
+        walk = np.diag_indices(SIZE)[0][DRIFT.stop :]
+        self.covariance[walk, walk] += step_s / _MEMORY_S * _PRIOR[DRIFT.stop :] ** 2
+
+    def update(self, information: FloatArray, weighted: FloatArray) -> None:
+        """Add comparisons.
+
+        information (17, 17): sum of weight * row * row^T, weighted (17,): of weight * row * displacement (m), over the
+        comparisons, times their duration (s).
+        """
+        before = np.linalg.inv(self.covariance)
+        covariance = np.linalg.inv(before + information / _UNIT_M2S)
+        self.state = covariance @ (before @ self.state + weighted / _UNIT_M2S)
+        self.covariance = 0.5 * (covariance + covariance.T)
+
+    def calibration(self) -> CameraCalibration:
+        """Return the errors of the depth imager as known now.
+
+        What has not been observed is left out, and nothing is larger than an honest camera's error.
+        """
+        unknown, most = np.sqrt(np.diagonal(self.covariance)) / _PRIOR, _MOST_SIGMAS * _PRIOR
+        observed = np.clip((_UNOBSERVED - unknown) / (_UNOBSERVED - _OBSERVED), 0.0, 1.0)
+        x = observed * np.clip(self.state, -most, most)
+        wrong = Pose.from_rotation_vector(x[ROTATION], x[OFFSET])
+        return CameraCalibration(float(x[DELAY]), wrong.inverse(), float(x[SCALE]))
+
+    @property
+    def drift_mps(self) -> FloatArray:
+        """Velocity (3,) of odom against the surfaces."""
+        return np.array(self.state[DRIFT])
+
+    def drift_at_least_mps(self, sigmas: float) -> float:
+        """Return the drift less so many standard deviations of it."""
+        drift = self.state[DRIFT]
+        speed_mps = float(np.linalg.norm(drift))
+        if speed_mps < 1e-9:
+            return 0.0
+        way = drift / speed_mps
+        return max(speed_mps - sigmas * math.sqrt(float(way @ self.covariance[DRIFT, DRIFT] @ way)), 0.0)
+
+    def _decay_drift(self, keep: float) -> None:
+        self.state[DRIFT] *= keep
+        self.covariance[DRIFT, :] *= keep
+        self.covariance[:, DRIFT] *= keep
+        self.covariance[DRIFT, DRIFT] += (1.0 - keep * keep) * _DRIFT_MPS**2 * np.eye(3)
+
+
+@kernel
+def error_row(
+    normal: AnyArray, point: AnyArray, rotation: AnyArray, place: AnyArray, velocity: AnyArray, rate: AnyArray
+) -> AnyArray:
+    """Return the derivative (9,) of a point's error along a normal: delay, rotation, scale, width, offset (3).
+
+    normal (3,), point (3,) in odom; rotation (3, 3), place (3,), velocity (3,), rate (3,) of the camera. The order is that of
+    the state from DELAY on.
+    """
+    out = np.empty(9)
+    x, y, z = point[0] - place[0], point[1] - place[1], point[2] - place[2]
+    swept = (
+        normal[0] * (velocity[0] + rate[1] * z - rate[2] * y)
+        + normal[1] * (velocity[1] + rate[2] * x - rate[0] * z)
+        + normal[2] * (velocity[2] + rate[0] * y - rate[1] * x)
+    )
+    q0 = rotation[0, 0] * x + rotation[1, 0] * y + rotation[2, 0] * z
+    q1 = rotation[0, 1] * x + rotation[1, 1] * y + rotation[2, 1] * z
+    q2 = rotation[0, 2] * x + rotation[1, 2] * y + rotation[2, 2] * z
+    m0 = rotation[0, 0] * normal[0] + rotation[1, 0] * normal[1] + rotation[2, 0] * normal[2]
+    m1 = rotation[0, 1] * normal[0] + rotation[1, 1] * normal[1] + rotation[2, 1] * normal[2]
+    m2 = rotation[0, 2] * normal[0] + rotation[1, 2] * normal[1] + rotation[2, 2] * normal[2]
+    out[0] = swept
+    out[1], out[2], out[3] = q1 * m2 - q2 * m1, q2 * m0 - q0 * m2, q0 * m1 - q1 * m0
+    out[4] = m0 * q0 + m1 * q1 + m2 * q2
+    out[5] = m0 * q0 + m1 * q1
+    out[6], out[7], out[8] = m0, m1, m2
+    return out
