@@ -20,7 +20,7 @@ import numpy as np
 from sitl.geometry.quaternion import Vec3
 
 FILE_NAME = "camera_errors.json"  # in the flight folder
-DEFAULT = "none"  # errors of a flight without --camera-errors
+DEFAULT = "default"  # errors of a flight without --camera-errors
 WORDS = {"none": 0.0, "default": 1.0}
 DEFAULT_SCALE = WORDS[DEFAULT]
 MAX_SCALE = 2.0

@@ -21,7 +21,7 @@ DEVICES = ("auto", "cpu", "cuda")
 # of an option
 CAMERA_ERRORS_HELP = (
     "Errors of the camera, drawn from the seed: mount, lens and colour calibration, depth scale, delay, rolling shutter, "
-    "exposure, IMU noise and lost frames. A factor of 0 to 2 scales all. Default: none, an exact camera."
+    "exposure, IMU noise and lost frames. A factor of 0 to 2 scales all; none: an exact camera. Default: default, which is 1."
 )
 
 
