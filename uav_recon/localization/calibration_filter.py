@@ -1,4 +1,4 @@
-"""Calibration filter: drift of odom, and the errors of the camera, from what successive views disagree about.
+"""Calibration filter: drift of odom and errors of the camera, from differences of views.
 
 An apparent surface point p of a frame is off by
 
@@ -30,7 +30,7 @@ ROTATION = slice(4, 7)  # rad, axes of the depth imager
 SCALE = 7
 WIDTH = 8
 OFFSET = slice(9, 12)  # m, axes of the depth imager
-GEOMETRY = 12  # so many elements concern depth; then the same of the colour imager, against the poses
+GEOMETRY = 12  # number of elements that concern depth; then the same of the colour imager, against the poses
 COLOUR_DELAY = 12
 COLOUR_ROTATION = slice(13, 16)
 COLOUR_WIDTH = 16
@@ -49,8 +49,8 @@ _COLOUR_ROTATION_RAD = math.radians(0.4)
 # an error is corrected in full below, and not at all above these shares of its prior standard deviation
 _OBSERVED = 0.5
 _UNOBSERVED = 0.7
-_MOST_SIGMAS = 2.5  # a correction is never larger than so many prior standard deviations
-#: internal: variance of the displacement between two views that one second of comparisons measures
+_MOST_SIGMAS = 2.5  # max. correction, in prior standard deviations
+# variance of the displacement between two views that one second of comparisons measures
 _UNIT_M2S = 3e-5
 
 _PRIOR = np.array(
@@ -65,7 +65,7 @@ _PRIOR = np.array(
 class CameraCalibration:
     """Correction of the depth imager.
 
-    delay_s: a frame shows where the camera was so long before its stamp. nominal_from_true: pose of the true imager in that of
+    delay_s: time from what a frame shows to its stamp. nominal_from_true: pose of the true imager in that of
     the config. scale: share by which depth is too large.
     """
 
@@ -128,7 +128,7 @@ class CalibrationFilter:
         return np.array(self.state[DRIFT])
 
     def drift_at_least_mps(self, sigmas: float) -> float:
-        """Return the drift less so many standard deviations of it."""
+        """Return the drift less a number of its standard deviations."""
         drift = self.state[DRIFT]
         speed_mps = float(np.linalg.norm(drift))
         if speed_mps < 1e-9:
@@ -147,8 +147,9 @@ class CalibrationFilter:
 def error_row(
     normal: AnyArray, point: AnyArray, rotation: AnyArray, place: AnyArray, velocity: AnyArray, rate: AnyArray
 ) -> AnyArray:
-    """Return the derivative (9,) of a point's error along a normal: delay, rotation, scale, width, offset (3).
+    """Return the derivatives (9,) of a point's error along a normal.
 
+    By delay, rotation (3), scale, width, offset (3).
     normal (3,), point (3,) in odom; rotation (3, 3), place (3,), velocity (3,), rate (3,) of the camera. The order is that of
     the state from DELAY on.
     """

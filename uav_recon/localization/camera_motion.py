@@ -12,7 +12,10 @@ from uav_recon.types.pose import Pose
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CameraMotion:
-    """Pose, velocity (3,) and turn rate (3,) of the depth imager; both in odom axes, m/s and rad/s."""
+    """Pose, velocity (3,) and turn rate (3,) of the depth imager.
+
+    Velocity and rate are in odom axes, m/s and rad/s.
+    """
 
     odom_from_depth: Pose
     velocity_mps: FloatArray

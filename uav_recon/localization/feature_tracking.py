@@ -104,13 +104,13 @@ class _Camera:
         return ahead_m
 
     def along(self, ahead_m: AnyArray) -> AnyArray:
-        """Return rows (N, 2, 3) in odom: the image directions at positions (N, 3) in the camera's own axes."""
+        """Return the image directions (N, 2, 3) in odom at positions (N, 3) in own axes."""
         x, y, range_m = ahead_m.T
         across, down, deep = self.axes.T
         return np.stack([across - np.outer(x / range_m, deep), down - np.outer(y / range_m, deep)], axis=1)
 
     def error_rows(self, ahead_m: AnyArray, along: AnyArray) -> AnyArray:
-        """Return the derivatives (N, 2, 5) of displacements along rows by delay, rotation (3) and width."""
+        """Return the derivatives (N, 2, 5) along rows by delay, rotation (3) and width."""
         swept = self.velocity_mps + np.cross(self.rate_radps, ahead_m @ self.axes.T)
         inside = along @ self.axes
         return np.concatenate(

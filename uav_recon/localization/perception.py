@@ -26,7 +26,7 @@ _OLDEST_FRAME_S = 1.0  #: reject: an older frame
 _FUTURE_S = 0.01  #: reject: a frame stamped later than the clock by this
 _WAITING_FRAMES = 4  #: reject: the oldest of more frames that wait for a pose: at 15 Hz this is more than the longest wait
 _STATUS_RATE_HZ = 1.0
-_MOMENT_S = 0.03  # over which the velocity of the camera is measured
+_MOMENT_S = 0.03  #: internal: time over which the velocity of the camera is measured
 
 
 class Perception:

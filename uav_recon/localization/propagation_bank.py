@@ -40,7 +40,7 @@ _EXPECTED_NIS = 6.0
 _MAX_NOISE_FACTOR = 30.0
 _NOISE_MEMORY_S = 8.0  #: reject: time constant with which that factor falls again
 
-_IN_A_ROW = (0, 2, 3)  # so many newest poses, before a filter of this index is chosen
+_IN_A_ROW = (0, 2, 3)  # number of newest poses, before a filter of this index is chosen
 _ACCELEROMETER = 1  # index of the first filter without an accelerometer
 _GYRO = 2  # ... without a gyro
 
