@@ -19,6 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from uav_recon.geometry.jit import kernel
+from uav_recon.localization.camera_motion import CameraMotion
 from uav_recon.types.camera import Frame
 from uav_recon.types.frames import AnyArray, FloatArray
 from uav_recon.types.pose import Pose
@@ -81,6 +82,10 @@ class CameraCalibration:
     def corrected(self, frame: Frame) -> Frame:
         """Return the frame with depth at its true scale."""
         return replace(frame, depth_m=frame.depth_m / np.float32(1.0 + self.scale))
+
+    def pose(self, motion: CameraMotion) -> Pose:
+        """Return where the true imager was when it saw what the frame shows: odom_from_depth."""
+        return motion.earlier(self.delay_s) @ self.nominal_from_true
 
 
 class CalibrationFilter:

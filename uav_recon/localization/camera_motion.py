@@ -26,6 +26,12 @@ class CameraMotion:
         """Return the motion of an imager that does not move."""
         return CameraMotion(odom_from_depth, np.zeros(3), np.zeros(3))
 
+    def earlier(self, by_s: float) -> Pose:
+        """Return the pose of the imager by_s before the stamp, or after it where by_s is negative."""
+        here = self.odom_from_depth
+        turned = Pose.from_rotation_vector(-by_s * self.rate_radps, np.zeros(3))
+        return Pose((turned @ here).quat_wxyz, here.translation_m - by_s * self.velocity_mps)
+
     @staticmethod
     def between(before: Pose, odom_from_depth: Pose, step_s: float) -> CameraMotion:
         """Return the motion from two poses, the second of them step_s after the first."""

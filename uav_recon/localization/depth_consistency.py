@@ -47,7 +47,8 @@ _CLEARED_IN_VIEW_SHARE = 0.5  #: reject: the same, while fewer of these points a
 _HIDDEN_SHARE = 0.5  #: reject: a frame with something in front of more points: a person that comes near hides fewer
 _ASIDE_SHARE = 0.02  #: reject: a frame of which a shift makes more points fit; valid frames after such a pause: 1.4 %
 _MAX_PAUSE_S = 0.6  #: reject: a shift is looked for only against an image that is not older
-_DRIFT_M = 0.15  #: land: odom has moved by more against half a minute ago: drift; valid: 0.09 m
+#: land: odom has moved by more against half a minute ago: drift; honest, with camera errors: 0.15 m before they are known
+_DRIFT_M = 0.25
 _MANY = 100  #: land: min. points that must be compared for that
 _EXPLAINED_SHARE = 0.75  #: land: min. share of points that the shift explains: a person explains fewer
 _MAX_SHARE = 0.9  #: land: the same where much may have come between
@@ -116,8 +117,9 @@ class DepthConsistencyMonitor:
 
     def _against_views(self, frame: Frame, motion: CameraMotion) -> Reason | None:
         """Compare a frame with earlier views; remember it if it is accepted."""
-        odom_from_depth = motion.odom_from_depth
-        seen = (frame.stamp_s, frame.depth_m, frame.depth_intrinsics, odom_from_depth)
+        odom_from_depth = self.calibration.pose(motion)
+        depth_m = self.calibration.corrected(frame).depth_m
+        seen = (frame.stamp_s, depth_m, frame.depth_intrinsics, odom_from_depth)
         newest, others = self._past_views.compare_newest(*seen), self._past_views.compare_oldest(*seen, OVERLAPPING)
         overlapping = next(others, None)
         asked = newest is not None and (newest.age_s <= _MAX_PAUSE_S or self._doubt is not None)
