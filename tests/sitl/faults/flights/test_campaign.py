@@ -37,6 +37,7 @@ def test_rows_come_in_the_tables_order() -> None:
     assert FaultOptions.parse().autopilots == AUTOPILOTS
     assert {scenario.id for scenario in FaultOptions.parse(live=True).scenarios} == {
         *(f"A{k}" for k in range(1, 12)),
+        "A6m",
         "C2",
         "D6",
         "G2",

@@ -76,12 +76,12 @@ def test_a_reason_that_is_told_before_arming_is_in_time_for_b14() -> None:
     assert "reported after the arm command" in broken("B14", evidence())
 
 
-def test_odometry_of_another_origin_breaks_b15() -> None:
+def test_odometry_of_another_origin_breaks_b16() -> None:
     e, off = evidence(), "ODOMETRY off the world at the pad"
-    assert off not in broken("B15", e)
+    assert off not in broken("B16", e)
     lifted = e.wire.odometry_m + np.array([0.0, 0.0, 0.3])
-    assert off in broken("B15", rewired(e, odometry_m=lifted))
-    assert off in broken("B15", rewired(e, odometry_m=lifted[:0], odometry_s=e.wire.odometry_s[:0]))
+    assert off in broken("B16", rewired(e, odometry_m=lifted))
+    assert off in broken("B16", rewired(e, odometry_m=lifted[:0], odometry_s=e.wire.odometry_s[:0]))
 
 
 def test_old_poses_under_new_stamps_break_b8() -> None:
