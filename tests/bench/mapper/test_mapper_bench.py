@@ -37,7 +37,8 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_measures_every_field_and_writes_json(tmp_path: Path) -> None:
     written = tmp_path / "result.json"
-    code, out, errors = bench("--views", "6", "--camera", "wide", "--depth-noise", "kinect", "--json", str(written))
+    exact = "--camera", "wide", "--depth-noise", "kinect", "--camera-errors", "none"
+    code, out, errors = bench("--views", "6", *exact, "--json", str(written))
     assert code == 0, errors
     result = json.loads(written.read_text())
     assert set(result) == {*FIELDS, "about", HEADER}
@@ -45,7 +46,7 @@ def test_measures_every_field_and_writes_json(tmp_path: Path) -> None:
     assert set(result["extraction_ms"]) == {"room", "view"}
     assert 0.0 < result["step_ms"] < result["view_update_ms"]
     assert result["about"]["calibrated"]["step_ms"] == pytest.approx(result["step_ms"] / result["about"]["calibration_cpu"])
-    assert 0.6 < result["recall_seen_5cm"] <= 1.0  # with the errors of a real camera, which no bench corrects
+    assert 0.8 < result["recall_seen_5cm"] <= 1.0
     assert 0.0 < result["accuracy_cm"] < 2.0
     assert result["hallucinated_fraction"] < 0.05
     assert result["psnr_db"] > 15.0
