@@ -75,14 +75,14 @@ def _stream(rng: np.random.Generator, seconds: float) -> tuple[list[ImuSample], 
     rate = (true[:-1].inv() * true[1:]).as_rotvec() / dt  # mean over the step after each sample
 
     bias: F64 = 0.005 * rng.normal(size=3) + INERTIAL.bias_walk * root * rng.normal(size=(n, 3)).cumsum(axis=0)
-    offset: F64 = 0.05 * rng.normal(size=3) + INERTIAL.offset_walk * root * rng.normal(size=(n, 3)).cumsum(axis=0)
+    offset_body: F64 = 0.05 * rng.normal(size=3) + INERTIAL.offset_walk * root * rng.normal(size=(n, 3)).cumsum(axis=0)
     wander = float(np.sqrt(DRIFT_PER_S * CLAIMED_M2)) * root * rng.normal(size=(n, 3)).cumsum(axis=0)
     lean = float(np.sqrt(DRIFT_PER_S * CLAIMED_RAD2)) * root * rng.normal(size=(n, 3)).cumsum(axis=0)
     seen = Rotation.from_rotvec(lean) * true  # attitude in the source's frame
 
     at = 0.5 * (rate[1:] + rate[:-1])  # of the sample between two steps
     gyro = at + bias[1:-1] + INERTIAL.rate / root * rng.normal(size=at.shape)
-    force = seen[1:-1].inv().apply(acceleration[1:-1] - GRAVITY - offset[1:-1])
+    force = seen[1:-1].inv().apply(acceleration[1:-1] - GRAVITY) - offset_body[1:-1]
     force = force + INERTIAL.acceleration / root * rng.normal(size=force.shape)
     imu = [ImuSample(float(s), g, f) for s, g, f in zip(t[1:-1], gyro, force, strict=True)]
 
@@ -91,4 +91,4 @@ def _stream(rng: np.random.Generator, seconds: float) -> tuple[list[ImuSample], 
     said = (Rotation.from_rotvec(white_rad * rng.normal(size=(len(k), 3))) * seen[k]).as_quat(scalar_first=True)
     where = position[k] + wander[k] + white_m * rng.normal(size=(len(k), 3))
     poses = [StampedPose(float(s), Pose(q, p), np.zeros(3), COVARIANCE) for s, q, p in zip(t[k], said, where, strict=True)]
-    return imu, poses, Truth(t[k], position[k] + wander[k], velocity[k], seen[k], bias[k], offset[k])
+    return imu, poses, Truth(t[k], position[k] + wander[k], velocity[k], seen[k], bias[k], seen[k].apply(offset_body[k]))

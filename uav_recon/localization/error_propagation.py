@@ -4,7 +4,9 @@ Over an interval dt with the rotated force integrals dv, dp (first order: Sola, 
 Kalman filter, 2017, section 7, with the global angular error):
 
     p' = p + v dt - [dp] a + [dp] R b dt / 3 + c dt^2 / 2        a' = a - R b dt
-    v' = v - [dv] a + [dv] R b dt / 2 + c dt                      b' = b,  c' = c
+    v' = v - [dv] a + [dv] R b dt / 2 + c dt                      b' = b,  c' = S c
+
+S is the turn of the body over the interval with an accelerometer, whose errors turn with the body, and 1 without.
 """
 
 from __future__ import annotations
@@ -47,7 +49,8 @@ def dynamics(
     before, after: odom_from_body at both ends. densities: variances of acceleration, offset, rate, bias, position, attitude.
     """
     a, c, g, b, place, attitude = densities
-    turned = 0.5 * (_matrix(before) + _matrix(after))  # mean over the interval
+    first, last = _matrix(before), _matrix(after)
+    turned = 0.5 * (first + last)  # mean over the interval
     transition, walk = np.eye(15), np.zeros((15, 15))
     way = np.array([[0.0, -dp[2], dp[1]], [dp[2], 0.0, -dp[0]], [-dp[1], dp[0], 0.0]])
     push = np.array([[0.0, -dv[2], dv[1]], [dv[2], 0.0, -dv[0]], [-dv[1], dv[0], 0.0]])
@@ -64,6 +67,8 @@ def dynamics(
         walk[r, r] = g * dt + b * dt**3 / 3 + attitude * dt
         walk[w, w] = b * dt
         for j in range(3):
+            if accelerometer:
+                transition[o, _OFFSET + j] = last[i, 0] * first[j, 0] + last[i, 1] * first[j, 1] + last[i, 2] * first[j, 2]
             transition[r, _BIAS + j] = -dt * turned[i, j]
             walk[r, _BIAS + j] = walk[_BIAS + j, r] = -b * dt**2 / 2 * turned[i, j]
             if accelerometer:  # without one the hover force is known in odom, for any attitude

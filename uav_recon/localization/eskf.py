@@ -3,7 +3,7 @@
     position, velocity              odom, m and m/s
     attitude                        odom_from_gyro, with the track's gyro_from_body
     gyro bias                       body, rad/s
-    acceleration offset             odom, m/s²: tilt error and accelerometer bias together
+    acceleration offset             odom, m/s²: accelerometer bias and tilt error together, which turn with the body
 
 The error (15,) is position, velocity, a small rotation in odom axes (R_true = exp(error) R), gyro bias, offset; its growth
 is in error_propagation.dynamics.
@@ -225,8 +225,13 @@ def _carry_mean(state: Estimate, base: InertialState, here: InertialState) -> tu
     dp = rotate(while_farther, (x1[0] - x0[0] - v0[0] * dt, x1[1] - x0[1] - v0[1] * dt, x1[2] - x0[2] - v0[2] * dt))
     (px, py, pz), (vx, vy, vz), (cx, cy, cz) = state.position_m, state.velocity_mps, state.offset_mps2
     cz, half = cz - GRAVITY_MPS2, 0.5 * dt * dt
+    offset_mps2 = state.offset_mps2
+    if state.model.accelerometer:
+        in_body = rotate(conjugate(state.odom_from_body(base)), offset_mps2)
+        offset_mps2 = rotate(multiply(odom_from_gyro, here.gyro_from_body), in_body)
     carried = state._replace(
         stamp_s=here.stamp_s,
+        offset_mps2=offset_mps2,
         position_m=(px + vx * dt + cx * half + dp[0], py + vy * dt + cy * half + dp[1], pz + vz * dt + cz * half + dp[2]),
         velocity_mps=(vx + cx * dt + dv[0], vy + cy * dt + dv[1], vz + cz * dt + dv[2]),
         odom_from_gyro=odom_from_gyro,

@@ -30,14 +30,13 @@ class PropagationModel:
 
 
 # A flying camera's IMU (KAIST VIO, a D435i on a quadrotor: 0.07 m/s² and 0.001 rad/s per root Hz). The rate also covers stamps
-# that are off by 5 ms in a hard brake. The walk of the offset covers a mount that is off by 1.5 degrees while the vehicle turns
-# at 45 degrees/s.
+# that are off by 5 ms in a hard brake. The offset starts as that of a mount that is off by 1.5 degrees.
 INERTIAL = PropagationModel(
-    gyro=True, accelerometer=True, acceleration=0.08, offset_walk=0.15, rate=0.01, bias_walk=3e-4, bias_start=0.02,
+    gyro=True, accelerometer=True, acceleration=0.08, offset_walk=0.03, rate=0.005, bias_walk=3e-4, bias_start=0.02,
     offset_start=0.3,
 )  # fmt: skip
 GYRO = PropagationModel(
-    gyro=True, accelerometer=False, acceleration=0.1, offset_walk=1.2, rate=0.01, bias_walk=3e-4, bias_start=0.02,
+    gyro=True, accelerometer=False, acceleration=0.1, offset_walk=1.2, rate=0.005, bias_walk=3e-4, bias_start=0.02,
     offset_start=1.0,
 )  # fmt: skip
 # The walk of the turn rate covers a vehicle that leans by 0.1 rad within an eighth of a second to brake.
