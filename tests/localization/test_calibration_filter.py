@@ -131,3 +131,36 @@ def test_what_no_motion_shows_stays_at_its_prior() -> None:
     assert np.all(sigma[3:] > 0.9 * prior[3:])
     assert np.all(np.abs(_state(estimator)[3:]) < 0.2 * prior[3:])
     assert LENS.width == 212
+
+
+def test_a_correction_is_bounded_and_needs_to_be_observed() -> None:
+    known, unknown = CalibrationFilter(), CalibrationFilter()
+    known.covariance = 0.04 * known.covariance
+    for each in (known, unknown):
+        each.state[DELAY] = 1.0
+        each.state[ROTATION] = 1.0
+        each.state[SCALE] = -1.0
+    correction = known.calibration()
+    assert correction.delay_s == pytest.approx(0.0625)
+    assert correction.scale == pytest.approx(-0.03)
+    turned_rad = 2.0 * math.acos(min(abs(correction.nominal_from_true.quat_wxyz[0]), 1.0))
+    assert math.degrees(turned_rad) == pytest.approx(2.0 * math.sqrt(3.0), abs=0.01)
+    untouched = unknown.calibration()
+    assert (untouched.delay_s, untouched.scale) == (0.0, 0.0)
+    np.testing.assert_array_equal(untouched.nominal_from_true.matrix(), np.eye(4))
+
+
+def test_the_summary_names_units_and_uncertainty() -> None:
+    named = {name: (value, sigma) for name, value, sigma in CalibrationFilter().summary()}
+    assert named["delay_s"] == (0.0, pytest.approx(0.025))
+    assert set(named) >= {"rotation_x_rad", "rotation_y_rad", "rotation_z_rad", "depth_scale", "colour_delay_s"}
+
+
+def test_the_pose_of_a_late_frame_is_that_of_a_moment_before() -> None:
+    """The imager turns at 1 rad/s and flies 0.5 m/s; what the frame shows is 30 ms old."""
+    now, before = _path(7.0), _path(6.97)
+    motion = CameraMotion.between(before, now, 0.03)
+    then = motion.earlier(0.03)
+    np.testing.assert_allclose(then.translation_m, before.translation_m, atol=1e-9)
+    turn = then.rotation().T @ before.rotation()
+    assert math.acos(min((np.trace(turn) - 1.0) / 2.0, 1.0)) < 1e-4

@@ -39,7 +39,15 @@ def flight(folder: Path) -> None:
     frames = ((ReasonCode.DEPTH_FRAME_EMPTY, 2),)
     log.perception(PerceptionStatus(20.0, 150, frames[:0], (("jump", 1),)))
     log.perception(
-        PerceptionStatus(40.0, 300, frames, (("jump", 1), ("imu stamp", 5)), Reason(ReasonCode.DEPTH_FRAME_EMPTY, (0.0,)), 39.0)
+        PerceptionStatus(
+            40.0,
+            300,
+            frames,
+            (("jump", 1), ("imu stamp", 5)),
+            Reason(ReasonCode.DEPTH_FRAME_EMPTY, (0.0,)),
+            39.0,
+            calibration=(("delay_s", 0.028, 0.006),),
+        )
     )
     log.refused_views(41.0, {"no depth": 3, "memory is full": 1})
     log.close()
@@ -61,6 +69,7 @@ def test_a_real_flight_gets_a_report(tmp_path: Path) -> None:
     assert report.safety.contacts is None
     assert report.safety.refusals == 1
     assert report.refused_views == {"no depth": 3, "memory is full": 1}
+    assert report.camera_calibration == {"delay_s": (0.028, 0.006)}
     assert report.rejected_by_perception == {"depth-frame-empty": 2, "imu stamp": 5, "pose jump": 1}
     assert "not measured" in (tmp_path / "report.html").read_text(encoding="utf-8")
 

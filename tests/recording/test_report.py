@@ -42,6 +42,7 @@ def tree() -> dict[str, Any]:
         "refused_views": {"no depth": 2, "memory is full": 11},
         "reduced_speed_s": {"poses disagree for 0.3 s": 1.5, "no inertial samples": 62.4},
         "rejected_by_perception": {"depth-frame-empty": 4, "pose jump": 7},
+        "camera_calibration": {"delay_s": [0.0281, 0.0062]},
     }  # fmt: skip
 
 
@@ -148,6 +149,7 @@ def test_the_page_needs_no_other_file(tmp_path: Path) -> None:
         "96.4 s, 2.9 times the oracle",
         "<th>At reduced speed: no inertial samples</th><td>62 s of 162 s</td></tr><tr><th>At reduced speed: poses disagree",
         "<th>Memory is full</th><td>11</td></tr><tr><th>No depth</th><td>2</td></tr><tr><th>All</th><td>13</td>",
+        "<th>delay_s</th><td>0.0281 ± 0.0062</td>",
         "<th>Pose jump</th><td>7</td></tr><tr><th>Depth frame empty</th><td>4</td></tr><tr><th>All</th><td>11</td>",
     ):
         assert figure in text, figure
@@ -157,12 +159,13 @@ def test_the_page_states_that_ground_truth_is_missing(tmp_path: Path) -> None:
     safety = tree()["safety"] | {"min_clearance_m": None, "fence_overshoot_m": None, "contacts": None}
     real = tree() | {"recall_over_time": None, "time_to_recall_s": {"0.90": None, "0.95": None}, "oracle_s": None}
     real |= {"quality": None, "explored_fraction": None, "seed": None, "depth_noise": None, "safety": safety}
-    real |= {"refused_views": None, "rejected_by_perception": None}
+    real |= {"refused_views": None, "rejected_by_perception": None, "camera_calibration": None}
     _, page = write_report(tmp_path, Report.from_tree(real))
     text = page.read_text()
     assert "no truth to be held against" in text
     assert "refused</h2>" not in text
     assert "rejected</h2>" not in text
+    assert "Errors of the camera" not in text
     assert "Accuracy" not in text and "None" not in text and "nan" not in text
 
 

@@ -54,6 +54,14 @@ _MOST_SIGMAS = 2.5  # max. correction, in prior standard deviations
 # variance of the displacement between two views that one second of comparisons measures
 _UNIT_M2S = 3e-5
 
+_NAMES = (
+    ("delay_s", DELAY),
+    ("rotation_x_rad", 4),
+    ("rotation_y_rad", 5),
+    ("rotation_z_rad", 6),
+    ("depth_scale", SCALE),
+    ("colour_delay_s", COLOUR_DELAY),
+)
 _PRIOR = np.array(
     [
         *(_DRIFT_MPS,) * 3, _DELAY_S, *(_ROTATION_RAD,) * 3, _SCALE, _WIDTH, *(_OFFSET_M,) * 3,
@@ -126,6 +134,11 @@ class CalibrationFilter:
         x = observed * np.clip(self.state, -most, most)
         wrong = Pose.from_rotation_vector(x[ROTATION], x[OFFSET])
         return CameraCalibration(float(x[DELAY]), wrong.inverse(), float(x[SCALE]))
+
+    def summary(self) -> tuple[tuple[str, float, float], ...]:
+        """Return the errors of the camera as known now: name with unit, value, standard deviation."""
+        sigma = np.sqrt(np.diagonal(self.covariance))
+        return tuple((name, float(self.state[k]), float(sigma[k])) for name, k in _NAMES)
 
     @property
     def drift_mps(self) -> FloatArray:

@@ -169,6 +169,11 @@ class DepthConsistencyMonitor:
         """Errors of the depth imager, as far as they are known."""
         return self._drift_rate.calibration.calibration()
 
+    @property
+    def calibration_summary(self) -> tuple[tuple[str, float, float], ...]:
+        """Errors of the camera with their uncertainty: name with unit, value, standard deviation."""
+        return self._drift_rate.calibration.summary()
+
     def drift(self, now_s: float) -> Reason | None:
         """Return the drift of the pose that depth shows, None for nothing."""
         return self._drift if now_s - self._drift_s <= _KEPT_S else None

@@ -35,12 +35,16 @@ class Perception:
     One step costs about 1 ms and never blocks.
 
     Odometry is published at rate_hz, stamped now, with its health and odom's pose in the world. After the filter's pose_lost_s
-    without a pose, a last one with quality 0 is published, and then none until poses arrive again. A frame waits until a pose
-    at or after its stamp was fused, or frame_wait_s. A frame is dropped if its own pose is not known, if it is rejected as
-    inconsistent, or if it is not newer than all before it: it was mapped already, or its turn has passed. The minimum range
-    grid of a frame is published at once, with or without a pose, valid or not. Odometry that depth contradicts has health
-    WRONG; its quality stays, because it is better than none for landing. ``published_odom`` and ``published_frames`` are
-    counters, ``dropped_frames`` counts by reason; all of them are published once a second, with the origin of the poses.
+    without a pose, a last one with quality 0 is published, and then none until poses arrive again.
+
+    A frame waits until a pose at or after its stamp was fused, or frame_wait_s. It gets the pose of the instant that it shows,
+    and depth at its true scale, as far as the camera's errors are known. A frame is dropped if its own pose is not known, if it
+    is rejected as inconsistent, or if it is not newer than all before it: it was mapped already, or its turn has passed. The
+    minimum range grid of a frame is published at once, with or without a pose, valid or not.
+
+    Odometry that depth contradicts has health WRONG; its quality stays, because it is better than none for landing.
+    ``published_odom`` and ``published_frames`` are counters, ``dropped_frames`` counts by reason; all of them are published once
+    a second, with the origin of the poses and the camera's errors.
     """
 
     def __init__(
@@ -152,7 +156,8 @@ class Perception:
         frames = tuple(sorted(self.dropped_frames.items()))
         samples = tuple(sorted((reason.value, count) for reason, count in self._fusion.rejected.items()))
         newest_s, newest = self._newest_drop
-        return PerceptionStatus(now_s, self.published_frames, frames, samples, newest, newest_s, self._origin())
+        calibration = self._depth_consistency.calibration_summary
+        return PerceptionStatus(now_s, self.published_frames, frames, samples, newest, newest_s, self._origin(), calibration)
 
     def _publish_frame(self, now_s: float) -> None:
         """Publish at most one frame per step.

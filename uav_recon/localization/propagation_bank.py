@@ -143,7 +143,8 @@ class PropagationBank:
     def begin(self, said: PoseMeasurement, noise: PoseNoise, velocity_mps: Vector) -> None:
         """Forget the nodes and restart all filters from a pose within the track."""
         for history in self._histories:
-            history.begin(said, noise, velocity_mps)
+            if history.reaches(said.stamp_s):
+                history.begin(said, noise, velocity_mps)
         self._records = [_Record() for _ in self._histories]
         self._choose(self._chosen)
 
@@ -162,10 +163,10 @@ class PropagationBank:
             other = self._met[index]
             if other is not None and other.said is not met.said:  # the pose as it is after a step of the source's map
                 other = self._met[index] = pose_innovation(met.said, met.noise, other.carried, other.here)
-            if other is None or other.nis > _MAX_NIS:
-                history.begin(met.said, met.noise, newest.estimate.velocity_mps)
-            else:
+            if other is not None and other.nis <= _MAX_NIS:
                 history.enter(other)
+            elif history.reaches(met.said.stamp_s):
+                history.begin(met.said, met.noise, newest.estimate.velocity_mps)
         self._compare(met)
 
     def alternatives(self) -> list[Arrival]:

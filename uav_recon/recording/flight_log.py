@@ -120,6 +120,7 @@ class PerceptionRecord:
     """Rejections by perception until this stamp: (reason, count) each.
 
     newest: the newest rejected depth frame as text. origin: where the take-off pad is, if not at the pose source's origin.
+    calibration: errors of the camera: name with unit, value, standard deviation.
     """
 
     stamp_s: Float
@@ -127,6 +128,7 @@ class PerceptionRecord:
     counts: tuple[tuple[str, int], ...]
     newest: str = ""
     origin: str = ""
+    calibration: tuple[tuple[str, Float, Float], ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -283,7 +285,7 @@ class FlightLog:
         """Add the counts of what perception has rejected."""
         counts = tuple(sorted(status.counts().items()))
         texts = text_of(status.newest), text_of(status.origin)
-        self._write("perception", PerceptionRecord(status.stamp_s, status.frames, counts, *texts))
+        self._write("perception", PerceptionRecord(status.stamp_s, status.frames, counts, *texts, status.calibration))
 
     def outcome(self, stamp_s: float, aborted: Reason | None, stop_reason: Reason | None) -> None:
         """Add the last line. aborted: None for a flight that was completed."""

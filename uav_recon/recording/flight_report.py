@@ -65,6 +65,9 @@ def build_report(folder: Path, card: FlightInfo, wall_s: float) -> Report:
         refused_views=dict(timeline.refused_views[-1].counts) if timeline.refused_views else None,
         reduced_speed_s=timeline.reduced_speed_s(min(stamps_s), max(stamps_s)) if stamps_s else {},
         rejected_by_perception=dict(timeline.perception[-1].counts) if timeline.perception else None,
+        camera_calibration={name: (value, sigma) for name, value, sigma in timeline.perception[-1].calibration}
+        if timeline.perception
+        else None,
     )
 
 

@@ -99,6 +99,7 @@ class Report:
     that time); time_to_recall_s: by recall, the first of these times that reaches it. oracle_s: time that a tour with full
     knowledge of the scene needs to see 95 % of it well. refused_views: keyframes that the mapper rejected, by reason.
     reduced_speed_s: seconds of the flight at a reduced speed, by reason; null in reports from before it was logged.
+    camera_calibration: errors of the camera at the end, by name with unit: value and standard deviation; None if not published.
     rejected_by_perception: depth frames, poses and inertial samples that perception rejected, by reason; None if it published
     no counts.
     """
@@ -128,6 +129,7 @@ class Report:
     refused_views: Mapping[str, int] | None
     reduced_speed_s: Mapping[str, float] | None = None
     rejected_by_perception: Mapping[str, int] | None = None
+    camera_calibration: Mapping[str, tuple[float, float]] | None = None
 
     @property
     def completed(self) -> bool:

@@ -72,6 +72,7 @@ def render_page(report: Report, pictures: Sequence[Picture], notes: Sequence[str
         _quality(report),
         _refused_views(report),
         _rejected_by_perception(report),
+        _camera_calibration(report),
         _safety(report),
         _planning(report),
         _flight(report),
@@ -157,6 +158,14 @@ def _refused_views(report: Report) -> str:
     reasons = sorted(refused.items(), key=lambda item: (-item[1], item[0]))
     rows = [(reason[:1].upper() + reason[1:], str(count)) for reason, count in reasons]
     return _table("Views that the mapper refused", [*rows, ("All", str(sum(refused.values())))])
+
+
+def _camera_calibration(report: Report) -> str:
+    errors = report.camera_calibration
+    if not errors:
+        return ""
+    rows = [(name, f"{value:.4f} ± {sigma:.4f}") for name, (value, sigma) in errors.items()]
+    return _table("Errors of the camera, as estimated in flight", rows)
 
 
 def _rejected_by_perception(report: Report) -> str:

@@ -15,7 +15,8 @@ class PerceptionStatus:
 
     frames: depth frames that were given on. rejected_frames: (reason, count) of the others. rejected_samples: (reason as text,
     count) of rejected poses and inertial samples. newest: None before the first rejected frame; newest_s: its stamp.
-    origin: where the take-off pad is, if not at the pose source's origin.
+    origin: where the take-off pad is, if not at the pose source's origin. calibration: errors of the camera as known now, each
+    with its name and unit, its value and its standard deviation.
     """
 
     stamp_s: float
@@ -25,6 +26,7 @@ class PerceptionStatus:
     newest: Reason | None = None
     newest_s: float = -math.inf
     origin: Reason | None = None
+    calibration: tuple[tuple[str, float, float], ...] = ()
 
     def counts(self) -> dict[str, int]:
         """Return all counts of rejections by name.
