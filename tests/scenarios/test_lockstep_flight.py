@@ -20,7 +20,7 @@ from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
 
 pytestmark = pytest.mark.slow
-VIEWS = 14
+VIEWS = 22
 
 
 @dataclass

@@ -43,8 +43,8 @@ class Perception:
     minimum range grid of a frame is published at once, with or without a pose, valid or not.
 
     Odometry that depth contradicts has health WRONG; its quality stays, because it is better than none for landing.
-    ``published_odom`` and ``published_frames`` are counters, ``dropped_frames`` counts by reason; all of them are published once
-    a second, with the origin of the poses and the camera's errors.
+    ``published_odom`` and ``published_frames`` are counters, ``dropped_frames`` counts by reason; all of them are published
+    once a second, with the origin of the poses and the camera's errors.
     """
 
     def __init__(
