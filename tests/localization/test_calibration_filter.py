@@ -13,7 +13,14 @@ import numpy as np
 import pytest
 from textured_room import BARE, LENS, camera_at, depth_of, frame_of, moved, plaster, rgb_of
 
-from uav_recon.localization.calibration_filter import COLOUR_DELAY, DELAY, ROTATION, SCALE, CalibrationFilter
+from uav_recon.localization.calibration_filter import (
+    COLOUR_DELAY,
+    DELAY,
+    ROTATION,
+    SCALE,
+    CalibrationFilter,
+    CameraCalibration,
+)
 from uav_recon.localization.camera_motion import CameraMotion
 from uav_recon.localization.odometry_drift_rate import DriftRateEstimator
 from uav_recon.types.frames import Float32Array, FloatArray
@@ -165,3 +172,12 @@ def test_the_pose_of_a_late_frame_is_that_of_a_moment_before() -> None:
     np.testing.assert_allclose(then.translation_m, before.translation_m, atol=1e-9)
     turn = then.rotation().T @ before.rotation()
     assert math.acos(min((np.trace(turn) - 1.0) / 2.0, 1.0)) < 1e-4
+
+
+def test_the_true_pose_of_a_known_camera_is_found() -> None:
+    """Delay and mount known exactly: the pose is that of the camera which took the frame."""
+    wrong = Pose.from_rotation_vector(np.array([0.015, -0.012, 0.010]), np.array([0.008, -0.008, 0.008]))
+    calibration = CameraCalibration(0.03, wrong.inverse(), 0.0)
+    found = calibration.pose(CameraMotion.between(_path(6.97), _path(7.0), 0.03))
+    true = _path(6.97) @ wrong.inverse()
+    np.testing.assert_allclose(found.matrix(), true.matrix(), atol=1e-4)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from uav_recon.localization.filter_pose_gates import (
+    FrozenPoseGate,
     PoseGates,
     PoseMeasurement,
     PoseRejection,
@@ -117,3 +118,13 @@ def test_no_pose_moves_odometry_by_more_than_three_centimetres(way_m: float, tra
     assert step_m <= 0.03 + 1e-12
     if times > 1.0:
         assert step_m == pytest.approx(0.03)
+
+
+@pytest.mark.parametrize(
+    ("residual", "repeats"), [((0.03, 0, 0, 0, 0, 0), True), ((0, 0, 0, 0, 0, 0.03), True), ((0.01,) * 6, False)]
+)
+def test_a_pose_that_repeats_is_frozen_once_the_track_has_left_it(residual: tuple[float, ...], repeats: bool) -> None:
+    gate, pose = FrozenPoseGate(), Pose.from_yaw(0.3, np.array([1.0, 2.0, 1.2]))
+    assert not gate.repeats(pose, np.array(residual))
+    assert gate.repeats(Pose(pose.quat_wxyz, pose.translation_m), np.array(residual)) is repeats
+    assert not gate.repeats(Pose.from_yaw(0.3, np.array([1.0, 2.0, 1.2 + 1e-9])), np.array(residual))

@@ -260,7 +260,7 @@ def test_a_source_that_was_silent_longer_than_the_track_is_kept_is_believed_agai
     assert (odom.health, odom.quality) == (PoseHealth.GOOD, 100)
     assert odom.odom_from_body.translation_m == pytest.approx([offset_m, 0.0, 1.0], abs=0.02)
     if offset_m:
-        assert set(counters) == {0, 1}  # odom began anew, and said so
+        assert set(counters) == {0, 1}  # odom restarted, and its reset counter shows it
     assert set(counters) <= {0, 1}
 
 

@@ -29,12 +29,11 @@ DRIFT = slice(0, 3)  # m/s, odom axes
 DELAY = 3  # s
 ROTATION = slice(4, 7)  # rad, axes of the depth imager
 SCALE = 7
-WIDTH = 8
+# 8: width
 OFFSET = slice(9, 12)  # m, axes of the depth imager
 GEOMETRY = 12  # number of elements that concern depth; then the same of the colour imager, against the poses
 COLOUR_DELAY = 12
-COLOUR_ROTATION = slice(13, 16)
-COLOUR_WIDTH = 16
+# 13 to 15: rotation of the colour imager, 16: its width
 SIZE = 17
 
 _DRIFT_TIME_S = 2.5  # correlation time of the drift
@@ -56,9 +55,7 @@ _UNIT_M2S = 3e-5
 
 _NAMES = (
     ("delay_s", DELAY),
-    ("rotation_x_rad", 4),
-    ("rotation_y_rad", 5),
-    ("rotation_z_rad", 6),
+    *((f"rotation_{axis}_rad", ROTATION.start + k) for k, axis in enumerate("xyz")),
     ("depth_scale", SCALE),
     ("colour_delay_s", COLOUR_DELAY),
 )
@@ -82,13 +79,10 @@ class CameraCalibration:
     nominal_from_true: Pose
     scale: float
 
-    @staticmethod
-    def none() -> CameraCalibration:
-        """Return the calibration of a camera that is as the config says."""
-        return CameraCalibration(0.0, Pose.identity(), 0.0)
-
     def corrected(self, frame: Frame) -> Frame:
         """Return the frame with depth at its true scale."""
+        if self.scale == 0.0:
+            return frame
         return replace(frame, depth_m=frame.depth_m / np.float32(1.0 + self.scale))
 
     def pose(self, motion: CameraMotion) -> Pose:
@@ -110,8 +104,8 @@ class CalibrationFilter:
     def predict(self, step_s: float) -> None:
         """Let the drift decay towards zero, and the errors of the camera change slowly."""
         self._decay_drift(math.exp(-step_s / _DRIFT_TIME_S))
-        walk = np.diag_indices(SIZE)[0][DRIFT.stop :]
-        self.covariance[walk, walk] += step_s / _MEMORY_S * _PRIOR[DRIFT.stop :] ** 2
+        errors = np.arange(DRIFT.stop, SIZE)
+        self.covariance[errors, errors] += step_s / _MEMORY_S * _PRIOR[errors] ** 2
 
     def update(self, information: FloatArray, weighted: FloatArray) -> None:
         """Add comparisons.
