@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from uav_recon import config as configuration
+from uav_recon.app import camera_sources, pose_sources
 from uav_recon.app.flight_channels import FlightChannels
 from uav_recon.config import Config, LinkConfig
-from uav_recon.errors import EXIT_CONFIG, EXIT_FAILURE, UserError
-from uav_recon.interfaces import ByteLink, Clock, DepthCamera, Executor, Journal, Mapper, PoseSource
-from uav_recon.types.camera import body_from_camera
+from uav_recon.errors import EXIT_CONFIG, UserError
+from uav_recon.interfaces import ByteLink, Clock, Executor, Journal, Mapper
 from uav_recon.types.maps import GridSpec
 
 if TYPE_CHECKING:  # each process imports only the stages that it runs
@@ -40,7 +40,6 @@ if TYPE_CHECKING:  # each process imports only the stages that it runs
     from uav_recon.safety.guard import GuardBounds
     from uav_recon.safety.recently_seen_space import RecentlySeenSpace
 
-CAMERA_WAIT_S = 240.0
 PAD_FILE = "pad_origin.json"  # in the runtime folder
 NARROW_M = 0.15  #: plan: clearance of the hull on paths to where planner.clearance_m leads no more
 INSIDE_M = 0.03  #: plan: a motion stays this much farther inside the fence than the guard requires
@@ -218,15 +217,14 @@ def make_perception(
     from uav_recon.localization.pad_origin import PadOrigin
     from uav_recon.localization.perception import Perception
 
-    camera, poses = _camera(config, clock, stopped)
-    compile_ahead()
-    position = np.array(config.camera.position_body_m)
-    pitch_rad = math.radians(config.camera.pitch_down_deg)
+    camera = camera_sources.open_camera(config, clock, stopped)
     mount = (
-        FixedMount(body_from_camera(position, pitch_rad))
+        FixedMount(camera_sources.tilted_camera(config))
         if config.camera.mount == "fixed"
-        else GimbalMount(position, wires.vehicle)
+        else GimbalMount(np.array(config.camera.position_body_m), wires.vehicle)
     )
+    camera, poses = pose_sources.open_poses(pose_sources.SourceContext(config, wires, clock, camera, mount))
+    compile_ahead()
     fusion = FusionFilter(pose_lost_s=config.localization.pose_lost_s)
     pad = None
     if config.localization.origin == "pad" and config.camera.source != "recorded":
@@ -236,37 +234,6 @@ def make_perception(
         camera, poses, fusion, mount, wires.odom, wires.frames, wires.nearby, wires.perception, clock, rate_hz, wait_s,
         origin=lambda: None if pad is None else pad.reason,
     )  # fmt: skip
-
-
-def _camera(config: Config, clock: Clock, stopped: Callable[[], bool]) -> tuple[DepthCamera, PoseSource]:
-    from uav_recon.sensors.stream_camera import StreamCamera, StreamError, StreamPoses, open_stream
-
-    near_m, far_m = config.camera.depth_min_m, config.camera.depth_max_m
-    fixed = config.camera.mount == "fixed"
-    tilted = body_from_camera(np.array(config.camera.position_body_m), math.radians(config.camera.pitch_down_deg))
-    try:
-        if config.camera.source == "recorded":
-            from uav_recon.sensors.recorded_camera import RecordedCamera, RecordedPoses
-
-            if config.camera.recording is None:
-                raise UserError("camera.recording: must name a flight folder where camera.source is recorded", EXIT_CONFIG)
-            folder = config.camera.recording
-            return RecordedCamera(folder, clock, near_m, far_m), RecordedPoses(folder, clock, tilted)
-        path = config.runtime.folder / config.camera.stream
-        if config.camera.source == "stream":
-            open_stream(path, clock, CAMERA_WAIT_S, stopped)
-            return StreamCamera(path, near_m, far_m), StreamPoses(path)
-        from uav_recon.sensors.realsense import RealSenseCamera, check_camera
-
-        check_camera(config.camera.recording)
-        open_stream(path, clock, CAMERA_WAIT_S, stopped)  # poses come through it
-        playback, body_from_depth = config.camera.recording, tilted if fixed else None
-        return (
-            RealSenseCamera(clock, playback=playback, depth_min_m=near_m, depth_max_m=far_m, body_from_depth=body_from_depth),
-            StreamPoses(path),
-        )
-    except StreamError as error:
-        raise UserError(str(error), 0 if stopped() else EXIT_FAILURE) from None
 
 
 # -- the mission --------------------------------------------------------------------------------------------------------

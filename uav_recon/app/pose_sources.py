@@ -1,0 +1,57 @@
+"""The pose source that the config names: `localization.source`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from uav_recon.app import camera_sources
+from uav_recon.app.flight_channels import FlightChannels
+from uav_recon.config import Config
+from uav_recon.errors import UserError
+from uav_recon.interfaces import Clock, DepthCamera, PoseSource
+from uav_recon.sensors.stream_format import StreamError
+
+if TYPE_CHECKING:  # the pilot's process imports no stage of perception
+    from uav_recon.localization.camera_mount import Mount
+
+
+@dataclass(frozen=True)
+class SourceContext:
+    """What a pose source may use: the config, the channels, the clock, the camera, and its pose on the body."""
+
+    config: Config
+    wires: FlightChannels
+    clock: Clock
+    camera: DepthCamera
+    mount: Mount
+
+
+def open_poses(context: SourceContext) -> tuple[DepthCamera, PoseSource]:
+    """Open the source of the poses. Returns the camera to read from now on, and the poses.
+
+    A source that tracks the images returns a camera that shows it each frame. Raises UserError (one line) if the source cannot
+    be opened.
+    """
+    try:
+        return _OPENERS[context.config.localization.source](context)
+    except StreamError as error:
+        raise UserError(str(error)) from None
+
+
+def _open_stream_poses(context: SourceContext) -> tuple[DepthCamera, PoseSource]:
+    config = context.config
+    if config.camera.source == "recorded":
+        from uav_recon.sensors.recorded_camera import RecordedPoses
+
+        folder, tilted = camera_sources.recording_folder(config), camera_sources.tilted_camera(config)
+        return context.camera, RecordedPoses(folder, context.clock, tilted)
+    from uav_recon.sensors.stream_camera import StreamPoses
+
+    return context.camera, StreamPoses(camera_sources.stream_path(config))
+
+
+_OPENERS: dict[str, Callable[[SourceContext], tuple[DepthCamera, PoseSource]]] = {
+    "stream": _open_stream_poses,
+}
