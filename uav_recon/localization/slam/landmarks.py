@@ -33,7 +33,9 @@ _FARTHEST_M = 5.0
 _FLAT_SHARE = 0.04  # spread of the depths around a corner; more is the edge of an object
 _SIGMA_PX = 1.0
 _ROBUST_PX = 2.0
-_CORNER_SHARE = 0.15  # eigenvalue of a corner's weaker direction against the stronger one, from which on both count in full
+# eigenvalue of a corner's weaker direction against the stronger one, up to which it is an edge, and from which on a corner
+_EDGE_SHARE = 0.08
+_CORNER_SHARE = 0.25
 _FITS_PX = 3.0  # a landmark farther from where the pose expects it is dropped
 _MOST_SEEN = 15.0  # depths in a mean; more would keep the landmark where it was first seen
 
@@ -264,7 +266,8 @@ def _row(
 def _shown(texture: FloatArray) -> FloatArray:
     """Return Landmarks.texture (N, 2, 2) from eigenvalues and eigenvectors (N, 6) of the brightness around corners."""
     values, first, second = texture[:, :2], texture[:, 2:4], texture[:, 4:6]
-    share = np.minimum(values / (_CORNER_SHARE * values.max(axis=1, keepdims=True)), 1.0) ** 2
+    ratio = values / values.max(axis=1, keepdims=True)
+    share = np.clip((ratio - _EDGE_SHARE) / (_CORNER_SHARE - _EDGE_SHARE), 0.0, 1.0) ** 2
     return np.asarray(
         share[:, 0, None, None] * first[:, :, None] * first[:, None, :]
         + share[:, 1, None, None] * second[:, :, None] * second[:, None, :]
