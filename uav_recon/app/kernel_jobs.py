@@ -16,6 +16,12 @@ from uav_recon.config import VariantName
 HERE = __name__
 MAPPER = "mapper"
 PERCEPTION = KernelJob("perception", f"{HERE}:perception", 21)
+SLAM = KernelJob("slam", f"{HERE}:slam", 15)
+
+
+def perception_jobs(source: str) -> list[KernelJob]:
+    """Return the jobs of the perception process with a source of poses (localization.source)."""
+    return [PERCEPTION, SLAM] if source == "slam" else [PERCEPTION]
 
 
 def mission_jobs(variant: VariantName) -> list[KernelJob]:
@@ -38,6 +44,13 @@ def perception(_config_path: Path, _: str) -> None:
     from uav_recon.localization import perception as stage
 
     stage.warm_up()
+
+
+def slam(_config_path: Path, _: str) -> None:
+    """Compile the kernels of the embedded SLAM."""
+    from uav_recon.localization.slam import slam_tracker
+
+    slam_tracker.warm_up()
 
 
 def frontiers(_config_path: Path, _: str) -> None:

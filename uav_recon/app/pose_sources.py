@@ -54,8 +54,9 @@ def _open_stream_poses(context: SourceContext) -> tuple[DepthCamera, PoseSource]
 
 def _open_slam(context: SourceContext) -> tuple[DepthCamera, PoseSource]:
     from uav_recon.localization.slam.slam_source import SlamSource
-    from uav_recon.localization.slam.slam_tracker import SlamTracker
+    from uav_recon.localization.slam.slam_tracker import SlamTracker, warm_up
 
+    warm_up()
     source = SlamSource(context.camera, context.mount, SlamTracker())
     return source, source
 

@@ -55,8 +55,8 @@ def add_depth_equations(
     """Add the normal equations of points (N, 3) against the field for a camera at rotation (3, 3) and place_m (3,).
 
     information (>= 6, >= 6) and gradient (>= 6): of a small rotation in odom axes about the camera and of its translation, in
-    units of standard deviations; share: weight of one point, since the errors of neighbours are alike. wider: factor on the scale of
-    the robust weight.
+    units of standard deviations. share: weight of one point, since the errors of neighbours are alike. wider: factor on the
+    scale of the robust weight.
     Returns the number of points in known space, and of those that lie on a known surface.
     """
     known, inliers = 0, 0

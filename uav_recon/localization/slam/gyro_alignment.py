@@ -14,6 +14,7 @@ from uav_recon.localization.imu_integration import InertialState, InertialTrack,
 from uav_recon.types.camera import ImuSample
 from uav_recon.types.frames import FloatArray
 
+_SURPRISE = 16.0  # squared innovation in standard deviations beyond which a comparison is not used
 _GAP_S = 0.05  # the gyro measures an interval if its samples come closer than this
 _RATE_SPAN_S = 0.02  # time over which a turn rate is measured
 _DELAY_S = 0.02  # prior standard deviation of the delay
@@ -109,6 +110,3 @@ class GyroAlignment:
             return None
         between = multiply(conjugate(first.gyro_from_body), last.gyro_from_body)
         return np.array(logarithm(between)) - (b_s - a_s) * self._state[:3]
-
-
-_SURPRISE = 16.0  # squared innovation in standard deviations beyond which a comparison is not used

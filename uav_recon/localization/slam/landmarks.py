@@ -26,11 +26,7 @@ _BLOCK_PX = 3
 _WINDOW_PX = 15
 _LEVELS = 2
 _RETURNS_PX = 0.7  # a corner followed there and back again must return to this distance
-_WIDEST_PX = 640
-_NARROWEST_PX = 32
 _NEAREST_M = 0.25
-_FARTHEST_M = 5.0
-_FLAT_SHARE = 0.04  # spread of the depths around a corner; more is the edge of an object
 _SIGMA_PX = 1.0
 _ROBUST_PX = 2.0
 # eigenvalue of a corner's weaker direction against the stronger one, up to which it is an edge, and from which on a corner
@@ -47,9 +43,10 @@ SIZE = 8
 class Landmarks(NamedTuple):
     """Landmarks that are in view.
 
-    place_m (N, 3) in odom. slope (N, 3, 2): its derivatives by delay and width of the colour image. at_px (N, 2) float32, where the
-    newest image shows them. off_px (N, 2): difference from where the pose expected them. seen (N,): weight of the depths in the
-    place. texture (N, 2, 2): share of a displacement that the image shows: along an edge it shows none (aperture problem).
+    place_m (N, 3) in odom. slope (N, 3, 2): its derivatives by delay and width of the colour image. at_px (N, 2) float32:
+    where the newest image shows them. off_px (N, 2): difference from where the pose expected them. seen (N,): weight of the
+    depths in the place. texture (N, 2, 2): share of a displacement that the image shows: along an edge it
+    shows none (aperture problem).
     """
 
     place_m: FloatArray
@@ -192,7 +189,8 @@ def add_landmark_equations(
 ) -> int:
     """Add the normal equations (SIZE) of landmarks that the image shows at at_px (N, 2). Arguments as in project().
 
-    slope (N, 3, 2), texture (N, 2, 2): of Landmarks; change (2,): of ``slow`` since the places were right. The first six elements are those of add_depth_equations. Returns the number of landmarks that fit.
+    slope (N, 3, 2), texture (N, 2, 2): of Landmarks; change (2,): of ``slow`` since the places were right. The first six
+    elements are those of add_depth_equations. Returns the number of landmarks that fit.
     """
     fitting, expected, columns = 0, np.empty(2), np.empty((2, SIZE))
     for n in range(place_m.shape[0]):
@@ -242,7 +240,7 @@ def _row(
     q = rotation[0, 1] * x + rotation[1, 1] * y + rotation[2, 1] * z
     deep = rotation[0, 2] * x + rotation[1, 2] * y + rotation[2, 2] * z
     if deep < _NEAREST_M:
-        return deep
+        return float(deep)
     x, y, z = place[0] - turn_m[0], place[1] - turn_m[1], place[2] - turn_m[2]
     for axis in range(2):
         focal, across = camera[axis], (p if axis == 0 else q) / deep
@@ -260,7 +258,7 @@ def _row(
         columns[axis, DELAY] = flow
         columns[axis, WIDTH] = focal * across
         expected[axis] = focal * across * (1.0 + slow[1]) + camera[2 + axis] + slow[0] * flow
-    return deep
+    return float(deep)
 
 
 def _shown(texture: FloatArray) -> FloatArray:

@@ -1,8 +1,8 @@
 """Motion of the body between frames: Kalman filter of place, velocity and offset of the accelerometer.
 
-The accelerometer carries the place through views that do not determine it: along a bare wall, or with nothing in view. Its offset
-contains its bias, a mount that is off, and the tilt error of the map: it turns with the body. An accelerometer that the images
-contradict is left out.
+The accelerometer carries the place through views that do not determine it: along a bare wall, or with nothing in view. Its
+offset contains its bias, a mount that is off, and the tilt error of the map: it turns with the body. An accelerometer that the
+images contradict is left out.
 """
 
 from __future__ import annotations

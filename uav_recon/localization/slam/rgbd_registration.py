@@ -26,8 +26,8 @@ _ENOUGH_POINTS = 250  # points on known surfaces from which on depth counts in f
 _FEWEST_LANDMARKS = 12
 _AGREEING_SHARE = 0.5
 _POSE = slice(0, 6)
-# Depth tells nothing of a direction in which it has less than this share of its information: along a plane the noise of the field
-# would hold the camera to where it was.
+# Depth tells nothing of a direction in which it has less than this share of its information: along a plane the noise of the
+# field would hold the camera to where it was.
 _WEAK_SHARE = 0.005
 
 
@@ -35,9 +35,9 @@ _WEAK_SHARE = 0.005
 class MotionPrior:
     """The predicted pose of the depth imager, and how well it is known.
 
-    covariance (6, 6): of a rotation in odom axes about the camera, and of its place. turn_sigma_rad: of the turn since the newest
-    believed frame, per axis. rate_radps (3,), velocity_mps (3,): of the camera in odom. slow (2,): delay and width
-    of the colour image (landmarks.DELAY, WIDTH); slow_covariance (2, 2).
+    covariance (6, 6): of a rotation in odom axes about the camera, and of its place. turn_sigma_rad: of the turn since the
+    newest frame, per axis. rate_radps (3,), velocity_mps (3,): of the camera in odom. slow (2,): delay and width of the colour
+    image (landmarks.DELAY, WIDTH); slow_covariance (2, 2).
     """
 
     odom_from_depth: Pose
@@ -53,9 +53,9 @@ class MotionPrior:
 class Registration:
     """The pose of a frame, and what supports it.
 
-    covariance (6, 6): of a rotation in odom axes about the camera, and of its place. points, known, inliers: depth points, those in
-    known space, those on a known surface. landmarks: number that fit. measured (6, 6): information of the frame without the prior.
-    slow, slow_covariance: as in MotionPrior, after this frame.
+    covariance (6, 6): of a rotation in odom axes about the camera, and of its place. points, known, inliers: depth points,
+    those in known space, those on a known surface. landmarks: number that fit. slow, slow_covariance: as in MotionPrior, after
+    this frame.
     """
 
     odom_from_depth: Pose
@@ -64,7 +64,6 @@ class Registration:
     known: int
     inliers: int
     landmarks: int
-    measured: FloatArray
     slow: FloatArray
     slow_covariance: FloatArray
 
@@ -114,26 +113,25 @@ def _converge(view: RgbdView, volume: TsdfVolume, landmarks: Landmarks, prior: M
         _leave_weak_directions(information, gradient, prior.turn_sigma_rad)
         eye = rotation @ view.depth_from_rgb.rotation(), rotation @ view.depth_from_rgb.translation_m + place_m
         fitting = add_landmark_equations(
-            landmarks.place_m, landmarks.slope, landmarks.texture, landmarks.at_px, view.camera, *eye, place_m, motion, slow, slow - prior.slow,
-            information, gradient,
+            landmarks.place_m, landmarks.slope, landmarks.texture, landmarks.at_px, view.camera, *eye, place_m, motion, slow,
+            slow - prior.slow, information, gradient,
         )  # fmt: skip
         whole = information.copy()
         whole[_POSE, _POSE] += predicted
         whole[6:, 6:] += slow_information
         gradient[_POSE] -= predicted @ np.concatenate((turned_rad, moved_m))
         gradient[6:] -= slow_information @ (slow - prior.slow)
-        step = np.linalg.solve(whole, gradient)
+        step = np.asarray(np.linalg.solve(whole, gradient), dtype=np.float64)
         rotation = Pose.from_rotation_vector(step[:3], np.zeros(3)).rotation() @ rotation
         place_m = place_m + step[3:6]
         turned_rad, moved_m, slow = turned_rad + step[:3], moved_m + step[3:6], slow + step[6:]
         if wide == 1.0 and math.hypot(*step[3:6].tolist()) < _STILL_M and math.hypot(*step[:3].tolist()) < _STILL_RAD:
             break
-    covariance = np.linalg.inv(whole)
+    covariance = np.asarray(np.linalg.inv(whole), dtype=np.float64)
     matrix = np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = rotation, place_m
     return Registration(
-        Pose.from_matrix(matrix), covariance[_POSE, _POSE], len(view.points), known, inliers, fitting,
-        information[_POSE, _POSE], slow, covariance[6:, 6:],
+        Pose.from_matrix(matrix), covariance[_POSE, _POSE], len(view.points), known, inliers, fitting, slow, covariance[6:, 6:],
     )  # fmt: skip
 
 

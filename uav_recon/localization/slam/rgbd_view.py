@@ -44,7 +44,7 @@ class RgbdView:
     def places(self, at_px: AnyArray, odom_from_depth: Pose, motion: FloatArray, slow: FloatArray) -> FloatArray:
         """Return the places (N, 3) in odom of pixels (N, 2) of the brightness; NaN where depth does not show one surface.
 
-        motion (6,): turn rate and velocity of the camera in odom; slow (2,): delay and width of the colour image, see landmarks.
+        motion (6,): turn rate and velocity of the camera in odom. slow (2,): delay and width of the colour image (landmarks).
         """
         turned = Pose.from_rotation_vector(slow[0] * motion[:3], np.zeros(3))
         later = Pose((turned @ odom_from_depth).quat_wxyz, odom_from_depth.translation_m + slow[0] * motion[3:])

@@ -1,8 +1,9 @@
 """RGB-D-inertial tracker: the pose of each frame against a map of its own.
 
-Depth is registered to a field of the surfaces seen so far, corners of the colour image to landmarks, and both to the motion that
-the gyro and the last velocity predict, in one Gauss-Newton problem. The map covers the room, so a surface that comes into view
-again corrects the drift since. A frame that may not be believed changes nothing: neither map nor landmarks nor motion.
+Depth is registered to a field of the surfaces seen so far, corners of the colour image to landmarks, and both to the motion
+that the inertial samples predict, in one Gauss-Newton problem. The map covers the room, so a surface that comes into view again
+corrects the drift since. A frame that may not be believed changes neither map nor landmarks: the inertial samples alone carry
+the track on.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from uav_recon.localization.slam.rgbd_registration import MotionPrior, Registrat
 from uav_recon.localization.slam.rgbd_view import RgbdView
 from uav_recon.localization.slam.tracking_monitor import TrackingFault, TrackingMonitor
 from uav_recon.localization.slam.tsdf_volume import TsdfVolume
-from uav_recon.types.camera import Frame, ImuSample
+from uav_recon.types.camera import Frame, ImuSample, Intrinsics, body_from_camera
 from uav_recon.types.frames import Float32Array, FloatArray
 from uav_recon.types.pose import Pose, StampedPose
 
@@ -63,8 +64,8 @@ class TrackedState:
 class SlamTracker:
     """Tracks the camera. Not thread-safe; about 8 ms a frame of 424x240 on one core.
 
-    It starts at rest: the first poses come once the inertial samples have shown where down is. ``fault``: why the newest frame was
-    not believed, None if it was.
+    It starts at rest: the first poses come once the inertial samples have shown where down is. ``fault``: why the newest frame
+    was not believed, None if it was.
     """
 
     def __init__(self) -> None:
@@ -247,6 +248,19 @@ class SlamTracker:
             stamp_s - self.delay_s, self._state.odom_from_body, self._state.velocity_mps, covariance,
             reset_counter=self._reset_counter,
         )  # fmt: skip
+
+
+def warm_up() -> None:
+    """Compile every kernel of the tracker."""
+    tracker, lens, level = SlamTracker(), Intrinsics.from_fov(64, 48, 1.5, 1.2), body_from_camera(np.zeros(3), 0.3)
+    still = [ImuSample(0.01 * n, np.zeros(3), np.array([0.0, 0.0, 9.8])) for n in range(80)]
+    depth_m = np.full((48, 64), 1.5, np.float32)
+    pattern = np.kron(np.indices((12, 16)).sum(axis=0) % 2, np.ones((4, 4))).astype(np.uint8) * 200
+    colour = np.repeat(pattern[..., None], 3, axis=2)
+    tracker.add_imu(still)
+    for n in range(4):
+        depth_m = depth_m + np.float32(1e-3)
+        tracker.track(Frame(0.7 + 0.03 * n, n, depth_m, lens, colour, lens, Pose.identity()), level)
 
 
 def _quality(found: Registration) -> int:

@@ -10,7 +10,7 @@ import numpy as np
 
 from uav_recon.geometry.jit import kernel
 from uav_recon.types.camera import Frame
-from uav_recon.types.frames import AnyArray, FloatArray
+from uav_recon.types.frames import AnyArray
 from uav_recon.types.pose import Pose
 
 VOXEL_M = 0.05
@@ -72,9 +72,10 @@ class TsdfVolume:
         fuse_blocks(*seen, incidence(frame.depth_m, camera), blocks, self._place, self.distance, self.weight)
 
     def _grow(self) -> None:
-        self._place, self._touched, self.distance, self.weight = (
-            np.concatenate((array, np.zeros_like(array))) for array in (self._place, self._touched, self.distance, self.weight)
-        )
+        self._place = np.concatenate((self._place, np.zeros_like(self._place)))
+        self._touched = np.concatenate((self._touched, np.zeros_like(self._touched)))
+        self.distance = np.concatenate((self.distance, np.zeros_like(self.distance)))
+        self.weight = np.concatenate((self.weight, np.zeros_like(self.weight)))
 
 
 @kernel
@@ -233,8 +234,3 @@ def sample(point: AnyArray, index: AnyArray, distance: AnyArray, weight: AnyArra
                 gz += (d if c else -d) * wx * wy
     out[0], out[1], out[2], out[3] = value, gx / VOXEL_M, gy / VOXEL_M, gz / VOXEL_M
     return True
-
-
-def empty_query() -> FloatArray:
-    """Return an array for one result of sample()."""
-    return np.empty(4)
