@@ -37,6 +37,17 @@ def test_the_offset_is_known_to_three_milliseconds_after_five_seconds(
     assert offset.drift_fault() is None
 
 
+def test_drift_is_followed_between_the_shortest_delays() -> None:
+    """Only one stamp in two seconds comes without delay; its offset holds for those after it."""
+    offset = ClockOffset()
+    for k in range(600):
+        arrival_s = 100.0 + k / 30
+        stamp_s = (arrival_s - (0.0 if k % 60 == 0 else 0.02)) * (1.0 - 200e-6)
+        offset.update(arrival_s - stamp_s, arrival_s)
+        if k > 450:
+            assert arrival_s * (1.0 - 200e-6) + offset.at(arrival_s) == pytest.approx(arrival_s, abs=1e-4)
+
+
 @given(st.lists(st.tuples(st.floats(0.0, 0.1), st.floats(-1.0, 1.0)), min_size=2, max_size=80))
 def test_the_line_lies_below_all_points_and_touches_one(steps: list[tuple[float, float]]) -> None:
     x = np.cumsum([0.01 + step for step, _ in steps])

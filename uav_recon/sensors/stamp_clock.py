@@ -28,7 +28,7 @@ _RESETS = 5  #: reject: a stream whose clock was set so often, each time within 
 _STEP_S = 0.1
 _STEP_FOR_S = 0.5  #: reject: ... older for this time
 _RESET_S = 1.0  #: reject: frames for a moment, if one stamp is older than expected by this: the device's clock was set
-_SAME_CLOCK_S = (-0.015, 0.08)  #: reject: delays of two streams differ by this at most; beyond, they have clocks of their own
+_SAME_CLOCK_S = 0.08  #: reject: delays of two streams differ by this at most; beyond, they have clocks of their own
 HOLD_S = 0.5  #: reject: frames for this time after their clock changed or was set (hazard C7)
 
 
@@ -204,7 +204,7 @@ class DeviceClocks:
         shared_s = min(other.at(arrival_s) for other in self._sharing(stream, arrival_s))
         if domain is not StampDomain.HARDWARE:  # it tells the capture, or the arrival, by the companion's own clock
             shared_s = min(shared_s, 0.0)
-        return min(based_s + shared_s, arrival_s)
+        return based_s + shared_s
 
     def settled(self, stream: str, now_s: float) -> bool:
         """Return True if the stream's clock has neither changed nor been set for HOLD_S.
@@ -230,7 +230,7 @@ class DeviceClocks:
         if first not in self._offsets or second not in self._offsets or self._domains[first] is not self._domains[second]:
             return None
         apart_s = self._offsets[first].at(now_s) - self._offsets[second].at(now_s)
-        return None if abs(apart_s) <= _SAME_CLOCK_S[1] else apart_s
+        return None if abs(apart_s) <= _SAME_CLOCK_S else apart_s
 
     def _sharing(self, stream: str, arrival_s: float) -> list[ClockOffset]:
         """Return the offsets that bound that of a stream.
@@ -238,10 +238,9 @@ class DeviceClocks:
         Its own, and those of the streams on the same clock.
         """
         own = self._offsets[stream]
-        low_s, high_s = _SAME_CLOCK_S
         others = (
             offset
             for name, offset in self._offsets.items()
             if name != stream and offset.known and self._domains[name] is self._domains[stream]
         )
-        return [own, *(other for other in others if low_s <= own.at(arrival_s) - other.at(arrival_s) <= high_s)]
+        return [own, *(other for other in others if own.at(arrival_s) - other.at(arrival_s) <= _SAME_CLOCK_S)]
