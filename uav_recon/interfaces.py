@@ -100,6 +100,15 @@ class DepthCamera(Protocol):
         ...
 
 
+@runtime_checkable
+class CameraRemarks(Protocol):
+    """A camera that can say what an operator should know of it."""
+
+    def remarks(self) -> tuple[Reason, ...]:
+        """Return its streams, and what is wrong with it. Never blocks."""
+        ...
+
+
 class PoseSource(Protocol):
     """A source of absolute poses in odom.
 
