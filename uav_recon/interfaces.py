@@ -109,6 +109,15 @@ class CameraRemarks(Protocol):
         ...
 
 
+@runtime_checkable
+class ExposureLocking(Protocol):
+    """A camera whose exposure can be locked for a flight."""
+
+    def lock_exposure(self, near_flight: Callable[[], bool]) -> None:
+        """Lock exposure and white balance while near_flight() is True. Never blocks."""
+        ...
+
+
 class PoseSource(Protocol):
     """A source of absolute poses in odom.
 

@@ -14,8 +14,9 @@ from uav_recon.app import camera_sources, pose_sources
 from uav_recon.app.flight_channels import FlightChannels
 from uav_recon.config import Config, LinkConfig
 from uav_recon.errors import EXIT_CONFIG, UserError
-from uav_recon.interfaces import ByteLink, CameraRemarks, Clock, Executor, Journal, Mapper
+from uav_recon.interfaces import ByteLink, CameraRemarks, Clock, Executor, ExposureLocking, Journal, Mapper
 from uav_recon.types.maps import GridSpec
+from uav_recon.types.vehicle import FlightPhase, VehicleState
 
 if TYPE_CHECKING:  # each process imports only the stages that it runs
     from uav_recon.autopilot.firmware.profile import FirmwareProfile
@@ -223,6 +224,8 @@ def make_perception(
         if config.camera.mount == "fixed"
         else GimbalMount(np.array(config.camera.position_body_m), wires.vehicle)
     )
+    if isinstance(camera, ExposureLocking):
+        camera.lock_exposure(lambda: _flight_is_near(wires.vehicle.latest()))
     remarks = camera.remarks if isinstance(camera, CameraRemarks) else tuple
     camera, poses = pose_sources.open_poses(pose_sources.SourceContext(config, wires, clock, camera, mount))
     compile_ahead()
@@ -235,6 +238,11 @@ def make_perception(
         camera, poses, fusion, mount, wires.odom, wires.frames, wires.nearby, wires.perception, clock, rate_hz, wait_s,
         origin=lambda: None if pad is None else pad.reason, remarks=remarks, rates=wires.rates,
     )  # fmt: skip
+
+
+def _flight_is_near(vehicle: VehicleState | None) -> bool:
+    """Return True from the request to arm until the motors have stopped."""
+    return vehicle is not None and (vehicle.armed or vehicle.phase is FlightPhase.ARMING)
 
 
 # -- the mission --------------------------------------------------------------------------------------------------------

@@ -20,7 +20,9 @@ import numpy as np
 
 from uav_recon.clock import ThreadExecutor
 from uav_recon.interfaces import Clock, Executor
+from uav_recon.sensors.exposure_lock import ExposureLock
 from uav_recon.sensors.realsense_device import (
+    ColourControls,
     Devices,
     ImageArrival,
     RealSenseError,
@@ -52,6 +54,7 @@ _RESET_ATTEMPT = 3  #: internal: the attempt that resets the device before it is
 _RESET_S = 3.0  #: internal: time for the device to come back after that
 _PAIR_SHARE = 0.6  #: reject: depth without a colour image within this share of the time between two frames
 _TICK_S = 0.01
+_SPARSE = 8  #: internal: one pixel of so many is used for the brightness of an image
 _CLOSE_S = 2.0  #: internal: wait for the streams to stop when the process ends
 
 
@@ -108,7 +111,7 @@ class RealSenseCamera:
         self._said: set[Reason] = set()
         self._lost_by = ""
         self._emitter: bool | None = None
-        self._exposure: Reason | None = None
+        self._near_flight: Callable[[], bool] | None = None
         device = find_device(devices, serial) if playback is None else open_recording(playback)
         self._recovery = SessionRecovery[RealSenseSession](self._reopen, executor, RealSenseError)
         self._session: RealSenseSession | None = None
@@ -117,6 +120,10 @@ class RealSenseCamera:
         self._silent_s = math.inf
         self._silence_limit_s = _FIRST_FRAME_S
         self._say(self.remarks())
+
+    def lock_exposure(self, near_flight: Callable[[], bool]) -> None:
+        """Lock the colour camera's exposure and white balance while near_flight() is True."""
+        self._near_flight = near_flight
 
     # ---- sessions ----------------------------------------------------------------------------------------------------
 
@@ -152,6 +159,9 @@ class RealSenseCamera:
         self._colours: deque[tuple[float, Any]] = deque(maxlen=8)  # stamp on the companion's clock, image
         self._waiting: tuple[float, ImageArrival] | None = None  # depth whose colour has not come yet
         self._force: FloatArray | None = None
+        self._exposure = ExposureLock(
+            ColourControls(session.colour_sensor), self._executor, RealSenseError, self._clock.now_s()
+        )
         self._body_from_imu: FloatArray | None = None
         if self._body_from_depth is not None and session.has_imu:
             self._body_from_imu = self._body_from_depth.rotation() @ session.depth_from_imu
@@ -191,6 +201,8 @@ class RealSenseCamera:
         heard, frame = self._newest(self._session, now_s)
         if self._playback is None:
             self._check_silence(heard, now_s)
+        if frame is not None and self._near_flight is not None and self._playback is None:
+            self._exposure.step(now_s, self._near_flight(), float(frame.rgb[::_SPARSE, ::_SPARSE].mean()))
         if heard:
             self._say(self.remarks())
         return frame
@@ -296,7 +308,7 @@ class RealSenseCamera:
             found.append(Reason(ReasonCode.CAMERA_EMITTER_OFF))
         if self._session is None:
             found.append(self._restart_remark())
-        return tuple(found) if self._exposure is None else (*found, self._exposure)
+        return tuple(found) if self._exposure.reason is None else (*found, self._exposure.reason)
 
     def _restart_remark(self) -> Reason:
         values = (max(self._recovery.attempts, 1), MAX_RESTARTS, self._recovery.failure or self._lost_by)
@@ -320,7 +332,11 @@ class RealSenseCamera:
         for reason in remarks:
             if reason not in self._said:
                 self._said.add(reason)
-                LOG.log(logging.INFO if reason.code is ReasonCode.CAMERA_STREAMS else logging.WARNING, "%s", reason.text())
+                LOG.log(
+                    logging.INFO if reason.code in (ReasonCode.CAMERA_STREAMS, ReasonCode.EXPOSURE_LOCKED) else logging.WARNING,
+                    "%s",
+                    reason.text(),
+                )
 
     def close(self) -> None:
         """Stop the streams, for two seconds at most: librealsense may block for ever."""

@@ -280,6 +280,53 @@ class RealSenseSession:
         return StampDomain.SYSTEM if domain == self._rs.timestamp_domain.system_time else StampDomain.GLOBAL
 
 
+class ColourControls:
+    """Exposure and white balance of a session's colour sensor, as ExposureControls.
+
+    sensor: None if colour has no sensor of its own. Errors are RealSenseError.
+    """
+
+    def __init__(self, sensor: Any) -> None:
+        self._sensor = sensor
+        self._option = library().option
+
+    def lock(self) -> tuple[float, float]:
+        """Keep the present values.
+
+        Some devices fall back to the last manual value when they are told to stop adapting: so the values are set as well.
+        """
+        option, sensor = self._option, self._sensor
+        if sensor is None:
+            raise RealSenseError("colour comes from the depth sensor, which has to adapt")
+        automatic = (option.enable_auto_exposure, option.enable_auto_white_balance)
+        try:
+            if not all(sensor.supports(name) for name in automatic):
+                raise RealSenseError("the colour camera has no such control")
+            kept = {
+                name: float(sensor.get_option(name))
+                for name in (option.exposure, option.gain, option.white_balance)
+                if sensor.supports(name)
+            }
+            for name in automatic:
+                sensor.set_option(name, 0.0)
+            for name, value in kept.items():
+                sensor.set_option(name, value)
+            if any(sensor.get_option(name) for name in automatic):
+                raise RealSenseError("the colour camera stays automatic")
+        except RuntimeError as error:
+            raise RealSenseError(one_line(error)) from None
+        return kept.get(option.exposure, np.nan), kept.get(option.white_balance, np.nan)
+
+    def release(self) -> None:
+        """Make both automatic again."""
+        try:
+            for name in (self._option.enable_auto_exposure, self._option.enable_auto_white_balance):
+                if self._sensor is not None and self._sensor.supports(name):
+                    self._sensor.set_option(name, 1.0)
+        except RuntimeError as error:
+            raise RealSenseError(one_line(error)) from None
+
+
 def emitter_on(image: Any) -> bool | None:
     """Return whether the infrared emitter was on in a depth image.
 
