@@ -61,6 +61,7 @@ class SoftwareRealSense:
             limits = rs.option_range()
             limits.min, limits.max, limits.default, limits.step = 0.0, 10000.0, value, 1.0
             self._rgb.add_option(option, limits, True)
+        self.has_imu = imu_hz is not None
         self._motion = self.device.add_sensor("Motion Module") if imu_hz else None
         if imu_hz and self._motion is not None:
             self._gyro = self._motion.add_motion_stream(_inertial(rs.stream.gyro, 90, imu_hz[0]))
@@ -84,10 +85,13 @@ class SoftwareRealSense:
         if colour:
             self._rgb.on_video_frame(self._image(image, self.colour[colour_size], stamp_s, domain))
 
-    def send_motion(self, taken_s: float, domain: Any = HARDWARE, gyro: tuple[float, float, float] = (0.1, 0.2, 0.3)) -> None:
+    def send_motion(
+        self, taken_s: float, domain: Any = HARDWARE, gyro: Sequence[float] = (0.1, 0.2, 0.3),
+        force: Sequence[float] = (0.0, -9.81, 0.1),
+    ) -> None:  # fmt: skip
         """Send a sample of the accelerometer and one of the gyro."""
         assert self._motion is not None
-        for profile, data in ((self._accel, (0.0, -9.81, 0.1)), (self._gyro, gyro)):
+        for profile, data in ((self._accel, force), (self._gyro, gyro)):
             frame, vector = rs.software_motion_frame(), rs.vector()
             vector.x, vector.y, vector.z = data
             frame.data, frame.timestamp, frame.domain = vector, 1e3 * self.stamp_s(domain, taken_s), domain

@@ -67,11 +67,10 @@ class _Ground:
 def test_it_is_automatic_until_the_flight_is_near_and_after_it() -> None:
     ground = _Ground()
     assert ground.run(60.0, near=False) is None
-    assert not ground.controls.locked
+    assert [ground.controls.locked] == [False]
     assert ground.run(0.1, near=True) == LOCKED
     ground.run(120.0, near=True)
-    locked = ground.controls.locked
-    assert locked
+    assert [ground.controls.locked] == [True]
     assert ground.run(4.9, near=False) == LOCKED  # a short stop of the motors is no end
     assert ground.run(0.5, near=False) is None
     assert not ground.controls.locked

@@ -23,6 +23,7 @@ from uav_recon.interfaces import Clock, Executor
 from uav_recon.sensors.exposure_lock import ExposureLock
 from uav_recon.sensors.realsense_device import (
     ColourControls,
+    DeviceInfo,
     Devices,
     ImageArrival,
     RealSenseError,
@@ -37,7 +38,7 @@ from uav_recon.sensors.realsense_faults import known_faults
 from uav_recon.sensors.session_recovery import MAX_RESTARTS, SessionRecovery
 from uav_recon.sensors.stamp_clock import DeviceClocks, StampDomain
 from uav_recon.sensors.stream_camera import depth_lookup_table
-from uav_recon.sensors.stream_profiles import NoProfileError, StreamKind
+from uav_recon.sensors.stream_profiles import NoProfileError, StreamChoice, StreamKind
 from uav_recon.types.camera import Frame, ImuSample
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.pose import Pose
@@ -289,6 +290,27 @@ class RealSenseCamera:
                 out.append(ImuSample(stamp_s, turned, self._force))
         refused = any(fault.stream in ("gyro", "accel") for fault in self._clocks.faults())
         return [] if refused else out
+
+    # ---- description -------------------------------------------------------------------------------------------------
+
+    @property
+    def info(self) -> DeviceInfo:
+        """The description of the device by itself."""
+        return self._info
+
+    @property
+    def choice(self) -> StreamChoice:
+        """The chosen streams."""
+        return self._choice
+
+    @property
+    def emitter(self) -> bool | None:
+        """True if the infrared emitter was on in the newest depth image; None if unknown."""
+        return self._emitter
+
+    def domains(self) -> dict[str, StampDomain]:
+        """Return the stamp clock of each stream that has sent something."""
+        return self._clocks.domains()
 
     # ---- remarks -------------------------------------------------------------------------------------------------------
 
