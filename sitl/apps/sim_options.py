@@ -139,7 +139,8 @@ class SimOptions:
     def with_own_folder(self) -> SimOptions:
         """Return the options with a dated folder that no other process uses.
 
-        It is made here, with a number behind the date if needed. A folder that was given stays as it is. Raises UsageError if it cannot be made.
+        It is made here, with a number behind the date if needed. A folder that was given stays as it is. Raises UsageError if
+        it cannot be made.
         """
         if not self.dated:
             return self

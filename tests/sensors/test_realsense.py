@@ -330,7 +330,7 @@ def test_a_camera_that_was_unplugged_is_given_up_after_three_restarts() -> None:
     with pytest.raises(
         RealSenseError, match=r"^RealSense 146322070000: lost, 3 restarts failed \(.*not connected.*\): reconnect"
     ):
-        rig.run(5.0)
+        rig.run(8.0)
     assert rig.lists == lists + 3
     assert Reason(ReasonCode.CAMERA_RESTARTS, (3, 3, NOT_CONNECTED)) in rig.camera.remarks()
     with pytest.raises(RealSenseError):
@@ -346,7 +346,7 @@ def test_a_driver_that_hangs_never_blocks_a_poll() -> None:
     rig.run(2.0)
     with pytest.raises(RealSenseError, match=r"3 restarts failed \(no answer within 8 s\)"):
         rig.run(60.0)
-    assert rig.clock.now_s() < 100.0 + 1.0 + 1.6 + 1.0 + 3 * 8.6
+    assert rig.clock.now_s() < 100.0 + 1.0 + 1.6 + 1.0 + 3 * 10.1
 
 
 def test_another_camera_does_not_take_the_place_of_a_lost_one() -> None:
@@ -354,7 +354,7 @@ def test_another_camera_does_not_take_the_place_of_a_lost_one() -> None:
     rig.run(1.0)
     rig.source, rig.sends = SoftwareRealSense(rig.clock, serial="000000000001"), False
     with pytest.raises(RealSenseError, match=r"146322070000 is not connected \(seen: 000000000001\)"):
-        rig.run(10.0)
+        rig.run(12.0)
 
 
 def test_a_camera_has_five_seconds_for_its_first_frame_after_the_first_poll() -> None:

@@ -84,7 +84,7 @@ def test_a_call_that_hangs_is_abandoned_and_what_it_still_opens_is_closed() -> N
     device = _Device("hangs", "answers")
     device.recovery.attempts = 0
     device.recovery.begin(None, device.clock.now_s())
-    assert device.run(8.4) is None
+    assert device.run(9.9) is None
     session = device.run(0.5)
     assert session is device.sessions[0]
     device.hung[0]()  # the first call returns at last

@@ -102,10 +102,10 @@ class Perception:
             self._fusion.add_pose(pose, now_s)
         if self._rate.due(now_s):
             self._publish_odom(now_s)
-        self._take_frame(now_s)
-        self._publish_frame(now_s)
         if self._status_rate.due(now_s):
             self._status.publish(self._status_at(now_s))
+        self._take_frame(now_s)  # after the status: a camera that is gone raises
+        self._publish_frame(now_s)
 
     def _publish_odom(self, now_s: float) -> None:
         estimate = self._fusion.odom_at(now_s)

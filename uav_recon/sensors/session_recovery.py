@@ -17,7 +17,7 @@ from uav_recon.interfaces import Executor, Pending
 MAX_RESTARTS = 3  #: hold: a camera that is lost is opened again so often; then depth is missing, and the failsafe acts (C2)
 _CLOSE_S = 1.0  #: internal: wait for the old session to end, before a new one is opened
 _OPEN_S = 8.0  #: internal: wait for a session to open, before the next attempt
-_PAUSE_S = 0.5  #: internal: pause before another attempt
+_PAUSE_S = 2.0  #: internal: pause before another attempt: a device that was plugged in again needs as long
 _GOOD_S = 60.0  #: internal: restarts are counted from zero again after the camera has worked for this time
 
 

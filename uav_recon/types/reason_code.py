@@ -279,7 +279,7 @@ class ReasonCode(str, Enum):
         "the camera offers no IMU: on JetPack 6 install an SDK with the RSUSB backend",
     )  # fmt: skip
     AUTOPILOT_GYRO = (
-        "autopilot-gyro", "autopilot's gyro is used", "no IMU of the camera: the autopilot's gyro takes its place",
+        "autopilot-gyro", "autopilot's gyro is used", "no working IMU of the camera: the autopilot's gyro takes its place",
     )  # fmt: skip
     CAMERA_CLOCKS_APART = (
         "camera-clocks-apart", "camera clocks {2:.2f} s apart",
