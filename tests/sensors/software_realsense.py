@@ -125,7 +125,7 @@ class Rig:
         self.lists = 0
         self.camera = RealSenseCamera(
             self.clock, wall_s=lambda: self.clock.now_s() + source.wall_from_clock_s, devices=self.devices,
-            executor=lambda: executor or InlineExecutor(self.clock), **options,
+            executor=executor or InlineExecutor(self.clock), **options,
         )  # fmt: skip
         choice = self.camera._choice
         self.size = (choice.depth.width, choice.depth.height, choice.depth.rate_hz)

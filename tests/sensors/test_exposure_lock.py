@@ -55,7 +55,7 @@ class _Ground:
 
     def __init__(self, executor: Any = None) -> None:
         self.clock, self.controls = ManualClock(50.0), _Controls()
-        self.lock = ExposureLock(self.controls, lambda: executor or InlineExecutor(self.clock), OSError, 50.0)
+        self.lock = ExposureLock(self.controls, executor or InlineExecutor(self.clock), OSError, 50.0)
 
     def run(self, seconds: float, near: bool, brightness: float = 100.0) -> Reason | None:
         for _ in range(round(30 * seconds)):

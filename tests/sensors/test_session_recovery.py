@@ -27,7 +27,7 @@ class _Device:
         self.answers = list(answers)
         self.sessions: list[_Session] = []
         self.hung: list[Callable[[], Any]] = []
-        self.recovery = SessionRecovery[_Session](self._reopen, lambda: self, OSError)
+        self.recovery = SessionRecovery[_Session](self._reopen, self, OSError)
 
     def _reopen(self, attempt: int) -> _Session:
         if self.answers and self.answers[min(attempt, len(self.answers)) - 1] == "refuses":
@@ -113,7 +113,7 @@ def test_a_bug_is_raised_and_not_taken_for_a_lost_device() -> None:
         def result(self) -> Any:
             raise ZeroDivisionError
 
-    recovery = SessionRecovery[_Session](lambda attempt: _Session(), lambda: _Broken(ManualClock()), OSError)
+    recovery = SessionRecovery[_Session](lambda attempt: _Session(), _Broken(ManualClock()), OSError)
     recovery.begin(None, 0.0)
     with pytest.raises(ZeroDivisionError):
         recovery.step(0.0)

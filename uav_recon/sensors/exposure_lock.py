@@ -8,7 +8,6 @@ control loop. The infrared imagers stay automatic: a depth image that is too dar
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from enum import Enum, auto
 from typing import Protocol
 
@@ -55,13 +54,11 @@ class ExposureLock:
 
     No call blocks.
 
-    executor: makes an executor for one blocking call. failure: type of the device's errors. ``reason``: None while automatic,
+    executor: starts each blocking call at once. failure: type of the device's errors. ``reason``: None while automatic,
     otherwise that it is locked, or why not.
     """
 
-    def __init__(
-        self, controls: ExposureControls, executor: Callable[[], Executor], failure: type[Exception], now_s: float
-    ) -> None:
+    def __init__(self, controls: ExposureControls, executor: Executor, failure: type[Exception], now_s: float) -> None:
         self._controls = controls
         self._executor = executor
         self._failure = failure
@@ -98,7 +95,7 @@ class ExposureLock:
             self._fail("it had no time to settle before take-off")
             return
         self._before, self._until_s = brightness, now_s + _ANSWER_S
-        self._pending = self._executor().submit(self._locked, 0.0)
+        self._pending = self._executor.submit(self._locked, 0.0)
         self._state = _State.LOCKING
 
     def _locked(self) -> tuple[float, float] | str:
@@ -137,7 +134,7 @@ class ExposureLock:
                 return str(error)
             return ""
 
-        self._executor().submit(released, 0.0)
+        self._executor.submit(released, 0.0)
 
     def _fail(self, why: str) -> None:
         self._state, self.reason = _State.FAILED, Reason(ReasonCode.EXPOSURE_NOT_LOCKED, (why,))

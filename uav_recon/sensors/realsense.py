@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from uav_recon.clock import ThreadExecutor
+from uav_recon.clock import DetachedExecutor
 from uav_recon.interfaces import Clock, Executor
 from uav_recon.sensors.exposure_lock import ExposureLock
 from uav_recon.sensors.realsense_device import (
@@ -81,7 +81,7 @@ class RealSenseCamera:
 
     serial: None selects the first camera found. playback: a .db3 file instead of a camera. body_from_depth: the fixed mount,
     only used to rotate inertial samples to body axes; without it there are none. devices: lists the connected devices.
-    executor: makes an executor for one call that may block for ever.
+    executor: starts each call that may block for ever at once, beside the control loop; None: on a thread.
 
     dropped_frames counts frames that are not newer than the one before, have no colour image of the same time, come less
     than half a second after a change of the stamp clock, or whose stamps are those of no clock. Opening takes seconds; poll()
@@ -98,12 +98,12 @@ class RealSenseCamera:
         body_from_depth: Pose | None = None,
         wall_s: Callable[[], float] = time.time,
         devices: Devices = connected_devices,
-        executor: Callable[[], Executor] = lambda: ThreadExecutor("camera", 0.0),
+        executor: Executor | None = None,
     ) -> None:
         self._clock = clock
         self._wall_s = wall_s
         self._devices = devices
-        self._executor = executor
+        self._executor = executor or DetachedExecutor("camera")
         self._playback = playback
         self._body_from_depth = body_from_depth
         self._depth_range_m = (depth_min_m, depth_max_m)
@@ -114,7 +114,7 @@ class RealSenseCamera:
         self._emitter: bool | None = None
         self._near_flight: Callable[[], bool] | None = None
         device = find_device(devices, serial) if playback is None else open_recording(playback)
-        self._recovery = SessionRecovery[RealSenseSession](self._reopen, executor, RealSenseError)
+        self._recovery = SessionRecovery[RealSenseSession](self._reopen, self._executor, RealSenseError)
         self._session: RealSenseSession | None = None
         self._use(self._open(device))
         # start of the silence (inf: never polled), and its limit
@@ -364,7 +364,7 @@ class RealSenseCamera:
         """Stop the streams, for two seconds at most: librealsense may block for ever."""
         if self._session is None:
             return
-        pending = self._executor().submit(self._session.close, 0.0)
+        pending = self._executor.submit(self._session.close, 0.0)
         for _ in range(round(_CLOSE_S / _TICK_S)):
             if pending.done():
                 return

@@ -2,7 +2,7 @@
 
 Bounded waits, a limited number of attempts.
 
-A driver may block for ever when a device was unplugged. Each blocking call therefore runs on an executor of its own, which is
+A driver may block for ever when a device was unplugged. Each blocking call therefore runs on a thread of its own, which is
 abandoned when its time is over; what it still returns is closed.
 """
 
@@ -36,14 +36,14 @@ class SessionRecovery(Generic[S]):
     """Opens a session again after it was lost.
 
     reopen: opens a session on a thread of its own, given the number of the attempt; it raises an exception of the type failure
-    if it cannot. executor: makes an executor for one blocking call. No call here blocks. ``attempts``: since the last good
-    time. ``failure``: why the newest attempt failed, '' for none.
+    if it cannot. executor: starts each call at once, on a thread of its own. No call here blocks. ``attempts``: since the last
+    good time. ``failure``: why the newest attempt failed, '' for none.
     """
 
     def __init__(
         self,
         reopen: Callable[[int], S],
-        executor: Callable[[], Executor],
+        executor: Executor,
         failure: type[Exception],
         max_restarts: int = MAX_RESTARTS,
     ) -> None:
@@ -68,7 +68,7 @@ class SessionRecovery(Generic[S]):
         if now_s - self._opened_s > _GOOD_S and math.isfinite(self._opened_s):
             self.attempts = 0
         if lost is not None:
-            self._closing = self._executor().submit(lost.close, 0.0)
+            self._closing = self._executor.submit(lost.close, 0.0)
             self._until_s = now_s + _CLOSE_S
 
     def step(self, now_s: float) -> S | None:
@@ -81,7 +81,7 @@ class SessionRecovery(Generic[S]):
             if self.attempts < self._max_restarts and now_s >= self._until_s:
                 self.attempts += 1
                 self._opening = _Opening(self._reopen, self.attempts, self._failure)
-                self._opening.start(self._executor())
+                self._opening.start(self._executor)
                 self._until_s = now_s + _OPEN_S
             if self._opening is None:
                 return None
