@@ -44,11 +44,11 @@ KNOWN_FAULTS = (
         remedy="update the firmware to 5.11.6.200 or later", source=_ISSUES + "3137",
     ),
     KnownFault(
-        firmware_below=(5, 11, 6, 200), effect="single depth frames are all zero",
+        firmware_from=(5, 11, 1, 0), firmware_below=(5, 11, 6, 200), effect="single depth frames are all zero",
         remedy="update the firmware to 5.11.6.200 or later", source=_ISSUES + "3786",
     ),
     KnownFault(
-        firmware_from=(5, 11, 6, 200), firmware_below=(5, 12, 0, 0), models=("D435I", "D455"),
+        firmware_below=(5, 12, 0, 0), models=("D435I",),
         effect="inertial samples are lost", remedy="update the firmware to 5.12.0.0 or later", source=_ISSUES + "5298",
     ),
     KnownFault(
