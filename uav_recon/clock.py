@@ -140,9 +140,9 @@ class ThreadExecutor:
 
 
 class DetachedExecutor:
-    """Executor for work that may never return: a daemon thread for each, which ends with its work.
+    """Executor for work that may never return.
 
-    close() waits for nothing.
+    Each piece of work has a daemon thread, which ends with it. close() waits for nothing.
     """
 
     def __init__(self, name: str) -> None:

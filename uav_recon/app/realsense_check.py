@@ -31,7 +31,7 @@ _GRAVITY_MPS2 = (9.3, 10.3)  #: warn: a mean specific force at rest outside of t
 
 @dataclass
 class CameraSample:
-    """What came from a camera in some seconds. ages_s: of each frame, when it was read."""
+    """Frames and inertial samples of some seconds. ages_s: of each frame, when it was read."""
 
     seconds: float
     frames: list[Frame] = field(default_factory=list)

@@ -55,7 +55,7 @@ _RESET_ATTEMPT = 3  #: internal: the attempt that resets the device before it is
 _RESET_S = 3.0  #: internal: time for the device to come back after that
 _PAIR_SHARE = 0.6  #: reject: depth without a colour image within this share of the time between two frames
 _TICK_S = 0.01
-_SPARSE = 8  #: internal: one pixel of so many is used for the brightness of an image
+_SPARSE = 8  #: internal: step of the pixels of an image that its brightness is taken from
 _CLOSE_S = 2.0  #: internal: wait for the streams to stop when the process ends
 
 
