@@ -368,6 +368,14 @@ def test_a_camera_has_five_seconds_for_its_first_frame_after_the_first_poll() ->
     assert rig.lists == lists + 1
 
 
+def test_a_device_that_goes_while_it_is_opened_is_one_line() -> None:
+    def gone() -> Any:
+        raise RuntimeError("xioctl(VIDIOC_QBUF) failed,\nLast Error: No such device")
+
+    with pytest.raises(RealSenseError, match=r"^RealSense opening: xioctl.* Last Error: No such device$"):
+        RealSenseCamera(ManualClock(1.0), devices=lambda: [SimpleNamespace(supports=lambda _: False, query_sensors=gone)])
+
+
 class _Hanging:
     """An executor whose work never ends."""
 

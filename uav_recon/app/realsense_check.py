@@ -14,7 +14,15 @@ from uav_recon.clock import MonotonicClock
 from uav_recon.errors import UserError
 from uav_recon.interfaces import Clock
 from uav_recon.sensors.realsense import RealSenseCamera
-from uav_recon.sensors.realsense_device import DeviceInfo, Devices, connected_devices, find_device, library, stream_offers
+from uav_recon.sensors.realsense_device import (
+    DeviceInfo,
+    Devices,
+    connected_devices,
+    device_errors,
+    find_device,
+    library,
+    stream_offers,
+)
 from uav_recon.sensors.stream_format import StreamError
 from uav_recon.sensors.stream_profiles import StreamKind, StreamProfile
 from uav_recon.types.camera import BODY_FROM_OPTICAL, Frame, ImuSample
@@ -54,7 +62,8 @@ def check_realsense(
     clock = clock or MonotonicClock()
     try:
         device = find_device(devices, serial)
-        _show_device(show, DeviceInfo.of(device), stream_offers(device)[0])
+        with device_errors("opening"):
+            _show_device(show, DeviceInfo.of(device), stream_offers(device)[0])
         camera = RealSenseCamera(clock, serial, body_from_depth=Pose.from_matrix(BODY_FROM_OPTICAL), devices=lambda: [device])
     except StreamError as error:
         raise UserError(str(error)) from None

@@ -29,9 +29,9 @@ from uav_recon.sensors.realsense_device import (
     RealSenseError,
     RealSenseSession,
     connected_devices,
+    device_errors,
     emitter_on,
     find_device,
-    one_line,
     open_recording,
 )
 from uav_recon.sensors.realsense_faults import known_faults
@@ -130,7 +130,8 @@ class RealSenseCamera:
 
     def _open(self, device: Any) -> RealSenseSession:
         want_imu = self._body_from_depth is not None
-        return RealSenseSession(device, self._clock, self._wall_s, want_imu=want_imu, playback=self._playback)
+        with device_errors("opening"):  # it may go at any moment
+            return RealSenseSession(device, self._clock, self._wall_s, want_imu=want_imu, playback=self._playback)
 
     def _reopen(self, attempt: int) -> RealSenseSession:
         """Open the same camera again, by a new context; runs on a thread of its own, and may block."""
@@ -144,8 +145,6 @@ class RealSenseCamera:
             return self._open(device)
         except NoProfileError as error:
             raise RealSenseError(str(error)) from None
-        except RuntimeError as error:  # it went while it was opened
-            raise RealSenseError(one_line(error)) from None
 
     def _use(self, session: RealSenseSession) -> None:
         self._session = session
@@ -184,6 +183,8 @@ class RealSenseCamera:
     def _lose(self, failure: str, now_s: float) -> None:
         """Give up a session that sends nothing."""
         session, self._session = self._session, None
+        self._colours.clear()
+        self._waiting = None
         self._lost_by = failure
         LOG.warning("%s: %s", self._name, failure)
         self._recovery.begin(session, now_s)

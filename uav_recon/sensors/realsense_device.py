@@ -7,8 +7,8 @@ offers by itself. Frames and samples come by callbacks on threads of librealsens
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -47,9 +47,21 @@ def library() -> Any:
 def connected_devices() -> list[Any]:
     """Return the connected devices, by a new context.
 
-    An old context may miss a device that was plugged in again. Blocks for up to a second.
+    An old context may miss a device that was plugged in again. Blocks for up to a second. Raises RealSenseError if the bus
+    cannot be listed.
     """
-    return list(library().context().query_devices())
+    rs = library()
+    with device_errors("USB"):
+        return list(rs.context().query_devices())
+
+
+@contextmanager
+def device_errors(name: str) -> Iterator[None]:
+    """Turn an error of librealsense inside into a RealSenseError in one line, which begins with the name."""
+    try:
+        yield
+    except RuntimeError as error:
+        raise RealSenseError(f"RealSense {name}: {one_line(error)}") from None
 
 
 def find_device(devices: Devices, serial: str | None) -> Any:
@@ -249,6 +261,8 @@ class RealSenseSession:
 
     def close(self) -> None:
         """Stop the streams. It may block for ever; an error of a device that is gone is dropped."""
+        self.depth.clear()
+        self.colour.clear()
         while self._open:
             sensor = self._open.pop()
             with suppress(RuntimeError):
