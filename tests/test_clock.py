@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from uav_recon.clock import InlineExecutor, ManualClock, MonotonicClock, RateKeeper, ThreadExecutor
+from uav_recon.clock import DetachedExecutor, InlineExecutor, ManualClock, MonotonicClock, RateKeeper, ThreadExecutor
 
 rates = st.floats(1.0, 400.0)
 starts = st.floats(0.0, 1e6)
@@ -158,3 +158,18 @@ def test_closing_waits_for_running_work() -> None:
     threading.Timer(0.05, gate.set).start()
     executor.close()
     assert done == [1]
+
+
+def test_detached_work_that_never_returns_delays_no_other_work_and_no_end() -> None:
+    executor, go_on = DetachedExecutor("test"), threading.Event()
+    stuck, quick = executor.submit(go_on.wait, 0.0), executor.submit(lambda: 7, 0.0)
+    assert quick.result() == 7
+    assert not stuck.done()
+    executor.close()
+    go_on.set()
+    assert stuck.result()
+
+
+def test_an_exception_of_detached_work_is_raised_by_its_result() -> None:
+    with pytest.raises(ZeroDivisionError):
+        DetachedExecutor("test").submit(lambda: 1 // 0, 0.0).result()

@@ -35,7 +35,7 @@ USES_SIMULATOR = {"bench", "cli"}  # packages of the product that start or measu
 SIMULATOR_ROOTS = ("sitl/apps/", "sitl/faults/flights/")  # the composition roots: they join the simulator and the product
 HEAVY = {
     "torch": ("uav_recon/mapping/neural/sdf_torch",),
-    "pyrealsense2": ("uav_recon/sensors/realsense.py",),
+    "pyrealsense2": ("uav_recon/sensors/realsense_device.py",),
     "pymavlink": ("uav_recon/autopilot", "sitl"),
     "rerun": ("uav_recon/recording",),
 }

@@ -1,4 +1,4 @@
-"""Injected time: a monotonic clock, a manual clock, a rate keeper and two executors."""
+"""Injected time: a monotonic clock, a manual clock, a rate keeper and three executors."""
 
 from __future__ import annotations
 
@@ -137,3 +137,29 @@ class ThreadExecutor:
             future.set_result(work())
         except BaseException as error:  # re-raised by result()
             future.set_exception(error)
+
+
+class DetachedExecutor:
+    """Executor for work that may never return.
+
+    Each piece of work has a daemon thread, which ends with it. close() waits for nothing.
+    """
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+
+    def submit(self, work: Callable[[], T], cost_s: float) -> Pending[T]:
+        """Start the work on a thread of its own."""
+        future: Future[T] = Future()
+
+        def run() -> None:
+            try:
+                future.set_result(work())
+            except BaseException as error:  # re-raised by result()
+                future.set_exception(error)
+
+        threading.Thread(target=run, name=self._name, daemon=True).start()
+        return future
+
+    def close(self) -> None:
+        """Return at once: abandoned work ends with the process."""

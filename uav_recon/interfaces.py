@@ -100,6 +100,24 @@ class DepthCamera(Protocol):
         ...
 
 
+@runtime_checkable
+class CameraRemarks(Protocol):
+    """A camera that can say what an operator should know of it."""
+
+    def remarks(self) -> tuple[Reason, ...]:
+        """Return its streams, and what is wrong with it. Never blocks."""
+        ...
+
+
+@runtime_checkable
+class ExposureLocking(Protocol):
+    """A camera whose exposure can be locked for a flight."""
+
+    def lock_exposure(self, near_flight: Callable[[], bool]) -> None:
+        """Lock exposure and white balance while near_flight() is True. Never blocks."""
+        ...
+
+
 class PoseSource(Protocol):
     """A source of absolute poses in odom.
 

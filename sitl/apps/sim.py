@@ -56,8 +56,14 @@ def simulate(options: SimOptions, json: Path | None = None) -> int:
         raise UserError(str(error), EXIT_USAGE) from None
     if not options.lockstep:
         _claim_port(options.port)
-    with tempfile.TemporaryDirectory(prefix="uav_recon-") as runtime:
-        flight = (_fly_in_lockstep if options.lockstep else _fly_in_real_time)(options, Path(runtime), console)
+    options = options.with_own_folder()
+    try:
+        with tempfile.TemporaryDirectory(prefix="uav_recon-") as runtime:
+            flight = (_fly_in_lockstep if options.lockstep else _fly_in_real_time)(options, Path(runtime), console)
+    finally:
+        if options.dated:
+            with suppress(OSError):  # only an empty one: the flight did not begin
+                options.out.rmdir()
     from sitl.apps.flight_judge import evaluate_flight, summary
 
     report = evaluate_flight(options, flight.scene, flight.wall_s, flight.fault, console)

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import os
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import cast, get_args
 
@@ -73,6 +74,7 @@ class SimOptions:
     blind_speed_mps: float
     pose: str  # source of the poses
     camera_errors: float  # scale of the errors of the camera that the seed draws; 0: the exact camera
+    dated: bool = False  # the flight folder was not given: it has the date, and is made by this process alone
 
     @staticmethod
     def parse(
@@ -120,7 +122,7 @@ class SimOptions:
             mount_pitch_down_deg=mount_pitch_deg(mount), depth_noise=depth_noise, camera=chosen, mapper=mapper,
             radius_m=radius, lockstep=lockstep, live=live, port=port, uncertainty=uncertainty,
             firmware=None if firmware is None else firmware.absolute(), blind_speed_mps=blind_speed,
-            pose=pose, camera_errors=camera_error_scale(camera_errors),
+            pose=pose, camera_errors=camera_error_scale(camera_errors), dated=out is None,
         )  # fmt: skip
 
     def check_folder(self) -> None:
@@ -136,6 +138,26 @@ class SimOptions:
                 raise UsageError(f"--out {self.out}: cannot be written ({there} is not a folder)")
             if not os.access(there, os.W_OK | os.X_OK):
                 raise UsageError(f"--out {self.out}: cannot be written ({there}: permission denied)")
+
+    def with_own_folder(self) -> SimOptions:
+        """Return the options with a dated folder that no other process uses.
+
+        It is made here, with a number behind the date if needed. A folder that was given stays as it is. Raises UsageError if
+        it cannot be made.
+        """
+        if not self.dated:
+            return self
+        self.check_folder()
+        for number in itertools.count(1):
+            folder = self.out if number == 1 else self.out.with_name(f"{self.out.name}-{number}")
+            try:
+                folder.mkdir(parents=True)
+            except FileExistsError:
+                continue
+            except OSError as error:
+                raise UsageError(f"--out {folder}: cannot be written ({error.strerror})") from None
+            return replace(self, out=folder)
+        raise AssertionError
 
     def make_folder(self) -> None:
         """Make the flight folder.

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from uav_recon.channels import MemoryChannel
 from uav_recon.localization.pad_origin import PadOrigin
 from uav_recon.types.pose import Pose, StampedPose
+from uav_recon.types.reason import Reason, codes_of
 from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.vehicle import FlightPhase, VehicleState
 
@@ -61,7 +62,7 @@ def test_the_world_begins_at_the_pad_whatever_the_source_calls_it(tmp_path: Path
     turned = Rotation.from_euler("z", -30, degrees=True).apply([0.1, 0.0, 0.0])
     np.testing.assert_allclose(flown.velocity_odom_mps, turned, atol=0.002)
     assert origin.reason is not None
-    assert origin.reason.code is ReasonCode.PAD_IS_ORIGIN
+    assert codes_of(origin.reason) == ("pad-is-origin",)
     assert origin.reason.values == pytest.approx((2.26, 30.0), abs=0.03)
 
 
@@ -82,14 +83,21 @@ def test_a_sloping_pad_does_not_tilt_the_world(tmp_path: Path) -> None:
     np.testing.assert_allclose(leaning.apply([0, 0, 1])[:2], [math.sin(math.radians(5.0)), 0.0], atol=1e-3)
 
 
-def test_while_it_is_carried_there_is_no_pad(tmp_path: Path) -> None:
+def test_while_it_is_carried_there_is_no_pad(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     origin, source = _rig(tmp_path)
+    awaited = origin.reason
+    assert awaited == Reason(ReasonCode.PAD_AWAITED, (0.5,))
     source.waiting = [_said(k / 15, Pose.from_yaw(0.0, np.array([0.1 * k, 0.0, 0.5]))) for k in range(45)]
     assert origin.poses() == []
+    assert caplog.messages == []
+    source.waiting = [_said(3.0 + k / 15, Pose.from_yaw(0.0, np.array([0.1 * k, 0.0, 0.5]))) for k in range(45)]
+    assert origin.poses() == []
+    assert caplog.messages == ["no odometry yet: waiting until the pose source has been at rest on the pad for 0.5 s"]
     put_down = Pose.from_yaw(0.2, np.array([4.5, 0.0, 0.0]))
-    source.waiting = [_said(3.0 + k / 15, put_down) for k in range(12)]
+    source.waiting = [_said(6.0 + k / 15, put_down) for k in range(12)]
     rest = origin.poses()
     assert rest
+    assert codes_of(origin.reason) == ("pad-is-origin",)
     np.testing.assert_allclose(rest[-1].odom_from_body.translation_m, 0.0, atol=1e-6)
 
 

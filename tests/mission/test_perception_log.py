@@ -33,6 +33,21 @@ def test_a_new_reason_is_written_at_once_and_more_of_it_every_ten_seconds(tmp_pa
     assert written[-1].newest == "depth frame: returns in 4% of the pixels"
 
 
+def test_the_pad_and_the_camera_are_written_when_they_are_known(tmp_path: Path) -> None:
+    channel, journal = MemoryChannel(PerceptionStatus), FlightLog(tmp_path)
+    log = PerceptionLog(channel, journal)
+    awaited, found = Reason(ReasonCode.PAD_AWAITED, (0.5,)), Reason(ReasonCode.PAD_IS_ORIGIN, (2.0, 30.0))
+    usb2 = Reason(ReasonCode.CAMERA_USB2, ("2.1", "15"))
+    states = [(awaited, ()), (awaited, ()), (found, ()), (found, (usb2,)), (found, (usb2,)), (found, ())]
+    for second, (origin, camera) in enumerate(states):
+        channel.publish(PerceptionStatus(float(second), origin=origin, camera=camera))
+        log.step(float(second))
+    journal.close()
+    written = read_timeline(tmp_path).perception
+    assert [record.stamp_s for record in written] == [0.0, 2.0, 3.0]
+    assert written[2].camera == (usb2.text(),)
+
+
 def test_a_flight_in_which_nothing_was_rejected_says_so(tmp_path: Path) -> None:
     channel, journal = MemoryChannel(PerceptionStatus), FlightLog(tmp_path)
     log = PerceptionLog(channel, journal)

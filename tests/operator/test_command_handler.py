@@ -200,6 +200,24 @@ def test_what_perception_rejected_is_in_the_status() -> None:
     )
 
 
+def test_the_camera_and_the_pad_that_is_awaited_are_in_the_status() -> None:
+    ready = Vehicle(FlightPhase.CONNECTING)
+    streams = Reason(ReasonCode.CAMERA_STREAMS, ("480x270 at 15 Hz", "424x240 at 15 Hz", "none", "2.1"))
+    ready.perception.publish(
+        PerceptionStatus(
+            99.5, origin=Reason(ReasonCode.PAD_AWAITED, (0.5,)), camera=(streams, Reason(ReasonCode.CAMERA_USB2, ("2.1", "15")))
+        )
+    )
+    status = ready.clerk.status()
+    assert status.camera_codes == ("camera-streams", "camera-usb2")
+    assert Status.told(json.loads(json.dumps(status.as_json()))) == status
+    assert [line for line in status.lines() if line.startswith(("camera", "origin"))] == [
+        "origin    no odometry yet: waiting until the pose source has been at rest on the pad for 0.5 s",
+        "camera    depth 480x270 at 15 Hz, colour 424x240 at 15 Hz, IMU none, USB 2.1",
+        "camera    the camera is on USB 2.1: 15 frames a second, later than on USB 3; use a USB 3 port and cable",
+    ]
+
+
 def test_what_is_not_known_is_a_dash() -> None:
     clerk = Vehicle(FlightPhase.CONNECTING).clerk
     for channel in ("_vehicle", "_odom", "_progress", "_intent"):

@@ -47,6 +47,7 @@ def flight(folder: Path) -> None:
             Reason(ReasonCode.DEPTH_FRAME_EMPTY, (0.0,)),
             39.0,
             calibration=(("delay_s", 0.028, 0.006),),
+            camera=(Reason(ReasonCode.CAMERA_USB2, ("2.1", "15")), Reason(ReasonCode.CAMERA_WITHOUT_IMU)),
         )
     )
     log.refused_views(41.0, {"no depth": 3, "memory is full": 1})
@@ -70,6 +71,8 @@ def test_a_real_flight_gets_a_report(tmp_path: Path) -> None:
     assert report.safety.refusals == 1
     assert report.refused_views == {"no depth": 3, "memory is full": 1}
     assert report.camera_calibration == {"delay_s": (0.028, 0.006)}
+    assert len(report.camera) == 2
+    assert "the camera is on USB 2.1: 15 frames a second" in (tmp_path / "report.html").read_text(encoding="utf-8")
     assert report.rejected_by_perception == {"depth-frame-empty": 2, "imu stamp": 5, "pose jump": 1}
     assert "not measured" in (tmp_path / "report.html").read_text(encoding="utf-8")
 

@@ -43,6 +43,7 @@ def tree() -> dict[str, Any]:
         "reduced_speed_s": {"poses disagree for 0.3 s": 1.5, "no inertial samples": 62.4},
         "rejected_by_perception": {"depth-frame-empty": 4, "pose jump": 7},
         "camera_calibration": {"delay_s": [0.0281, 0.0062]},
+        "camera": ["camera streams: depth 424x240 at 30 Hz, colour 424x240 at 30 Hz, IMU none, USB 3.2"],
     }  # fmt: skip
 
 
@@ -159,13 +160,14 @@ def test_the_page_states_that_ground_truth_is_missing(tmp_path: Path) -> None:
     safety = tree()["safety"] | {"min_clearance_m": None, "fence_overshoot_m": None, "contacts": None}
     real = tree() | {"recall_over_time": None, "time_to_recall_s": {"0.90": None, "0.95": None}, "oracle_s": None}
     real |= {"quality": None, "explored_fraction": None, "seed": None, "depth_noise": None, "safety": safety}
-    real |= {"refused_views": None, "rejected_by_perception": None, "camera_calibration": None}
+    real |= {"refused_views": None, "rejected_by_perception": None, "camera_calibration": None, "camera": []}
     _, page = write_report(tmp_path, Report.from_tree(real))
     text = page.read_text()
     assert "no truth to be held against" in text
     assert "refused</h2>" not in text
     assert "rejected</h2>" not in text
     assert "Errors of the camera" not in text
+    assert "Remarks about the camera" not in text
     assert "Accuracy" not in text and "None" not in text and "nan" not in text
 
 

@@ -7,18 +7,20 @@ from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
-from unittest.mock import MagicMock
 
 import numpy as np
 import pyrealsense2 as rs
 import pytest
 from scipy.spatial.transform import Rotation
+from software_realsense import GLOBAL, HARDWARE, SYSTEM, Rig, SoftwareRealSense
 
 from uav_recon.clock import ManualClock, MonotonicClock
-from uav_recon.sensors import realsense
-from uav_recon.sensors.realsense import ClockOffset, RealSenseCamera, RealSenseError
+from uav_recon.sensors.realsense import RealSenseCamera, RealSenseError
+from uav_recon.sensors.stream_format import StreamError
 from uav_recon.types.camera import BODY_FROM_OPTICAL, Frame, ImuSample
 from uav_recon.types.pose import Pose
+from uav_recon.types.reason import Reason
+from uav_recon.types.reason_code import ReasonCode
 
 FRAMES = 8
 DEPTH = (424, 240, 223.5, 224.5, 211.25, 118.75)
@@ -26,6 +28,8 @@ RGB = (320, 180, 230.0, 231.0, 158.5, 90.5)
 ROTATION = Rotation.from_euler("xyz", [0.01, -0.02, 0.03]).as_matrix()
 TRANSLATION = [0.015, 0.001, -0.002]
 SCALE = 0.0005
+LEVEL = Pose.from_matrix(BODY_FROM_OPTICAL)
+NOT_CONNECTED = "RealSense camera 146322070000 is not connected (seen: none)"
 
 
 def _stream(kind: Any, uid: int, fmt: Any, bpp: int, numbers: tuple[float, ...]) -> Any:
@@ -194,113 +198,192 @@ def test_a_missing_library_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> N
         RealSenseCamera(MonotonicClock())
 
 
-def test_the_clock_offset_is_the_shortest_delay_and_survives_a_reset() -> None:
-    rng = np.random.default_rng(3)
-    offset = ClockOffset()
-    errors = []
-    for k in range(3000):
-        t = 50.0 + k / 30
-        device_s = (t - 40.0) * (1 + 20e-6) if k < 2000 else t - 100.0  # 20 ppm fast, then its clock is reset
-        stamp_s = offset.monotonic_s(device_s, t + 0.004 + rng.exponential(0.005))
-        if k % 2000 > 300:
-            errors.append(stamp_s - t)
-    assert 0.0035 < np.min(errors) <= np.max(errors) < 0.007
+def test_streams_are_chosen_from_what_the_device_offers() -> None:
+    """A camera on USB 2 offers few streams; its frames come end to end through the real library."""
+    offered = ((480, 270, 15), (640, 480, 6))
+    rig = Rig(
+        SoftwareRealSense(ManualClock(100.0), offered, ((640, 480, 15), (424, 240, 15)), usb="2.1"), body_from_depth=LEVEL
+    )
+    frames = rig.run(1.0, depth_mm=1500)
+    assert len(frames) == 15
+    frame = frames[-1][1]
+    np.testing.assert_allclose(frame.depth_m, 1.5, rtol=1e-6)
+    assert (frame.depth_m.shape, frame.rgb.shape) == ((270, 480), (240, 424, 3))
+    np.testing.assert_allclose(frame.rgb_from_depth.translation_m, [0.015, 0.0, 0.0], atol=1e-7)
+    streams, usb, *_ = rig.camera.remarks()
+    assert streams.text() == "camera streams: depth 480x270 at 15 Hz, colour 424x240 at 15 Hz, IMU 200 Hz, USB 2.1"
+    assert usb == Reason(ReasonCode.CAMERA_USB2, ("2.1", "15"))
 
 
-class _Live:
-    """Mock camera with frames stamped by the device's clock or the machine's.
-
-    A frame is 5 ms old when it is polled.
-    """
-
-    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        self.clock = ManualClock(100.0)
-        self.wall_from_clock_s = 1.7e9
-        self.late_by_s = 0.005
-        self._rs = MagicMock()
-        self._number = 0
-        monkeypatch.setattr(realsense, "_library", lambda: self._rs)
-        self._rs.context.return_value.query_devices.return_value = [MagicMock()]
-        self._rs.pipeline.return_value.start.return_value.get_stream.side_effect = self._stream
-        self._rs.pipeline.return_value.start.return_value.get_device.return_value.query_sensors.return_value = []
-        self._rs.pipeline.return_value.poll_for_frames.side_effect = self._frames
-        self.system = self.silent = self.colourless = False
-        self._rs.pipeline.return_value.start.return_value.get_device.return_value.get_info.return_value = "146322070000"
-        self.camera = RealSenseCamera(self.clock, wall_s=lambda: self.clock.now_s() + self.wall_from_clock_s)
-
-    def _stream(self, kind: Any) -> Any:
-        stream = MagicMock()
-        stream.as_video_stream_profile.return_value = stream
-        stream.intrinsics = SimpleNamespace(fx=5.0, fy=5.0, ppx=3.5, ppy=2.5, width=8, height=6)
-        stream.format.return_value = self._rs.format.z16 if kind is self._rs.stream.depth else self._rs.format.rgb8
-        stream.get_extrinsics_to.return_value = SimpleNamespace(rotation=np.eye(3).ravel().tolist(), translation=[0.0] * 3)
-        return stream
-
-    def _frames(self) -> Any:
-        if self.silent:
-            return None
-        self._number += 1
-        taken_s = self.clock.now_s() - self.late_by_s
-        frame, domains = MagicMock(), self._rs.timestamp_domain
-        frame.get_timestamp.return_value = 1e3 * (taken_s + (self.wall_from_clock_s if self.system else -90.0))
-        frame.get_frame_timestamp_domain.return_value = domains.system_time if self.system else domains.hardware_clock
-        frame.get_frame_number.return_value = self._number
-        frame.get_data.return_value = np.zeros((6, 8), np.uint16)
-        return SimpleNamespace(get_depth_frame=lambda: frame, get_color_frame=lambda: None if self.colourless else frame)
-
-    def poll(self, seconds: float) -> list[tuple[float, float]]:
-        """Return the arrival time of each frame, and its age by its time stamp."""
-        out = []
-        for _ in range(round(30 * seconds)):
-            self.clock.advance_to(self.clock.now_s() + 1 / 30)
-            frame = self.camera.poll()
-            if frame is not None:
-                out.append((self.clock.now_s(), self.clock.now_s() - frame.stamp_s))
-        return out
+def test_a_device_without_a_fitting_profile_is_refused_with_what_it_offers() -> None:
+    device = SoftwareRealSense(ManualClock(100.0), ((1280, 720, 6),), ((640, 480, 30),))
+    with pytest.raises(StreamError, match=r"offered depth 1280x720 at 6 Hz; colour 640x480 at 30 Hz$") as error:
+        Rig(device)
+    assert "\n" not in str(error.value)
 
 
-def test_after_a_change_of_the_stamps_clock_frames_pause_for_half_a_second(monkeypatch: pytest.MonkeyPatch) -> None:
-    live = _Live(monkeypatch)
-    assert len(live.poll(1.0)) == 30
-    for system in (True, False):
-        live.system, changed_s = system, live.clock.now_s()
-        came = live.poll(2.0)
-        assert 0.5 <= came[0][0] - changed_s < 0.6
-        assert len(came) >= 44
-        assert all(-1e-6 <= age_s <= 0.006 for _, age_s in came), "on our clock whichever the camera goes by"
+def test_inertial_samples_are_in_body_axes_on_the_companions_clock() -> None:
+    rig = Rig(SoftwareRealSense(ManualClock(100.0)), body_from_depth=LEVEL)
+    for _ in range(100):
+        rig.clock.advance_to(rig.clock.now_s() + 0.005)
+        rig.source.send_motion(rig.clock.now_s() - 0.002)
+    samples = rig.camera.imu()
+    assert len(samples) == 100
+    np.testing.assert_allclose(samples[0].specific_force_mps2, [0.1, 0.0, 9.81], atol=1e-6)
+    np.testing.assert_allclose(samples[0].gyro_radps, [0.3, -0.1, -0.2], atol=1e-6)
+    assert samples[-1].stamp_s == pytest.approx(rig.clock.now_s(), abs=1e-6)  # the shortest delay counts as none
+    assert rig.camera.imu() == []
 
 
-def test_a_wall_clock_set_back_loses_at_most_two_frames(monkeypatch: pytest.MonkeyPatch) -> None:
-    live = _Live(monkeypatch)
-    live.system = True
-    assert len(live.poll(1.0)) == 30
-    live.late_by_s = -3600.0  # taken before the machine's clock was set back by an hour, polled afterwards
-    assert live.poll(1 / 30)[0][1] == pytest.approx(-3600.0, abs=1e-3)
-    live.late_by_s = 0.005
-    assert len(live.poll(1.0)) == 29
+def test_a_camera_without_imu_says_so() -> None:
+    rig = Rig(SoftwareRealSense(ManualClock(100.0), imu_hz=None), body_from_depth=LEVEL)
+    assert len(rig.run(1.0)) == 30
+    assert rig.camera.imu() == []
+    assert Reason(ReasonCode.CAMERA_WITHOUT_IMU) in rig.camera.remarks()
 
 
-@pytest.mark.parametrize("falls", ["silent", "colourless"])
-def test_an_open_camera_without_frames_is_lost_after_a_second_and_a_half(monkeypatch: pytest.MonkeyPatch, falls: str) -> None:
-    live = _Live(monkeypatch)
-    assert len(live.poll(1.0)) == 30
-    setattr(live, falls, True)
-    assert live.poll(1.45) == []
-    with pytest.raises(RealSenseError, match=r"^RealSense 146322070000: open, but no frame for 1\.5 s: reconnect it$"):
-        live.poll(0.15)
-    with pytest.raises(RealSenseError, match=r"no frame for 1\.6 s"):
-        live.poll(1 / 30)
-    setattr(live, falls, False)
-    assert len(live.poll(1.0)) == 30  # a caller that ignored the error can continue
+def test_firmware_that_is_known_to_be_bad_is_named_with_its_remedy(caplog: pytest.LogCaptureFixture) -> None:
+    rig = Rig(SoftwareRealSense(ManualClock(100.0), firmware="05.11.01.100"))
+    assert [reason.code for reason in rig.camera.remarks()] == [ReasonCode.CAMERA_STREAMS, *[ReasonCode.CAMERA_FIRMWARE] * 2]
+    assert "camera firmware 05.11.01.100" in caplog.text
+    assert "update the firmware to 5.11.6.200 or later" in caplog.text
 
 
-def test_a_camera_has_five_seconds_for_its_first_frame_after_the_first_poll(monkeypatch: pytest.MonkeyPatch) -> None:
-    live = _Live(monkeypatch)
-    live.silent = True
-    live.clock.advance_to(live.clock.now_s() + 60.0)
-    assert live.poll(4.9) == []
-    with pytest.raises(RealSenseError, match=r"no frame for 5\.0 s"):
-        live.poll(0.2)
+def test_an_emitter_that_is_off_is_said() -> None:
+    rig = Rig(SoftwareRealSense(ManualClock(100.0)))
+    off = Reason(ReasonCode.CAMERA_EMITTER_OFF)
+    rig.run(0.1)
+    assert off not in rig.camera.remarks()  # no metadata, no word
+    for on in (False, True):
+        rig.source.set_emitter(on)
+        rig.run(0.1)
+        assert (off in rig.camera.remarks()) is not on
+
+
+@pytest.mark.parametrize("domain", [SYSTEM, GLOBAL])
+def test_after_a_change_of_the_stamps_clock_frames_pause_for_half_a_second(domain: Any) -> None:
+    rig = Rig(SoftwareRealSense(ManualClock(100.0)))
+    assert len(rig.run(1.0)) == 30
+    for rig.domain in (domain, HARDWARE):
+        changed_s = rig.clock.now_s()
+        frames = rig.run(2.0)
+        assert 0.5 <= frames[0][0] - changed_s < 0.6
+        assert len(frames) >= 44
+        assert all(-1e-6 <= seen_s - frame.stamp_s <= 0.006 for seen_s, frame in frames), "on our clock, whatever theirs is"
+
+
+def test_depth_that_is_stamped_on_arrival_is_said() -> None:
+    rig = Rig(SoftwareRealSense(ManualClock(100.0)), body_from_depth=LEVEL)
+    rig.domain = SYSTEM
+    rig.source.send_motion(rig.clock.now_s(), HARDWARE)
+    rig.camera.imu()
+    rig.run(0.2)
+    codes = [reason.code for reason in rig.camera.remarks()]
+    assert codes == [ReasonCode.CAMERA_STREAMS, ReasonCode.CAMERA_ARRIVAL_STAMPS, ReasonCode.CAMERA_DOMAINS]
+
+
+def test_stamps_that_run_with_no_clock_are_refused_in_words() -> None:
+    rig = Rig(SoftwareRealSense(ManualClock(100.0)))
+    rig.source.stamp_s = lambda domain, taken_s: 7.0 + 1e-3 * taken_s  # type: ignore[method-assign]  # milliseconds as seconds
+    rig.run(12.0)
+    assert rig.run(1.0) == []
+    assert Reason(ReasonCode.CAMERA_STAMPS_REFUSED, ("depth",)) in rig.camera.remarks()
+    assert rig.camera.dropped_frames > 30
+
+
+def test_a_wall_clock_set_back_loses_at_most_two_frames() -> None:
+    rig = Rig(SoftwareRealSense(ManualClock(100.0)))
+    rig.domain = SYSTEM
+    assert len(rig.run(1.0)) == 30
+    rig.source.wall_from_clock_s -= 3600.0
+    assert len(rig.run(1.0)) >= 28
+
+
+def test_depth_without_colour_of_its_time_is_no_frame() -> None:
+    rig = Rig(SoftwareRealSense(ManualClock(100.0)))
+    rig.run(0.5)
+    assert rig.run(0.5, colour=False) == []
+    assert rig.camera.dropped_frames >= 13
+    assert len(rig.run(0.5)) == 15
+
+
+@pytest.mark.parametrize("colourless", [False, True])
+def test_a_silent_camera_is_opened_again_within_two_seconds(colourless: bool, caplog: pytest.LogCaptureFixture) -> None:
+    rig = Rig(SoftwareRealSense(ManualClock(100.0)))
+    assert len(rig.run(1.0)) == 30
+    lists, rig.sends = rig.lists, colourless
+    assert rig.run(1.45, colour=False) == []
+    assert rig.lists == lists
+    rig.run(0.3, colour=False)
+    assert rig.lists == lists + 1, "the devices are listed by a new context"
+    assert "no frame for 1.5 s" in caplog.text
+    rig.sends = True
+    assert len(rig.run(1.0)) == 30
+    assert "restart 1 of 3" in caplog.text
+
+
+def test_a_camera_that_was_unplugged_is_given_up_after_three_restarts() -> None:
+    rig = Rig(SoftwareRealSense(ManualClock(100.0)))
+    rig.run(1.0)
+    lists, rig.sends, rig.connected = rig.lists, False, False
+    rig.run(1.6)
+    with pytest.raises(
+        RealSenseError, match=r"^RealSense 146322070000: lost, 3 restarts failed \(.*not connected.*\): reconnect"
+    ):
+        rig.run(8.0)
+    assert rig.lists == lists + 3
+    assert Reason(ReasonCode.CAMERA_RESTARTS, (3, 3, NOT_CONNECTED)) in rig.camera.remarks()
+    with pytest.raises(RealSenseError):
+        rig.camera.poll()  # at every poll from now on
+    assert rig.lists == lists + 3
+
+
+def test_a_driver_that_hangs_never_blocks_a_poll() -> None:
+    """No call of the driver returns: each attempt ends by its time, and polls go on."""
+    rig = Rig(SoftwareRealSense(ManualClock(100.0)), executor=_Hanging())
+    rig.run(1.0)
+    rig.sends = False
+    rig.run(2.0)
+    with pytest.raises(RealSenseError, match=r"3 restarts failed \(no answer within 8 s\)"):
+        rig.run(60.0)
+    assert rig.clock.now_s() < 100.0 + 1.0 + 1.6 + 1.0 + 3 * 10.1
+
+
+def test_another_camera_does_not_take_the_place_of_a_lost_one() -> None:
+    rig = Rig(SoftwareRealSense(ManualClock(100.0)))
+    rig.run(1.0)
+    rig.source, rig.sends = SoftwareRealSense(rig.clock, serial="000000000001"), False
+    with pytest.raises(RealSenseError, match=r"146322070000 is not connected \(seen: 000000000001\)"):
+        rig.run(12.0)
+
+
+def test_a_camera_has_five_seconds_for_its_first_frame_after_the_first_poll() -> None:
+    rig = Rig(SoftwareRealSense(ManualClock(100.0)))
+    rig.sends = False
+    rig.clock.advance_to(rig.clock.now_s() + 60.0)
+    lists = rig.lists
+    assert rig.run(4.9) == []
+    assert rig.lists == lists
+    rig.run(0.3)
+    assert rig.lists == lists + 1
+
+
+def test_a_device_that_goes_while_it_is_opened_is_one_line() -> None:
+    def gone() -> Any:
+        raise RuntimeError("xioctl(VIDIOC_QBUF) failed,\nLast Error: No such device")
+
+    with pytest.raises(RealSenseError, match=r"^RealSense opening: xioctl.* Last Error: No such device$"):
+        RealSenseCamera(ManualClock(1.0), devices=lambda: [SimpleNamespace(supports=lambda _: False, query_sensors=gone)])
+
+
+class _Hanging:
+    """An executor whose work never ends."""
+
+    def submit(self, work: Any, cost_s: float) -> Any:
+        return SimpleNamespace(done=lambda: False)
+
+    def close(self) -> None:
+        raise AssertionError
 
 
 def test_the_end_of_a_recording_is_not_a_lost_camera(recording: Path) -> None:

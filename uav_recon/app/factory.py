@@ -14,8 +14,9 @@ from uav_recon.app import camera_sources, pose_sources
 from uav_recon.app.flight_channels import FlightChannels
 from uav_recon.config import Config, LinkConfig
 from uav_recon.errors import EXIT_CONFIG, UserError
-from uav_recon.interfaces import ByteLink, Clock, Executor, Journal, Mapper
+from uav_recon.interfaces import ByteLink, CameraRemarks, Clock, Executor, ExposureLocking, Journal, Mapper
 from uav_recon.types.maps import GridSpec
+from uav_recon.types.vehicle import FlightPhase, VehicleState
 
 if TYPE_CHECKING:  # each process imports only the stages that it runs
     from uav_recon.autopilot.firmware.profile import FirmwareProfile
@@ -88,7 +89,7 @@ def make_pilot(
 
     sight = recently_seen_space(config)
     guard = Guard(envelope(config), guard_bounds(config), sight)
-    channels = PilotChannels(wires.odom, wires.intent, wires.vehicle, wires.free, wires.nearby)
+    channels = PilotChannels(wires.odom, wires.intent, wires.vehicle, wires.free, wires.nearby, wires.rates)
     origin = Origin(config.link.origin_lat_deg, config.link.origin_lon_deg, config.link.origin_alt_m)
     (personality, _), rate_hz = firmware(config.link.autopilot), config.link.setpoint_rate_hz
     parameters = make_parameter_check(config)
@@ -223,6 +224,9 @@ def make_perception(
         if config.camera.mount == "fixed"
         else GimbalMount(np.array(config.camera.position_body_m), wires.vehicle)
     )
+    if isinstance(camera, ExposureLocking):
+        camera.lock_exposure(lambda: _flight_is_near(wires.vehicle.latest()))
+    remarks = camera.remarks if isinstance(camera, CameraRemarks) else tuple
     camera, poses = pose_sources.open_poses(pose_sources.SourceContext(config, wires, clock, camera, mount))
     compile_ahead()
     fusion = FusionFilter(pose_lost_s=config.localization.pose_lost_s)
@@ -232,8 +236,13 @@ def make_perception(
     rate_hz, wait_s = config.localization.rate_hz, config.localization.frame_wait_s
     return Perception(
         camera, poses, fusion, mount, wires.odom, wires.frames, wires.nearby, wires.perception, clock, rate_hz, wait_s,
-        origin=lambda: None if pad is None else pad.reason,
+        origin=lambda: None if pad is None else pad.reason, remarks=remarks, rates=wires.rates,
     )  # fmt: skip
+
+
+def _flight_is_near(vehicle: VehicleState | None) -> bool:
+    """Return True from the request to arm until the motors have stopped."""
+    return vehicle is not None and (vehicle.armed or vehicle.phase is FlightPhase.ARMING)
 
 
 # -- the mission --------------------------------------------------------------------------------------------------------

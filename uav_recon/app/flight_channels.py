@@ -18,7 +18,7 @@ from uav_recon.types.perception_status import PerceptionStatus
 from uav_recon.types.pose import MapCorrection, StampedPose
 from uav_recon.types.tasks import ViewPath
 from uav_recon.types.trajectory import Intent
-from uav_recon.types.vehicle import MissionProgress, VehicleState
+from uav_recon.types.vehicle import MissionProgress, TurnRates, VehicleState
 
 
 @dataclass(frozen=True)
@@ -37,10 +37,11 @@ class FlightChannels:
     free: Channel[FreeSpace]
     nearby: Channel[MinRangeGrid]
     perception: Channel[PerceptionStatus]
+    rates: Channel[TurnRates]
 
 
 PERCEPTION_WRITES = frozenset({"odom", "frames", "correction", "nearby", "perception"})
-PILOT_WRITES = frozenset({"vehicle"})
+PILOT_WRITES = frozenset({"vehicle", "rates"})
 MISSION_WRITES = frozenset({"intent", "progress", "voxels", "surface", "plan", "free"})
 _KIBIBYTE = 1 << 10
 _MEBIBYTE = 1 << 20
@@ -57,6 +58,7 @@ _FILES: dict[str, tuple[Any, int]] = {  # type of the value and capacity in byte
     "free": (FreeSpace, 4 * _MEBIBYTE),
     "nearby": (MinRangeGrid, 64 * _KIBIBYTE),
     "perception": (PerceptionStatus, 64 * _KIBIBYTE),
+    "rates": (TurnRates, 64 * _KIBIBYTE),
 }
 
 
@@ -66,7 +68,7 @@ def memory_channels() -> FlightChannels:
         MemoryChannel(StampedPose), MemoryChannel(PosedFrame), MemoryChannel(VehicleState), MemoryChannel(Intent),
         MemoryChannel(MissionProgress), MemoryChannel(VoxelMap), MemoryChannel(SurfaceElements), MemoryChannel(ViewPath),
         MemoryChannel(MapCorrection), MemoryChannel(FreeSpace), MemoryChannel(MinRangeGrid),
-        MemoryChannel(PerceptionStatus),
+        MemoryChannel(PerceptionStatus), MemoryChannel(TurnRates),
     )  # fmt: skip
 
 

@@ -1,9 +1,10 @@
 """Compile the kernels of a flight into numba's disk cache before its processes start.
 
-A first flight needs about 340 kernels. Without this step each process compiles its own on one core and reports nothing.
-Here worker processes (see kernel_worker) run jobs on all cores: a job calls the kernels' callers with toy data. A finished
-job leaves a stamp beside the kernels, and is skipped until a source, numba or the processor changes. A kernel that no job
-compiles is compiled by the process that calls it first.
+A first flight needs about 340 kernels. Without this step each process compiles its own on one core and reports nothing. Here
+worker processes (see kernel_worker) run jobs on all cores: a job calls the kernels' callers with toy data. A finished job
+leaves a stamp beside the kernels, and is skipped until a source, numba or the processor changes. If a source of a kernel has
+changed, all kernels are compiled again (see kernel_sources). A kernel that no job compiles is compiled by the process that
+calls it first.
 """
 
 from __future__ import annotations
@@ -24,6 +25,8 @@ from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+
+from uav_recon.app.kernel_sources import remove_stale_kernels
 
 LOG = logging.getLogger(__name__)
 
@@ -84,6 +87,8 @@ def compile_kernels(
     called when a job's kernels are in the cache, also for one that needs no compilation. A job that fails is logged and left
     to the process that needs it.
     """
+    if not are_compiled(jobs):
+        remove_stale_kernels(_cache_roots(), _packages())
     todo = []
     for job in jobs:
         if _is_stamped(job):
@@ -272,7 +277,11 @@ def _fingerprint() -> str:
 
 
 def _sources() -> Iterable[Path]:
-    return sorted(path for name in ("uav_recon", "sitl") for path in (PACKAGE.parent / name).rglob("*.py"))
+    return sorted(path for package in _packages() for path in package.rglob("*.py"))
+
+
+def _packages() -> list[Path]:
+    return [path for path in (PACKAGE, PACKAGE.parent / "sitl") if path.is_dir()]
 
 
 def _writable(folder: Path) -> bool:

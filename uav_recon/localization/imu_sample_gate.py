@@ -24,17 +24,21 @@ class InertialReading(NamedTuple):
 
     stamp_s: float
     rate_radps: Vector
-    force_mps2: Vector
+    force_mps2: Vector | None  # None: not measured
 
 
 class ImuSampleGate:
-    """Checks the samples of one IMU in order. ``rejected``: counter, shared with the filter's."""
+    """Checks the samples of one IMU in order. ``rejected``: counter, shared with the filter's.
+
+    ``without_accelerometer``: True if the newest sample has no specific force.
+    """
 
     def __init__(self, rejected: Counter[PoseRejection]) -> None:
         self._rejected = rejected
         self._newest_s = -math.inf
         self._rate = _RepeatedValues()
         self._force = _RepeatedValues()
+        self.without_accelerometer = False
 
     @property
     def gyro_frozen(self) -> bool:
@@ -54,12 +58,16 @@ class ImuSampleGate:
         """
         admitted = []
         for sample in samples:
-            reading = InertialReading(sample.stamp_s, _vector(sample.gyro_radps), _vector(sample.specific_force_mps2))
+            measured = _vector(sample.specific_force_mps2)
+            force = None if all(map(math.isnan, measured)) else measured
+            reading = InertialReading(sample.stamp_s, _vector(sample.gyro_radps), force)
             reason = self._fault(reading, now_s)
             if reason is None:
                 self._newest_s = reading.stamp_s
                 self._rate.update(reading.stamp_s, reading.rate_radps)
-                self._force.update(reading.stamp_s, reading.force_mps2)
+                self.without_accelerometer = force is None
+                if force is not None:
+                    self._force.update(reading.stamp_s, force)
                 reason = PoseRejection.IMU_FROZEN if self.gyro_frozen else None
             if reason is None:
                 admitted.append(reading)
@@ -69,9 +77,9 @@ class ImuSampleGate:
 
     def _fault(self, reading: InertialReading, now_s: float) -> PoseRejection | None:
         stamp_s, rate, force = reading
-        if not math.isfinite(stamp_s + sum(rate) + sum(force)) or max(map(abs, rate)) > _FASTEST_RADPS:
+        if not math.isfinite(stamp_s + sum(rate) + sum(force or ())) or max(map(abs, rate)) > _FASTEST_RADPS:
             return PoseRejection.IMU_NOT_FINITE
-        if max(map(abs, force)) > _HARDEST_MPS2:
+        if force is not None and max(map(abs, force)) > _HARDEST_MPS2:
             return PoseRejection.IMU_FORCE
         return None if self._newest_s < stamp_s <= now_s + _FUTURE_S else PoseRejection.IMU_STAMP
 

@@ -7,6 +7,7 @@ measured there at rest; its roll and pitch are kept, because they show where dow
 from __future__ import annotations
 
 import json
+import logging
 import math
 from collections import deque
 from contextlib import suppress
@@ -22,6 +23,8 @@ from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.vehicle import VehicleState
 
+LOG = logging.getLogger(__name__)
+
 _REST_S = 0.5  #: refuse: no odometry before the pose source was at rest on the pad for this time
 _REST_POSES = 5  #: refuse: nor with fewer poses in it
 _REST_M = 0.03  #: refuse: at rest, the positions of a source differ by less
@@ -30,11 +33,15 @@ _FAR_M = 0.1  #: internal: a pad that is farther from the source's origin is rep
 _TURNED_RAD = math.radians(3.0)  #: internal: a pad whose heading differs by more is reported
 
 
+_COMPLAIN_S = 3.0  #: warn: poses come for this time, and the source was not at rest
+_AWAITED = Reason(ReasonCode.PAD_AWAITED, (_REST_S,))
+
+
 class PadOrigin:
     """A pose source in the frame of the take-off pad; gives no pose before the pad is known.
 
     source: the poses as they come. vehicle: tells whether the vehicle is in the air. file: keeps the pad for a restart in the
-    air. ``reason``: None, or where the pad is in the source's frame if that is not its origin.
+    air. ``reason``: that the pad is awaited; then None, or where the pad is in the source's frame if that is not its origin.
     """
 
     def __init__(self, source: PoseSource, vehicle: Channel[VehicleState], file: Path) -> None:
@@ -43,7 +50,8 @@ class PadOrigin:
         self._file = file
         self._rest: deque[StampedPose] = deque()
         self._pad_from_source: Pose | None = None
-        self.reason: Reason | None = None
+        self.reason: Reason | None = _AWAITED
+        self._poses_since_s = math.inf
 
     def poses(self) -> list[StampedPose]:
         """Return the poses since the last call, in the frame of the pad, oldest first."""
@@ -66,7 +74,15 @@ class PadOrigin:
                 with suppress(OSError):  # without the file a restart in the air finds no pad, and the vehicle lands
                     _save(self._file, self._pad_from_source)
                 return poses[index:]
+            self._complain(pose.stamp_s)
         return []
+
+    def _complain(self, stamp_s: float) -> None:
+        """Log once that poses come and do not rest."""
+        self._poses_since_s = min(self._poses_since_s, stamp_s)
+        if stamp_s - self._poses_since_s > _COMPLAIN_S:
+            LOG.warning("%s", _AWAITED.text())
+            self._poses_since_s = math.nan
 
     def _at_rest(self, pose: StampedPose) -> bool:
         if pose.quality <= 0 or not math.isfinite(pose.stamp_s):
@@ -78,6 +94,7 @@ class PadOrigin:
         return len(rest) >= _REST_POSES and pose.stamp_s - rest[0].stamp_s >= _REST_S
 
     def _set(self, pad_from_source: Pose) -> None:
+        self.reason = None
         self._pad_from_source = pad_from_source
         source_from_pad = pad_from_source.inverse()
         away_m, turn_rad = float(np.linalg.norm(source_from_pad.translation_m)), source_from_pad.yaw_rad()

@@ -14,6 +14,7 @@ from uav_recon.localization.camera_motion import CameraMotion
 from uav_recon.localization.camera_mount import Mount
 from uav_recon.localization.depth_consistency import DepthConsistencyMonitor
 from uav_recon.localization.fusion_filter import FusionFilter
+from uav_recon.localization.inertial_selection import InertialSelection
 from uav_recon.localization.min_range_binning import nearest_in_cells
 from uav_recon.types.camera import Frame, PosedFrame
 from uav_recon.types.min_range_grid import MinRangeGrid
@@ -21,6 +22,7 @@ from uav_recon.types.perception_status import PerceptionStatus
 from uav_recon.types.pose import Pose, PoseHealth, StampedPose
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
+from uav_recon.types.vehicle import TurnRates
 
 _OLDEST_FRAME_S = 1.0  #: reject: an older frame
 _FUTURE_S = 0.01  #: reject: a frame stamped later than the clock by this
@@ -44,7 +46,9 @@ class Perception:
 
     Odometry that depth contradicts has health WRONG; its quality stays, because it is better than none for landing.
     ``published_odom`` and ``published_frames`` are counters, ``dropped_frames`` counts by reason; all of them are published
-    once a second, with the origin of the poses and the camera's errors.
+    once a second, with the origin of the poses, the camera's errors, and remarks(), what the camera says of itself.
+
+    rates: turn rates of the autopilot, which take the place of a camera's IMU that is missing or frozen.
     """
 
     def __init__(
@@ -62,6 +66,8 @@ class Perception:
         frame_wait_s: float = 0.2,
         *,
         origin: Callable[[], Reason | None] = lambda: None,
+        remarks: Callable[[], tuple[Reason, ...]] = tuple,
+        rates: Channel[TurnRates] | None = None,
     ) -> None:
         self._camera = camera
         self._poses = poses
@@ -74,6 +80,8 @@ class Perception:
         self._clock = clock
         self._frame_wait_s = frame_wait_s
         self._origin = origin
+        self._remarks = remarks
+        self._inertial = InertialSelection(camera.imu, rates)
         self._depth_consistency = DepthConsistencyMonitor()
         warm_up()
         self._rate = RateKeeper(rate_hz, clock.now_s())
@@ -89,15 +97,15 @@ class Perception:
         """Read new inputs and publish what is due."""
         now_s = self._clock.now_s()
         self._mount.observe()
-        self._fusion.add_imu(self._camera.imu(), self._clock.now_s())  # read before the clock: none lies in the future
+        self._fusion.add_imu(self._inertial.samples(self._clock.now_s), self._clock.now_s())
         for pose in self._poses.poses():
             self._fusion.add_pose(pose, now_s)
         if self._rate.due(now_s):
             self._publish_odom(now_s)
-        self._take_frame(now_s)
-        self._publish_frame(now_s)
         if self._status_rate.due(now_s):
             self._status.publish(self._status_at(now_s))
+        self._take_frame(now_s)  # after the status: a camera that is gone raises
+        self._publish_frame(now_s)
 
     def _publish_odom(self, now_s: float) -> None:
         estimate = self._fusion.odom_at(now_s)
@@ -157,7 +165,9 @@ class Perception:
         samples = tuple(sorted((reason.value, count) for reason, count in self._fusion.rejected.items()))
         newest_s, newest = self._newest_drop
         calibration = self._depth_consistency.calibration_summary
-        return PerceptionStatus(now_s, self.published_frames, frames, samples, newest, newest_s, self._origin(), calibration)
+        return PerceptionStatus(
+            now_s, self.published_frames, frames, samples, newest, newest_s, self._origin(), calibration, self._remarks()
+        )
 
     def _publish_frame(self, now_s: float) -> None:
         """Publish at most one frame per step.

@@ -110,8 +110,12 @@ class PropagationBank:
         readings = self._gate.admit(samples, now_s)
         for history in self._histories:
             history.update(readings)
-        if self._gate.accelerometer_frozen and self._chosen < _ACCELEROMETER:
+        if self._no_accelerometer and self._chosen < _ACCELEROMETER:
             self._choose(_ACCELEROMETER)
+
+    @property
+    def _no_accelerometer(self) -> bool:
+        return self._gate.accelerometer_frozen or self._gate.without_accelerometer
 
     def stamp_fault(self, stamp_s: float) -> PoseRejection | None:
         """Return the reason why a stamp cannot be inserted, None if it can."""
@@ -191,6 +195,8 @@ class PropagationBank:
             return Reason(ReasonCode.NO_IMU)
         if self._chosen == _GYRO:
             return Reason(ReasonCode.GYRO_REJECTED)
+        if self._gate.without_accelerometer:
+            return Reason(ReasonCode.AUTOPILOT_GYRO)
         return Reason(ReasonCode.ACCELEROMETER_FROZEN if self._gate.accelerometer_frozen else ReasonCode.ACCELEROMETER_REJECTED)
 
     def _compare(self, met: Arrival) -> None:
@@ -220,7 +226,7 @@ class PropagationBank:
 
     def _restore(self, costs: list[float], stamp_s: float) -> None:
         """Use a sensor again once it has been the better choice for a while."""
-        first = _ACCELEROMETER if self._gate.accelerometer_frozen else 0
+        first = _ACCELEROMETER if self._no_accelerometer else 0
         more = [k for k in range(first, self._chosen) if costs[k] <= costs[self._chosen] + _COST_NIS]
         if not more:
             self._better_since_s = math.inf

@@ -28,8 +28,9 @@ class PerceptionLog:
         if newest is None:
             return
         counts, before = newest.counts(), {} if written is None else written.counts()
-        moved = newest.origin is not None and (written is None or written.origin is None)
-        if moved or counts.keys() - before.keys() or (counts != before and now_s - self._written_s >= PERIOD_S):
+        moved = newest.origin is not None and (written is None or written.origin != newest.origin)
+        remarked = set(newest.camera) > (set() if written is None else set(written.camera))
+        if moved or remarked or counts.keys() - before.keys() or (counts != before and now_s - self._written_s >= PERIOD_S):
             self._write(newest)
             self._written_s = now_s
 

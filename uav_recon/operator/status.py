@@ -24,7 +24,8 @@ class Status:
     the ground, note_codes: its codes; refusals: number of proposals that the guard has rejected. max_speed_mps: reduced speed
     limit, None if it is not reduced; slow_reason: why as text, slow_codes: its codes. perception: what perception has rejected,
     counts by reason; perception_newest, perception_newest_s: the newest rejected depth frame and its age. origin:
-    where the take-off pad is, if not at the pose source's origin.
+    where the take-off pad is, if not at the pose source's origin, or that it is awaited. camera: its streams, and what is wrong
+    with it, as texts; camera_codes: their codes.
     """
 
     pilot: str
@@ -49,6 +50,8 @@ class Status:
     perception_newest: str = ""
     perception_newest_s: float | None = None
     origin: str = ""
+    camera: tuple[str, ...] = ()
+    camera_codes: tuple[str, ...] = ()
 
     @staticmethod
     def of(
@@ -91,6 +94,8 @@ class Status:
             perception_newest="" if perception is None else text_of(perception.newest),
             perception_newest_s=None if perception is None else _finite(now_s - perception.newest_s, 1),
             origin="" if perception is None else text_of(perception.origin),
+            camera=() if perception is None else tuple(text_of(reason) for reason in perception.camera),
+            camera_codes=() if perception is None else tuple(reason.code.value for reason in perception.camera),
         )
 
     @staticmethod
@@ -122,7 +127,8 @@ class Status:
             "origin": self.origin or None,
             "rejected": self._rejected(),
         }
-        return [f"{name:9} {value if value is not None else '-'}" for name, value in known.items()]
+        lines = [f"{name:9} {value if value is not None else '-'}" for name, value in known.items()]
+        return [*lines, *(f"{'camera':9} {text.removeprefix('camera ').removeprefix('streams: ')}" for text in self.camera)]
 
     def _rejected(self) -> str | None:
         """Return what perception rejected, most frequent first; None for nothing."""

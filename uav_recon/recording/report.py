@@ -101,7 +101,7 @@ class Report:
     reduced_speed_s: seconds of the flight at a reduced speed, by reason; null in reports from before it was logged.
     camera_calibration: errors of the camera at the end, by name with unit: value and standard deviation; None if not published.
     rejected_by_perception: depth frames, poses and inertial samples that perception rejected, by reason; None if it published
-    no counts.
+    no counts. camera: its streams, and what was wrong with it, as texts.
     """
 
     scene: str
@@ -130,6 +130,7 @@ class Report:
     reduced_speed_s: Mapping[str, float] | None = None
     rejected_by_perception: Mapping[str, int] | None = None
     camera_calibration: Mapping[str, tuple[float, float]] | None = None
+    camera: tuple[str, ...] = ()
 
     @property
     def completed(self) -> bool:

@@ -72,6 +72,7 @@ def render_page(report: Report, pictures: Sequence[Picture], notes: Sequence[str
         _quality(report),
         _refused_views(report),
         _rejected_by_perception(report),
+        _camera(report),
         _camera_calibration(report),
         _safety(report),
         _planning(report),
@@ -175,6 +176,11 @@ def _rejected_by_perception(report: Report) -> str:
     reasons = sorted(rejected.items(), key=lambda item: (-item[1], item[0]))
     rows = [(reason[:1].upper() + reason[1:].replace("-", " "), str(count)) for reason, count in reasons]
     return _table("What perception rejected", [*rows, ("All", str(sum(rejected.values())))])
+
+
+def _camera(report: Report) -> str:
+    rows = [(str(number), text) for number, text in enumerate(report.camera, start=1)]
+    return _table("Remarks about the camera", rows) if rows else ""
 
 
 def _safety(report: Report) -> str:

@@ -104,7 +104,7 @@ class PosedFrame:
 class ImuSample:
     """One inertial sample in body FLU axes.
 
-    gyro_radps: angular rate (3,) rad/s. specific_force_mps2: specific force (3,) m/s².
+    gyro_radps: angular rate (3,) rad/s. specific_force_mps2: specific force (3,) m/s², NaN if it was not measured.
     """
 
     stamp_s: float

@@ -15,8 +15,9 @@ class PerceptionStatus:
 
     frames: depth frames that were given on. rejected_frames: (reason, count) of the others. rejected_samples: (reason as text,
     count) of rejected poses and inertial samples. newest: None before the first rejected frame; newest_s: its stamp.
-    origin: where the take-off pad is, if not at the pose source's origin. calibration: errors of the camera as known now, each
-    with its name and unit, its value and its standard deviation.
+    origin: where the take-off pad is, if not at the pose source's origin, or that it is awaited. calibration: errors of the
+    camera as known now, each with its name and unit, its value and its standard deviation. camera: remarks about the camera:
+    its streams, and what is wrong with it.
     """
 
     stamp_s: float
@@ -27,6 +28,7 @@ class PerceptionStatus:
     newest_s: float = -math.inf
     origin: Reason | None = None
     calibration: tuple[tuple[str, float, float], ...] = ()
+    camera: tuple[Reason, ...] = ()
 
     def counts(self) -> dict[str, int]:
         """Return all counts of rejections by name.

@@ -153,6 +153,10 @@ class ReasonCode(str, Enum):
     )  # fmt: skip
     DEPTH_FRAME_STAMP = "depth-frame-stamp", "depth frame: wrong time stamp", "depth frame: too old, too new, or out of order"
     DEPTH_FRAME_UNPLACED = "depth-frame-unplaced", "depth frame: no pose", "depth frame: no pose at its stamp"
+    PAD_AWAITED = (
+        "pad-awaited", "waiting for rest on the pad",
+        "no odometry yet: waiting until the pose source has been at rest on the pad for {0:.1f} s", (0.5,),
+    )  # fmt: skip
     PAD_IS_ORIGIN = (
         "pad-is-origin", "pad {0:.1f} m, {1:.0f} deg off source's origin",
         "the take-off pad is {0:.2f} m and {1:.0f} degrees off the pose source's origin: the world begins at the pad",
@@ -256,6 +260,60 @@ class ReasonCode(str, Enum):
     STOP_REQUESTED = "stop-requested", "asked to end"
     OPERATOR_LAND = "operator-land", "operator asked to land", "the operator asked to land"
     MISSION_LAND = "mission-land", "mission asks to land", "the mission asks to land"
+
+    # --- camera ------------------------------------------------------------------------------------------------------
+    CAMERA_STREAMS = (
+        "camera-streams", "camera streams: {0}", "camera streams: depth {0}, colour {1}, IMU {2}, USB {3}",
+        ("424x240 at 30 Hz", "424x240 at 30 Hz", "200 Hz", "3.2"),
+    )  # fmt: skip
+    CAMERA_USB2 = (
+        "camera-usb2", "camera on USB {0}", "the camera is on USB {0}: {1} frames a second, later than on USB 3; "
+        "use a USB 3 port and cable", ("2.1", "15"),
+    )  # fmt: skip
+    CAMERA_FIRMWARE = (
+        "camera-firmware", "camera firmware {0} is bad", "camera firmware {0} with SDK {1} is known to be bad: {2}; {3}",
+        ("5.11.1.100", "2.59.1", "single depth frames are all zero", "update to 5.11.6.200 or later"),
+    )  # fmt: skip
+    CAMERA_WITHOUT_IMU = (
+        "camera-without-imu", "camera has no IMU",
+        "the camera offers no IMU: on JetPack 6 install an SDK with the RSUSB backend",
+    )  # fmt: skip
+    AUTOPILOT_GYRO = (
+        "autopilot-gyro", "autopilot's gyro is used", "no working IMU of the camera: the autopilot's gyro takes its place",
+    )  # fmt: skip
+    CAMERA_CLOCKS_APART = (
+        "camera-clocks-apart", "camera clocks {2:.2f} s apart",
+        "the stamps of {0} and {1} come from two clocks, {2:.2f} s apart: the delay between them is not known",
+        ("depth", "gyro", 0.2),
+    )  # fmt: skip
+    CAMERA_DOMAINS = (
+        "camera-domains", "camera stamps: {1}, {3}",
+        "camera stamps: {0} by {1}, {2} by {3}: the delay between them is not known",
+        ("depth", "system time", "gyro", "hardware clock"),
+    )  # fmt: skip
+    CAMERA_ARRIVAL_STAMPS = (
+        "camera-arrival-stamps", "camera stamps are arrival times",
+        "camera stamps are arrival times (system time), up to 50 ms late: install frame metadata or the RSUSB backend",
+    )  # fmt: skip
+    CAMERA_STAMPS_REFUSED = (
+        "camera-stamps-refused", "camera {0} refused: no clock",
+        "camera {0} refused: its stamps do not run with any clock; reconnect the camera", ("depth",),
+    )  # fmt: skip
+    CAMERA_EMITTER_OFF = (
+        "camera-emitter-off", "camera emitter off", "the camera's infrared emitter is off: no depth on walls without texture",
+    )  # fmt: skip
+    CAMERA_RESTARTS = (
+        "camera-restarts", "camera lost, restart {0:d} of {1:d}", "the camera is lost ({2}): restart {0:d} of {1:d}",
+        (3, 3, "no frame for 1.5 s"),
+    )  # fmt: skip
+    EXPOSURE_LOCKED = (
+        "exposure-locked", "exposure locked", "exposure and white balance of the colour camera are locked: {0:.0f}, {1:.0f} K",
+        (156.0, 4600.0),
+    )  # fmt: skip
+    EXPOSURE_NOT_LOCKED = (
+        "exposure-not-locked", "exposure not locked", "exposure stays automatic: {0}",
+        ("the colour camera has no such control",),
+    )  # fmt: skip
 
     # --- link --------------------------------------------------------------------------------------------------------
     AUTOPILOT_CHANGED = (

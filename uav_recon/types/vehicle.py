@@ -60,6 +60,21 @@ class VehicleState:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class TurnRates:
+    """The newest turn rates of the autopilot's gyro, oldest first.
+
+    stamps_s: (N,) on the companion's clock. rates_radps: (N, 3), body FLU.
+    """
+
+    stamps_s: FloatArray
+    rates_radps: FloatArray
+
+    def __post_init__(self) -> None:
+        for name in ("stamps_s", "rates_radps"):
+            object.__setattr__(self, name, frozen(np.asarray(getattr(self, name), dtype=np.float64)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class MissionProgress:
     """A sample of the mission's progress, for screens, recorders and the report."""
 

@@ -434,7 +434,7 @@ TABLE_B = (
         "no inertial sample, from boot",
         lambda n: [ImuSilence()],
         (
-            Limit("reported after the arm command", statustext_after_arm_command(codes.NO_IMU), 1.0, "s"),
+            Limit("reported after the arm command", statustext_after_arm_command(*codes.NO_IMU), 1.0, "s"),
             clear(0.10),
             COMPLETES,
             NO_FAILSAFE,
@@ -449,7 +449,7 @@ TABLE_B = (
         "the inertial samples end during fast flight",
         lambda n: [ImuSilence()],
         (
-            told(codes.NO_IMU, within_s=1.0),
+            told(*codes.NO_IMU, within_s=1.0),
             Limit("speed 1 s later", m.speed_from(1.0), 0.35, "m/s"),
             clear(0.10),
             COMPLETES,

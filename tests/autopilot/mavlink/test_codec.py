@@ -177,8 +177,14 @@ def test_where_the_autopilot_believes_to_be(p: FloatArray, v: FloatArray, quat: 
     np.testing.assert_allclose(place.position_m, NED_ENU.T @ p, rtol=1e-6, atol=1e-6)
     np.testing.assert_allclose(place.velocity_mps, NED_ENU.T @ v, rtol=1e-6, atol=1e-6)
     quat = quat / np.linalg.norm(quat)
-    attitude = read(wire.MAVLink_attitude_quaternion_message(0, *quat, 0, 0, 0))
+    attitude = read(wire.MAVLink_attitude_quaternion_message(77, *quat, 0.1, 0.2, 0.3))
     assert isinstance(attitude, Attitude)
+    assert attitude.boot_ms == 77
+    assert attitude.rate_radps is not None
+    np.testing.assert_allclose(attitude.rate_radps, [0.1, -0.2, -0.3], atol=1e-7)
+    unknown = read(wire.MAVLink_attitude_quaternion_message(77, *quat, math.nan, 0.2, 0.3))
+    assert isinstance(unknown, Attitude)
+    assert unknown.rate_radps is None
     ned_from_frd = Pose(quat, np.zeros(3)).rotation()
     np.testing.assert_allclose(Pose(attitude.quat_wxyz, np.zeros(3)).rotation(), NED_ENU.T @ ned_from_frd @ FRD_FLU, atol=1e-6)
 

@@ -40,7 +40,7 @@ from uav_recon.types.pose import Pose, PoseHealth, StampedPose
 from uav_recon.types.reason import Reason, codes_in, codes_of
 from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.trajectory import Goal, Intent, Trajectory
-from uav_recon.types.vehicle import FlightPhase, VehicleState
+from uav_recon.types.vehicle import FlightPhase, TurnRates, VehicleState
 
 copyreg.pickle(struct.Struct, lambda layout: (struct.Struct, (layout.format,)))  # lets a flight be copied in mid-air
 
@@ -132,7 +132,7 @@ class Rig:
         self.autopilot = self._make_autopilot(theirs, seed)
         self.channels = PilotChannels(
             MemoryChannel(StampedPose), MemoryChannel(Intent), MemoryChannel(VehicleState), MemoryChannel(FreeSpace),
-            MemoryChannel(MinRangeGrid),
+            MemoryChannel(MinRangeGrid), MemoryChannel(TurnRates),
         )  # fmt: skip
         self.free = np.ones(GRID.shape, dtype=np.bool_)
         self.publish_free()

@@ -8,6 +8,7 @@ from collections import deque
 import numpy as np
 import pytest
 from flight_rig import BOUNDS, GRID, MODE, POSES_DISAGREE, Rig, setpoints, smooth_way
+from scipy.spatial.transform import Rotation
 
 from uav_recon.types.pose import Pose, PoseHealth, StampedPose
 from uav_recon.types.reason import Reason
@@ -219,3 +220,29 @@ def test_bad_poses_are_not_fed(fault: str) -> None:
     assert rig.tap.since(begin + 0.02)["ODOMETRY"] <= (1 if fault == "repeated" else 0)
     rig.run(1.0)
     assert rig.pilot.phase is FlightPhase.CONNECTING
+
+
+def test_the_autopilots_turn_rates_come_on_our_clock_in_body_axes() -> None:
+    """Perception uses them where the camera has no IMU. The truth's attitudes are differentiated."""
+    rig = Rig()
+    rig.airborne()
+    rig.fly((1.2, 0.8, 1.1), identifier=2)
+    told: dict[float, list[float]] = {}
+    stamps_s, turns, ages_s = [], [], []
+    for _ in range(250):
+        rig.step()
+        stamps_s.append(rig.clock.now_s())
+        turns.append(rig.autopilot.truth().quat_wxyz)
+        rates = rig.channels.rates.latest()
+        assert rates is not None
+        ages_s.append(rig.clock.now_s() - rates.stamps_s[-1])
+        told |= dict(zip(rates.stamps_s.tolist(), rates.rates_radps.tolist(), strict=True))
+    assert 0.0 <= min(ages_s) <= max(ages_s) < 0.06
+    times_s, attitudes = np.array(stamps_s), Rotation.from_quat(turns, scalar_first=True)
+    true_radps = (attitudes[:-2].inv() * attitudes[2:]).as_rotvec() / (times_s[2:] - times_s[:-2])[:, None]
+    inside = [stamp_s for stamp_s in told if times_s[1] <= stamp_s <= times_s[-2]]
+    assert len(inside) > 60
+    truth = np.array([np.interp(inside, times_s[1:-1], true_radps[:, k]) for k in range(3)]).T
+    error = np.array([told[stamp_s] for stamp_s in inside]) - truth
+    assert np.abs(true_radps[:, :2]).max(axis=0).min() > 0.05, "it rolls and pitches"
+    assert np.abs(error).max() < 0.3 * np.abs(true_radps).max()

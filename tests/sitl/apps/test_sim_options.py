@@ -76,6 +76,19 @@ def test_a_folder_that_cannot_be_used_is_refused_before_the_scene_is_loaded(tmp_
     assert not (tmp_path / "a").exists()
 
 
+def test_flights_that_begin_in_the_same_second_get_folders_of_their_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    same = SimOptions.parse()
+    made = [same.with_own_folder().out for _ in range(3)]
+    assert [folder.name for folder in made] == [same.out.name, f"{same.out.name}-2", f"{same.out.name}-3"]
+    assert all(folder.is_dir() for folder in made)
+    given = SimOptions.parse(out=tmp_path / "mine")
+    assert given.with_own_folder() is given
+    assert not given.out.exists()
+
+
 def test_an_unusable_firmware_is_a_one_line_error(tmp_path: Path) -> None:
     plain, program = tmp_path / "readme", tmp_path / "arducopter"
     plain.write_text("", encoding="ascii")

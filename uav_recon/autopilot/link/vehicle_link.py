@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from dataclasses import replace
+
+import numpy as np
 
 from uav_recon.autopilot.firmware.profile import FirmwareProfile
 from uav_recon.autopilot.link.autopilot_identity import AutopilotIdentity
@@ -17,6 +20,7 @@ from uav_recon.autopilot.mavlink.allow_list import AllowListFilter
 from uav_recon.autopilot.mavlink.codec import Decoder, Encoder
 from uav_recon.autopilot.mavlink.framing import kind_of
 from uav_recon.autopilot.mavlink.messages import (
+    Attitude,
     Firmware,
     GimbalAttitude,
     Heartbeat,
@@ -30,9 +34,11 @@ from uav_recon.autopilot.mavlink.tlog import FrameLog
 from uav_recon.clock import RateKeeper
 from uav_recon.interfaces import ByteLink
 from uav_recon.safety.guard import ClearedSetpoint
+from uav_recon.types.frames import FloatArray
 from uav_recon.types.pose import StampedPose
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
+from uav_recon.types.vehicle import TurnRates
 
 SYSTEM = 233  # our system id: no common program uses it by default; MAV_GCS_SYSID of ArduPilot has to name it
 COMPONENT = 191  # our component id: MAV_COMP_ID_ONBOARD_COMPUTER; the parameter UVR_COMP_ID of our script names it
@@ -48,6 +54,8 @@ _PROMPT_NS = 25_000_000
 # Heartbeat (one lost ends no flight); TIMESYNC, and that while its clock is lost; gimbal, maximum.
 _CHATTER_HZ = (5.0, 10.0, 50.0, 10.0)
 _AUTOPILOT_VERSION = 148.0
+_RATES = 32  #: internal: turn rates that are published together: a second
+_OLD_RATE_S = 1.0  #: reject: a turn rate of the autopilot that is older
 
 
 class VehicleLink:
@@ -88,6 +96,8 @@ class VehicleLink:
         self._heartbeat, self._sync, self._resync, self._gimbal = keepers
         self._polled = [(identifier, RateKeeper(rate_hz, start_s)) for identifier, rate_hz in firmware.polled_hz]
         self._asked_parameters: set[str] = set()
+        self._rates: deque[tuple[float, FloatArray]] = deque(maxlen=_RATES)
+        self._rates_s = -math.inf  # stamp of the newest that was returned
         self.telemetry = Telemetry()
         self.status = LinkStatus()
         self.alerts = LinkAlerts(self._own)
@@ -171,6 +181,16 @@ class VehicleLink:
         """
         boot_ms = self.telemetry.estimate.boot_ms
         return self._timesync.ours_s(boot_ms, now_s) if self.status.time_known and boot_ms >= 0 else math.nan
+
+    def turn_rates(self) -> TurnRates | None:
+        """Return the newest turn rates of the autopilot on our clock, None if nothing is new.
+
+        Each value also holds those before it, because its reader may miss one.
+        """
+        if not self._rates or self._rates[-1][0] == self._rates_s:
+            return None
+        self._rates_s = self._rates[-1][0]
+        return TurnRates(np.array([stamp_s for stamp_s, _ in self._rates]), np.array([rate for _, rate in self._rates]))
 
     def stream(self, cleared: ClearedSetpoint, now_s: float, gimbal: bool) -> None:
         """Send a cleared setpoint, and at most ten times a second its camera pitch."""
@@ -295,12 +315,22 @@ class VehicleLink:
                 return
             case TimesyncMessage():
                 self._synchronise(message, now_s)
+            case Attitude():
+                self._keep_rate(message, now_s)
             case Firmware():
                 self._identity.told(message.uid)
                 self.status = replace(self.status, identity_fault=self._identity.fault)
             case ParameterValue() if message.name not in self._asked_parameters:
                 return
         self.telemetry = updated(self.telemetry, message, now_s)
+
+    def _keep_rate(self, message: Attitude, now_s: float) -> None:
+        """Keep a turn rate with its stamp on our clock, if that clock is known."""
+        if message.rate_radps is None or message.boot_ms < 0 or not self.status.time_known:
+            return
+        stamp_s = min(self._timesync.ours_s(message.boot_ms, now_s), now_s)
+        if now_s - stamp_s <= _OLD_RATE_S and (not self._rates or stamp_s > self._rates[-1][0]):
+            self._rates.append((stamp_s, message.rate_radps))
 
     def _on_heartbeat(self, message: Heartbeat, now_s: float) -> None:
         """Update armed state and mode.

@@ -249,9 +249,11 @@ def _local_position(boot_ms: int, *numbers: float) -> Message | None:
     return LocalPosition(boot_ms, frozen(np.array(swap_world(numbers[:3]))), frozen(np.array(swap_world(numbers[3:]))))
 
 
-def _attitude(*quat: float) -> Message | None:
+def _attitude(boot_ms: int, *numbers: float) -> Message | None:
+    quat, rate = numbers[:4], numbers[4:]
     good = abs(math.hypot(*quat) - 1.0) < 1e-2  # False if any element is not finite
-    return Attitude(frozen(np.array(swap_attitude(quat)))) if good else None
+    turning = frozen(np.array(swap_body(rate))) if all(map(math.isfinite, rate)) else None
+    return Attitude(frozen(np.array(swap_attitude(quat))), boot_ms, turning) if good else None
 
 
 def _firmware(number: int, uid: int, uid2: tuple[int, ...]) -> Message:
@@ -312,7 +314,11 @@ _READ: tuple[tuple[Any, tuple[str, ...], Callable[..., Message | None]], ...] = 
         _system_status,
     ),
     (wire.MAVLink_local_position_ned_message, ("time_boot_ms", "x", "y", "z", "vx", "vy", "vz"), _local_position),
-    (wire.MAVLink_attitude_quaternion_message, ("q1", "q2", "q3", "q4"), _attitude),
+    (
+        wire.MAVLink_attitude_quaternion_message,
+        ("time_boot_ms", "q1", "q2", "q3", "q4", "rollspeed", "pitchspeed", "yawspeed"),
+        _attitude,
+    ),
     (wire.MAVLink_gps_global_origin_message, (), _origin),
     (wire.MAVLink_home_position_message, (), _origin),
     (wire.MAVLink_autopilot_version_message, ("flight_sw_version", "uid", "uid2"), _firmware),

@@ -97,9 +97,15 @@ class LocalPosition:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Attitude:
-    """The autopilot's estimate of world_from_body (ENU from FLU), Hamilton wxyz (4,)."""
+    """The autopilot's estimate of world_from_body (ENU from FLU), Hamilton wxyz (4,).
+
+    boot_ms: milliseconds since its boot, a number of 32 bits; -1 if unknown. rate_radps: turn rate (3,), body FLU; None if
+    unknown.
+    """
 
     quat_wxyz: FloatArray
+    boot_ms: int = -1
+    rate_radps: FloatArray | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -35,7 +35,7 @@ from uav_recon.types.pose import StampedPose
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.trajectory import Goal, Intent
-from uav_recon.types.vehicle import FlightPhase, VehicleState
+from uav_recon.types.vehicle import FlightPhase, TurnRates, VehicleState
 
 _LINK_HOLD_S = 0.5  #: hold: autopilot silent for longer: it may no longer follow the setpoints
 _TICK_S = 0.01  # max. wait for a frame within a control step
@@ -53,6 +53,7 @@ class PilotChannels:
     vehicle: Channel[VehicleState]
     free: Channel[FreeSpace]
     nearby: Channel[MinRangeGrid]
+    rates: Channel[TurnRates]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -95,6 +96,7 @@ class Pilot:
         self._firmware = link.firmware
         self._airframe = airframe
         self._vehicle = channels.vehicle
+        self._rates = channels.rates
         parameters = parameters or NoParameterCheck()
         self._preflight = PreflightSetup(link, origin, airframe.gimbal, parameters)
         self._tick = RateKeeper(setpoint_rate_hz, clock.now_s())
@@ -126,6 +128,7 @@ class Pilot:
         """Run one step: receive, feed poses, check, act, send a setpoint, report."""
         now_s = self._clock.now_s()
         self._link.receive(now_s)
+        self._publish_rates()
         self._feed_poses(now_s)
         self._read_mission(now_s)
         self._check_authority(now_s)
@@ -362,6 +365,12 @@ class Pilot:
         if airborne and news:
             self._note = news[-1]
         self._reporter.step(self._note, now_s)
+
+    def _publish_rates(self) -> None:
+        """Publish the autopilot's turn rates at once: they are worth less with each millisecond."""
+        rates = self._link.turn_rates()
+        if rates is not None:
+            self._rates.publish(rates)
 
     def _publish(self, now_s: float) -> None:
         gimbal = self._airframe.gimbal

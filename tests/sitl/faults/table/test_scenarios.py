@@ -56,7 +56,7 @@ def slow_without_imu(told_s: float) -> FlightEvidence:
     """A flight at 0.3 m/s that tells at told_s why; its inertial samples end at 5 s."""
     e = evidence()
     slow = e.velocity_mps * 0.6
-    reported = ((told_s, (codes.REDUCED_SPEED, codes.NO_IMU)),)
+    reported = ((told_s, (codes.REDUCED_SPEED, codes.NO_IMU[0])),)
     flown = dataclasses.replace(e, velocity_mps=slow, reported=reported)
     return rewired(flown, velocity_mps=e.wire.velocity_mps * 0.6)
 
