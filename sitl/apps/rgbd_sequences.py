@@ -1,17 +1,16 @@
 """Recorded RGB-D-inertial sequences: what a vehicle records on a path through a scene, with its true poses.
 
-The frames and samples are those of a flight: the same simulator renders and stamps them, with the camera errors of the seed. Only
-the vehicle is another one, which follows a path exactly and needs no autopilot.
+The frames and samples are those of a flight: the same simulator renders and stamps them, with the camera errors of the seed.
+Only the vehicle is another one, which follows a path exactly and needs no autopilot.
 """
 
 from __future__ import annotations
 
-import json
 import math
+import zipfile
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, fields
+from dataclasses import astuple, dataclass, fields
 from pathlib import Path
-from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,16 +20,18 @@ from sitl.camera import d435i
 from sitl.camera.camera_errors import CameraErrors
 from sitl.camera.camera_mount import CameraMount
 from sitl.camera.camera_view import CameraView
+from sitl.camera.frame_exposure import MountPose
 from sitl.geometry.transform import body_from_camera, rigid, rotation_from_quat
 from sitl.outside_world import OutsideWorld
 from sitl.runtime.array_cache import key
+from sitl.scene.glass import GlassView
 from sitl.scene.rasterizer import Renderer
-from sitl.scene.scene import Scene, load_scene
+from sitl.scene.scene import Scene
 from sitl.truth.hull_clearance import HullClearance
 from sitl.truth.random_route import LOOK_RAD, random_route
 from sitl.world.pose_tracker import SimulatedTracker
 from sitl.world.spline_trajectory import Rates, SplineTrajectory, TrajectoryStates
-from uav_recon.sensors.stream_format import StreamHeader
+from uav_recon.sensors.stream_format import CameraSpec, StreamHeader
 
 VERSION = 1
 FRAME_HZ = 15.0
@@ -51,8 +52,8 @@ class SequenceOptions:
     """Options of a sequence; equal options give equal sequences.
 
     scene: as for `sim`. seed: of camera errors and noise. path: number of the route. camera_errors: scale. gimbal: else the
-    camera is fixed, 15 degrees down. length_m: of the path. glass: two walls have windows. yaw_radps: largest turn rate.
-    look_rad: largest angle between heading and direction of travel.
+    camera is fixed, 15 degrees down. length_m: of the path. yaw_radps: largest turn rate. look_rad: largest angle between
+    heading and direction of travel. glass: two walls have windows (sitl/scene/glass.py). depth_noise: model of the noise.
     """
 
     scene: str | None = None
@@ -64,6 +65,8 @@ class SequenceOptions:
     camera: d435i.Model = "d435i"
     yaw_radps: float = Rates.yaw_radps
     look_rad: float = LOOK_RAD
+    glass: bool = False
+    depth_noise: d435i.Noise = "d435i"
 
     @property
     def errors(self) -> CameraErrors:
@@ -75,7 +78,8 @@ class SequenceOptions:
 class RgbdSequence:
     """N frames and M inertial samples as the product gets them, and the true poses.
 
-    depth_mm (N, H, W): 0 = no return. rgb (N, h, w, 3). stamp_s (N,): of the frames, ascending.
+    depth_mm (N, H, W): 0 = no return. rgb (N, h, w, 3). stamp_s (N,): of the frames, ascending. arrival_s (N,): when the
+    product gets them.
     imu (M, 7): stamp, s; gyro, rad/s; specific force, m/s^2; body FLU.
     body_from_depth (N, 4, 4): nominal. shown_body (N, 4, 4): true world_from_body when the depth image was exposed.
     truth_s (T,), truth_position_m (T, 3), truth_quat_wxyz (T, 4): true world_from_body, 200 times a second.
@@ -86,6 +90,7 @@ class RgbdSequence:
     depth_mm: U16
     rgb: U8
     stamp_s: F64
+    arrival_s: F64
     imu: F64
     body_from_depth: F64
     shown_body: F64
@@ -110,6 +115,9 @@ class RgbdSequence:
         position = (1.0 - share) * self.truth_position_m[before] + share * self.truth_position_m[after]
         quat = (1.0 - share) * self.truth_quat_wxyz[before] + share * self.truth_quat_wxyz[after]
         return _poses(position, quat)
+
+
+_ARRAYS = tuple(f.name for f in fields(RgbdSequence) if f.name not in ("name", "header"))
 
 
 class RecordedOutput:
@@ -172,55 +180,41 @@ class PathFollower:
         return taken
 
 
-class ViewChange(Protocol):
-    """Change of what the camera sees in a scene."""
+def record(options: SequenceOptions, scene: Scene, report: Progress = lambda done, total: None) -> RgbdSequence:
+    """Fly and record a sequence; takes about 30 ms a frame.
 
-    def __call__(self, scene: Scene, view: CameraView) -> CameraView:
-        """Return the changed view."""
-        ...
-
-
-def unchanged(scene: Scene, view: CameraView) -> CameraView:
-    """Return the view as it is."""
-    return view
-
-
-def record(
-    options: SequenceOptions, scene: Scene | None = None, see: ViewChange = unchanged, report: Progress = lambda done, total: None
-) -> RgbdSequence:
-    """Fly and record a sequence; takes about 50 ms a frame.
-
-    scene: loaded before, else it is loaded here. see: changes what the camera sees. report(done, total) is called for each frame.
-    Raises SceneError or NoRouteError.
+    scene: loaded from options.scene. report(done, total) is called for each frame. Raises NoRouteError.
     """
-    room = scene or load_scene(options.scene)
-    route = random_route(room, options.path, _ROUTE_SHARE * options.length_m, options.look_rad)
-    return record_along(SplineTrajectory(room.start_yaw_rad, route, Rates(yaw_radps=options.yaw_radps)), options, room, see, report)
+    route = random_route(scene, options.path, _ROUTE_SHARE * options.length_m, options.look_rad)
+    trajectory = SplineTrajectory(scene.start_yaw_rad, route, Rates(yaw_radps=options.yaw_radps))
+    return record_along(trajectory, options, scene, report)
 
 
 def record_along(
     trajectory: SplineTrajectory,
     options: SequenceOptions,
     scene: Scene,
-    see: ViewChange = unchanged,
     report: Progress = lambda done, total: None,
 ) -> RgbdSequence:
     """Record a sequence along a trajectory; arguments as for record()."""
     vehicle, output, errors = PathFollower(trajectory), RecordedOutput(), options.errors
     painted = scene.paint or scene
-    view = see(scene, Renderer(painted.vertices, painted.faces, painted.rgb))
-    camera = d435i.SimulatedD435i(view, options.camera, seed=options.seed, errors=errors)
+    view: CameraView = Renderer(painted.vertices, painted.faces, painted.rgb)
+    if options.glass:
+        view = GlassView(scene, view)
+    camera = d435i.SimulatedD435i(view, options.camera, options.depth_noise, options.seed, errors)
     camera.period_s = 1.0 / FRAME_HZ
     pitch_rad = None if options.gimbal else FIXED_PITCH_RAD
     world = OutsideWorld(
         vehicle, camera, SimulatedTracker(options.seed), HullClearance(scene), output, START_S, pitch_rad, errors=errors
     )
-    shown, total = [], int(trajectory.duration_s * FRAME_HZ)
+    shown, arrivals_s, total = [], [], int(trajectory.duration_s * FRAME_HZ)
     for now_s in _steps(trajectory.duration_s):
         world.step(now_s)
         while world.frame_due(now_s):
             exposure = world.begin_frame()
             shown.append(exposure.depth.world_from_body)
+            arrivals_s.append(now_s)
             world.develop(exposure)
             report(len(shown), total)
     truth = vehicle.every(round(_TICKS_HZ / IMU_HZ))
@@ -230,15 +224,50 @@ def record_along(
         tilt = np.interp(stamp_s, truth.stamp_s, truth.pitch_down_rad)
     nominal = np.array([body_from_camera(d435i.MOUNT_M, float(p)) for p in tilt])
     return RgbdSequence(
-        scene.name, camera.header, np.array(output.depth_mm), np.array(output.rgb), stamp_s, np.array(output.imu), nominal,
-        np.array(shown), truth.stamp_s, truth.position_m, truth.quat_wxyz,
+        scene.name, camera.header, np.array(output.depth_mm), np.array(output.rgb), stamp_s, np.array(arrivals_s),
+        np.array(output.imu), nominal, np.array(shown), truth.stamp_s, truth.position_m, truth.quat_wxyz,
     )  # fmt: skip
+
+
+def recorded(
+    options: SequenceOptions, scene: Scene, folder: Path | None, report: Progress = lambda done, total: None
+) -> RgbdSequence:
+    """Return the sequence stored in a folder, or record it and store it there; None: no folder.
+
+    A sequence takes 0.5 MB a frame. A file that cannot be read is recorded again. Raises OSError if one cannot be written.
+    """
+    if folder is None:
+        return record(options, scene, report)
+    digest = key(scene.vertices, scene.faces, scene.rgb, repr((VERSION, options)))
+    path = folder / f"{scene.name}-{options.seed}-{options.path}-{digest}.npz"
+    try:
+        return load(path)
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+        sequence = record(options, scene, report)
+        save(sequence, path)
+        return sequence
+
+
+def save(sequence: RgbdSequence, path: Path) -> None:
+    """Write a sequence as an uncompressed npz file, atomically."""
+    header = sequence.header
+    lenses = [[*astuple(spec)] for spec in (header.depth, header.rgb)]
+    arrays = {name: getattr(sequence, name) for name in _ARRAYS}
+    temporary = path.with_suffix(".new.npz")
+    np.savez(temporary, name=sequence.name, lenses=lenses, rgb_from_depth=header.rgb_from_depth, **arrays)
+    temporary.replace(path)
+
+
+def load(path: Path) -> RgbdSequence:
+    """Read a file of save(). Raises OSError, ValueError, KeyError, EOFError or BadZipFile."""
+    with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
+        depth, rgb = (CameraSpec(int(row[0]), int(row[1]), *row[2:].tolist()) for row in stored["lenses"])
+        header = StreamHeader(depth, rgb, tuple(stored["rgb_from_depth"].tolist()))
+        return RgbdSequence(str(stored["name"]), header, **{name: stored[name] for name in _ARRAYS})
 
 
 def true_world_from_depth(sequence: RgbdSequence, options: SequenceOptions) -> F64:
     """Return the true poses (N, 4, 4) of a fixed depth imager when each frame was exposed."""
-    from sitl.camera.frame_exposure import MountPose
-
     mount = CameraMount(d435i.MOUNT_M, options.errors.mount)
     return np.array([mount.world_from_depth(MountPose(body, FIXED_PITCH_RAD)) for body in sequence.shown_body])
 
@@ -252,7 +281,9 @@ def _steps(duration_s: float) -> list[float]:
 
 def _vehicle_truths(s: TrajectoryStates) -> list[VehicleTruth]:
     columns = (s.position_m, s.velocity_mps, s.quat_wxyz, s.gyro_radps, s.specific_force_mps2)
-    rows = zip(*(map(tuple, column.tolist()) for column in columns), s.pitch_down_rad.tolist(), s.motors_on.tolist(), strict=True)
+    rows = zip(
+        *(map(tuple, column.tolist()) for column in columns), s.pitch_down_rad.tolist(), s.motors_on.tolist(), strict=True
+    )
     stamps_s = (START_S + s.stamp_s).tolist()
     return [VehicleTruth(stamp_s, *row, mode="PATH") for stamp_s, row in zip(stamps_s, rows, strict=True)]
 

@@ -85,7 +85,7 @@ class _Route:
     def _heading(self, start: F64, end: F64, direction_rad: float) -> float:
         """Return a heading near the direction of travel that shows a wall close to the camera at neither end."""
         drawn = [wrapped(direction_rad + float(d)) for d in self._rng.uniform(-self._look_rad, self._look_rad, _HEADINGS)]
-        return max(drawn, key=lambda yaw: (min(self._view_m(end, yaw), self._view_m(0.5 * (start + end), yaw))))
+        return max(drawn, key=lambda yaw: min(self._view_m(end, yaw), self._view_m(0.5 * (start + end), yaw)))
 
     def _view_m(self, position_m: F64, yaw_rad: float) -> float:
         """Return the distance ahead (m) that is free of surfaces, at most the last of _AHEAD_M."""

@@ -42,8 +42,8 @@ class TrajectoryError:
 def aligned(estimate_m: FloatArray, truth_m: FloatArray) -> Pose:
     """Return truth_from_estimate, the rigid transform that fits positions (N, 3) best in the least-squares sense.
 
-    Without scale. Raises ValueError for fewer than MIN_POSES positions or different shapes. Umeyama, "Least-squares estimation of
-    transformation parameters between two point patterns", PAMI 1991, equations 38 to 43 with c = 1.
+    Without scale. Raises ValueError for fewer than MIN_POSES positions or different shapes. Umeyama, "Least-squares estimation
+    of transformation parameters between two point patterns", PAMI 1991, equations 38 to 43 with c = 1.
     """
     estimate_m, truth_m = np.asarray(estimate_m, np.float64), np.asarray(truth_m, np.float64)
     if estimate_m.shape != truth_m.shape or estimate_m.ndim != 2 or len(estimate_m) < MIN_POSES:
