@@ -53,7 +53,7 @@ class SequenceOptions:
 
     scene: as for `sim`. seed: of camera errors and noise. path: number of the route. camera_errors: scale. gimbal: else the
     camera is fixed, 15 degrees down. length_m: of the path. yaw_radps: largest turn rate. look_rad: largest angle between
-    heading and direction of travel. glass: two walls have windows (sitl/scene/glass.py). depth_noise: model of the noise.
+    heading and direction of travel. glass: two walls are of glass (sitl/scene/glass.py). depth_noise: model of the noise.
     """
 
     scene: str | None = None

@@ -1,4 +1,4 @@
-"""Two windows in the walls of a scene, as a depth camera sees them.
+"""Two glass walls of a scene, as a depth camera sees them.
 
 A stereo camera measures nothing on the one. In the other it measures the room's mirror image, which lies behind the wall; half
 of its colour is that of the mirror image.
@@ -18,9 +18,9 @@ from sitl.scene.rasterizer import Renderer, Rendering
 from sitl.scene.scene import Scene
 from uav_recon.sensors.stream_format import CameraSpec
 
-WIDTH_M = 2.0
-HEIGHT_M = (0.4, 2.0)  # of the lower and the upper edge above the pad's floor
-THICKNESS_M = 0.08  # surfaces this close to the plane belong to the window
+WIDTH_M = 5.0
+HEIGHT_M = (0.1, 2.2)  # of the lower and the upper edge in the world
+THICKNESS_M = 0.12  # surfaces this close to the plane belong to the glass
 _SAMPLES = 20_000
 _CANDIDATES = 200
 _SEED = 0x61A5
@@ -62,11 +62,11 @@ def widest_panes(scene: Scene) -> tuple[Pane, Pane]:
     upright = (np.abs(normals[:, 2]) < _VERTICAL) & (points[:, 2] >= low) & (points[:, 2] <= high)
     points, normals = points[upright].astype(np.float64), normals[upright].astype(np.float64)
     if len(points) < 2:
-        raise ValueError(f"{scene.name}: no walls for windows")
+        raise ValueError(f"{scene.name}: no walls to be of glass")
     first = _widest(points, normals)
     across = np.abs(normals @ first.normal) < _OTHER_WALL_COS
     if not across.any():
-        raise ValueError(f"{scene.name}: no second wall for a window")
+        raise ValueError(f"{scene.name}: no second wall to be of glass")
     return first, _widest(points[across], normals[across])
 
 
@@ -85,7 +85,7 @@ def _widest(points: F64, normals: F64) -> Pane:
 
 
 class GlassView:
-    """View of a scene with a window of each kind; the camera flies on the side of the pad."""
+    """View of a scene with a glass wall of each kind; the camera flies on the side of the pad."""
 
     def __init__(self, scene: Scene, view: CameraView) -> None:
         self._view = view
@@ -101,7 +101,7 @@ class GlassView:
     def render(
         self, world_from_camera: F64, spec: CameraSpec, near_m: float = 0.05, far_m: float = math.inf, colour: bool = True
     ) -> Rendering:
-        """Render the scene with its windows; arguments as for Renderer.render()."""
+        """Render the scene with its glass; arguments as for Renderer.render()."""
         room = self._view.render(world_from_camera, spec, near_m, far_m, colour)
         points = _points(room.depth_m, world_from_camera, spec)
         seen = room.depth_m > 0
