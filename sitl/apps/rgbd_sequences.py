@@ -1,4 +1,4 @@
-"""Recorded RGB-D-inertial sequences: what a vehicle records on a path through a scene, with its true poses.
+"""RGB-D-inertial sequences that a vehicle records on a path, with its true poses.
 
 The frames and samples are those of a flight: the same simulator renders and stamps them, with the camera errors of the seed.
 Only the vehicle is another one, which follows a path exactly and needs no autopilot.
@@ -104,9 +104,9 @@ class RgbdSequence:
         return self.true_body_at(self.stamp_s)
 
     def true_body_at(self, stamp_s: F64) -> F64:
-        """Return the true world_from_body (K, 4, 4) at times (K,), s; the first or last one outside the recording.
+        """Return the true world_from_body (K, 4, 4) at times (K,), s.
 
-        Interpolated along the chord between truths 5 ms apart.
+        Outside the recording it is the first or the last one. Interpolated along the chord between truths 5 ms apart.
         """
         t = np.clip(np.asarray(stamp_s, np.float64), self.truth_s[0], self.truth_s[-1])
         after = np.clip(np.searchsorted(self.truth_s, t), 1, len(self.truth_s) - 1)
@@ -146,7 +146,10 @@ class RecordedOutput:
 
 
 class PathFollower:
-    """Vehicle that follows a trajectory exactly; it takes the place of vehicle and autopilot in the simulator."""
+    """Vehicle that follows a trajectory exactly.
+
+    It takes the place of vehicle and autopilot in the simulator.
+    """
 
     setpoint_arrivals_s: list[float] = []  # noqa: RUF012
     failsafes: list[str] = []  # noqa: RUF012
@@ -280,12 +283,15 @@ def _steps(duration_s: float) -> list[float]:
 
 
 def _vehicle_truths(s: TrajectoryStates) -> list[VehicleTruth]:
-    columns = (s.position_m, s.velocity_mps, s.quat_wxyz, s.gyro_radps, s.specific_force_mps2)
-    rows = zip(
-        *(map(tuple, column.tolist()) for column in columns), s.pitch_down_rad.tolist(), s.motors_on.tolist(), strict=True
-    )
-    stamps_s = (START_S + s.stamp_s).tolist()
-    return [VehicleTruth(stamp_s, *row, mode="PATH") for stamp_s, row in zip(stamps_s, rows, strict=True)]
+    columns = (
+        START_S + s.stamp_s, s.position_m, s.velocity_mps, s.quat_wxyz, s.gyro_radps, s.specific_force_mps2, s.pitch_down_rad,
+        s.motors_on,
+    )  # fmt: skip
+    rows = zip(*(column.tolist() for column in columns), strict=True)
+    return [
+        VehicleTruth(stamp_s, tuple(at), tuple(velocity), tuple(quat), tuple(gyro), tuple(force), pitch_rad, on, "PATH")
+        for stamp_s, at, velocity, quat, gyro, force, pitch_rad, on in rows
+    ]
 
 
 def _poses(position_m: F64, quat_wxyz: F64) -> F64:

@@ -1,4 +1,4 @@
-"""Faults of a recorded sequence: what the camera shows is altered, the vehicle's motion is not.
+"""Faults of a recorded sequence: altered images; the vehicle's motion is not changed.
 
 Some last for a second and come back, so that one sequence shows several onsets. The others last for the whole sequence; of
 those, `glass` and `fast-yaw` belong to the recording itself.
@@ -120,7 +120,10 @@ def _low_contrast(sequence: RgbdSequence, frames: Frames, rng: np.random.Generat
 
 
 def _blurred(sequence: RgbdSequence, frames: Frames, rng: np.random.Generator) -> tuple[U16, U8]:
-    """Colour is exposed for EXPOSURE_S: the mean of images along the true motion, moved as a plane at the median depth."""
+    """Colour is exposed for EXPOSURE_S.
+
+    It is the mean of images along the true motion, each moved as a plane at the median depth.
+    """
     spec = sequence.header.rgb
     lens = np.array([[spec.fx, 0.0, spec.cx], [0.0, spec.fy, spec.cy], [0.0, 0.0, 1.0]])
     quat, (tx, ty, tz) = sequence.header.rgb_from_depth[:4], sequence.header.rgb_from_depth[4:]

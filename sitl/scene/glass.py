@@ -34,7 +34,7 @@ Bools = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class Pane:
-    """Upright rectangle: middle (3,), m, and horizontal unit normal (3,) into the room; WIDTH_M wide."""
+    """Upright rectangle, WIDTH_M wide: middle (3,), m, and horizontal unit normal (3,)."""
 
     middle_m: F64
     normal: F64
@@ -56,11 +56,15 @@ class Pane:
 
 
 def widest_panes(scene: Scene) -> tuple[Pane, Pane]:
-    """Return a pane in each of the two largest walls that are not parallel. Raises ValueError without two walls."""
-    points, normals = area_weighted_samples(scene.vertices, scene.faces, _SAMPLES, _SEED)
+    """Return a pane in each of the two largest walls that are not parallel.
+
+    Raises ValueError without two walls.
+    """
+    samples, facing = area_weighted_samples(scene.vertices, scene.faces, _SAMPLES, _SEED)
     low, high = HEIGHT_M
-    upright = (np.abs(normals[:, 2]) < _VERTICAL) & (points[:, 2] >= low) & (points[:, 2] <= high)
-    points, normals = points[upright].astype(np.float64), normals[upright].astype(np.float64)
+    upright = (np.abs(facing[:, 2]) < _VERTICAL) & (samples[:, 2] >= low) & (samples[:, 2] <= high)
+    points: F64 = samples[upright].astype(np.float64)
+    normals: F64 = facing[upright].astype(np.float64)
     if len(points) < 2:
         raise ValueError(f"{scene.name}: no walls to be of glass")
     first = _widest(points, normals)

@@ -1,4 +1,7 @@
-"""Random route through a scene: waypoints that see each other, with clearance, spread over the reachable space."""
+"""Random route through a scene.
+
+Each waypoint sees the next one, with clearance; the waypoints are spread over the reachable space.
+"""
 
 from __future__ import annotations
 
@@ -83,7 +86,7 @@ class _Route:
         return bool((self._scene.samples.distances(points, 0.0, 0.0, 0.5) >= REACH_CLEARANCE_M - 0.05).all())
 
     def _heading(self, start: F64, end: F64, direction_rad: float) -> float:
-        """Return a heading near the direction of travel that shows a wall close to the camera at neither end."""
+        """Return a heading near the direction of travel that looks at no wall close by."""
         drawn = [wrapped(direction_rad + float(d)) for d in self._rng.uniform(-self._look_rad, self._look_rad, _HEADINGS)]
         return max(drawn, key=lambda yaw: min(self._view_m(end, yaw), self._view_m(0.5 * (start + end), yaw)))
 

@@ -39,7 +39,7 @@ class Rates:
 
 @dataclass(frozen=True)
 class Waypoint:
-    """Position (3,) in the world, m, and the heading and tilt of the camera on the leg to it, rad."""
+    """Position (3,) in the world, m; heading and tilt of the camera on the leg to it, rad."""
 
     position_m: tuple[float, float, float]
     yaw_rad: float
@@ -65,7 +65,10 @@ class TrajectoryStates:
 
 
 class SplineTrajectory:
-    """Flight from the pad, at the world's origin, through waypoints; the first is straight above the pad."""
+    """Flight from the pad, at the world's origin, through waypoints.
+
+    The first waypoint is straight above the pad.
+    """
 
     def __init__(self, start_yaw_rad: float, waypoints: list[Waypoint], rates: Rates | None = None) -> None:
         controls = _controls(start_yaw_rad, waypoints, rates or Rates())
@@ -76,7 +79,7 @@ class SplineTrajectory:
         self.duration_s = float(STEP_S * (len(controls) - 1 - _HALF_SUPPORT))
 
     def states(self, stamp_s: F64) -> TrajectoryStates:
-        """Return the states at times (T,) from the start, s; before and after it the body is at rest."""
+        """Return the states at times (T,) from the start, s; outside the flight it rests."""
         t = self._within(stamp_s)
         at, velocity, thrust = self._curve(t), self._velocity(t), self._thrust(t)
         quat = self._attitude(t)
@@ -95,7 +98,10 @@ class SplineTrajectory:
         return np.asarray(self._acceleration(t)[:, :3] + np.array([0.0, 0.0, GRAVITY_MPS2]))
 
     def _attitude(self, t: F64) -> F64:
-        """Return world_from_body (T, 4): the heading, then the shortest rotation of the vertical onto the thrust."""
+        """Return world_from_body (T, 4).
+
+        First the heading, then the shortest rotation of the vertical onto the thrust.
+        """
         thrust, yaw = self._thrust(t), self._curve(t)[:, 3]
         up = thrust / np.linalg.norm(thrust, axis=1, keepdims=True)
         tilt = np.stack([1.0 + up[:, 2], -up[:, 1], up[:, 0], np.zeros(len(up))], axis=1)
@@ -140,7 +146,7 @@ def _multiply(a: F64, b: F64) -> F64:
 
 
 def _conjugate(q: F64) -> F64:
-    return q * np.array([1.0, -1.0, -1.0, -1.0])
+    return np.asarray(q * np.array([1.0, -1.0, -1.0, -1.0]))
 
 
 def _rotate(q: F64, v: F64) -> F64:

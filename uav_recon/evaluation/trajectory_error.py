@@ -40,10 +40,10 @@ class TrajectoryError:
 
 
 def aligned(estimate_m: FloatArray, truth_m: FloatArray) -> Pose:
-    """Return truth_from_estimate, the rigid transform that fits positions (N, 3) best in the least-squares sense.
+    """Return truth_from_estimate, the rigid transform that fits positions (N, 3) best.
 
-    Without scale. Raises ValueError for fewer than MIN_POSES positions or different shapes. Umeyama, "Least-squares estimation
-    of transformation parameters between two point patterns", PAMI 1991, equations 38 to 43 with c = 1.
+    Least squares, without scale. Raises ValueError for fewer than MIN_POSES positions or different shapes. Umeyama, "Least-
+    squares estimation of transformation parameters between two point patterns", PAMI 1991, equations 38 to 43 with c = 1.
     """
     estimate_m, truth_m = np.asarray(estimate_m, np.float64), np.asarray(truth_m, np.float64)
     if estimate_m.shape != truth_m.shape or estimate_m.ndim != 2 or len(estimate_m) < MIN_POSES:
@@ -65,7 +65,7 @@ def position_errors_m(odom_from_body: FloatArray, world_from_body: FloatArray) -
 
 
 def trajectory_error(odom_from_body: FloatArray, world_from_body: FloatArray) -> TrajectoryError:
-    """Return the errors of estimated poses (N, 4, 4) against the true ones (N, 4, 4) at the same instants.
+    """Return the errors of estimated poses (N, 4, 4) against true ones at the same instants.
 
     Raises ValueError as aligned().
     """
@@ -112,7 +112,7 @@ def relative_errors(
 
 
 def rotation_angles_rad(rotation: FloatArray) -> FloatArray:
-    """Return the angle (N,), rad in [0, pi], of each rotation (N, 3, 3), accurate near 0 and pi too."""
+    """Return the angle (N,), rad in [0, pi], of rotations (N, 3, 3), accurate at both ends."""
     r = rotation
     axis = np.stack([r[:, 2, 1] - r[:, 1, 2], r[:, 0, 2] - r[:, 2, 0], r[:, 1, 0] - r[:, 0, 1]], axis=1)
     return np.asarray(np.arctan2(np.linalg.norm(axis, axis=1), np.trace(r, axis1=1, axis2=2) - 1.0))

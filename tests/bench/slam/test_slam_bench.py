@@ -3,6 +3,7 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -128,13 +129,13 @@ def test_a_tracker_that_never_answers_is_the_worst(
 
 def test_summary_is_median_and_worst() -> None:
     keys = ("drift_percent", "rotation_deg", "median_ms", "p95_ms", "lost", "false_good")
-    rows = [
+    rows: list[dict[str, Any]] = [
         {"method": "joint", "ate_cm": ate, "reactions": [], **dict.fromkeys(keys, 1.0)} for ate in (3.0, 9.0, 4.0, None, 2.0)
     ]
     found = slam_bench.summary(rows)["joint"]
     assert found["ate_cm"] == {"median": 4.0, "worst": math.inf}
     assert "reactions" not in found
-    reactions = [
+    reactions: list[dict[str, Any]] = [
         {"reported_s": 0.3, "back_s": 2.0, "false_good_s": 0.1},
         {"reported_s": 0.31, "back_s": 2.1, "false_good_s": 4.0},
         {"reported_s": None, "back_s": None, "false_good_s": 0.0},

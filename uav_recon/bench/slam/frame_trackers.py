@@ -10,7 +10,10 @@ from uav_recon.types.pose import Pose, StampedPose
 
 
 class FrameTracker(Protocol):
-    """Tracker of the body's pose from frames and inertial samples. Calls block while they compute."""
+    """Tracker of the body's pose from frames and inertial samples.
+
+    Calls block while they compute.
+    """
 
     def add_imu(self, samples: list[ImuSample]) -> None:
         """Add inertial samples, oldest first."""

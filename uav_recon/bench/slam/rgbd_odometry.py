@@ -19,11 +19,13 @@ MAX_DEPTH_M = 4.5
 MAX_DEPTH_STEP_M = 0.07  # of a pixel between two frames
 ITERATIONS = (20, 10, 5)  # twice the default, from the coarse level of the pyramid to the fine one
 MIN_FITNESS = 0.3  # share of the pixels with a partner; below it the frame is lost
-_O3D = open3d.core
 
 
 class RgbdOdometry:
-    """Odometry from frame to frame; a lost frame is skipped, and the next one is matched with the frame before it."""
+    """Odometry from frame to frame.
+
+    A lost frame is skipped, and the next one is matched with the frame before it.
+    """
 
     def __init__(self) -> None:
         self._before: Any = None
@@ -33,7 +35,10 @@ class RgbdOdometry:
         """Ignore inertial samples."""
 
     def track(self, frame: Frame, body_from_depth: Pose) -> StampedPose | None:
-        """Return odom_from_body at the frame's stamp, quality 100 times the fitness; quality 0 if it is lost."""
+        """Return odom_from_body at the frame's stamp.
+
+        The quality is 100 times the fitness, 0 if the frame is lost.
+        """
         image = _rgbd_image(frame)
         body_from_rgb = body_from_depth @ frame.rgb_from_depth.inverse()
         if self._odom_from_rgb is None:
@@ -73,19 +78,19 @@ def registered_depth_m(frame: Frame) -> Float32Array:
 def _rgbd_image(frame: Frame) -> Any:
     grey = cv2.cvtColor(frame.rgb, cv2.COLOR_RGB2GRAY)
     colour = np.repeat(grey[..., None], 3, axis=2)  # the odometry takes three channels and uses their intensity
-    image, tensor = open3d.t.geometry.Image, _O3D.Tensor.from_numpy
+    image, tensor = open3d.t.geometry.Image, open3d.core.Tensor.from_numpy
     return open3d.t.geometry.RGBDImage(image(tensor(colour)), image(tensor(registered_depth_m(frame))))
 
 
 def _motion(image: Any, before: Any, camera: Intrinsics) -> tuple[float, Pose]:
     """Return the fitness, 0 to 1, and before_from_now."""
-    odometry = open3d.t.pipelines.odometry
+    odometry, tensor = open3d.t.pipelines.odometry, open3d.core.Tensor.from_numpy
     lens = np.array([[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy], [0.0, 0.0, 1.0]])
     criteria = [odometry.OdometryConvergenceCriteria(count) for count in ITERATIONS]
     loss = odometry.OdometryLossParams(MAX_DEPTH_STEP_M)
     try:
         found = odometry.rgbd_odometry_multi_scale(
-            image, before, _O3D.Tensor(lens), _O3D.Tensor(np.eye(4)), 1.0, MAX_DEPTH_M, criteria, odometry.Method.Hybrid, loss
+            image, before, tensor(lens), tensor(np.eye(4)), 1.0, MAX_DEPTH_M, criteria, odometry.Method.Hybrid, loss
         )
     except RuntimeError:  # a singular system: no pixel has a partner
         return 0.0, Pose.identity()

@@ -104,9 +104,10 @@ def bench_slam(wanted: SlamBench) -> int:
 
 
 def summary(rows: list[Result]) -> Result:
-    """Return median and worst of each method's figures over its rows, and its reactions to all windows of a fault.
+    """Return median and worst of each method's figures over its rows.
 
-    ATE, drift and rotation are infinite in a row whose method gave too few poses.
+    Its reactions to all windows of a fault are added. ATE, drift and rotation are infinite in a row whose method gave too few
+    poses.
     """
     return {method: _summary([row for row in rows if row["method"] == method]) for method in _methods(rows)}
 
@@ -209,7 +210,10 @@ def _summary(rows: list[Result]) -> Result:
 
 
 def reaction_summary(reactions: list[Result]) -> Result:
-    """Return shares of the windows: reported within REPORTED_S, back within BACK_S; and medians, and the worst false good."""
+    """Return the shares of windows that are reported within REPORTED_S and back within BACK_S.
+
+    With the medians of both times and the longest false good.
+    """
     reported, back = (
         np.array([math.inf if reaction[name] is None else reaction[name] for reaction in reactions], np.float64)
         for name in ("reported_s", "back_s")

@@ -20,7 +20,7 @@ _KEYS = (
 
 
 def show(console: Console, result: Result) -> None:
-    """Print the rows of all sequences, their median and worst, the reactions to a fault and the conditions."""
+    """Print the conditions, a row for each sequence, median, worst and reactions to a fault."""
     console.print(header(result["about"]), highlight=False)
     console.print(_sequences(result))
     if any("reactions" in summary for summary in result["summary"].values()):

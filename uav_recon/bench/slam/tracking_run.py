@@ -53,7 +53,9 @@ def run(
     upto = np.searchsorted(sequence.imu[:, 0], sequence.arrival_s, side="right").tolist()
     answers: list[StampedPose | None] = []
     took_s, before = [], 0
-    for number, frame in enumerate(SequenceFrames(sequence)):
+    frames = SequenceFrames(sequence)
+    for number in range(len(frames)):
+        frame = frames[number]
         body_from_depth = Pose.from_matrix(sequence.body_from_depth[number])
         began_s = time.process_time()
         tracker.add_imu(samples[before : upto[number]])
@@ -80,8 +82,6 @@ class SequenceFrames:
 
     def __getitem__(self, number: int) -> Frame:
         s = self._sequence
-        if number >= len(self):
-            raise IndexError(number)
         depth_m = self._table[s.depth_mm[number]]
         return Frame(float(s.stamp_s[number]), number, depth_m, self._depth, s.rgb[number], self._rgb, self._rgb_from_depth)
 
