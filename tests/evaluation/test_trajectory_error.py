@@ -60,6 +60,17 @@ def test_alignment_is_that_of_an_independent_library(seed: int) -> None:
 
 
 @given(SEEDS)
+@settings(max_examples=20, deadline=None)
+def test_alignment_is_never_a_reflection(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    truth = rng.uniform(-3, 3, (30, 3)) * [1.0, 1.0, 0.05]
+    estimate = (truth * [1.0, 1.0, -1.0]) @ random_pose(rng)[:3, :3].T
+    found = aligned(estimate, truth)
+    rotation, _ = Rotation.align_vectors(truth - truth.mean(axis=0), estimate - estimate.mean(axis=0))
+    assert found.rotation() == pytest.approx(rotation.as_matrix(), abs=1e-9)
+
+
+@given(SEEDS)
 @settings(max_examples=30, deadline=None)
 def test_errors_do_not_depend_on_the_frames(seed: int) -> None:
     rng = np.random.default_rng(seed)

@@ -9,6 +9,7 @@ from sitl.camera.d435i import MOUNT_M, SimulatedD435i
 from sitl.geometry.transform import body_from_camera, world_from_body
 from sitl.scene.rasterizer import Renderer
 from sitl.scene.scene import load_scene
+from uav_recon.bench.slam import rgbd_odometry
 from uav_recon.bench.slam.rgbd_odometry import RgbdOdometry, registered_depth_m
 from uav_recon.types.camera import Frame, Intrinsics
 from uav_recon.types.pose import Pose
@@ -57,6 +58,39 @@ def test_a_covered_camera_is_lost_and_the_next_image_is_matched_with_the_last_go
     assert back is not None
     assert back.quality > 30
     assert back.odom_from_body.translation_m == pytest.approx([0.06, 0.0, 0.0], abs=0.012)
+
+
+def test_motion_of_the_colour_imager_becomes_that_of_the_body(monkeypatch: pytest.MonkeyPatch) -> None:
+    lens = Intrinsics.from_fov(8, 6, 1.2, 0.9)
+    away = Pose.from_rotation_vector(np.array([0.0, 0.2, 0.0]), np.array([0.5, 0.1, 0.0]))
+    frame = Frame(0.0, 0, np.ones((6, 8), np.float32), lens, np.zeros((6, 8, 3), np.uint8), lens, away)
+    body_from_depth = Pose.from_matrix(body_from_camera(MOUNT_M, PITCH_RAD))
+    body_moves = Pose.from_yaw(1.0, np.array([0.3, 0.2, 0.1]))
+    body_from_rgb = body_from_depth.matrix() @ np.linalg.inv(away.matrix())
+    rgb_moves = Pose.from_matrix(np.linalg.inv(body_from_rgb) @ body_moves.matrix() @ body_from_rgb)
+    monkeypatch.setattr(rgbd_odometry, "_motion", lambda *_: (0.8, rgb_moves))
+    odometry = RgbdOdometry()
+    odometry.track(frame, body_from_depth)
+    for turns in (1, 2):
+        found = odometry.track(frame, body_from_depth)
+        assert found is not None
+        assert found.odom_from_body.matrix() == pytest.approx(np.linalg.matrix_power(body_moves.matrix(), turns), abs=1e-9)
+        assert found.quality == 80
+
+
+def test_the_nearest_return_is_seen_where_several_fall_into_one_pixel() -> None:
+    rng = np.random.default_rng(0)
+    depth_m = rng.choice(np.array([1.0, 2.0, 3.0], np.float32), (60, 80))
+    fine, coarse = Intrinsics.from_fov(80, 60, 1.0, 0.8), Intrinsics.from_fov(20, 15, 1.0, 0.8)
+    image = registered_depth_m(Frame(0.0, 0, depth_m, fine, np.zeros((15, 20, 3), np.uint8), coarse, Pose.identity()))
+    u, v = np.meshgrid(np.arange(80), np.arange(60))
+    column = np.floor(coarse.fx * (u - fine.cx) / fine.fx + coarse.cx).astype(int)
+    row = np.floor(coarse.fy * (v - fine.cy) / fine.fy + coarse.cy).astype(int)
+    inside = (column >= 0) & (column < 20) & (row >= 0) & (row < 15)
+    nearest = np.full((15, 20), np.inf)
+    np.minimum.at(nearest, (row[inside], column[inside]), depth_m[inside])
+    assert (image <= nearest).all(), "a neighbour's return may lie before it, never behind it"
+    assert (image == nearest).mean() > 0.9
 
 
 def test_registered_depth_is_the_depth_of_the_colour_pixels() -> None:
