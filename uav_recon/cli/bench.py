@@ -234,6 +234,62 @@ def bench_uncertainty(
     exit_with(measure)
 
 
+def bench_slam(
+    scene: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="PATH|random:SEED|built-in", help="Scene as for `sim`; repeat the option for several. Default: built-in."
+        ),
+    ] = None,
+    seeds: Annotated[int, typer.Option(metavar="N", help="Seeds of camera errors and noise, 1 to 100: 0 to N-1.")] = 1,
+    paths: Annotated[int, typer.Option(metavar="N", help="Random paths through each scene, 1 to 100.")] = 1,
+    length: Annotated[float, typer.Option(metavar="M", help="Length of a path, 2 to 200 m, flown at 0.6 m/s.")] = 20.0,
+    camera_errors: CameraErrorsOption = None,
+    mount: Annotated[
+        str,
+        typer.Option(
+            metavar=choices.listed(choices.MOUNTS), autocompletion=choices.one_of(choices.MOUNTS), help="Camera mount."
+        ),
+    ] = "fixed:15",
+    fault: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME", autocompletion=choices.one_of(choices.SEQUENCE_FAULTS),
+            help=f"Fault of the images: {', '.join(choices.SEQUENCE_FAULTS)}. The last three come for 1 s, every 10 s.",
+        ),
+    ] = None,
+    method: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar=choices.listed(choices.TRACKERS), autocompletion=choices.one_of(choices.TRACKERS),
+            help="Tracker: the product's, or Open3D's RGB-D odometry as a baseline. Default: both.",
+        ),
+    ] = None,
+    cache: Annotated[
+        Path | None,
+        typer.Option(metavar="FOLDER", readable=False, help="Keep recorded sequences there (0.4 GB each) and reuse them."),
+    ] = None,
+    json: JsonOption = None,
+) -> None:  # fmt: skip
+    """Benchmark the embedded SLAM on rendered RGB-D-inertial sequences with true poses.
+
+    A simulated vehicle rests for 2 s, climbs and flies a random path; its camera has the errors of a real one. Reported:
+    absolute trajectory error (ATE) after rigid alignment, drift over 2 m of path, rotation error, processor time of a frame,
+    share of lost frames, and share of frames that are reported good with an error above 0.3 m. With a fault that comes in
+    windows: the times until it is reported and until the pose is back. Recording takes half a minute a sequence.
+    """
+    from uav_recon.bench.slam import slam_bench
+
+    exit_with(
+        lambda: slam_bench.bench_slam(
+            slam_bench.SlamBench(
+                tuple(scene or ()), seeds, paths, length, camera_errors, mount, fault,
+                tuple(method or choices.TRACKERS), cache, json,
+            )
+        )
+    )  # fmt: skip
+
+
 bench = new_group("Benchmark this software on this machine.")
 add(
     bench, bench_planner, "planner",
@@ -265,3 +321,11 @@ add(
     "uncertainty",
     examples=("uav-recon bench uncertainty --scene ../shared/scenes/two_rooms --after 20,30",),
 )
+add(
+    bench, bench_slam, "slam",
+    examples=(
+        "uav-recon bench slam",
+        "uav-recon bench slam --scene ../shared/scenes/meeting_room --scene built-in --seeds 2 --paths 3 --method joint",
+        "uav-recon bench slam --fault covered --cache /var/tmp/sequences --json slam.json",
+    ),
+)  # fmt: skip

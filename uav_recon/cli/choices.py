@@ -15,6 +15,8 @@ CAMERAS = ("d435i", "wide", "fast", "small")
 MAPPERS = ("neural", "depth-only")
 UNCERTAINTIES = ("agreement", "paper", "colour", "information", "product")
 MOUNTS = ("fixed:15", "gimbal")
+TRACKERS = ("joint", "open3d")
+SEQUENCE_FAULTS = ("dark", "low-contrast", "blur", "fast-yaw", "glass", "covered", "frozen", "false-wall")
 CAMERA_ERRORS = ("default", "none")
 DEVICES = ("auto", "cpu", "cuda")
 

@@ -1,0 +1,1 @@
+"""Benchmark of the embedded SLAM on rendered sequences with true poses."""
