@@ -15,6 +15,7 @@ from sitl.camera.d435i import Model
 from sitl.runtime.array_cache import cache_folder
 from sitl.scene.rasterizer import Renderer
 from sitl.scene.scene import Scene
+from sitl.truth.odometry_alignment import OdometryAlignment, align_odometry
 from sitl.truth.reference_times import REFERENCE_TIMES_S
 from sitl.truth.visibility import VisibleTruth, load_visible_truth
 from uav_recon.app import factory
@@ -29,9 +30,17 @@ from uav_recon.recording.flight_log import read_timeline
 from uav_recon.recording.flight_report import FlightInfo, build_report, publish
 from uav_recon.recording.map_file import load_map
 from uav_recon.recording.mesh_file import load_mesh
-from uav_recon.recording.report import TIMED_RECALLS, Report, ReportQuality, ReportSafety, ReportStream
+from uav_recon.recording.report import (
+    TIMED_RECALLS,
+    Report,
+    ReportOdometry,
+    ReportQuality,
+    ReportSafety,
+    ReportStream,
+)
 from uav_recon.recording.timelapse import load_states
 from uav_recon.types.maps import FREE, OCCUPIED, UNKNOWN, TriangleMesh, VoxelMap
+from uav_recon.types.pose import Pose
 
 F64 = NDArray[np.float64]
 CONTACT_M = 1e-3
@@ -68,9 +77,10 @@ def evaluate_flight(options: SimOptions, scene: Scene, wall_s: float, fault: str
         cut = visible_truth(options, scene, progress)
     with steps.step("evaluating path, clearance and setpoints"):
         report = flight_report(options, scene, wall_s, fault)
+        truth_from_odom = _model_alignment(options, report)
     with steps.step("evaluating coverage, and recall over time") as progress:
-        report = add_truth_metrics(report, options, scene, cut, progress)
-    mesh = load_mesh(options.out)
+        report = add_truth_metrics(report, options, scene, cut, progress, truth_from_odom)
+    mesh = _aligned_mesh(load_mesh(options.out), truth_from_odom)
     if mesh is not None and len(mesh.faces):
         with steps.step("rendering images of model and truth") as progress:
             psnr_db = metrics.psnr_db(*_held_out_pictures(mesh, scene, cut, progress))
@@ -103,6 +113,7 @@ def flight_report(options: SimOptions, scene: Scene, wall_s: float, fault: str |
         path_length_m=_path_length_m(truth),
         flight_time_s=_flight_time_s(truth),
         stream=_stream(truth),
+        odometry=_odometry(options, truth),
         safety=_safety(
             truth, report.safety.refusals, scene, _lookahead(truth, factory.load_config(options.out / "config.toml"))
         ),
@@ -110,17 +121,56 @@ def flight_report(options: SimOptions, scene: Scene, wall_s: float, fault: str |
 
 
 def add_truth_metrics(
-    report: Report, options: SimOptions, scene: Scene, cut: VisibleTruth, progress: Progress = no_report
-) -> Report:
+    report: Report, options: SimOptions, scene: Scene, cut: VisibleTruth, progress: Progress = no_report,
+    truth_from_odom: Pose | None = None,
+) -> Report:  # fmt: skip
     """Add the explored fraction of the truth, and the recall of its surface over time."""
-    voxels, curve = load_map(options.out), recall_over_time(options.out, cut, progress)
+    voxels, curve = load_map(options.out), recall_over_time(options.out, cut, progress, truth_from_odom)
     return dataclasses.replace(
         report,
-        explored_fraction=None if voxels is None else _explored_fraction(voxels, scene, cut),
+        explored_fraction=None if voxels is None else _explored_fraction(voxels, scene, cut, truth_from_odom),
         recall_over_time=curve,
         time_to_recall_s={recall: time_to(curve or (), float(recall)) for recall in TIMED_RECALLS},
         oracle_s=REFERENCE_TIMES_S.get(scene.name),
     )
+
+
+def _alignment(options: SimOptions, truth: FlightTruth) -> OdometryAlignment | None:
+    """Return the alignment of the odometry in flight with the true path."""
+    stamp_s, position_m = read_timeline(options.out).path_world()
+    flown = truth.stamp_s[truth.armed]
+    if not len(flown):
+        return None
+    within = (stamp_s >= flown[0]) & (stamp_s <= flown[-1])
+    return align_odometry(stamp_s[within], position_m[within], truth.stamp_s, truth.position_m)
+
+
+def _odometry(options: SimOptions, truth: FlightTruth) -> ReportOdometry | None:
+    found = _alignment(options, truth)
+    if found is None:
+        return None
+    return ReportOdometry(
+        ate_cm=100.0 * found.ate_m,
+        largest_cm=100.0 * float(found.error_m.max()),
+        shift_cm=100.0 * float(np.linalg.norm(found.truth_from_odom.translation_m)),
+        turn_deg=float(np.degrees(found.turn_rad)),
+        model_aligned=options.pose == "slam",
+    )
+
+
+def _model_alignment(options: SimOptions, report: Report) -> Pose | None:
+    """Return truth_from_odom for a model that has to be aligned, None for one that has not."""
+    truth = FlightTruth.load(options.out / "truth.npz")
+    if truth is None or report.odometry is None or not report.odometry.model_aligned:
+        return None
+    found = _alignment(options, truth)
+    return None if found is None else found.truth_from_odom
+
+
+def _aligned_mesh(mesh: TriangleMesh | None, truth_from_odom: Pose | None) -> TriangleMesh | None:
+    if mesh is None or truth_from_odom is None:
+        return mesh
+    return dataclasses.replace(mesh, vertices_world=truth_from_odom.apply(mesh.vertices_world))
 
 
 def _quality(mesh: TriangleMesh, scene: Scene, cut: VisibleTruth, psnr_db: float | None) -> ReportQuality:
@@ -133,7 +183,7 @@ def _quality(mesh: TriangleMesh, scene: Scene, cut: VisibleTruth, psnr_db: float
 
 
 def recall_over_time(
-    folder: Path, cut: VisibleTruth, progress: Progress = no_report
+    folder: Path, cut: VisibleTruth, progress: Progress = no_report, truth_from_odom: Pose | None = None
 ) -> tuple[tuple[float, int, float], ...] | None:
     """Return (time, views, recall) of every stored state of the surface; None if unknown.
 
@@ -148,7 +198,10 @@ def recall_over_time(
     curve = []
     for number, state in enumerate(states):
         progress(number, len(states))
-        recall = round(truth.of(state.position_world, state.normal_world), 5)
+        position, normal = state.position_world, state.normal_world
+        if truth_from_odom is not None:
+            position, normal = truth_from_odom.apply(position), normal @ truth_from_odom.rotation().T
+        recall = round(truth.of(position, normal), 5)
         curve.append((round(state.stamp_s - start_s, 3), int(np.count_nonzero(taken_s <= state.stamp_s)), recall))
     return tuple(curve)
 
@@ -166,14 +219,14 @@ def _held_out_pictures(
     return of_model, of_truth
 
 
-def _explored_fraction(voxels: VoxelMap, scene: Scene, cut: VisibleTruth) -> float | None:
+def _explored_fraction(voxels: VoxelMap, scene: Scene, cut: VisibleTruth, truth_from_odom: Pose | None) -> float | None:
     """Return the share of the truth's free cells that the map knows.
 
     A cell is known if the map has it as free, or as occupied with true surface within the voxel.
     """
     cells = np.argwhere(cut.free_seen)
     centres = cut.free_origin_m + (cells + 0.5) * cut.free_cell_m
-    index = voxels.grid.index(centres)
+    index = voxels.grid.index(centres if truth_from_odom is None else truth_from_odom.inverse().apply(centres))
     inside = voxels.grid.contains(index)
     state = np.full(len(cells), UNKNOWN, dtype=np.uint8)
     state[inside] = voxels.state[tuple(index[inside].T)]
@@ -244,6 +297,12 @@ def summary(report: Report, folder: Path) -> str:
         f"min clearance {figure(safety.min_clearance_m, ' m')}, contacts {safety.contacts}, "
         f"trajectories rejected by the guard {safety.refusals}",
     ]
+    if report.odometry is not None and report.odometry.model_aligned:
+        found = report.odometry
+        lines.append(
+            f"poses of the embedded SLAM: off by {found.ate_cm:.1f} cm (ATE), {found.largest_cm:.1f} cm at most; the model is "
+            f"compared after a shift of {found.shift_cm:.1f} cm and a turn of {found.turn_deg:.1f}°"
+        )
     if report.recall_over_time is not None:
         waited = None if report.waiting_share is None else 100.0 * report.waiting_share
         lines.append(

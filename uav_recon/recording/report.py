@@ -38,6 +38,21 @@ class ReportQuality:
 
 
 @dataclass(frozen=True, slots=True)
+class ReportOdometry:
+    """Error of the odometry against the true path, after the best rigid alignment of the two.
+
+    ate_cm: root mean square; largest_cm. shift_cm, turn_deg: of the alignment. model_aligned: True if the model was compared
+    with the truth after this alignment, as a flight by the embedded SLAM is.
+    """
+
+    ate_cm: float
+    largest_cm: float
+    shift_cm: float
+    turn_deg: float
+    model_aligned: bool
+
+
+@dataclass(frozen=True, slots=True)
 class MedianP95:
     """Median and 95th percentile of a quantity, in its unit."""
 
@@ -101,7 +116,7 @@ class Report:
     reduced_speed_s: seconds of the flight at a reduced speed, by reason; null in reports from before it was logged.
     camera_calibration: errors of the camera at the end, by name with unit: value and standard deviation; None if not published.
     rejected_by_perception: depth frames, poses and inertial samples that perception rejected, by reason; None if it published
-    no counts. camera: its streams, and what was wrong with it, as texts.
+    no counts. camera: its streams, and what was wrong with it, as texts. odometry: against the true path; None without it.
     """
 
     scene: str
@@ -131,6 +146,7 @@ class Report:
     rejected_by_perception: Mapping[str, int] | None = None
     camera_calibration: Mapping[str, tuple[float, float]] | None = None
     camera: tuple[str, ...] = ()
+    odometry: ReportOdometry | None = None
 
     @property
     def completed(self) -> bool:
