@@ -71,6 +71,7 @@ class SimOptions:
     firmware: Path | None  # binary of a real firmware, in place of the simulated autopilot
     blind_speed_mps: float
     camera_errors: float  # scale of the errors of the camera that the seed draws; 0: the exact camera
+    calibration: Path | None = None  # file of the camera's errors, read and written; None: the flight begins without
 
     @staticmethod
     def parse(
@@ -79,7 +80,7 @@ class SimOptions:
         mount: str = "fixed:15", depth_noise: str = "d435i", camera: str | None = None, mapper: str = "neural",
         radius: float = RADIUS_M, lockstep: bool = False, live: bool = False, port: int = 14540,
         uncertainty: str = "agreement", firmware: Path | None = None, blind_speed: float = BLIND_MPS,
-        camera_errors: str | None = None,
+        camera_errors: str | None = None, calibration: Path | None = None,
     ) -> SimOptions:  # fmt: skip
         """Validate the options of the command line. Raises UsageError with one line."""
         mapper = OLD_NAMES.get(mapper, mapper)
@@ -118,6 +119,7 @@ class SimOptions:
             radius_m=radius, lockstep=lockstep, live=live, port=port, uncertainty=uncertainty,
             firmware=None if firmware is None else firmware.absolute(), blind_speed_mps=blind_speed,
             camera_errors=camera_error_scale(camera_errors),
+            calibration=None if calibration is None else calibration.absolute(),
         )  # fmt: skip
 
     def check_folder(self) -> None:
@@ -194,6 +196,7 @@ class SimOptions:
                 "pitch_down_deg": self.mount_pitch_down_deg or 0.0,
                 "depth_noise_px": noise_px,
             },
+            "localization": {} if self.calibration is None else {"calibration": str(self.calibration)},
             "mapper": {"seed": self.seed, "uncertainty": self.uncertainty},
             "planner": {
                 "variant": self.variant,

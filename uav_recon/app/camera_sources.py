@@ -34,6 +34,13 @@ def tilted_camera(config: Config) -> Pose:
     return body_from_camera(np.array(config.camera.position_body_m), math.radians(config.camera.pitch_down_deg))
 
 
+def mount_text(config: Config) -> str:
+    """Return how the config mounts the camera, as text; another text is another mount."""
+    camera = config.camera
+    tilt = f"fixed {camera.pitch_down_deg:g}" if camera.mount == "fixed" else "gimbal"
+    return f"{tilt} {camera.position_body_m}"
+
+
 def stream_path(config: Config) -> Path:
     """Return the path of the camera stream."""
     return config.runtime.folder / config.camera.stream

@@ -14,6 +14,7 @@ from uav_recon.localization.camera_motion import CameraMotion
 from uav_recon.localization.camera_mount import Mount
 from uav_recon.localization.depth_consistency import DepthConsistencyMonitor
 from uav_recon.localization.fusion_filter import FusionFilter
+from uav_recon.localization.kept_calibration import KeptCalibration
 from uav_recon.localization.min_range_binning import nearest_in_cells
 from uav_recon.types.camera import Frame, PosedFrame
 from uav_recon.types.min_range_grid import MinRangeGrid
@@ -62,6 +63,7 @@ class Perception:
         frame_wait_s: float = 0.2,
         *,
         origin: Callable[[], Reason | None] = lambda: None,
+        kept: KeptCalibration | None = None,
     ) -> None:
         self._camera = camera
         self._poses = poses
@@ -74,6 +76,7 @@ class Perception:
         self._clock = clock
         self._frame_wait_s = frame_wait_s
         self._origin = origin
+        self._kept = kept
         self._depth_consistency = DepthConsistencyMonitor()
         warm_up()
         self._rate = RateKeeper(rate_hz, clock.now_s())
@@ -98,6 +101,18 @@ class Perception:
         self._publish_frame(now_s)
         if self._status_rate.due(now_s):
             self._status.publish(self._status_at(now_s))
+            self._keep_calibration(now_s)
+
+    def close(self) -> None:
+        """Write the camera's errors for the next flight, if they are kept. Blocks for milliseconds."""
+        if self._kept is not None:
+            self._kept.close(self._depth_consistency.calibration_filter)
+
+    def _keep_calibration(self, now_s: float) -> None:
+        if self._kept is not None:
+            monitor = self._depth_consistency
+            wrong = monitor.drift(now_s) is not None
+            self._kept.update(now_s, monitor.calibration_filter, at_rest=monitor.at_rest, wrong=wrong)
 
     def _publish_odom(self, now_s: float) -> None:
         estimate = self._fusion.odom_at(now_s)
@@ -119,6 +134,8 @@ class Perception:
             self._drop(now_s, Reason(ReasonCode.DEPTH_FRAME_STAMP))
             return
         self._newest_frame_s = frame.stamp_s
+        if self._kept is not None:
+            self._kept.begin(frame, self._depth_consistency.calibration_filter)
         body_from_depth = self._mount.body_from_depth(frame.stamp_s)
         if body_from_depth is not None:
             rejection = self._rejection(frame, body_from_depth)
@@ -156,8 +173,11 @@ class Perception:
         frames = tuple(sorted(self.dropped_frames.items()))
         samples = tuple(sorted((reason.value, count) for reason, count in self._fusion.rejected.items()))
         newest_s, newest = self._newest_drop
-        calibration = self._depth_consistency.calibration_summary
-        return PerceptionStatus(now_s, self.published_frames, frames, samples, newest, newest_s, self._origin(), calibration)
+        calibration = self._depth_consistency.calibration_filter.summary()
+        kept = None if self._kept is None else self._kept.reason
+        return PerceptionStatus(
+            now_s, self.published_frames, frames, samples, newest, newest_s, self._origin(), calibration, kept
+        )
 
     def _publish_frame(self, now_s: float) -> None:
         """Publish at most one frame per step.

@@ -29,6 +29,7 @@ class PerceptionLog:
             return
         counts, before = newest.counts(), {} if written is None else written.counts()
         moved = newest.origin is not None and (written is None or written.origin is None)
+        moved |= newest.kept is not None and (written is None or written.kept is None)
         if moved or counts.keys() - before.keys() or (counts != before and now_s - self._written_s >= PERIOD_S):
             self._write(newest)
             self._written_s = now_s

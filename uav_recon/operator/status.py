@@ -24,7 +24,8 @@ class Status:
     the ground, note_codes: its codes; refusals: number of proposals that the guard has rejected. max_speed_mps: reduced speed
     limit, None if it is not reduced; slow_reason: why as text, slow_codes: its codes. perception: what perception has rejected,
     counts by reason; perception_newest, perception_newest_s: the newest rejected depth frame and its age. origin:
-    where the take-off pad is, if not at the pose source's origin.
+    where the take-off pad is, if not at the pose source's origin. calibration: whether the errors of the camera began
+    from those of an earlier flight.
     """
 
     pilot: str
@@ -49,6 +50,7 @@ class Status:
     perception_newest: str = ""
     perception_newest_s: float | None = None
     origin: str = ""
+    calibration: str = ""
 
     @staticmethod
     def of(
@@ -91,6 +93,7 @@ class Status:
             perception_newest="" if perception is None else text_of(perception.newest),
             perception_newest_s=None if perception is None else _finite(now_s - perception.newest_s, 1),
             origin="" if perception is None else text_of(perception.origin),
+            calibration="" if perception is None else text_of(perception.kept),
         )
 
     @staticmethod
@@ -120,6 +123,7 @@ class Status:
             "refused": f"{self.refusals} by the guard" if self.refusals else None,
             "note": self.note or None,
             "origin": self.origin or None,
+            "camera": self.calibration or None,
             "rejected": self._rejected(),
         }
         return [f"{name:9} {value if value is not None else '-'}" for name, value in known.items()]

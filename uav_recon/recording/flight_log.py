@@ -120,7 +120,8 @@ class PerceptionRecord:
     """Rejections by perception until this stamp: (reason, count) each.
 
     newest: the newest rejected depth frame as text. origin: where the take-off pad is, if not at the pose source's origin.
-    calibration: errors of the camera: name with unit, value, standard deviation.
+    calibration: errors of the camera: name with unit, value, standard deviation. kept: whether they began from an earlier
+    flight.
     """
 
     stamp_s: Float
@@ -129,6 +130,7 @@ class PerceptionRecord:
     newest: str = ""
     origin: str = ""
     calibration: tuple[tuple[str, Float, Float], ...] = ()
+    kept: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -285,7 +287,8 @@ class FlightLog:
         """Add the counts of what perception has rejected."""
         counts = tuple(sorted(status.counts().items()))
         texts = text_of(status.newest), text_of(status.origin)
-        self._write("perception", PerceptionRecord(status.stamp_s, status.frames, counts, *texts, status.calibration))
+        kept = text_of(status.kept)
+        self._write("perception", PerceptionRecord(status.stamp_s, status.frames, counts, *texts, status.calibration, kept))
 
     def outcome(self, stamp_s: float, aborted: Reason | None, stop_reason: Reason | None) -> None:
         """Add the last line. aborted: None for a flight that was completed."""

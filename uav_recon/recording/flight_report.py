@@ -68,6 +68,7 @@ def build_report(folder: Path, card: FlightInfo, wall_s: float) -> Report:
         camera_calibration={name: (value, sigma) for name, value, sigma in timeline.perception[-1].calibration}
         if timeline.perception
         else None,
+        kept_calibration=timeline.perception[-1].kept if timeline.perception else "",
     )
 
 

@@ -16,7 +16,8 @@ class PerceptionStatus:
     frames: depth frames that were given on. rejected_frames: (reason, count) of the others. rejected_samples: (reason as text,
     count) of rejected poses and inertial samples. newest: None before the first rejected frame; newest_s: its stamp.
     origin: where the take-off pad is, if not at the pose source's origin. calibration: errors of the camera as known now, each
-    with its name and unit, its value and its standard deviation.
+    with its name and unit, its value and its standard deviation. kept: None, or that these errors began from those of an
+    earlier flight, or why a file of them is not used.
     """
 
     stamp_s: float
@@ -27,6 +28,7 @@ class PerceptionStatus:
     newest_s: float = -math.inf
     origin: Reason | None = None
     calibration: tuple[tuple[str, float, float], ...] = ()
+    kept: Reason | None = None
 
     def counts(self) -> dict[str, int]:
         """Return all counts of rejections by name.

@@ -158,6 +158,14 @@ class ReasonCode(str, Enum):
         "the take-off pad is {0:.2f} m and {1:.0f} degrees off the pose source's origin: the world begins at the pad",
         (1234.5, -180.0),
     )  # fmt: skip
+    CALIBRATION_KEPT = (
+        "calibration-kept", "camera errors of an earlier flight: {0:d}",
+        "the camera's errors begin from an earlier flight: {0:d} known", (14,),
+    )  # fmt: skip
+    CALIBRATION_IGNORED = (
+        "calibration-ignored", "kept camera errors not used: {0}", "the kept errors of the camera are not used: {0}",
+        ("the file is broken",),
+    )  # fmt: skip
     ODOMETRY_RESTARTED = "odometry-restarted", "odometry restarted, the map does not fit it"
     POSE_SOURCE_RESET = "pose-source-reset", "pose source was reset, holding"
 
