@@ -9,7 +9,8 @@ from dataclasses import replace
 
 from uav_recon.clock import RateKeeper
 from uav_recon.interfaces import Channel, Clock, DepthCamera, PoseSource
-from uav_recon.localization import error_propagation, min_range_binning, planar_patches
+from uav_recon.localization import axis_monitor, error_propagation, min_range_binning, planar_patches
+from uav_recon.localization.axis_monitor import AxisMonitor
 from uav_recon.localization.camera_motion import CameraMotion
 from uav_recon.localization.camera_mount import Mount
 from uav_recon.localization.depth_consistency import DepthConsistencyMonitor
@@ -78,6 +79,7 @@ class Perception:
         self._origin = origin
         self._kept = kept
         self._depth_consistency = DepthConsistencyMonitor()
+        self._axes = AxisMonitor()
         warm_up()
         self._rate = RateKeeper(rate_hz, clock.now_s())
         self._status_rate = RateKeeper(_STATUS_RATE_HZ, clock.now_s())
@@ -92,9 +94,12 @@ class Perception:
         """Read new inputs and publish what is due."""
         now_s = self._clock.now_s()
         self._mount.observe()
-        self._fusion.add_imu(self._camera.imu(), self._clock.now_s())  # read before the clock: none lies in the future
+        samples = self._camera.imu()  # read before the clock: none lies in the future
+        self._fusion.add_imu(samples, self._clock.now_s())
+        self._axes.add_imu(samples)
         for pose in self._poses.poses():
             self._fusion.add_pose(pose, now_s)
+            self._axes.add_pose(pose)
         if self._rate.due(now_s):
             self._publish_odom(now_s)
         self._take_frame(now_s)
@@ -111,16 +116,20 @@ class Perception:
     def _keep_calibration(self, now_s: float) -> None:
         if self._kept is not None:
             monitor = self._depth_consistency
-            wrong = monitor.drift(now_s) is not None
+            wrong = self._wrong(now_s) is not None
             self._kept.update(now_s, monitor.calibration_filter, at_rest=monitor.at_rest, wrong=wrong)
+
+    def _wrong(self, now_s: float) -> Reason | None:
+        """Return why nobody may fly by the odometry, None for nothing."""
+        return self._axes.reason or self._depth_consistency.drift(now_s)
 
     def _publish_odom(self, now_s: float) -> None:
         estimate = self._fusion.odom_at(now_s)
         if estimate is None or (estimate.quality == 0 and self._said_lost):
             return
-        drift = self._depth_consistency.drift(now_s)
-        if drift:
-            estimate = replace(estimate, health=PoseHealth.WRONG, why=drift)
+        wrong = self._wrong(now_s)
+        if wrong:
+            estimate = replace(estimate, health=PoseHealth.WRONG, why=wrong)
         self._odom.publish(estimate)
         self.published_odom += 1
         self._said_lost = estimate.quality == 0
@@ -138,6 +147,7 @@ class Perception:
             self._kept.begin(frame, self._depth_consistency.calibration_filter)
         body_from_depth = self._mount.body_from_depth(frame.stamp_s)
         if body_from_depth is not None:
+            self._axes.add_frame(frame, body_from_depth)
             rejection = self._rejection(frame, body_from_depth)
             self._nearby.publish(nearest_in_cells(frame, body_from_depth, believed=rejection is None))
             if rejection is not None:
@@ -206,5 +216,5 @@ class Perception:
 
 def warm_up() -> None:
     """Compile every kernel of perception."""
-    for part in (DepthConsistencyMonitor, planar_patches, error_propagation, min_range_binning):
+    for part in (DepthConsistencyMonitor, planar_patches, error_propagation, min_range_binning, axis_monitor):
         part.warm_up()
