@@ -172,7 +172,7 @@ def test_an_accelerometer_with_an_offset_is_not_taken_for_wrong_axes() -> None:
 GROUND = {
     "IMU in FRD": Wrong(gyro=np.diag([1.0, -1.0, -1.0]), force=np.diag([1.0, -1.0, -1.0])),
     "IMU's x and z exchanged": Wrong(force=np.array([[0.0, 0, 1], [0, 1, 0], [1, 0, 0]])),
-    "poses of the optical frame": Wrong(pose=_turned(Pose.from_matrix(np.linalg.inv(BODY_FROM_DEPTH.matrix())).inverse())),
+    "poses of the optical frame": Wrong(pose=_turned(BODY_FROM_DEPTH)),
     "poses upside down": Wrong(pose=_turned(UPSIDE_DOWN)),
 }
 

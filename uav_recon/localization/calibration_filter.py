@@ -39,7 +39,7 @@ COLOUR_WIDTH = 16
 SIZE = 17
 
 _DRIFT_TIME_S = 2.5  # correlation time of the drift
-_MEMORY_S = 60.0  # time in which an error of the camera may change by a prior standard deviation
+_MEMORY_S = 60.0
 _DRIFT_MPS = 0.03  # prior standard deviations, of honest cameras
 _DELAY_S = 0.025
 _ROTATION_RAD = math.radians(0.8)
@@ -101,9 +101,14 @@ class CameraCalibration:
 
 
 class CalibrationFilter:
-    """State (17,) and covariance (17, 17); not thread-safe."""
+    """State (17,) and covariance (17, 17); not thread-safe.
 
-    def __init__(self) -> None:
+    memory_s: time in which an error of the camera may change by a prior standard deviation; in flight it is short, because
+    comparisons are not independent and mounts are shaken.
+    """
+
+    def __init__(self, memory_s: float = _MEMORY_S) -> None:
+        self._memory_s = memory_s
         self.state = np.zeros(SIZE)
         self.covariance = np.diag(_PRIOR**2)
 
@@ -125,7 +130,7 @@ class CalibrationFilter:
         if at_rest:
             return
         errors = np.arange(DRIFT.stop, SIZE)
-        self.covariance[errors, errors] += step_s / _MEMORY_S * _PRIOR[errors] ** 2
+        self.covariance[errors, errors] += step_s / self._memory_s * _PRIOR[errors] ** 2
 
     def update(self, information: FloatArray, weighted: FloatArray) -> None:
         """Add comparisons.

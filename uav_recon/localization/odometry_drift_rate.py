@@ -58,8 +58,8 @@ class DriftRateEstimator:
     thread-safe.
     """
 
-    def __init__(self) -> None:
-        self.calibration = CalibrationFilter()
+    def __init__(self, calibration: CalibrationFilter | None = None) -> None:
+        self.calibration = calibration or CalibrationFilter()
         self._stamp_s = -math.inf
         self._since_s = math.inf
         self._valid_s = math.inf
