@@ -159,9 +159,7 @@ class CameraConfig(Section):
     mount: Literal["fixed", "gimbal"] = "fixed"  # gimbal = pitch is set through MAVLink
     position_body_m: Vec3 = (0.10, 0.0, 0.0)  # position of the depth imager on the body
     pitch_down_deg: Annotated[float, Field(ge=-60.0, le=60.0)] = 15.0  # tilt of a fixed mount, positive looks down
-    roll_deg: Annotated[float, Field(ge=-10.0, le=10.0)] = (
-        0.0  # roll of a fixed mount about the optical axis, positive right down
-    )
+    roll_deg: Annotated[float, Field(ge=-10.0, le=10.0)] = 0.0  # roll of a fixed mount about its optical axis, right down
     yaw_deg: Annotated[float, Field(ge=-10.0, le=10.0)] = 0.0  # yaw of a fixed mount, positive looks left
     delay_s: Annotated[float, Field(ge=-0.1, le=0.2)] = 0.0  # frames are older than their stamp by this
     depth_scale: Annotated[float, Field(ge=-0.1, le=0.1)] = 0.0  # share by which depths are too large

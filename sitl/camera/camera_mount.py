@@ -28,7 +28,7 @@ class CameraMount:
         self._turn: Quat = IDENTITY
 
     def turn(self, quat_wxyz: Quat) -> None:
-        """Turn the camera about the body's origin, with its IMU, as a fault of the configuration: body axes."""
+        """Turn the camera with its IMU about the body's origin, body axes, which nobody is told."""
         self._turn = quat_wxyz
 
     def world_from_depth(self, pose: MountPose) -> F64:

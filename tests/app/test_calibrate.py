@@ -48,7 +48,7 @@ def _recording(tmp_path: Path, seconds: float, body: Callable[[float], Pose] = _
     nominal = camera_sources.tilted_camera(load(FLOWN))
     stamps_s = 0.2 + np.arange(round(6 * seconds)) / 6
     depth_m = [depth_of(body(t - DELAY_S) @ nominal @ WRONG, ROOM_M, CABINET_M, seed=n) for n, t in enumerate(stamps_s)]
-    pose_s = np.arange(round(30 * seconds)) / 30 + (0.0 if poses else 1e4)
+    pose_s = np.arange(round(30 * seconds)) / 30 + (0.0 if poses else 20.0)
     places = [body(t) for t in pose_s]
     lens = np.array([*CAMERA, LENS.width, LENS.height])
     path = tmp_path / "hand.npz"

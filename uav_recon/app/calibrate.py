@@ -1,4 +1,4 @@
-"""`uav-recon calibrate`: the camera's errors from a motion by hand, and the config that removes them."""
+"""`uav-recon calibrate`: the camera's errors from a motion by hand, for the config."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ def calibrate(options: CalibrateOptions) -> int:
 
 
 def config_lines(config: Config, calibration: Any) -> dict[str, Any]:
-    """Return the keys of [camera] that remove the errors of a fixed mount, with their present values included."""
+    """Return the keys of [camera] that remove the errors of a fixed mount."""
     camera = config.camera
     true = camera_sources.tilted_camera(config) @ calibration.nominal_from_true
     level = true.rotation() @ BODY_FROM_OPTICAL[:3, :3].T  # Rz(yaw) Ry(pitch down) Rx(roll)
@@ -170,7 +170,10 @@ def _table(elements: Any, known: set[str]) -> Table:
 
 
 def _write(config: Config, lines: dict[str, Any], path: Path) -> None:
-    """Write the effective config with these keys. Raises UserError if they are outside the config's ranges."""
+    """Write the effective config with these keys.
+
+    Raises UserError if they are outside the config's ranges.
+    """
     tree = config.model_dump(mode="json", exclude_none=True)
     tree["camera"] |= lines
     try:

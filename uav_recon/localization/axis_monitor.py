@@ -94,7 +94,9 @@ _NONE = np.empty((0, 3, 3))
 
 
 class AxisMonitor:
-    """Compares poses, inertial samples and depth frames, as they come. About 0.4 ms per frame; not thread-safe.
+    """Compares poses, inertial samples and depth frames, as they come.
+
+    About 0.4 ms per frame; not thread-safe.
 
     ``reason``: None, or which axes are wrong. It stays: no flight changes how a sensor is mounted.
     """
@@ -116,7 +118,7 @@ class AxisMonitor:
             self._gravity.add(sample)
 
     def add_pose(self, pose: StampedPose) -> None:
-        """Compare a pose of the source with the inertial samples, and the frames before it with earlier ones."""
+        """Compare a pose with the inertial samples, and the frames before it with earlier ones."""
         if pose.quality <= 0 or not math.isfinite(pose.stamp_s) or (self._poses and pose.stamp_s <= self._poses[-1].stamp_s):
             return
         if self._poses and pose.reset_counter != self._poses[-1].reset_counter:
@@ -191,7 +193,7 @@ class _GravityAgainstPoses:
 
 
 class _Evidence:
-    """Squared differences of two vectors of one motion, summed for each assignment of the axes of the first."""
+    """Sums of squared differences of two vectors of one motion, one for each assignment."""
 
     def __init__(self, sure: float) -> None:
         self._sure = sure
@@ -199,7 +201,10 @@ class _Evidence:
         self.proven = False  # every other assignment is surely worse than the configured one
 
     def add(self, one: FloatArray, other: FloatArray, weight: float = 1.0) -> FloatArray | None:
-        """Add two vectors (3,) in standard deviations. Return the assignment that surely fits better, None for none."""
+        """Add two vectors (3,) in standard deviations.
+
+        Return the assignment that surely fits better, None for none.
+        """
         self.squares += weight * np.sum((ASSIGNMENTS @ one - other) ** 2, axis=1)
         best = int(np.argmin(self.squares))
         configured, least = float(self.squares[0]), float(self.squares[best])
@@ -240,7 +245,7 @@ class _ForceAgainstPoses:
         return None if best is None else Reason(ReasonCode.AXES_FORCE, (_named(best),))
 
     def _gained_mps(self, begin_s: float, middle: StampedPose, end_s: float) -> FloatArray | None:
-        """Return the change (3,) of the mean velocity from before the middle to after it, None if samples are missing."""
+        """Return the change (3,) of the mean velocity at the middle, None without samples."""
         inside = [(stamp_s, force) for stamp_s, force in self._samples if begin_s < stamp_s <= end_s]
         if len(inside) < 5 or inside[0][0] - begin_s > 0.1 or end_s - inside[-1][0] > 0.1:
             return None
@@ -255,7 +260,7 @@ class _ForceAgainstPoses:
 
 
 class _GyroAgainstPoses:
-    """Turns of the gyro and of the poses, summed as squared differences for each assignment of the gyro's axes."""
+    """Turns of the gyro and of the poses."""
 
     def __init__(self) -> None:
         self._samples: deque[tuple[float, FloatArray]] = deque()
@@ -285,7 +290,7 @@ class _GyroAgainstPoses:
         return None if best is None else Reason(ReasonCode.AXES_GYRO, (_named(best.T),))
 
     def _turned_rad(self, from_s: float, to_s: float) -> FloatArray | None:
-        """Return the rotation vector (3,) of the gyro between two instants, None if samples are missing."""
+        """Return the gyro's rotation vector (3,) between two instants, None without samples."""
         inside = [(stamp_s, rate) for stamp_s, rate in self._samples if from_s < stamp_s <= to_s]
         if len(inside) < 5 or inside[0][0] - from_s > 0.1 or to_s - inside[-1][0] > 0.1:
             return None
@@ -363,9 +368,10 @@ class _DepthAgainstPoses:
 
 
 def _as_assigned(view: _View, here: _View, turns: FloatArray, places: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return rotations (K, 3, 3) and places (K, 3) of the imager in that of a view, for each assignment and each delay.
+    """Return K rotations (K, 3, 3) and places (K, 3): each assignment with each delay.
 
-    First the rotations of the body's axes against the imager's (turns), then the assignments of the position alone (places).
+    They are those of the imager in the one of the view. First come the rotations of the body's axes against the imager's
+    (turns), then the assignments of the position alone (places).
     """
     then, now = view.body_from_depth, here.body_from_depth
     moves = [a.inverse() @ b for a, b in zip(view.odom_from_body, here.odom_from_body, strict=True)]
@@ -386,7 +392,7 @@ def _as_assigned(view: _View, here: _View, turns: FloatArray, places: FloatArray
 
 @kernel
 def misfits(then: AnyArray, depth_m: AnyArray, camera: AnyArray, rotations: AnyArray, places: AnyArray) -> AnyArray:
-    """Return for each pose of a camera how many patches a frame sees, and their mean misfit, (K, 2).
+    """Return for K camera poses the number of patches in view and their mean misfit, (K, 2).
 
     then: (N, 6), patches of an earlier view in the frame of the poses; depth_m (H, W), NaN = no return; camera fx, fy, cx, cy;
     rotations (K, 3, 3), places (K, 3) of the camera. A misfit is the distance from the plane of the patch, as a share of what

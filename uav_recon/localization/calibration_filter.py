@@ -113,7 +113,10 @@ class CalibrationFilter:
         self.covariance = np.diag(_PRIOR**2)
 
     def begin(self, kept: Elements) -> None:
-        """Begin from the errors that an earlier flight has observed, as widened priors. See kept_fault for what they may be."""
+        """Begin from the errors that an earlier flight has observed, as widened priors.
+
+        See kept_fault for what they may be.
+        """
         for name, value, sigma in kept:
             k = NAMES[name]
             self.state[k] = value
@@ -125,7 +128,7 @@ class CalibrationFilter:
         self._decay_drift(0.0)
 
     def predict(self, step_s: float, *, at_rest: bool = False) -> None:
-        """Let the drift decay towards zero, and the errors of the camera change slowly, unless it stands at rest."""
+        """Let the drift decay, and the camera's errors change slowly unless it is at rest."""
         self._decay_drift(math.exp(-step_s / _DRIFT_TIME_S))
         if at_rest:
             return

@@ -1,4 +1,4 @@
-"""Calibration of the camera from a motion by hand: the filter of the flight, read out with residuals."""
+"""Calibration of the camera from a motion by hand, with the filter of the flight."""
 
 from __future__ import annotations
 
@@ -39,14 +39,17 @@ MOTIONS = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Residuals:
-    """Distances (N,) of surface patches from those of earlier views, m, with the time (N,) of each, s."""
+    """Distances (N,) of surfaces from those of earlier views, m, with their times (N,), s."""
 
     stamp_s: FloatArray
     distance_m: FloatArray
 
     @property
     def typical_m(self) -> float:
-        """Median of the absolute distances; NaN without any. Some are of another surface: a mean would be theirs."""
+        """Median of the absolute distances; NaN without any.
+
+        Some are of another surface: a mean would be theirs.
+        """
         return float(np.median(np.abs(self.distance_m))) if len(self.distance_m) else math.nan
 
 
@@ -56,7 +59,10 @@ class _Kept(NamedTuple):
 
 
 class CameraCalibrator:
-    """Reads a camera and poses, and estimates the camera's errors. Call step() at about 100 Hz; it never blocks."""
+    """Reads a camera and poses, and estimates the camera's errors.
+
+    Call step() at about 100 Hz; it never blocks.
+    """
 
     def __init__(self, camera: DepthCamera, poses: PoseSource, mount: Mount, clock: Clock) -> None:
         self._camera = camera
@@ -98,7 +104,7 @@ class CameraCalibrator:
         return tuple(motion for name, motion in MOTIONS.items() if name not in known)
 
     def residuals(self, calibration: CameraCalibration) -> Residuals:
-        """Return how far surfaces are from where earlier views put them, if the camera has these errors."""
+        """Return the distances of surfaces between views of a camera with these errors."""
         stamps_s, distances_m = [np.empty(0)], [np.empty(0)]
         views: deque[tuple[float, AnyArray]] = deque()
         for frame, motion in self._kept:
@@ -139,7 +145,7 @@ def known_calibration(elements: Elements) -> CameraCalibration:
 
 
 def _distances_m(seen: AnyArray, depth_m: AnyArray, camera: FloatArray, pose: Pose) -> FloatArray:
-    """Return the distances of a frame's returns from the planes of patches (N, 6), along their normals."""
+    """Return the distances of returns from the planes of patches (N, 6)."""
     ahead = (seen[:, :3] - pose.translation_m) @ pose.rotation()
     ahead = ahead[ahead[:, 2] > 0.2] if len(ahead) else ahead
     planes = seen[((seen[:, :3] - pose.translation_m) @ pose.rotation())[:, 2] > 0.2]

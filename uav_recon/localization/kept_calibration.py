@@ -59,7 +59,10 @@ class KeptCalibration:
         _LOG.info("%s: %s", self._file, self.reason.text())
 
     def update(self, now_s: float, calibration: CalibrationFilter, *, at_rest: bool, wrong: bool) -> None:
-        """Write what is due. wrong: odometry is wrong now. Call it about once a second; never blocks."""
+        """Write what is due.
+
+        wrong: odometry is wrong now. Call it about once a second; never blocks.
+        """
         self._wrong |= wrong
         if self._wrong or not self._camera:
             return
@@ -75,7 +78,7 @@ class KeptCalibration:
             self._waiting = now_s, observed(calibration.summary())
 
     def close(self, calibration: CalibrationFilter) -> None:
-        """Write the newest errors, if the camera has moved since they were written; waits for the write."""
+        """Write the newest errors if the camera has moved since the last write, and wait for it."""
         if self._moved and not self._wrong:
             self._write(observed(calibration.summary()))
         self._executor.close()
@@ -91,14 +94,17 @@ class KeptCalibration:
 
 
 def camera_id(frame: Frame, mount: str) -> str:
-    """Return a short hash of the camera: both intrinsics with their sizes, their relative pose, and the mount."""
+    """Return a short hash of intrinsics, sizes, relative pose and mount of a camera."""
     geometry = (frame.depth_intrinsics, frame.rgb_intrinsics, *frame.rgb_from_depth.quat_wxyz.tolist())
     text = f"{mount} {geometry} {frame.rgb_from_depth.translation_m.tolist()}"
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
 def write(file: Path, camera: str, elements: Elements) -> None:
-    """Replace the file, atomically. A folder that cannot be written is logged and changes nothing."""
+    """Replace the file, atomically.
+
+    A folder that cannot be written is logged and changes nothing.
+    """
     tree = {"format": _FORMAT, "camera": camera, "elements": {name: [value, sigma] for name, value, sigma in elements}}
     temporary = file.with_suffix(".new")
     try:

@@ -26,7 +26,9 @@ _NEEDED = (
 
 
 class NpzRecording:
-    """Camera and pose source over a file; values come once the clock has reached their stamps. No call blocks.
+    """Camera and pose source over a file; values come once the clock has reached their stamps.
+
+    No call blocks.
 
     Raises StreamError (one line) for a file that cannot be used. begin_s, end_s: its first and last stamp.
     """

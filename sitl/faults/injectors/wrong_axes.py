@@ -51,6 +51,6 @@ def height_negated(record: PoseRecord, _: float) -> PoseRecord:
 
 
 def imu_axes(*rows: tuple[float, float, float]) -> inertial_sensor.Change:
-    """Return a change that gives each axis of the IMU another true one: the rows of the assignment."""
+    """Return a change that assigns other true axes to those of the IMU: a row for each."""
     matrix = np.array(rows)
     return lambda sample, _: ImuSample(sample.stamp_s, matrix @ sample.gyro_radps, matrix @ sample.specific_force_mps2)

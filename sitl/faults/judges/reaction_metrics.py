@@ -134,7 +134,7 @@ def drift_landing(e: FlightEvidence) -> float:
 
 
 def height_at_landing(e: FlightEvidence) -> float:
-    """Return the greatest height (m) above the pad before the first landing mode; 0 for a flight that never began."""
+    """Return the greatest height (m) above the pad before the first landing mode."""
     until_s = e.onset_s + e.since(e.landing, e.onset_s)
     return float((e.position_m[:, 2] - e.position_m[0, 2])[e.stamp_s <= until_s].max(initial=0.0))
 

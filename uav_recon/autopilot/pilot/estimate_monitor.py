@@ -75,7 +75,7 @@ class EstimateMonitor:
 
     @property
     def ground_fault(self) -> Reason | None:
-        """Reason not to arm: on the ground the offset is too large, or the poses have other axes than the autopilot."""
+        """Reason not to arm: the offset on the ground is too large, or the axes are others."""
         if self._tilt.for_s >= _HOLD_S:
             return Reason(ReasonCode.AXES_ATTITUDE, (math.degrees(self._tilt.value),))
         off_m = 0.0 if self._offset_m is None else float(np.linalg.norm(self._offset_m))
