@@ -19,6 +19,7 @@ from sitl.camera.camera_mount import CameraMount
 from sitl.camera.d435i import EXACT, MOUNT_M, SimulatedD435i
 from sitl.camera.frame_exposure import ExposureTimes, FrameExposure, MountPose
 from sitl.camera.frame_timing import FrameLoss, FrameTiming
+from sitl.geometry.quaternion import Quat
 from sitl.geometry.transform import rigid, rotation_from_quat
 from sitl.truth.hull_clearance import HullClearance
 from sitl.world.pose_history import PastPose, PoseHistory
@@ -173,6 +174,10 @@ class OutsideWorld:
         if not isinstance(self.flyer, Autopilot):
             raise TypeError("a real firmware flies")
         return self.flyer
+
+    def turn_camera(self, quat_wxyz: Quat) -> None:
+        """Turn the camera about the body's origin, with its IMU; the product is not told."""
+        self._mount.turn(quat_wxyz)
 
     def step(self, now_s: float) -> None:
         """Advance to now_s; publish the IMU samples and poses due by then, and record the truth."""

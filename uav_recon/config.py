@@ -159,6 +159,10 @@ class CameraConfig(Section):
     mount: Literal["fixed", "gimbal"] = "fixed"  # gimbal = pitch is set through MAVLink
     position_body_m: Vec3 = (0.10, 0.0, 0.0)  # position of the depth imager on the body
     pitch_down_deg: Annotated[float, Field(ge=-60.0, le=60.0)] = 15.0  # tilt of a fixed mount, positive looks down
+    roll_deg: Annotated[float, Field(ge=-10.0, le=10.0)] = 0.0  # roll of a fixed mount about its optical axis, right down
+    yaw_deg: Annotated[float, Field(ge=-10.0, le=10.0)] = 0.0  # yaw of a fixed mount, positive looks left
+    delay_s: Annotated[float, Field(ge=-0.1, le=0.2)] = 0.0  # frames are older than their stamp by this
+    depth_scale: Annotated[float, Field(ge=-0.1, le=0.1)] = 0.0  # share by which depths are too large
     gimbal_limit_deg: Annotated[float, Field(gt=0.0, le=90.0)] = 60.0  # gimbal pitch limit, up and down
     horizontal_fov_deg: Annotated[float, Field(gt=10.0, lt=170.0)] = 87.0  # of the depth image
     vertical_fov_deg: Annotated[float, Field(gt=10.0, lt=170.0)] = 58.0  # of the depth image
@@ -176,6 +180,7 @@ class LocalizationConfig(Section):
     origin: Literal["pad", "source"] = "pad"  # of the world: the body on the take-off pad, or the pose source's own origin
     pose_lost_s: Annotated[float, Field(gt=0.0, le=2.0)] = 0.5  # no pose for longer: quality 0
     frame_wait_s: Annotated[float, Field(ge=0.0, le=0.5)] = 0.2  # max. time a frame waits for the next pose
+    calibration: Path | None = None  # file of the camera's errors: written in flight, read by the next; unset: none is kept
 
 
 class VoxelConfig(Section):

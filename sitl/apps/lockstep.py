@@ -229,6 +229,7 @@ class LockstepFlight:
 
     def save(self, console: Console) -> None:
         """Train the final model and write all results of the flight."""
+        self._perception.close()
         if self.conductor.map is not None:
             save_map(self._folder, self.conductor.map)
         with StepDisplay(console).step("landed: training the final model and meshing"):

@@ -74,6 +74,7 @@ class SimOptions:
     blind_speed_mps: float
     pose: str  # source of the poses
     camera_errors: float  # scale of the errors of the camera that the seed draws; 0: the exact camera
+    calibration: Path | None = None  # file of the camera's errors, read and written; None: the flight begins without
     dated: bool = False  # the flight folder was not given: it has the date, and is made by this process alone
 
     @staticmethod
@@ -83,7 +84,7 @@ class SimOptions:
         mount: str = "fixed:15", depth_noise: str = "d435i", camera: str | None = None, mapper: str = "neural",
         radius: float = RADIUS_M, lockstep: bool = False, live: bool = False, port: int = 14540,
         uncertainty: str = "agreement", firmware: Path | None = None, blind_speed: float = BLIND_MPS,
-        camera_errors: str | None = None, pose: str = "stream",
+        camera_errors: str | None = None, pose: str = "stream", calibration: Path | None = None,
     ) -> SimOptions:  # fmt: skip
         """Validate the options of the command line. Raises UsageError with one line."""
         mapper = OLD_NAMES.get(mapper, mapper)
@@ -123,6 +124,7 @@ class SimOptions:
             radius_m=radius, lockstep=lockstep, live=live, port=port, uncertainty=uncertainty,
             firmware=None if firmware is None else firmware.absolute(), blind_speed_mps=blind_speed,
             pose=pose, camera_errors=camera_error_scale(camera_errors), dated=out is None,
+            calibration=None if calibration is None else calibration.absolute(),
         )  # fmt: skip
 
     def check_folder(self) -> None:
@@ -219,7 +221,10 @@ class SimOptions:
                 "pitch_down_deg": self.mount_pitch_down_deg or 0.0,
                 "depth_noise_px": noise_px,
             },
-            "localization": {"source": self.pose},
+            "localization": {
+                "source": self.pose,
+                **({} if self.calibration is None else {"calibration": str(self.calibration)}),
+            },
             "mapper": {"seed": self.seed, "uncertainty": self.uncertainty},
             "planner": {
                 "variant": self.variant,

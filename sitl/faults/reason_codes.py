@@ -42,12 +42,14 @@ FRONTIERS_NOT_REACHABLE = "frontiers-not-reachable"
 
 INTRUDERS = (INTRUDER_OWN_ID, INTRUDER_HEARTBEAT, INTRUDER_MAVLINK1, INTRUDER_COMMANDS, INTRUDER_STATE)
 DRIFT = (ODOMETRY_DRIFT, SURFACES_MOVED, SURFACES_GONE)  # what depth may say against the pose
+AXES = ("axes-gravity", "axes-gyro", "axes-force", "axes-depth", "axes-attitude")
 BATTERY = ("battery-takeoff", "battery-land", "battery-unknown", "battery-rate-unknown", "battery-return")
 NO_OPERATOR = (OPERATOR_SILENT, OPERATOR_LOST_RETURNING)
 CONTROL_LOST = (CONTROL_RELEASED, AUTOPILOT_LANDS)
 # What a reason for a landing is: a refusal, a stranger or a slow link is none; whose the vehicle is by then is one too.
 LANDING = (
-    *CONTROL_LOST, *DRIFT, OPERATOR_LAND, MISSION_LAND, "stop-requested", NO_POSE, MISSION_SILENT, NO_DEPTH, DEPTH_NOT_BELIEVED,
+    *CONTROL_LOST, *DRIFT, *AXES, OPERATOR_LAND, MISSION_LAND, "stop-requested", NO_POSE, MISSION_SILENT, NO_DEPTH,
+    DEPTH_NOT_BELIEVED,
     TWO_AUTOPILOTS, ARMING_GIVEN_UP, PARAMETER_CHANGED, "poses-disagree", "few-poses", "imu-disagrees", "refused-too-long",
     "many-refusals", "held-too-long", "odometry-restarted", "outside-fence-too-long", "retreat-blocked", "evasion-blocked",
     "no-room-to-evade", "takeoff-given-up", "arming-withdrawn", "armed-late", "armed-by-other", "disarmed-in-flight",

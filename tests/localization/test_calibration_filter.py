@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,6 +24,7 @@ from uav_recon.localization.calibration_filter import (
 )
 from uav_recon.localization.camera_motion import CameraMotion
 from uav_recon.localization.odometry_drift_rate import DriftRateEstimator
+from uav_recon.types.camera import Frame
 from uav_recon.types.frames import Float32Array, FloatArray
 from uav_recon.types.pose import Pose
 
@@ -52,9 +54,8 @@ def _depth(camera: Pose, scale: float, seed: int) -> Float32Array:
     return np.asarray((1.0 + scale) * depth_of(camera, ROOM_M, CABINET_M, TABLE_M, seed=seed), dtype=np.float32)
 
 
-def _fly(errors: Errors, seconds: float, painted: bool = False) -> tuple[DriftRateEstimator, list[bool], list[float]]:
-    """Returns the estimator, and at each frame whether it says that odom drifts, and by how much."""
-    estimator, drifts, drift_mps = DriftRateEstimator(), list[bool](), list[float]()
+def flown_frames(errors: Errors, seconds: float, painted: bool = False) -> Iterator[tuple[Frame, CameraMotion]]:
+    """Yield the frames of a flight as rendered with the errors, with the motion as the poses tell it."""
     wrong = Pose.from_rotation_vector(np.array(errors.rotation_rad), np.array(errors.offset_m))
     for n in range(round(seconds / PERIOD_S)):
         t = n * PERIOD_S
@@ -63,10 +64,16 @@ def _fly(errors: Errors, seconds: float, painted: bool = False) -> tuple[DriftRa
         if painted:
             coloured = _path(t - errors.colour_delay_s) @ wrong.inverse()
             rgb = rgb_of(coloured, plaster, ROOM_M, CABINET_M, TABLE_M, seed=n)
-        frame = frame_of(t, _depth(true, errors.scale, n), rgb)
         by_m = np.array(errors.drift_mps) * max(t - 20.0, 0.0)
         said, moment = moved(_path(t), by_m), moved(_path(t - 0.03), by_m)
-        estimator.update(frame, CameraMotion.between(moment, said, 0.03))
+        yield frame_of(t, _depth(true, errors.scale, n), rgb), CameraMotion.between(moment, said, 0.03)
+
+
+def _fly(errors: Errors, seconds: float, painted: bool = False) -> tuple[DriftRateEstimator, list[bool], list[float]]:
+    """Returns the estimator, and at each frame whether it says that odom drifts, and by how much."""
+    estimator, drifts, drift_mps = DriftRateEstimator(), list[bool](), list[float]()
+    for frame, motion in flown_frames(errors, seconds, painted):
+        estimator.update(frame, motion)
         drifts.append(estimator.drifts)
         drift_mps.append(float(np.linalg.norm(estimator.velocity_mps)))
     return estimator, drifts, drift_mps

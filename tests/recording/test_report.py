@@ -42,7 +42,7 @@ def tree() -> dict[str, Any]:
         "refused_views": {"no depth": 2, "memory is full": 11},
         "reduced_speed_s": {"poses disagree for 0.3 s": 1.5, "no inertial samples": 62.4},
         "rejected_by_perception": {"depth-frame-empty": 4, "pose jump": 7},
-        "camera_calibration": {"delay_s": [0.0281, 0.0062]},
+        "camera_calibration": {"delay_s": [0.0281, 0.0062]}, "kept_calibration": "begun from an earlier flight",
         "camera": ["camera streams: depth 424x240 at 30 Hz, colour 424x240 at 30 Hz, IMU none, USB 3.2"],
     }  # fmt: skip
 

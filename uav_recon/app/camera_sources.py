@@ -11,6 +11,7 @@ import numpy as np
 from uav_recon.config import Config
 from uav_recon.errors import EXIT_CONFIG, EXIT_FAILURE, UserError
 from uav_recon.interfaces import Clock, DepthCamera
+from uav_recon.sensors.corrected_camera import CorrectedCamera
 from uav_recon.sensors.stream_format import StreamError
 from uav_recon.types.camera import body_from_camera
 from uav_recon.types.pose import Pose
@@ -24,14 +25,28 @@ def open_camera(config: Config, clock: Clock, stopped: Callable[[], bool] = lamb
     Raises UserError (one line) if there is none; with exit code 0 if stopped() becomes true while it is waited for.
     """
     try:
-        return _OPENERS[config.camera.source](config, clock, stopped)
+        camera = _OPENERS[config.camera.source](config, clock, stopped)
     except StreamError as error:
         raise UserError(str(error), 0 if stopped() else EXIT_FAILURE) from None
+    delay_s, scale = config.camera.delay_s, config.camera.depth_scale
+    return CorrectedCamera(camera, delay_s, scale) if delay_s or scale else camera
 
 
 def tilted_camera(config: Config) -> Pose:
     """Return body_from_depth of a fixed mount."""
-    return body_from_camera(np.array(config.camera.position_body_m), math.radians(config.camera.pitch_down_deg))
+    camera = config.camera
+    turned = Pose.from_yaw(math.radians(camera.yaw_deg), np.array(camera.position_body_m))
+    pitched = body_from_camera(np.zeros(3), math.radians(camera.pitch_down_deg))
+    rolled = Pose.from_rotation_vector(np.array([0.0, 0.0, math.radians(camera.roll_deg)]), np.zeros(3))  # optical axes
+    return turned @ pitched @ rolled
+
+
+def mount_text(config: Config) -> str:
+    """Return how the config mounts the camera, as text; another text is another mount."""
+    camera = config.camera
+    turns = f"{camera.pitch_down_deg:g} {camera.roll_deg:g} {camera.yaw_deg:g}"
+    tilt = f"fixed {turns}" if camera.mount == "fixed" else "gimbal"
+    return f"{tilt} {camera.position_body_m} {camera.delay_s:g} {camera.depth_scale:g}"
 
 
 def stream_path(config: Config) -> Path:

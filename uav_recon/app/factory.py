@@ -12,6 +12,7 @@ import numpy as np
 from uav_recon import config as configuration
 from uav_recon.app import camera_sources, pose_sources
 from uav_recon.app.flight_channels import FlightChannels
+from uav_recon.clock import InlineExecutor
 from uav_recon.config import Config, LinkConfig
 from uav_recon.errors import EXIT_CONFIG, UserError
 from uav_recon.interfaces import ByteLink, CameraRemarks, Clock, Executor, ExposureLocking, Journal, Mapper
@@ -208,13 +209,17 @@ def make_perception(
     clock: Clock,
     stopped: Callable[[], bool] = lambda: False,
     compile_ahead: Callable[[], None] = lambda: None,
+    writer: Executor | None = None,
 ) -> Perception:
     """Build the loop next to the camera. compile_ahead() is called once there is a camera.
+
+    writer: writes the camera's errors beside the loop; None: on the clock of a simulation.
 
     Raises UserError if there is no camera; with exit code 0 if stopped() becomes true while it waits for one.
     """
     from uav_recon.localization.camera_mount import FixedMount, GimbalMount
     from uav_recon.localization.fusion_filter import FusionFilter
+    from uav_recon.localization.kept_calibration import KeptCalibration
     from uav_recon.localization.pad_origin import PadOrigin
     from uav_recon.localization.perception import Perception
 
@@ -234,9 +239,11 @@ def make_perception(
     if config.localization.origin == "pad" and config.camera.source != "recorded":
         poses = pad = PadOrigin(poses, wires.vehicle, config.runtime.folder / PAD_FILE)
     rate_hz, wait_s = config.localization.rate_hz, config.localization.frame_wait_s
+    file = config.localization.calibration
+    kept = KeptCalibration(file, camera_sources.mount_text(config), writer or InlineExecutor(clock)) if file else None
     return Perception(
         camera, poses, fusion, mount, wires.odom, wires.frames, wires.nearby, wires.perception, clock, rate_hz, wait_s,
-        origin=lambda: None if pad is None else pad.reason, remarks=remarks, rates=wires.rates,
+        origin=lambda: None if pad is None else pad.reason, remarks=remarks, rates=wires.rates, kept=kept,
     )  # fmt: skip
 
 

@@ -47,6 +47,7 @@ PERCEPTION_RATE_HZ = 100.0
 PILOT_SILENT_S = 1.0  # a VehicleState older than this counts as no pilot; longer than one lost turn
 STOP_AGAIN_S = 3.0  # extension of the stop timeout at each turn while perception may not end; its WatchdogSec
 MISSION_RATE_HZ = 30.0
+WRITER_PATIENCE_S = 1.0  # how long perception waits, as it ends, for the file of the camera's errors
 PLANNER_PATIENCE_S = 2.0  # how long a process that ends waits for a running planner call
 RECORDER_RATE_HZ = 10.0
 
@@ -166,9 +167,11 @@ def perception(config_path: Path) -> int:
             kernel_jobs.perception_jobs(config.localization.source), config_path, log_progress(LOG), lambda: stop.asked
         )
 
-    the_perception = factory.make_perception(config, wires, clock, lambda: stop.asked, compile_ahead)
+    writer = ThreadExecutor("calibration", WRITER_PATIENCE_S)
+    the_perception = factory.make_perception(config, wires, clock, lambda: stop.asked, compile_ahead, writer)
     systemd_notify.ready()
     gone = run_perception(the_perception.step, wires.vehicle, clock, lambda: stop.asked)
+    the_perception.close()
     if gone and not stop.asked:
         raise UserError(gone)
     return 0

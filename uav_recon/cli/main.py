@@ -65,6 +65,7 @@ for name, command in operator.COMMANDS.items():
 add(app, services.pilot, "pilot", VEHICLE)
 add(app, services.perception, "perception", VEHICLE)
 add(app, services.mission, "mission", VEHICLE)
+add(app, services.calibrate, "calibrate", VEHICLE, services.CALIBRATE_EXAMPLES)
 add(app, services.record, "record", hidden=True)
 app.add_typer(check, name="check", rich_help_panel=VEHICLE)
 app.add_typer(params, name="params", rich_help_panel=VEHICLE)

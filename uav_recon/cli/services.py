@@ -24,6 +24,11 @@ FlightOption = Annotated[
 ]
 FlightArgument = Annotated[Path, typer.Argument(metavar="FLIGHT", readable=False, help="A flight folder.")]
 REVIEW_EXAMPLES = ("uav-recon review flights/room-20260101-120000",)
+CALIBRATE_EXAMPLES = (
+    "uav-recon calibrate --live                               # move the vehicle by hand until all is known",
+    "uav-recon calibrate --live --seconds 60 --write new.toml # the config with the calibrated camera",
+    "uav-recon calibrate hand.npz --config config.toml --out residuals/",
+)
 REFINE_EXAMPLES = (
     "uav-recon refine flights/room-20260101-120000                 # 8000 steps, 1 cm triangles",
     "uav-recon refine flights/room-20260101-120000 --steps 500 --voxel 0.02     # a quick look",
@@ -63,6 +68,30 @@ def record(config: ConfigOption = CONFIG, flight: FlightOption = None) -> None:
     from uav_recon.app import processes
 
     exit_with(lambda: processes.record(config, flight))
+
+
+def calibrate(
+    recording: Annotated[
+        Path | None, typer.Argument(metavar="RECORDING", readable=False, help="An .npz recording of camera and poses.")
+    ] = None,
+    live: Annotated[bool, typer.Option("--live", help="Read the running camera stream while you move the vehicle.")] = False,
+    config: ConfigOption = CONFIG,
+    seconds: Annotated[float, typer.Option(metavar="S", help="With --live: longest time, 5 to 600.")] = 120.0,
+    out: Annotated[
+        Path, typer.Option("--out", metavar="FOLDER", readable=False, help="Folder of calibration.png, the residuals.")
+    ] = Path("calibration"),
+    write: Annotated[
+        Path | None, typer.Option("--write", metavar="FILE", readable=False, help="Write the calibrated config to FILE.")
+    ] = None,
+) -> None:
+    """Calibrate the camera from a motion by hand, with the motors off.
+
+    Prints each error of the camera with its uncertainty, draws the distances between views before and after, and prints the
+    keys of the config that remove the errors. A fixed mount only. Exit code 0: all is known; 1: some motion is missing.
+    """
+    from uav_recon.app import calibrate as calibration
+
+    exit_with(lambda: calibration.calibrate(calibration.CalibrateOptions.of(recording, live, config, seconds, out, write)))
 
 
 def review(flight: FlightArgument) -> None:

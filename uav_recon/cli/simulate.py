@@ -140,6 +140,14 @@ def sim(
             help=choices.CAMERA_ERRORS_HELP,
         ),
     ] = None,
+    calibration: Annotated[
+        Path | None,
+        typer.Option(
+            readable=False, metavar="FILE", rich_help_panel=CAMERA,
+            help="Begin from the camera errors that an earlier flight left in FILE, and write them there. Default: begin "
+            "without, so that a seed gives one flight.",
+        ),
+    ] = None,
     mapper: Annotated[
         str,
         typer.Option(
@@ -212,7 +220,7 @@ def sim(
                 scene=scene, start=start, fence=fence, views=views, seed=seed, out=out, autopilot=autopilot, variant=variant,
                 mount=mount, depth_noise=depth_noise, camera=camera, mapper=mapper, uncertainty=uncertainty, radius=radius,
                 lockstep=lockstep, live=live, port=port, firmware=firmware, blind_speed=blind_speed,
-                camera_errors=camera_errors, pose=pose,
+                camera_errors=camera_errors, pose=pose, calibration=calibration,
             ),
             json,
         )

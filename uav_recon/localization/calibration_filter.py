@@ -14,6 +14,7 @@ when the camera turns, accelerates, or looks at a surface from elsewhere. What n
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -29,15 +30,16 @@ DRIFT = slice(0, 3)  # m/s, odom axes
 DELAY = 3  # s
 ROTATION = slice(4, 7)  # rad, axes of the depth imager
 SCALE = 7
-# 8: width
+WIDTH = 8
 OFFSET = slice(9, 12)  # m, axes of the depth imager
 GEOMETRY = 12  # number of elements that concern depth; then the same of the colour imager, against the poses
 COLOUR_DELAY = 12
-# 13 to 15: rotation of the colour imager, 16: its width
+COLOUR_ROTATION = slice(13, 16)
+COLOUR_WIDTH = 16
 SIZE = 17
 
 _DRIFT_TIME_S = 2.5  # correlation time of the drift
-_MEMORY_S = 60.0  # time in which an error of the camera may change by a prior standard deviation
+_MEMORY_S = 60.0
 _DRIFT_MPS = 0.03  # prior standard deviations, of honest cameras
 _DELAY_S = 0.025
 _ROTATION_RAD = math.radians(0.8)
@@ -50,15 +52,23 @@ _COLOUR_ROTATION_RAD = math.radians(0.4)
 _OBSERVED = 0.5
 _UNOBSERVED = 0.7
 _MOST_SIGMAS = 2.5  # max. correction, in prior standard deviations
+# variance that is added to a kept error, as a share of the prior's: somebody may have touched the camera
+_TOUCHED_SHARE = 0.3
 # variance of the displacement between two views that one second of comparisons measures
 _UNIT_M2S = 3e-5
 
-_NAMES = (
-    ("delay_s", DELAY),
-    *((f"rotation_{axis}_rad", ROTATION.start + k) for k, axis in enumerate("xyz")),
-    ("depth_scale", SCALE),
-    ("colour_delay_s", COLOUR_DELAY),
-)
+Elements = tuple[tuple[str, float, float], ...]  # errors of the camera: name with unit, value, standard deviation
+
+NAMES = {
+    "delay_s": DELAY,
+    **{f"rotation_{axis}_rad": ROTATION.start + k for k, axis in enumerate("xyz")},
+    "depth_scale": SCALE,
+    "width": WIDTH,
+    **{f"offset_{axis}_m": OFFSET.start + k for k, axis in enumerate("xyz")},
+    "colour_delay_s": COLOUR_DELAY,
+    **{f"colour_rotation_{axis}_rad": COLOUR_ROTATION.start + k for k, axis in enumerate("xyz")},
+    "colour_width": COLOUR_WIDTH,
+}  # elements of the state that are errors of the camera
 _PRIOR = np.array(
     [
         *(_DRIFT_MPS,) * 3, _DELAY_S, *(_ROTATION_RAD,) * 3, _SCALE, _WIDTH, *(_OFFSET_M,) * 3,
@@ -91,21 +101,39 @@ class CameraCalibration:
 
 
 class CalibrationFilter:
-    """State (17,) and covariance (17, 17); not thread-safe."""
+    """State (17,) and covariance (17, 17); not thread-safe.
 
-    def __init__(self) -> None:
+    memory_s: time in which an error of the camera may change by a prior standard deviation; in flight it is short, because
+    comparisons are not independent and mounts are shaken.
+    """
+
+    def __init__(self, memory_s: float = _MEMORY_S) -> None:
+        self._memory_s = memory_s
         self.state = np.zeros(SIZE)
         self.covariance = np.diag(_PRIOR**2)
+
+    def begin(self, kept: Elements) -> None:
+        """Begin from the errors that an earlier flight has observed, as widened priors.
+
+        See kept_fault for what they may be.
+        """
+        for name, value, sigma in kept:
+            k = NAMES[name]
+            self.state[k] = value
+            self.covariance[k, :] = self.covariance[:, k] = 0.0
+            self.covariance[k, k] = min(sigma**2 + _TOUCHED_SHARE**2 * _PRIOR[k] ** 2, _PRIOR[k] ** 2)
 
     def forget_drift(self) -> None:
         """Forget the drift after a jump of odom; the errors of the camera are still those."""
         self._decay_drift(0.0)
 
-    def predict(self, step_s: float) -> None:
-        """Let the drift decay towards zero, and the errors of the camera change slowly."""
+    def predict(self, step_s: float, *, at_rest: bool = False) -> None:
+        """Let the drift decay, and the camera's errors change slowly unless it is at rest."""
         self._decay_drift(math.exp(-step_s / _DRIFT_TIME_S))
+        if at_rest:
+            return
         errors = np.arange(DRIFT.stop, SIZE)
-        self.covariance[errors, errors] += step_s / _MEMORY_S * _PRIOR[errors] ** 2
+        self.covariance[errors, errors] += step_s / self._memory_s * _PRIOR[errors] ** 2
 
     def update(self, information: FloatArray, weighted: FloatArray) -> None:
         """Add comparisons.
@@ -129,10 +157,10 @@ class CalibrationFilter:
         wrong = Pose.from_rotation_vector(x[ROTATION], x[OFFSET])
         return CameraCalibration(float(x[DELAY]), wrong.inverse(), float(x[SCALE]))
 
-    def summary(self) -> tuple[tuple[str, float, float], ...]:
-        """Return the errors of the camera as known now: name with unit, value, standard deviation."""
+    def summary(self) -> Elements:
+        """Return the errors of the camera as known now."""
         sigma = np.sqrt(np.diagonal(self.covariance))
-        return tuple((name, float(self.state[k]), float(sigma[k])) for name, k in _NAMES)
+        return tuple((name, float(self.state[k]), float(sigma[k])) for name, k in NAMES.items())
 
     @property
     def drift_mps(self) -> FloatArray:
@@ -153,6 +181,27 @@ class CalibrationFilter:
         self.covariance[DRIFT, :] *= keep
         self.covariance[:, DRIFT] *= keep
         self.covariance[DRIFT, DRIFT] += (1.0 - keep * keep) * _DRIFT_MPS**2 * np.eye(3)
+
+
+def observed(elements: Iterable[tuple[str, float, float]]) -> Elements:
+    """Return the errors that motion has shown: their deviation has left that of the prior."""
+    return tuple(each for each in elements if each[2] <= _UNOBSERVED * _PRIOR[NAMES[each[0]]])
+
+
+def kept_fault(elements: Elements) -> str:
+    """Return what is wrong with kept errors, '' for nothing.
+
+    No honest camera has errors beyond the prior's bounds, and a deviation is between zero and the prior's.
+    """
+    for name, value, sigma in elements:
+        if name not in NAMES:
+            return f"unknown element {name}"
+        prior = _PRIOR[NAMES[name]]
+        if not abs(value) <= _MOST_SIGMAS * prior:
+            return f"{name} {value:.4g} is outside -{_MOST_SIGMAS * prior:.4g} to {_MOST_SIGMAS * prior:.4g}"
+        if not 0.0 < sigma <= prior:
+            return f"{name} has a deviation of {sigma:.4g}, not in 0 to {prior:.4g}"
+    return ""
 
 
 @kernel

@@ -9,7 +9,7 @@ from typing import TypeGuard
 
 import numpy as np
 
-from uav_recon.localization.calibration_filter import CameraCalibration
+from uav_recon.localization.calibration_filter import CalibrationFilter, CameraCalibration
 from uav_recon.localization.camera_motion import CameraMotion
 from uav_recon.localization.depth_outliers import isolated_pixel_fraction
 from uav_recon.localization.odometry_drift_rate import DriftRateEstimator
@@ -170,9 +170,14 @@ class DepthConsistencyMonitor:
         return self._drift_rate.calibration.calibration()
 
     @property
-    def calibration_summary(self) -> tuple[tuple[str, float, float], ...]:
-        """Errors of the camera with their uncertainty: name with unit, value, standard deviation."""
-        return self._drift_rate.calibration.summary()
+    def calibration_filter(self) -> CalibrationFilter:
+        """The filter of the camera's errors and of the drift."""
+        return self._drift_rate.calibration
+
+    @property
+    def at_rest(self) -> bool:
+        """True if the camera has not moved for a while."""
+        return self._drift_rate.at_rest
 
     def drift(self, now_s: float) -> Reason | None:
         """Return the drift of the pose that depth shows, None for nothing."""

@@ -25,6 +25,10 @@ from uav_recon.localization.planar_patches import (
 from uav_recon.types.camera import Frame
 from uav_recon.types.frames import AnyArray, FloatArray
 
+# the camera moves faster in flight or in a hand; after this time below both it stands at rest
+_REST_MPS = 0.15
+_REST_RADPS = 0.15
+_REST_S = 5.0
 _LONGEST_STEP_S = 0.5  #: internal: a longer pause between frames counts as this
 _SETTLES_S = 3.0  #: land: no drift is measured for this time after odom begins: it settles
 _EVERY_S = 1.0  #: internal: interval of stored views
@@ -54,11 +58,12 @@ class DriftRateEstimator:
     thread-safe.
     """
 
-    def __init__(self) -> None:
-        self.calibration = CalibrationFilter()
+    def __init__(self, calibration: CalibrationFilter | None = None) -> None:
+        self.calibration = calibration or CalibrationFilter()
         self._stamp_s = -math.inf
         self._since_s = math.inf
         self._valid_s = math.inf
+        self._moved_s = -math.inf
         self._views: deque[_View] = deque()
         self._flow = FeatureTracker()
 
@@ -74,7 +79,9 @@ class DriftRateEstimator:
         step_s = min(max(frame.stamp_s - self._stamp_s, 0.0), _LONGEST_STEP_S)
         self._stamp_s = frame.stamp_s
         self._since_s = min(self._since_s, frame.stamp_s)
-        self.calibration.predict(step_s)
+        if float(np.linalg.norm(motion.velocity_mps)) > _REST_MPS or float(np.linalg.norm(motion.rate_radps)) > _REST_RADPS:
+            self._moved_s = frame.stamp_s
+        self.calibration.predict(step_s, at_rest=self.at_rest)
         information, weighted = np.zeros((SIZE, SIZE)), np.zeros(SIZE)
         self._add_patches(frame, motion, information, weighted)
         if self._settled:
@@ -87,6 +94,11 @@ class DriftRateEstimator:
     def drifts(self) -> bool:
         """True if odom surely drifts, and has for a while."""
         return self._stamp_s - self._valid_s >= _SURE_S
+
+    @property
+    def at_rest(self) -> bool:
+        """True if the camera has not moved for a while: on the ground, or before its first motion."""
+        return self._stamp_s - self._moved_s > _REST_S
 
     @property
     def velocity_mps(self) -> FloatArray:

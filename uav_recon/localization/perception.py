@@ -9,12 +9,14 @@ from dataclasses import replace
 
 from uav_recon.clock import RateKeeper
 from uav_recon.interfaces import Channel, Clock, DepthCamera, PoseSource
-from uav_recon.localization import error_propagation, min_range_binning, planar_patches
+from uav_recon.localization import axis_monitor, error_propagation, min_range_binning, planar_patches
+from uav_recon.localization.axis_monitor import AxisMonitor
 from uav_recon.localization.camera_motion import CameraMotion
 from uav_recon.localization.camera_mount import Mount
 from uav_recon.localization.depth_consistency import DepthConsistencyMonitor
 from uav_recon.localization.fusion_filter import FusionFilter
 from uav_recon.localization.inertial_selection import InertialSelection
+from uav_recon.localization.kept_calibration import KeptCalibration
 from uav_recon.localization.min_range_binning import nearest_in_cells
 from uav_recon.types.camera import Frame, PosedFrame
 from uav_recon.types.min_range_grid import MinRangeGrid
@@ -68,6 +70,7 @@ class Perception:
         origin: Callable[[], Reason | None] = lambda: None,
         remarks: Callable[[], tuple[Reason, ...]] = tuple,
         rates: Channel[TurnRates] | None = None,
+        kept: KeptCalibration | None = None,
     ) -> None:
         self._camera = camera
         self._poses = poses
@@ -82,7 +85,9 @@ class Perception:
         self._origin = origin
         self._remarks = remarks
         self._inertial = InertialSelection(camera.imu, rates)
+        self._kept = kept
         self._depth_consistency = DepthConsistencyMonitor()
+        self._axes = AxisMonitor()
         warm_up()
         self._rate = RateKeeper(rate_hz, clock.now_s())
         self._status_rate = RateKeeper(_STATUS_RATE_HZ, clock.now_s())
@@ -97,23 +102,42 @@ class Perception:
         """Read new inputs and publish what is due."""
         now_s = self._clock.now_s()
         self._mount.observe()
-        self._fusion.add_imu(self._inertial.samples(self._clock.now_s), self._clock.now_s())
+        samples = self._inertial.samples(self._clock.now_s)
+        self._fusion.add_imu(samples, self._clock.now_s())
+        self._axes.add_imu(samples)
         for pose in self._poses.poses():
             self._fusion.add_pose(pose, now_s)
+            self._axes.add_pose(pose)
         if self._rate.due(now_s):
             self._publish_odom(now_s)
         if self._status_rate.due(now_s):
             self._status.publish(self._status_at(now_s))
+            self._keep_calibration(now_s)
         self._take_frame(now_s)  # after the status: a camera that is gone raises
         self._publish_frame(now_s)
+
+    def close(self) -> None:
+        """Write the camera's errors for the next flight, if they are kept. Blocks for milliseconds."""
+        if self._kept is not None:
+            self._kept.close(self._depth_consistency.calibration_filter)
+
+    def _keep_calibration(self, now_s: float) -> None:
+        if self._kept is not None:
+            monitor = self._depth_consistency
+            wrong = self._wrong(now_s) is not None
+            self._kept.update(now_s, monitor.calibration_filter, at_rest=monitor.at_rest, wrong=wrong)
+
+    def _wrong(self, now_s: float) -> Reason | None:
+        """Return why nobody may fly by the odometry, None for nothing."""
+        return self._axes.reason or self._depth_consistency.drift(now_s)
 
     def _publish_odom(self, now_s: float) -> None:
         estimate = self._fusion.odom_at(now_s)
         if estimate is None or (estimate.quality == 0 and self._said_lost):
             return
-        drift = self._depth_consistency.drift(now_s)
-        if drift:
-            estimate = replace(estimate, health=PoseHealth.WRONG, why=drift)
+        wrong = self._wrong(now_s)
+        if wrong:
+            estimate = replace(estimate, health=PoseHealth.WRONG, why=wrong)
         self._odom.publish(estimate)
         self.published_odom += 1
         self._said_lost = estimate.quality == 0
@@ -127,8 +151,11 @@ class Perception:
             self._drop(now_s, Reason(ReasonCode.DEPTH_FRAME_STAMP))
             return
         self._newest_frame_s = frame.stamp_s
+        if self._kept is not None:
+            self._kept.begin(frame, self._depth_consistency.calibration_filter)
         body_from_depth = self._mount.body_from_depth(frame.stamp_s)
         if body_from_depth is not None:
+            self._axes.add_frame(frame, body_from_depth)
             rejection = self._rejection(frame, body_from_depth)
             self._nearby.publish(nearest_in_cells(frame, body_from_depth, believed=rejection is None))
             if rejection is not None:
@@ -164,9 +191,10 @@ class Perception:
         frames = tuple(sorted(self.dropped_frames.items()))
         samples = tuple(sorted((reason.value, count) for reason, count in self._fusion.rejected.items()))
         newest_s, newest = self._newest_drop
-        calibration = self._depth_consistency.calibration_summary
+        calibration = self._depth_consistency.calibration_filter.summary()
+        kept = None if self._kept is None else self._kept.reason
         return PerceptionStatus(
-            now_s, self.published_frames, frames, samples, newest, newest_s, self._origin(), calibration, self._remarks()
+            now_s, self.published_frames, frames, samples, newest, newest_s, self._origin(), calibration, self._remarks(), kept
         )
 
     def _publish_frame(self, now_s: float) -> None:
@@ -196,5 +224,5 @@ class Perception:
 
 def warm_up() -> None:
     """Compile every kernel of perception."""
-    for part in (DepthConsistencyMonitor, planar_patches, error_propagation, min_range_binning):
+    for part in (DepthConsistencyMonitor, planar_patches, error_propagation, min_range_binning, axis_monitor):
         part.warm_up()

@@ -29,6 +29,7 @@ class PerceptionLog:
             return
         counts, before = newest.counts(), {} if written is None else written.counts()
         moved = newest.origin is not None and (written is None or written.origin != newest.origin)
+        moved |= newest.kept is not None and (written is None or written.kept is None)
         remarked = set(newest.camera) > (set() if written is None else set(written.camera))
         if moved or remarked or counts.keys() - before.keys() or (counts != before and now_s - self._written_s >= PERIOD_S):
             self._write(newest)

@@ -25,7 +25,8 @@ class Status:
     limit, None if it is not reduced; slow_reason: why as text, slow_codes: its codes. perception: what perception has rejected,
     counts by reason; perception_newest, perception_newest_s: the newest rejected depth frame and its age. origin:
     where the take-off pad is, if not at the pose source's origin, or that it is awaited. camera: its streams, and what is wrong
-    with it, as texts; camera_codes: their codes.
+    with it, as texts; camera_codes: their codes. calibration: whether the errors of the camera began from those of an earlier
+    flight.
     """
 
     pilot: str
@@ -52,6 +53,7 @@ class Status:
     origin: str = ""
     camera: tuple[str, ...] = ()
     camera_codes: tuple[str, ...] = ()
+    calibration: str = ""
 
     @staticmethod
     def of(
@@ -96,6 +98,7 @@ class Status:
             origin="" if perception is None else text_of(perception.origin),
             camera=() if perception is None else tuple(text_of(reason) for reason in perception.camera),
             camera_codes=() if perception is None else tuple(reason.code.value for reason in perception.camera),
+            calibration="" if perception is None else text_of(perception.kept),
         )
 
     @staticmethod
@@ -125,6 +128,7 @@ class Status:
             "refused": f"{self.refusals} by the guard" if self.refusals else None,
             "note": self.note or None,
             "origin": self.origin or None,
+            "camera": self.calibration or None,
             "rejected": self._rejected(),
         }
         lines = [f"{name:9} {value if value is not None else '-'}" for name, value in known.items()]

@@ -121,7 +121,7 @@ class PerceptionRecord:
 
     newest: the newest rejected depth frame as text. origin: where the take-off pad is, if not at the pose source's origin.
     calibration: errors of the camera: name with unit, value, standard deviation. camera: its streams, and what is wrong with
-    it.
+    it. kept: whether the errors began from an earlier flight.
     """
 
     stamp_s: Float
@@ -131,6 +131,7 @@ class PerceptionRecord:
     origin: str = ""
     calibration: tuple[tuple[str, Float, Float], ...] = ()
     camera: tuple[str, ...] = ()
+    kept: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -287,8 +288,10 @@ class FlightLog:
         """Add the counts of what perception has rejected."""
         counts = tuple(sorted(status.counts().items()))
         texts = text_of(status.newest), text_of(status.origin)
-        camera = tuple(text_of(reason) for reason in status.camera)
-        self._write("perception", PerceptionRecord(status.stamp_s, status.frames, counts, *texts, status.calibration, camera))
+        camera, kept = tuple(text_of(reason) for reason in status.camera), text_of(status.kept)
+        self._write(
+            "perception", PerceptionRecord(status.stamp_s, status.frames, counts, *texts, status.calibration, camera, kept)
+        )
 
     def outcome(self, stamp_s: float, aborted: Reason | None, stop_reason: Reason | None) -> None:
         """Add the last line. aborted: None for a flight that was completed."""

@@ -115,6 +115,7 @@ class Report:
     knowledge of the scene needs to see 95 % of it well. refused_views: keyframes that the mapper rejected, by reason.
     reduced_speed_s: seconds of the flight at a reduced speed, by reason; null in reports from before it was logged.
     camera_calibration: errors of the camera at the end, by name with unit: value and standard deviation; None if not published.
+    kept_calibration: whether these began from an earlier flight, as text; '' for nothing.
     rejected_by_perception: depth frames, poses and inertial samples that perception rejected, by reason; None if it published
     no counts. camera: its streams, and what was wrong with it, as texts. odometry: against the true path; None without it.
     """
@@ -147,6 +148,7 @@ class Report:
     camera_calibration: Mapping[str, tuple[float, float]] | None = None
     camera: tuple[str, ...] = ()
     odometry: ReportOdometry | None = None
+    kept_calibration: str = ""
 
     @property
     def completed(self) -> bool:

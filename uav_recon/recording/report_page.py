@@ -166,6 +166,8 @@ def _camera_calibration(report: Report) -> str:
     if not errors:
         return ""
     rows = [(name, f"{value:.4f} ± {sigma:.4f}") for name, (value, sigma) in errors.items()]
+    if report.kept_calibration:
+        rows.append(("Begun from", report.kept_calibration))
     return _table("Errors of the camera, as estimated in flight", rows)
 
 

@@ -17,7 +17,8 @@ class PerceptionStatus:
     count) of rejected poses and inertial samples. newest: None before the first rejected frame; newest_s: its stamp.
     origin: where the take-off pad is, if not at the pose source's origin, or that it is awaited. calibration: errors of the
     camera as known now, each with its name and unit, its value and its standard deviation. camera: remarks about the camera:
-    its streams, and what is wrong with it.
+    its streams, and what is wrong with it. kept: None, or that these errors began from those of an earlier flight, or why a
+    file of them is not used.
     """
 
     stamp_s: float
@@ -29,6 +30,7 @@ class PerceptionStatus:
     origin: Reason | None = None
     calibration: tuple[tuple[str, float, float], ...] = ()
     camera: tuple[Reason, ...] = ()
+    kept: Reason | None = None
 
     def counts(self) -> dict[str, int]:
         """Return all counts of rejections by name.

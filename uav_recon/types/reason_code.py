@@ -162,6 +162,34 @@ class ReasonCode(str, Enum):
         "the take-off pad is {0:.2f} m and {1:.0f} degrees off the pose source's origin: the world begins at the pad",
         (1234.5, -180.0),
     )  # fmt: skip
+    AXES_GRAVITY = (
+        "axes-gravity", "axes: IMU and poses {0:.0f} deg apart",
+        "wrong axes: at rest the IMU's vertical is {0:.0f} degrees off that of the poses", (180.0,),
+    )  # fmt: skip
+    AXES_GYRO = (
+        "axes-gyro", "axes: gyro xyz turns as poses {0}", "wrong axes: the gyro turns as the poses if its x y z are {0}",
+        ("-x -y -z",),
+    )  # fmt: skip
+    AXES_FORCE = (
+        "axes-force", "axes: poses xyz move as IMU {0}",
+        "wrong axes: the poses move as the accelerometer says if their x y z are {0}", ("-x -y -z",),
+    )  # fmt: skip
+    AXES_DEPTH = (
+        "axes-depth", "axes: depth fits poses as {0}", "wrong axes: depth fits the motion of the poses if their x y z are {0}",
+        ("-x -y -z",),
+    )  # fmt: skip
+    AXES_ATTITUDE = (
+        "axes-attitude", "axes: autopilot and poses {0:.0f} deg apart",
+        "wrong axes: the autopilot's vertical is {0:.0f} degrees off that of the poses", (180.0,),
+    )  # fmt: skip
+    CALIBRATION_KEPT = (
+        "calibration-kept", "camera errors of an earlier flight: {0:d}",
+        "the camera's errors begin from an earlier flight: {0:d} known", (14,),
+    )  # fmt: skip
+    CALIBRATION_IGNORED = (
+        "calibration-ignored", "kept camera errors not used: {0}", "the kept errors of the camera are not used: {0}",
+        ("the file is broken",),
+    )  # fmt: skip
     ODOMETRY_RESTARTED = "odometry-restarted", "odometry restarted, the map does not fit it"
     POSE_SOURCE_RESET = "pose-source-reset", "pose source was reset, holding"
 
@@ -424,3 +452,9 @@ class ReasonCode(str, Enum):
     FRONTIERS_NOT_REACHABLE = "frontiers-not-reachable", "{0:d} not reachable", "", (9999,)
     FRONTIERS_OUT_OF_VIEW = "frontiers-out-of-view", "{0:d} out of the camera's view", "", (9999,)
     SURFACE_NOT_WORTH = "surface-not-worth", "{0:d} surface tasks not worth their flight", "", (9999,)
+
+
+#: wrong axes or signs of poses, camera or inertial sensor
+AXES = frozenset(
+    {ReasonCode.AXES_GRAVITY, ReasonCode.AXES_GYRO, ReasonCode.AXES_FORCE, ReasonCode.AXES_DEPTH, ReasonCode.AXES_ATTITUDE}
+)

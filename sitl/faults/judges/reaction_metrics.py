@@ -133,6 +133,12 @@ def drift_landing(e: FlightEvidence) -> float:
     return float(np.linalg.norm(e.position_m[-1, :2] - e.position_m[k, :2])) if e.onset_s < math.inf else math.inf
 
 
+def height_at_landing(e: FlightEvidence) -> float:
+    """Return the greatest height (m) above the pad before the first landing mode."""
+    until_s = e.onset_s + e.since(e.landing, e.onset_s)
+    return float((e.position_m[:, 2] - e.position_m[0, 2])[e.stamp_s <= until_s].max(initial=0.0))
+
+
 def rests_at(e: FlightEvidence) -> float:
     """Return the final height (m) above the pad's floor; inf while armed."""
     return math.inf if e.armed[-1] else float(e.position_m[-1, 2])

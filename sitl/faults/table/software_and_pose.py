@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
 import os
+from collections.abc import Callable
 from signal import SIGKILL, SIGSTOP
 
 from sitl.faults import reason_codes as codes
 from sitl.faults.fault import Onset
+from sitl.faults.injectors.base import Injector
 from sitl.faults.injectors.companion import Crash, Stall
 from sitl.faults.injectors.cpu_and_disk_load import BUSY, DISK_LOAD, BusyProcesses, ProcessUsageMonitor
 from sitl.faults.injectors.inertial_sensor import (
@@ -41,12 +44,22 @@ from sitl.faults.injectors.process_signals import (
     SecondPilot,
 )
 from sitl.faults.injectors.vehicle_and_autopilot import HeightDatumMoved, VerticalVelocityError
+from sitl.faults.injectors.wrong_axes import (
+    LEFT,
+    UPSIDE_DOWN,
+    CameraTurned,
+    body_turned,
+    height_negated,
+    imu_axes,
+    ned,
+)
 from sitl.faults.judges import odometry_metrics
 from sitl.faults.judges import reaction_metrics as m
 from sitl.faults.judges.invariants import Room
 from sitl.faults.judges.statustext_checks import statustext_after_arm_command, statustext_delay
 from sitl.faults.table.acceptance_limits import (
     COMPLETES,
+    NEVER_ARMED,
     NO_FAILSAFE,
     NO_JUMP,
     NO_ORDER,
@@ -72,6 +85,24 @@ ON_STAGE = Onset(speed_mps=0.6, away_m=4.2)
 GONE_AND_BACK = tuple(((0.5, 2.0, 10.0)[n % 3], (0.0, 0.3, 1.0)[(n + n // 3) % 3]) for n in range(9))
 CLOSURES = (moved(x=0.5), moved(y=2.0), map_turned(10.0))
 ORIGINS = (other_origin(yaw_deg=30.0), other_origin(z=0.3), other_origin(x=2.0), other_origin(y=-2.0))
+FROM_BOOT = Onset((0.0, 0.0), at_boot=True)
+_EXCHANGED = ((0.0, 1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0))
+GROUND_AXES: tuple[Callable[[], Injector], ...] = (
+    lambda: AlteredImu(imu_axes((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0))),
+    lambda: AlteredImu(imu_axes((0.0, 0.0, 1.0), (0.0, 1.0, 0.0), (1.0, 0.0, 0.0))),
+    lambda: AlteredPoses(body_turned(UPSIDE_DOWN)),
+    lambda: AlteredPoses(body_turned((math.sqrt(0.5), math.sqrt(0.5), 0.0, 0.0))),
+)
+CLIMB_AXES: tuple[Callable[[], Injector], ...] = (
+    lambda: AlteredPoses(ned),
+    lambda: AlteredPoses(height_negated),
+    lambda: CameraTurned(UPSIDE_DOWN),
+)
+LEVEL_AXES: tuple[Callable[[], Injector], ...] = (
+    lambda: AlteredPoses(body_turned(LEFT)),
+    lambda: CameraTurned(LEFT),
+    lambda: AlteredImu(imu_axes(*_EXCHANGED)),
+)
 SPOILT = tuple(
     invalid(k) for k in ("nan place", "inf place", "nan turn", "zero turn", "long turn", "nan variance", "nan stamp")
 )
@@ -409,7 +440,33 @@ TABLE_B = (
         "darkness, blank wall, blur",
         why="needs visual tracking, which is not included",
     ),
-    Scenario("B12", "wrong frames", "axes swapped in the config", why="perception does not detect it yet"),
+    Scenario(
+        "B12",
+        "wrong vertical of IMU or poses",
+        "from boot: the IMU in FRD; its x and z exchanged; poses of a body upside down; of one turned by 90 degrees about x",
+        lambda n: [GROUND_AXES[n % 4]()],
+        (NEVER_ARMED,),
+        onset=FROM_BOOT,
+        observe_s=30.0,
+    ),
+    Scenario(
+        "B12c",
+        "wrong vertical axis of poses or camera",
+        "from boot: poses in NED of a body in FRD; height with the wrong sign; camera and its IMU upside down",
+        lambda n: [CLIMB_AXES[n % 3]()],
+        (Limit("height at the landing mode", m.height_at_landing, 0.6, "m"), clear(0.10)),
+        onset=FROM_BOOT,
+        observe_s=60.0,
+    ),
+    Scenario(
+        "B12l",
+        "wrong level axes of poses, camera or gyro",
+        "from boot: poses of a body turned left by 90 degrees; the camera turned so; the gyro's x and y exchanged",
+        lambda n: [LEVEL_AXES[n % 3]()],
+        (clear(0.10), told(*codes.AXES, within_s=60.0)),
+        onset=FROM_BOOT,
+        observe_s=90.0,
+    ),
     Scenario(
         "B13",
         "autopilot's vertical velocity off",

@@ -283,3 +283,15 @@ def test_a_height_that_is_off_on_the_ground_is_not_flown(kind: type[Rig]) -> Non
     assert rig.pilot.phase is FlightPhase.CONNECTING
     assert rig.note_codes == (ReasonCode.ESTIMATE_POSITION,)
     assert not rig.autopilot.truth().armed
+
+
+@pytest.mark.parametrize(("degrees", "refused"), [(0.0, False), (14.5, False), (15.5, True), (90.0, True), (180.0, True)])
+def test_another_vertical_than_the_autopilots_forbids_arming(degrees: float, refused: bool) -> None:
+    bench = Bench()
+    bench.velocity_mps = np.zeros(3)
+    bench.run(0.5)
+    turn = Pose.from_rotation_vector(np.array([math.radians(degrees), 0.0, 0.0]), np.zeros(3))
+    for n in range(90):
+        bench.monitor.update(StampedPose(1.0 + n / 60, turn, np.zeros(3)), 1.0 + n / 60)
+    fault = bench.monitor.ground_fault
+    assert (fault is not None and fault.code is ReasonCode.AXES_ATTITUDE) == refused

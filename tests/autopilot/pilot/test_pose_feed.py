@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import struct
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,9 @@ import pytest
 from uav_recon.autopilot.pilot.pose_feed import PoseFeed
 from uav_recon.channels import FileChannel, MemoryChannel, ReadOnlyFileChannel
 from uav_recon.safety.pose_gate import PoseGate
-from uav_recon.types.pose import Pose, StampedPose
+from uav_recon.types.pose import Pose, PoseHealth, StampedPose
+from uav_recon.types.reason import Reason
+from uav_recon.types.reason_code import AXES, ReasonCode
 
 STEP_S = 1 / 30
 
@@ -81,3 +84,17 @@ def test_a_record_that_is_being_written_is_fed_once_it_is_whole(tmp_path: Path) 
             feed.step(n * STEP_S + 0.01)
         assert [pose.stamp_s for pose in fed] == [k * STEP_S for k in range(n + 1)]
     assert feed.refused == 0
+
+
+def test_poses_with_wrong_axes_are_not_fed_and_those_that_drift_are() -> None:
+    """With a height of the wrong sign an autopilot in LAND climbs; a drift is better than nothing."""
+    odom = MemoryChannel(StampedPose)
+    feed, fed = _feed(odom)
+    for n, code in enumerate((None, ReasonCode.ODOMETRY_DRIFT, *sorted(AXES))):
+        health = PoseHealth.GOOD if code is None else PoseHealth.WRONG
+        why = None if code is None else Reason(code, code.example)
+        odom.publish(replace(_pose(n * STEP_S), health=health, why=why))
+        feed.step(n * STEP_S + 0.01)
+        assert feed.misleads == (n >= 2)
+        assert feed.wrong == why
+    assert len(fed) == 2

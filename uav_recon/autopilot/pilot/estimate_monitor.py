@@ -14,7 +14,7 @@ import numpy as np
 
 from uav_recon.autopilot.link.vehicle_link import VehicleLink
 from uav_recon.types.frames import FloatArray
-from uav_recon.types.pose import PoseHealth, StampedPose
+from uav_recon.types.pose import Pose, PoseHealth, StampedPose
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.trajectory import Setpoint
@@ -29,6 +29,7 @@ _LAND_S = 3.0  #: land: duration of one of these deviations, without a break
 _LEAVES_M = 0.15
 _LEAVES_S = 0.2  #: land: duration of that excess
 _MAX_OFFSET_M = 0.2  #: refuse: the autopilot's position is farther off on the ground: setpoints are flown off by this offset
+_MAX_TILT_RAD = math.radians(15.0)  #: refuse: its vertical is farther off that of the poses on the ground; honest: 2 degrees
 _AVERAGED_S = 1.0  #: internal: time constant of the offset on the ground
 _WINDOW_S = 0.5  #: internal: time over which velocities are averaged
 _PAST_S = 1.0  #: internal: poses and estimates are kept for this time, until they can be compared
@@ -57,6 +58,7 @@ class EstimateMonitor:
         self._position = _Deviation(_MAX_POSITION_M)
         self._velocity = _Deviation(_MAX_VELOCITY_MPS)
         self._height = _Deviation(_MAX_HEIGHT_M)
+        self._tilt = _Deviation(_MAX_TILT_RAD)
 
     @property
     def hold_reason(self) -> Reason | None:
@@ -73,7 +75,9 @@ class EstimateMonitor:
 
     @property
     def ground_fault(self) -> Reason | None:
-        """Reason not to arm: the offset on the ground is too large."""
+        """Reason not to arm: the offset on the ground is too large, or the axes are others."""
+        if self._tilt.for_s >= _HOLD_S:
+            return Reason(ReasonCode.AXES_ATTITUDE, (math.degrees(self._tilt.value),))
         off_m = 0.0 if self._offset_m is None else float(np.linalg.norm(self._offset_m))
         return Reason(ReasonCode.ESTIMATE_POSITION, (off_m,)) if off_m > _MAX_OFFSET_M else None
 
@@ -103,6 +107,8 @@ class EstimateMonitor:
         While two autopilots use one id, nothing is compared: the estimate may be of either.
         """
         self._add_pose(pose)
+        if pose is not None and not self._flying:
+            self._tilt.update(_tilt_rad(pose.odom_from_body, self._link.telemetry.estimate.quat_wxyz), now_s)
         if self._link.status.duplicate_autopilot:
             self.forget()
             return
@@ -176,6 +182,12 @@ class EstimateMonitor:
         if self._velocity.for_s >= least_s:
             return Reason(ReasonCode.ESTIMATE_VELOCITY, (self._velocity.value,))
         return Reason(ReasonCode.OFF_HEIGHT, (self._height.value,)) if self._height.for_s >= height_s else None
+
+
+def _tilt_rad(odom_from_body: Pose, quat_wxyz: FloatArray) -> float:
+    """Return the angle between the vertical of a pose and that of an attitude, in body axes."""
+    ups = odom_from_body.rotation()[2], Pose(quat_wxyz, np.zeros(3)).rotation()[2]
+    return math.acos(max(min(float(ups[0] @ ups[1]), 1.0), -1.0))
 
 
 class _Deviation:

@@ -233,7 +233,8 @@ class Pilot:
         if why is not None:
             self._reporter.say(why, self._clock.now_s())
         if phase is FlightPhase.LANDING:
-            self._landing = Landing(landing_seen, lifted=self._takeoff.lifted)
+            lifted = self._takeoff.lifted or self._poses.misleads  # wrong axes tell no height
+            self._landing = Landing(landing_seen, lifted=lifted)
         if phase in (FlightPhase.LANDED, FlightPhase.YIELDED):
             self._mission_input.reject_trajectory()
             self._estimate.land()
@@ -257,11 +258,15 @@ class Pilot:
             self._land(now_s)
 
     def _connect(self, now_s: float) -> None:
-        self._note = self._preflight.missing(now_s) or self._estimate.ground_fault
+        self._note = self._ground_fault(now_s)
         self.phase = FlightPhase.CONNECTING if self._note else FlightPhase.READY
 
+    def _ground_fault(self, now_s: float) -> Reason | None:
+        """Return why the vehicle may not be armed, None if it may."""
+        return self._poses.wrong or self._preflight.missing(now_s) or self._estimate.ground_fault
+
     def _stand_ready(self, now_s: float) -> None:
-        if self._preflight.missing(now_s) or self._estimate.ground_fault:
+        if self._ground_fault(now_s):
             self.phase = FlightPhase.CONNECTING
         elif self._mission_input.goal(now_s) is Goal.FLY and self._takeoff.allowed and not self._land_wanted:
             here = self._situation.situation(now_s)

@@ -1,6 +1,7 @@
 """Pose feed: sends every new, valid and recent pose to the autopilot once.
 
-Nothing is ever repeated; without such a pose nothing is sent.
+Nothing is ever repeated; without such a pose nothing is sent. Poses with wrong axes are not sent: with a height of the wrong
+sign the autopilot would climb in order to land.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from uav_recon.interfaces import Channel
 from uav_recon.safety.pose_gate import PoseGate
 from uav_recon.types.pose import PoseHealth, StampedPose
 from uav_recon.types.reason import Reason
+from uav_recon.types.reason_code import AXES
 
 T = TypeVar("T")
 
@@ -63,8 +65,14 @@ class PoseFeed:
             self._uncounted += pose.reset_counter == self.pose.reset_counter
         self.pose = pose
         self.sound_s = self.sound_s if pose.health in _UNSOUND else pose.stamp_s
-        self._link.feed_pose(replace(pose, reset_counter=(pose.reset_counter + self._uncounted) % 256), now_s)
+        if not self.misleads:
+            self._link.feed_pose(replace(pose, reset_counter=(pose.reset_counter + self._uncounted) % 256), now_s)
         return verdict.again
+
+    @property
+    def misleads(self) -> bool:
+        """True if an autopilot that follows the poses leaves: it lands better without any."""
+        return self.wrong is not None and self.wrong.code in AXES
 
     def _why(self, health: PoseHealth) -> Reason | None:
         return self.pose.why if self.pose is not None and self.pose.health is health else None

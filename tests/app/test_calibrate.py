@@ -1,0 +1,142 @@
+"""A camera moved by hand is calibrated, and the printed config removes its errors."""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from uav_recon.app import camera_sources
+from uav_recon.app.calibrate import PLOT, CalibrateOptions, calibrate, config_lines
+from uav_recon.config import Config, load, save
+from uav_recon.errors import UserError
+from uav_recon.localization.calibration_filter import CameraCalibration
+from uav_recon.types.pose import Pose
+
+sys.path.append(str(Path(__file__).parents[1] / "localization"))
+
+from textured_room import CAMERA, LENS, depth_of
+
+FLOWN = Path(__file__).parents[2] / "systemd" / "config.toml"
+ROOM_M = np.array([[-3.5, -2.5, 0.0], [3.5, 2.5, 2.6]])
+CABINET_M = np.array([[1.8, 0.9, 0.0], [2.4, 1.6, 1.9]])
+DELAY_S = 0.03
+WRONG = Pose.from_rotation_vector(np.array([0.014, -0.010, 0.008]), np.zeros(3))  # nominal_from_true
+
+
+def _body(t: float) -> Pose:
+    """Carried about: up to 0.7 m/s and 0.9 rad/s."""
+    yaw = 1.5 * math.sin(0.45 * t) + 0.35 * t
+    place = np.array([1.6 * math.sin(0.35 * t), math.sin(0.51 * t + 0.7), 1.2 + 0.35 * math.sin(0.6 * t)])
+    return Pose.from_yaw(yaw, place)
+
+
+def _config(tmp_path: Path, **camera: Any) -> Path:
+    config = load(FLOWN)
+    path = tmp_path / "config.toml"
+    save(config.model_copy(update={"camera": config.camera.model_copy(update=camera)}), path)
+    return path
+
+
+def _recording(tmp_path: Path, seconds: float, body: Callable[[float], Pose] = _body, *, poses: bool = True) -> Path:
+    """Frames at 6 Hz that are DELAY_S older than their stamp, and exact poses at 30 Hz."""
+    nominal = camera_sources.tilted_camera(load(FLOWN))
+    stamps_s = 0.2 + np.arange(round(6 * seconds)) / 6
+    depth_m = [depth_of(body(t - DELAY_S) @ nominal @ WRONG, ROOM_M, CABINET_M, seed=n) for n, t in enumerate(stamps_s)]
+    pose_s = np.arange(round(30 * seconds)) / 30 + (0.0 if poses else 20.0)
+    places = [body(t) for t in pose_s]
+    lens = np.array([*CAMERA, LENS.width, LENS.height])
+    path = tmp_path / "hand.npz"
+    np.savez(
+        path,
+        frame_stamp_s=stamps_s,
+        depth_mm=np.nan_to_num(1e3 * np.array(depth_m)).round().astype(np.uint16),
+        rgb=np.zeros((len(stamps_s), 2, 4, 3), np.uint8),
+        depth_intrinsics=lens,
+        rgb_intrinsics=lens,
+        rgb_from_depth=np.array([1.0, 0, 0, 0, 0, 0, 0]),
+        pose_stamp_s=pose_s,
+        pose_position_m=np.array([place.translation_m for place in places]),
+        pose_quat_wxyz=np.array([place.quat_wxyz for place in places]),
+    )
+    return path
+
+
+def _options(tmp_path: Path, recording: Path | None, config: Path, write: Path | None = None) -> CalibrateOptions:
+    return CalibrateOptions.of(recording, recording is None, config, 60.0, tmp_path / "out", write)
+
+
+def test_the_written_config_removes_the_errors(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    recording, written = _recording(tmp_path, 60.0), tmp_path / "new.toml"
+    calibrate(_options(tmp_path, recording, _config(tmp_path), written))
+    said = capsys.readouterr().out
+    assert "delay_s" in said
+    assert "pitch_down_deg" in said
+    assert (tmp_path / "out" / PLOT).stat().st_size > 5000
+    found = load(written).camera
+    assert found.delay_s == pytest.approx(DELAY_S, abs=0.01)
+    true = camera_sources.tilted_camera(load(FLOWN)) @ WRONG
+    off = camera_sources.tilted_camera(load(written)).rotation().T @ true.rotation()
+    before_rad = float(np.linalg.norm([0.014, -0.010, 0.008]))
+    assert math.acos(min((float(np.trace(off)) - 1.0) / 2.0, 1.0)) < 0.6 * before_rad
+    before_mm, after_mm = (float(word) for word in said.split("residuals: ")[1].replace("mm before,", "").split()[:2])
+    assert after_mm < 0.85 * before_mm
+
+
+def test_a_camera_at_rest_is_not_calibrated_and_the_missing_motion_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    recording = _recording(tmp_path, 10.0, lambda t: _body(3.0))
+    assert calibrate(_options(tmp_path, recording, _config(tmp_path))) == 1
+    said = capsys.readouterr().out
+    assert "turn left and right" in said
+    assert "delay_s = 0.0\n" in said
+
+
+@pytest.mark.parametrize("content", [b"", b"text", b"PK\x03\x04"])
+def test_a_file_that_is_no_recording_is_one_line(tmp_path: Path, content: bytes) -> None:
+    file = tmp_path / "hand.npz"
+    file.write_bytes(content)
+    with pytest.raises(UserError, match="not a recording") as error:
+        calibrate(_options(tmp_path, file, _config(tmp_path)))
+    assert "\n" not in str(error.value)
+
+
+def test_a_recording_without_fitting_poses_is_one_line(tmp_path: Path) -> None:
+    recording = _recording(tmp_path, 3.0, poses=False)
+    with pytest.raises(UserError, match="no frame with a pose"):
+        calibrate(_options(tmp_path, recording, _config(tmp_path)))
+
+
+def test_a_gimbal_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match="gimbal"):
+        calibrate(_options(tmp_path, tmp_path / "hand.npz", _config(tmp_path, mount="gimbal")))
+
+
+def test_the_options_name_what_is_wrong(tmp_path: Path) -> None:
+    for recording, live in ((None, False), (tmp_path / "a.npz", True)):
+        with pytest.raises(UserError, match="one of both"):
+            CalibrateOptions.of(recording, live, FLOWN, 60.0, tmp_path, None)
+    with pytest.raises(UserError, match=r"--seconds 1: want 5 to 600"):
+        CalibrateOptions.of(None, True, FLOWN, 1.0, tmp_path, None)
+
+
+def _lines(config: Config, calibration: CameraCalibration) -> Config:
+    camera = config.camera.model_copy(update=config_lines(config, calibration))
+    return config.model_copy(update={"camera": camera})
+
+
+@pytest.mark.parametrize("camera", [{}, {"roll_deg": 2.0, "yaw_deg": -3.0, "pitch_down_deg": -20.0, "delay_s": 0.01}])
+def test_the_lines_are_the_true_mount(camera: dict[str, float]) -> None:
+    config = load(FLOWN)
+    config = config.model_copy(update={"camera": config.camera.model_copy(update=camera)})
+    calibration = CameraCalibration(0.02, Pose.from_rotation_vector(np.array([0.02, -0.03, 0.01]), np.full(3, 0.01)), 0.01)
+    true = camera_sources.tilted_camera(config) @ calibration.nominal_from_true
+    calibrated = _lines(config, calibration)
+    np.testing.assert_allclose(camera_sources.tilted_camera(calibrated).matrix(), true.matrix(), atol=3e-4)
+    assert calibrated.camera.delay_s == pytest.approx(config.camera.delay_s + 0.02)

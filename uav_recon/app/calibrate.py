@@ -1,0 +1,182 @@
+"""`uav-recon calibrate`: the camera's errors from a motion by hand, for the config."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import tomli_w
+from rich.console import Console
+from rich.table import Table
+
+from uav_recon import config as configuration
+from uav_recon.app import camera_sources, factory, pose_sources
+from uav_recon.app.flight_channels import read_only_channels
+from uav_recon.app.option_validation import UsageError, require_writable_file, require_writable_folder
+from uav_recon.clock import ManualClock, MonotonicClock
+from uav_recon.config import Config
+from uav_recon.errors import EXIT_CONFIG, UserError
+from uav_recon.sensors.npz_recording import NpzRecording
+from uav_recon.sensors.stream_format import StreamError
+from uav_recon.types.camera import BODY_FROM_OPTICAL
+from uav_recon.types.pose import Pose
+
+_STEP_S = 0.01
+_SAID_S = 2.0  # between two lines of advice
+_SECONDS = (5.0, 600.0)
+_SILENT_S = 10.0  # without a frame or a pose for this time after the start nothing can be calibrated
+PLOT = "calibration.png"
+
+
+@dataclass(frozen=True)
+class CalibrateOptions:
+    """The validated options. recording None: live, for at most seconds."""
+
+    recording: Path | None
+    config: Path
+    seconds: float
+    out: Path
+    write: Path | None
+
+    @staticmethod
+    def of(recording: Path | None, live: bool, config: Path, seconds: float, out: Path, write: Path | None) -> CalibrateOptions:
+        """Validate the options. Raises UsageError with one line."""
+        if (recording is None) != live:
+            raise UsageError("want a RECORDING or --live, one of both")
+        if not _SECONDS[0] <= seconds <= _SECONDS[1]:
+            raise UsageError(f"--seconds {seconds:g}: want {_SECONDS[0]:g} to {_SECONDS[1]:g}")
+        require_writable_file("--write", write)
+        require_writable_folder("--out", out)
+        return CalibrateOptions(recording, config, seconds, out, write)
+
+
+def calibrate(options: CalibrateOptions) -> int:
+    """Estimate, print the table and the config lines, draw the residuals.
+
+    Exit code 0: all elements are known; 1: some are not, and the motions that would show them are printed. Raises UserError
+    with one line for input that cannot be used.
+    """
+    from uav_recon.localization.calibration_filter import CameraCalibration, observed
+    from uav_recon.localization.camera_calibration import known_calibration
+    from uav_recon.recording.calibration_plot import residuals_over_time
+
+    config, console = factory.load_config(options.config), Console()
+    if config.camera.mount == "gimbal":
+        raise UserError("camera.mount gimbal: only a fixed mount can be calibrated by hand; a gimbal is in flight", EXIT_CONFIG)
+    calibrator = _from_recording(options, config) if options.recording is not None else _live(options, config, console)
+    if not calibrator.frames:
+        raise UserError(f"no frame with a pose at its stamp ({calibrator.poses_read} poses were read)")
+    elements = calibrator.elements()
+    known = observed(elements)
+    console.print(_table(elements, {name for name, _, _ in known}))
+    calibration = known_calibration(elements)
+    before = calibrator.residuals(CameraCalibration(0.0, Pose.identity(), 0.0))
+    after = calibrator.residuals(calibration)
+    series = {
+        f"before, median {1e3 * before.typical_m:.1f} mm": (before.stamp_s, before.distance_m),
+        f"after, median {1e3 * after.typical_m:.1f} mm": (after.stamp_s, after.distance_m),
+    }
+    residuals_over_time(options.out / PLOT, series)
+    lines = config_lines(config, calibration)
+    console.print(
+        f"residuals: {1e3 * before.typical_m:.1f} mm before, {1e3 * after.typical_m:.1f} mm after, {options.out / PLOT}"
+    )
+    console.print("\nwrite into the config:\n", highlight=False)
+    console.print(tomli_w.dumps({"camera": lines}), markup=False, highlight=False)
+    if options.write is not None:
+        _write(config, lines, options.write)
+        console.print(f"written: {options.write}")
+    for motion in calibrator.missing():
+        console.print(f"not known yet: {motion}")
+    return 1 if calibrator.missing() else 0
+
+
+def config_lines(config: Config, calibration: Any) -> dict[str, Any]:
+    """Return the keys of [camera] that remove the errors of a fixed mount."""
+    camera = config.camera
+    true = camera_sources.tilted_camera(config) @ calibration.nominal_from_true
+    level = true.rotation() @ BODY_FROM_OPTICAL[:3, :3].T  # Rz(yaw) Ry(pitch down) Rx(roll)
+    yaw, pitch = math.atan2(level[1, 0], level[0, 0]), math.asin(max(min(-float(level[2, 0]), 1.0), -1.0))
+    roll = math.atan2(level[2, 1], level[2, 2])
+    return {
+        "pitch_down_deg": round(math.degrees(pitch), 2),
+        "roll_deg": round(math.degrees(roll), 2),
+        "yaw_deg": round(math.degrees(yaw), 2),
+        "position_body_m": [round(x, 4) for x in true.translation_m.tolist()],
+        "delay_s": round(camera.delay_s + calibration.delay_s, 4),
+        "depth_scale": round((1.0 + camera.depth_scale) * (1.0 + calibration.scale) - 1.0, 4),
+    }
+
+
+def _from_recording(options: CalibrateOptions, config: Config) -> Any:
+    from uav_recon.localization.camera_calibration import CameraCalibrator
+    from uav_recon.localization.camera_mount import FixedMount
+    from uav_recon.sensors.corrected_camera import CorrectedCamera
+
+    assert options.recording is not None
+    clock, camera = ManualClock(-math.inf), config.camera
+    try:
+        source = NpzRecording(options.recording, clock, camera.depth_min_m, camera.depth_max_m)
+    except StreamError as error:
+        raise UserError(str(error)) from None
+    corrected = CorrectedCamera(source, camera.delay_s, camera.depth_scale)
+    calibrator = CameraCalibrator(corrected, source, FixedMount(camera_sources.tilted_camera(config)), clock)
+    for step in range(math.ceil((source.end_s - source.begin_s) / _STEP_S) + 2):
+        clock.advance_to(source.begin_s + step * _STEP_S)
+        calibrator.step()
+    return calibrator
+
+
+def _live(options: CalibrateOptions, config: Config, console: Console) -> Any:
+    from uav_recon.localization.camera_calibration import CameraCalibrator
+    from uav_recon.localization.camera_mount import FixedMount
+
+    clock, mount = MonotonicClock(), FixedMount(camera_sources.tilted_camera(config))
+    camera = camera_sources.open_camera(config, clock)
+    context = pose_sources.SourceContext(config, read_only_channels(config.runtime.folder), clock, camera, mount)
+    camera, poses = pose_sources.open_poses(context)
+    calibrator = CameraCalibrator(camera, poses, mount, clock)
+    begin_s = said_s = clock.now_s()
+    console.print("move the vehicle by hand; Ctrl-C ends")
+    try:
+        while (now_s := clock.now_s()) - begin_s < options.seconds:
+            calibrator.step()
+            missing = calibrator.missing()
+            if not missing:
+                break
+            if not calibrator.frames and now_s - begin_s > _SILENT_S:
+                raise UserError(f"no frame with a pose in {_SILENT_S:g} s ({calibrator.poses_read} poses were read)")
+            if now_s - said_s >= _SAID_S:
+                said_s = now_s
+                console.print(f"{now_s - begin_s:4.0f} s  {calibrator.frames} frames  {missing[0]}")
+            clock.sleep_until(now_s + _STEP_S)
+    except KeyboardInterrupt:
+        console.print("ended")
+    finally:
+        camera.close()
+    return calibrator
+
+
+def _table(elements: Any, known: set[str]) -> Table:
+    table = Table("element", "value", "sigma", "observed")
+    for name, value, sigma in elements:
+        degrees = name.endswith("_rad")
+        shown, unit = (name.removesuffix("_rad"), math.degrees(1.0)) if degrees else (name, 1.0)
+        mark = "yes" if name in known else "no"
+        table.add_row(shown + ("_deg" if degrees else ""), f"{unit * value:.4f}", f"{unit * sigma:.4f}", mark)
+    return table
+
+
+def _write(config: Config, lines: dict[str, Any], path: Path) -> None:
+    """Write the effective config with these keys.
+
+    Raises UserError if they are outside the config's ranges.
+    """
+    tree = config.model_dump(mode="json", exclude_none=True)
+    tree["camera"] |= lines
+    try:
+        configuration.save(configuration.parse(tree, "calibrated"), path)
+    except configuration.ConfigError as error:
+        raise UserError(str(error), EXIT_CONFIG) from None

@@ -1,0 +1,99 @@
+"""Recording of a camera stream with poses in one .npz file, for a calibration by hand.
+
+Arrays: frame_stamp_s (N,), depth_mm (N, H, W) uint16 with 0 = no return, rgb (N, h, w, 3) uint8, depth_intrinsics and
+rgb_intrinsics (6,) fx fy cx cy width height, rgb_from_depth (7,) wxyz and metres, pose_stamp_s (M,), pose_position_m (M, 3),
+pose_quat_wxyz (M, 4); optional imu_stamp_s (K,), gyro_radps (K, 3), specific_force_mps2 (K, 3).
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from zipfile import BadZipFile
+
+import numpy as np
+
+from uav_recon.interfaces import Clock
+from uav_recon.sensors.stream_camera import depth_lookup_table
+from uav_recon.sensors.stream_format import StreamError
+from uav_recon.types.camera import Frame, ImuSample, Intrinsics
+from uav_recon.types.frames import AnyArray, FloatArray
+from uav_recon.types.pose import Pose, StampedPose
+
+_NEEDED = (
+    "frame_stamp_s", "depth_mm", "rgb", "depth_intrinsics", "rgb_intrinsics", "rgb_from_depth", "pose_stamp_s",
+    "pose_position_m", "pose_quat_wxyz",
+)  # fmt: skip
+
+
+class NpzRecording:
+    """Camera and pose source over a file; values come once the clock has reached their stamps.
+
+    No call blocks.
+
+    Raises StreamError (one line) for a file that cannot be used. begin_s, end_s: its first and last stamp.
+    """
+
+    def __init__(self, path: Path, clock: Clock, depth_min_m: float, depth_max_m: float) -> None:
+        try:
+            with np.load(path, allow_pickle=False) as file:
+                data = {name: file[name] for name in file.files}
+        except OSError as error:
+            raise StreamError(f"{path}: cannot be read ({error.strerror or error})") from None
+        except (ValueError, BadZipFile, EOFError):
+            raise StreamError(f"{path}: not a recording: want an .npz file") from None
+        missing = [name for name in _NEEDED if name not in data]
+        if missing:
+            raise StreamError(f"{path}: not a recording: no array {missing[0]}")
+        self._data: dict[str, AnyArray] = data
+        self._frame_s, self._pose_s = _stamps(path, data, "frame_stamp_s"), _stamps(path, data, "pose_stamp_s")
+        self._imu_s = _stamps(path, data, "imu_stamp_s") if "imu_stamp_s" in data else np.empty(0)
+        self._lenses = _lens(path, data, "depth_intrinsics"), _lens(path, data, "rgb_intrinsics")
+        self._rgb_from_depth = Pose(data["rgb_from_depth"][:4], data["rgb_from_depth"][4:])
+        self._table = depth_lookup_table(depth_min_m, depth_max_m)
+        self._clock = clock
+        self._frame = self._pose = self._sample = 0
+        self.begin_s = float(min(self._frame_s[0], self._pose_s[0]))
+        self.end_s = float(max(self._frame_s[-1], self._pose_s[-1]))
+
+    def poll(self) -> Frame | None:
+        """Return the newest frame that is due, once, else None."""
+        due = int(np.searchsorted(self._frame_s, self._clock.now_s(), side="right"))
+        if due == self._frame:
+            return None
+        self._frame = due
+        n, (depth, rgb) = due - 1, self._lenses
+        depth_m = self._table[self._data["depth_mm"][n]]
+        return Frame(float(self._frame_s[n]), n, depth_m, depth, self._data["rgb"][n], rgb, self._rgb_from_depth)
+
+    def imu(self) -> list[ImuSample]:
+        """Return the inertial samples that became due since the last call."""
+        due = int(np.searchsorted(self._imu_s, self._clock.now_s(), side="right"))
+        rows, self._sample = range(self._sample, due), due
+        return [
+            ImuSample(float(self._imu_s[k]), self._data["gyro_radps"][k], self._data["specific_force_mps2"][k]) for k in rows
+        ]
+
+    def poses(self) -> list[StampedPose]:
+        """Return the poses that became due since the last call."""
+        due = int(np.searchsorted(self._pose_s, self._clock.now_s(), side="right"))
+        rows, self._pose = range(self._pose, due), due
+        places = [Pose(self._data["pose_quat_wxyz"][k], self._data["pose_position_m"][k]) for k in rows]
+        return [StampedPose(float(self._pose_s[k]), place, np.zeros(3)) for k, place in zip(rows, places, strict=True)]
+
+    def close(self) -> None:
+        """Do nothing: no resource is open."""
+
+
+def _stamps(path: Path, data: dict[str, AnyArray], name: str) -> FloatArray:
+    stamps_s = np.asarray(data[name], dtype=np.float64)
+    if stamps_s.ndim != 1 or not len(stamps_s) or not np.all(np.diff(stamps_s) > 0.0):
+        raise StreamError(f"{path}: {name}: want stamps that increase")
+    return stamps_s
+
+
+def _lens(path: Path, data: dict[str, AnyArray], name: str) -> Intrinsics:
+    numbers = np.asarray(data[name], dtype=np.float64)
+    if numbers.shape != (6,) or not np.all(np.isfinite(numbers)) or min(numbers[0], numbers[1]) <= 0.0:
+        raise StreamError(f"{path}: {name}: want fx fy cx cy width height")
+    fx, fy, cx, cy, width, height = numbers.tolist()
+    return Intrinsics(fx, fy, cx, cy, int(width), int(height))
