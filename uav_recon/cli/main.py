@@ -12,6 +12,7 @@ import typer
 from uav_recon.app.kernel_cache import use_writable_cache
 from uav_recon.cli import faults, operator, services, simulate
 from uav_recon.cli.bench import bench
+from uav_recon.cli.check import check
 from uav_recon.cli.commands import HELP_NAMES, Commands, add
 from uav_recon.cli.config import config
 from uav_recon.cli.exit_codes import end
@@ -65,6 +66,7 @@ add(app, services.pilot, "pilot", VEHICLE)
 add(app, services.perception, "perception", VEHICLE)
 add(app, services.mission, "mission", VEHICLE)
 add(app, services.record, "record", hidden=True)
+app.add_typer(check, name="check", rich_help_panel=VEHICLE)
 app.add_typer(params, name="params", rich_help_panel=VEHICLE)
 app.add_typer(config, name="config", rich_help_panel=VEHICLE)
 
