@@ -1,4 +1,4 @@
-"""`uav-recon check camera`: watches a running camera stream and prints what is right and wrong with it."""
+"""`uav-recon check camera`: watches a camera stream and prints a table of findings."""
 
 from __future__ import annotations
 

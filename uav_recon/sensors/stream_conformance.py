@@ -1,4 +1,4 @@
-"""Conformance of a running camera stream: what it shows in some seconds, against allowed ranges.
+"""Conformance of a running camera stream: measured values against allowed ranges.
 
 `observe` copies what a writer publishes, with the time of arrival; `judge` is a pure function of that copy.
 """
@@ -25,7 +25,10 @@ _SUBSAMPLE = 8  # pixels between two that are compared from frame to frame
 
 @dataclass(frozen=True)
 class Finding:
-    """One checked property: its value and allowed range as text, and whether the value lies in the range."""
+    """One checked property.
+
+    value and allowed: the value and its range, as text. good: the value lies in the range.
+    """
 
     name: str
     value: str
@@ -35,7 +38,7 @@ class Finding:
 
 @dataclass
 class StreamObservation:
-    """What a stream showed in duration_s.
+    """Copy of everything that a stream showed in duration_s.
 
     frame_stamps_s, frame_ages_s: capture stamp, and age on arrival, of each frame seen. valid_shares: share of pixels with
     depth. median_mm: median of the valid depths. checksums: of a subsample of the depth pixels. imu (dtype IMU) and poses
@@ -59,7 +62,10 @@ class StreamObservation:
 def observe(
     reader: StreamReader, clock: Clock, duration_s: float, progress: Callable[[float], None] = lambda _: None
 ) -> StreamObservation:
-    """Watch a stream for duration_s; blocks. Records that were there before are ignored. progress: gets the elapsed time."""
+    """Watch a stream for duration_s; blocks.
+
+    Records that were there before are ignored. progress: gets the elapsed time in seconds.
+    """
     seen = StreamObservation(reader.header)
     newest = reader.frame()
     sequence = 0 if newest is None else newest.sequence
@@ -187,7 +193,7 @@ def _of_poses(seen: StreamObservation) -> list[Finding]:
 
 
 def _gravity_of_poses(seen: StreamObservation) -> Finding:
-    """Return the angle between odom's z axis and the mean specific force, turned into odom by the poses."""
+    """Return the angle between odom's z axis and the mean specific force in odom."""
     order = np.argsort(seen.imu["stamp_s"])
     stamps_s, force = seen.imu["stamp_s"][order], seen.imu["specific_force_mps2"][order]
     total: FloatArray = np.zeros(3)
