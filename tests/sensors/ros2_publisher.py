@@ -23,6 +23,11 @@ PUBLISHED = (
 )
 
 
+def wait_for_end(over: threading.Event) -> None:
+    sys.stdin.read()
+    over.set()
+
+
 def main(domain: int, reliable: bool, offset_s: float, encodings: str) -> None:
     participant = DomainParticipant(domain)
     kind = Policy.Reliability.Reliable(duration(milliseconds=100)) if reliable else Policy.Reliability.BestEffort
@@ -31,7 +36,7 @@ def main(domain: int, reliable: bool, offset_s: float, encodings: str) -> None:
         DataWriter(participant, Topic(participant, name, message), qos=qos) for name, message in PUBLISHED
     )
     over = threading.Event()
-    threading.Thread(target=lambda: (sys.stdin.read(), over.set()), daemon=True).start()
+    threading.Thread(target=wait_for_end, args=(over,), daemon=True).start()
     depth_code, rgb_code = encodings.split(",")
     millimetres = (1000 + 100 * np.arange(12)[:, None] + np.zeros(16)).astype("<u2")
     padded = np.zeros((12, 80), np.uint8)  # rows longer than the pixels

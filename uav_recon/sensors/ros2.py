@@ -60,7 +60,7 @@ class StampMapping:
 
     def monotonic_s(self, stamp: Any) -> float | None:
         """Return the stamp on the monotonic clock, None if it is of another clock."""
-        age_s = self._system_s() - (stamp.sec + stamp.nanosec * 1e-9)
+        age_s: float = self._system_s() - (stamp.sec + stamp.nanosec * 1e-9)
         if -_FUTURE_S <= age_s <= _OLDEST_S:
             return self._clock.now_s() - age_s
         self.refused += 1

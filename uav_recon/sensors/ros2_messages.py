@@ -14,7 +14,7 @@ _CDR_LITTLE = 0x01  # second byte of the encapsulation header; ROS 2 on x86 and 
 
 
 @dataclass
-class Time(IdlStruct, typename="builtin_interfaces::msg::dds_::Time_"):  # type: ignore[misc]
+class Time(IdlStruct, typename="builtin_interfaces::msg::dds_::Time_"):  # type: ignore[misc, call-arg]
     """Seconds and nanoseconds of the publisher's system clock."""
 
     sec: int32
@@ -22,7 +22,7 @@ class Time(IdlStruct, typename="builtin_interfaces::msg::dds_::Time_"):  # type:
 
 
 @dataclass
-class Header(IdlStruct, typename="std_msgs::msg::dds_::Header_"):  # type: ignore[misc]
+class Header(IdlStruct, typename="std_msgs::msg::dds_::Header_"):  # type: ignore[misc, call-arg]
     """Stamp and frame."""
 
     stamp: Time
@@ -30,7 +30,7 @@ class Header(IdlStruct, typename="std_msgs::msg::dds_::Header_"):  # type: ignor
 
 
 @dataclass
-class Point(IdlStruct, typename="geometry_msgs::msg::dds_::Point_"):  # type: ignore[misc]
+class Point(IdlStruct, typename="geometry_msgs::msg::dds_::Point_"):  # type: ignore[misc, call-arg]
     """A position in metres."""
 
     x: float64
@@ -39,7 +39,7 @@ class Point(IdlStruct, typename="geometry_msgs::msg::dds_::Point_"):  # type: ig
 
 
 @dataclass
-class Vector3(IdlStruct, typename="geometry_msgs::msg::dds_::Vector3_"):  # type: ignore[misc]
+class Vector3(IdlStruct, typename="geometry_msgs::msg::dds_::Vector3_"):  # type: ignore[misc, call-arg]
     """A vector."""
 
     x: float64
@@ -48,7 +48,7 @@ class Vector3(IdlStruct, typename="geometry_msgs::msg::dds_::Vector3_"):  # type
 
 
 @dataclass
-class Quaternion(IdlStruct, typename="geometry_msgs::msg::dds_::Quaternion_"):  # type: ignore[misc]
+class Quaternion(IdlStruct, typename="geometry_msgs::msg::dds_::Quaternion_"):  # type: ignore[misc, call-arg]
     """A rotation; w is last."""
 
     x: float64
@@ -58,7 +58,7 @@ class Quaternion(IdlStruct, typename="geometry_msgs::msg::dds_::Quaternion_"):  
 
 
 @dataclass
-class PoseMessage(IdlStruct, typename="geometry_msgs::msg::dds_::Pose_"):  # type: ignore[misc]
+class PoseMessage(IdlStruct, typename="geometry_msgs::msg::dds_::Pose_"):  # type: ignore[misc, call-arg]
     """Position and rotation."""
 
     position: Point
@@ -66,7 +66,7 @@ class PoseMessage(IdlStruct, typename="geometry_msgs::msg::dds_::Pose_"):  # typ
 
 
 @dataclass
-class PoseStamped(IdlStruct, typename="geometry_msgs::msg::dds_::PoseStamped_"):  # type: ignore[misc]
+class PoseStamped(IdlStruct, typename="geometry_msgs::msg::dds_::PoseStamped_"):  # type: ignore[misc, call-arg]
     """A pose and its stamp."""
 
     header: Header
@@ -74,7 +74,7 @@ class PoseStamped(IdlStruct, typename="geometry_msgs::msg::dds_::PoseStamped_"):
 
 
 @dataclass
-class PoseWithCovariance(IdlStruct, typename="geometry_msgs::msg::dds_::PoseWithCovariance_"):  # type: ignore[misc]
+class PoseWithCovariance(IdlStruct, typename="geometry_msgs::msg::dds_::PoseWithCovariance_"):  # type: ignore[misc, call-arg]
     """A pose and its covariance, 6 x 6 row by row: position, then rotation about fixed axes."""
 
     pose: PoseMessage
@@ -82,7 +82,7 @@ class PoseWithCovariance(IdlStruct, typename="geometry_msgs::msg::dds_::PoseWith
 
 
 @dataclass
-class Twist(IdlStruct, typename="geometry_msgs::msg::dds_::Twist_"):  # type: ignore[misc]
+class Twist(IdlStruct, typename="geometry_msgs::msg::dds_::Twist_"):  # type: ignore[misc, call-arg]
     """Velocity and angular rate."""
 
     linear: Vector3
@@ -90,7 +90,7 @@ class Twist(IdlStruct, typename="geometry_msgs::msg::dds_::Twist_"):  # type: ig
 
 
 @dataclass
-class TwistWithCovariance(IdlStruct, typename="geometry_msgs::msg::dds_::TwistWithCovariance_"):  # type: ignore[misc]
+class TwistWithCovariance(IdlStruct, typename="geometry_msgs::msg::dds_::TwistWithCovariance_"):  # type: ignore[misc, call-arg]
     """A twist and its covariance."""
 
     twist: Twist
@@ -98,7 +98,7 @@ class TwistWithCovariance(IdlStruct, typename="geometry_msgs::msg::dds_::TwistWi
 
 
 @dataclass
-class Odometry(IdlStruct, typename="nav_msgs::msg::dds_::Odometry_"):  # type: ignore[misc]
+class Odometry(IdlStruct, typename="nav_msgs::msg::dds_::Odometry_"):  # type: ignore[misc, call-arg]
     """A pose of child_frame_id in the header's frame, and the twist in child_frame_id."""
 
     header: Header
@@ -108,7 +108,7 @@ class Odometry(IdlStruct, typename="nav_msgs::msg::dds_::Odometry_"):  # type: i
 
 
 @dataclass
-class Imu(IdlStruct, typename="sensor_msgs::msg::dds_::Imu_"):  # type: ignore[misc]
+class Imu(IdlStruct, typename="sensor_msgs::msg::dds_::Imu_"):  # type: ignore[misc, call-arg]
     """An inertial sample; linear_acceleration is the specific force."""
 
     header: Header
@@ -121,7 +121,7 @@ class Imu(IdlStruct, typename="sensor_msgs::msg::dds_::Imu_"):  # type: ignore[m
 
 
 @dataclass
-class RegionOfInterest(IdlStruct, typename="sensor_msgs::msg::dds_::RegionOfInterest_"):  # type: ignore[misc]
+class RegionOfInterest(IdlStruct, typename="sensor_msgs::msg::dds_::RegionOfInterest_"):  # type: ignore[misc, call-arg]
     """A window of the image."""
 
     x_offset: uint32
@@ -132,7 +132,7 @@ class RegionOfInterest(IdlStruct, typename="sensor_msgs::msg::dds_::RegionOfInte
 
 
 @dataclass
-class CameraInfo(IdlStruct, typename="sensor_msgs::msg::dds_::CameraInfo_"):  # type: ignore[misc]
+class CameraInfo(IdlStruct, typename="sensor_msgs::msg::dds_::CameraInfo_"):  # type: ignore[misc, call-arg]
     """Intrinsics; k is 3 x 3 row by row."""
 
     header: Header
@@ -149,7 +149,7 @@ class CameraInfo(IdlStruct, typename="sensor_msgs::msg::dds_::CameraInfo_"):  # 
 
 
 @dataclass
-class Image(IdlStruct, typename="sensor_msgs::msg::dds_::Image_"):  # type: ignore[misc]
+class Image(IdlStruct, typename="sensor_msgs::msg::dds_::Image_"):  # type: ignore[misc, call-arg]
     """An image; data is a list of bytes to write, and an array (N,) of uint8 once received."""
 
     header: Header
