@@ -1,4 +1,4 @@
-"""ROS 2 camera and pose source straight over DDS (cyclonedds); no ROS installation is needed.
+"""ROS 2 camera and pose source over DDS (cyclonedds), without a ROS installation.
 
 Frames: optical RDF images, base_link FLU, odom with z up (REP-103, REP-105). TF is not read: the mount is in the config.
 Header stamps are the system clock; each is mapped to the monotonic clock by the offset between the two, measured on arrival.
@@ -86,7 +86,10 @@ class _Topics:
             raise Ros2Error(f"ros2.domain {config.domain}: no DDS participant ({' '.join(str(error).split())})") from None
 
     def reader(self, name: str, kind: Any, depth: int = _DEPTH) -> Callable[[], list[Any]]:
-        """Return a function that returns the new messages of a ROS 2 topic, oldest first; it never blocks."""
+        """Return a function that takes the new messages of a topic, oldest first.
+
+        It never blocks. name: as in ROS 2; kind: the class of its messages; depth: number of messages kept between two calls.
+        """
         from cyclonedds.core import Policy, Qos
         from cyclonedds.sub import DataReader
         from cyclonedds.topic import Topic
@@ -184,7 +187,7 @@ class Ros2Camera:
         self.dropped_frames = 0
 
     def poll(self) -> Frame | None:
-        """Return the newest frame whose colour has arrived, once, else None. A few milliseconds for 640x480."""
+        """Return the newest frame whose colour has arrived, once, else None."""
         for info in self._take_info():
             self._read_info(info)
         self._colours = [*self._colours, *self._take_rgb()][-_KEPT_COLOURS:]

@@ -1,4 +1,4 @@
-"""ROS 2 messages as they are on DDS: names and fields of the .msg files, type names as ROS 2 mangles them.
+"""ROS 2 messages on DDS: fields of the .msg files, type names as ROS 2 mangles them.
 
 Importing this module needs cyclonedds. Annotations are evaluated by it, so they are no strings here.
 """
