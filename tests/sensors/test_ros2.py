@@ -112,6 +112,40 @@ def test_a_stamp_keeps_its_age_when_the_clocks_differ() -> None:
     assert mapping.refused == 2
 
 
+def _image(n: int, encoding: str, data: bytes, step: int) -> SimpleNamespace:
+    header = SimpleNamespace(stamp=SimpleNamespace(sec=1000, nanosec=n * 33_000_000))
+    pixels = np.frombuffer(data, np.uint8)
+    return SimpleNamespace(header=header, height=2, width=2, encoding=encoding, is_bigendian=0, step=step, data=pixels)
+
+
+def test_colour_that_always_arrives_after_the_next_depth_is_still_paired() -> None:
+    clock = ManualClock(50.0)
+    camera = Ros2Camera(TOPICS, clock, system_s=lambda: 1000.0 + clock.now_s() - 50.0)
+    lens = SimpleNamespace(k=[2.0, 0.0, 0.5, 0.0, 2.0, 0.5, 0.0, 0.0, 1.0], width=2, height=2)
+    inbox: dict[str, list[SimpleNamespace]] = {"depth": [], "rgb": []}
+    camera._take_info = lambda: [lens]
+    camera._take_depth = lambda: [inbox["depth"].pop()] if inbox["depth"] else []
+    camera._take_rgb = lambda: [inbox["rgb"].pop()] if inbox["rgb"] else []
+    stamps = []
+    for n in range(20):
+        clock.advance_to(50.0 + 0.033 * n)
+        inbox["depth"].append(_image(n, "16UC1", bytes([0, 4] * 4), 4))
+        if n:
+            inbox["rgb"].append(_image(n - 1, "rgb8", bytes(12), 6))
+        if frame := camera.poll():
+            stamps.append(frame.stamp_s)
+    np.testing.assert_allclose(stamps, 50.0 + 0.033 * np.arange(19), atol=1e-6)
+    assert camera.dropped_frames == 0
+
+
+def test_depth_without_colour_is_dropped_and_reported(caplog: pytest.LogCaptureFixture) -> None:
+    camera = Ros2Camera(TOPICS, ManualClock(50.0), system_s=lambda: 1000.5)
+    camera._take_depth = lambda: [_image(1, "16UC1", bytes(8), 4)]
+    assert [camera.poll() for _ in range(10)] == [None] * 10
+    assert camera.dropped_frames == 6
+    assert [record.getMessage() for record in caplog.records] == ["ros2: no colour image within 0.02 s of a depth image"]
+
+
 def test_without_the_library_one_line_names_the_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "cyclonedds", None)
     monkeypatch.setitem(sys.modules, "cyclonedds.idl", None)

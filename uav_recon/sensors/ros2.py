@@ -26,7 +26,7 @@ _METRES_PER_UNIT = 0.001  # 16UC1 is in millimetres (REP-118)
 _OLDEST_S = 5.0  #: reject: a message whose stamp is older: it comes from another clock (simulated time, device, other host)
 _FUTURE_S = 0.05  #: reject: a message stamped later than the system clock by this
 _PAIR_S = 0.02  #: reject: a depth image without a colour image stamped this near
-_KEPT_COLOURS = 4
+_KEPT_IMAGES = 4  # of each kind, until the other kind arrives
 _VARIANCE = np.array([1e-4] * 3 + [1e-5] * 3)  # where a message gives none
 _DEPTH = 16  # messages that a reader keeps between two polls
 _IMU_DEPTH = 512
@@ -180,7 +180,7 @@ class Ros2Camera:
         self._imu_stamps = StampMapping(config.imu_topic or "", clock, system_s)
         self._info: Intrinsics | None = None
         self._colours: list[Any] = []
-        self._waiting: Any = None
+        self._depths: list[Any] = []
         self._before_s = -math.inf
         self._sequence = 0
         self._said = ""
@@ -190,18 +190,20 @@ class Ros2Camera:
         """Return the newest frame whose colour has arrived, once, else None."""
         for info in self._take_info():
             self._read_info(info)
-        self._colours = [*self._colours, *self._take_rgb()][-_KEPT_COLOURS:]
-        depths = ([] if self._waiting is None else [self._waiting]) + self._take_depth()
-        if not depths:
-            return None
-        self._waiting = None
-        self.dropped_frames += len(depths) - 1
-        depth = depths[-1]
-        colour = min(self._colours, key=lambda image: abs(_apart_s(image, depth)), default=None)
-        if colour is None or _apart_s(colour, depth) < -_PAIR_S:
-            self._waiting = depth  # its colour image may still arrive
-            return None
-        return self._frame(depth, colour)
+        self._colours = [*self._colours, *self._take_rgb()][-_KEPT_IMAGES:]
+        self._depths += self._take_depth()
+        for n in reversed(range(len(self._depths))):
+            depth = self._depths[n]
+            colour = min(self._colours, key=lambda image: abs(_apart_s(image, depth)), default=None)
+            if colour is not None and abs(_apart_s(colour, depth)) <= _PAIR_S:
+                self.dropped_frames += n
+                del self._depths[: n + 1]
+                return self._frame(depth, colour)
+        if len(self._depths) > _KEPT_IMAGES:
+            self.dropped_frames += len(self._depths) - _KEPT_IMAGES
+            del self._depths[:-_KEPT_IMAGES]
+            self._say(f"no colour image within {_PAIR_S:g} s of a depth image")
+        return None
 
     def imu(self) -> list[ImuSample]:
         """Return the inertial samples since the last call, oldest first."""
@@ -227,8 +229,6 @@ class Ros2Camera:
     def _frame(self, depth: Any, colour: Any) -> Frame | None:
         stamp_s = self._stamps.monotonic_s(depth.header.stamp)
         try:
-            if abs(_apart_s(colour, depth)) > _PAIR_S:
-                raise ValueError(f"no colour image within {_PAIR_S:g} s of a depth image")
             metres, rgb = _metres(depth, *self._depth_range_m), _rgb(colour)
             lens = self._info
             if lens is None or {metres.shape, rgb.shape[:2]} != {(lens.height, lens.width)}:
