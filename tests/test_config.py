@@ -38,7 +38,7 @@ def _refused(tree: dict[str, Any]) -> str:
         ("safety", "fence_min_m", [0.0, 0.0], "safety.fence_min_m.2: field required"),
         ("camera", "pitch_down_deg", 61.0, "camera.pitch_down_deg: "),
         ("camera", "depth_max_m", float("inf"), "camera.depth_max_m: "),
-        ("camera", "source", "kinect", "camera.source: input should be 'stream', 'realsense' or 'recorded'"),
+        ("camera", "source", "kinect", "camera.source: input should be 'stream', 'realsense', 'recorded' or 'ros2'"),
         ("link", "setpoint_rate_hz", 5.0, "link.setpoint_rate_hz: "),
         ("link", "vehicle_system", 233, "link.vehicle_system: input should be less than or equal to 232 (got 233)"),
         ("link", "vehicle_component", 0, "link.vehicle_component: input should be greater than or equal to 1 (got 0)"),

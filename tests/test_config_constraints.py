@@ -87,19 +87,22 @@ def test_a_shell_with_one_end_from_the_preset_is_not_checked() -> None:
         ("link", "signing_key", "/etc/key", "link.signing_key: signs with link.autopilot ardupilot; PX4 has no signing before"),
         ("link", "url", "udp:10.41.1.1:14540", "link.peer_host: must name who may speak where link.url listens on a network"),
         ("camera", "source", "recorded", "camera.recording: must name a flight folder where camera.source is recorded"),
+        ("localization", "source", "ros2", "localization.source: must be stream where camera.source is recorded"),
         ("recording", "live", True, "recording.live: true wants recording.rerun true"),
     ],
 )
 def test_a_setting_that_requires_another_is_refused_without_it(section: str, key: str, value: Any, words: str) -> None:
     made = tree()
     made["recording"]["rerun"] = False
+    if section == "localization":
+        made["camera"] |= {"source": "recorded", "recording": "/flight"}
     made[section][key] = value
     with pytest.raises(ConfigError, match=f"^c: {words}"):
         parse(made, "c")
     met: dict[str, dict[str, Any]] = {
         "signing_key": {"link": {"autopilot": "ardupilot"}},
         "url": {"link": {"peer_host": "10.41.1.2"}},
-        "source": {"camera": {"recording": "/flight"}},
+        "source": {"camera": {"recording": "/flight"} if section == "camera" else {"source": "stream"}},
         "live": {"recording": {"rerun": True}},
     }
     for name, keys in met[key].items():

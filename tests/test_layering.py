@@ -36,6 +36,7 @@ SIMULATOR_ROOTS = ("sitl/apps/", "sitl/faults/flights/")  # the composition root
 HEAVY = {
     "torch": ("uav_recon/mapping/neural/sdf_torch",),
     "pyrealsense2": ("uav_recon/sensors/realsense_device.py",),
+    "cyclonedds": ("uav_recon/sensors/ros2",),
     "pymavlink": ("uav_recon/autopilot", "sitl"),
     "rerun": ("uav_recon/recording",),
 }

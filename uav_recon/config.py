@@ -6,6 +6,7 @@ numbers are in [safety], which has no defaults: the operator must write them dow
 
 from __future__ import annotations
 
+import re
 import sys
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -38,8 +39,15 @@ def _hexadecimal(text: str) -> str:
     return f"{number:x}"
 
 
+def _topic_name(text: str) -> str:
+    if not re.fullmatch(r"(/[A-Za-z_][A-Za-z0-9_]*)+", text):
+        raise ValueError("want a full topic name, such as /camera/imu: letters, digits, _ and /")
+    return text
+
+
 Uid = Annotated[str, AfterValidator(_hexadecimal)]
 LinkUrl = Annotated[str, AfterValidator(link_address)]
+TopicName = Annotated[str, AfterValidator(_topic_name)]
 Host = Annotated[str, Field(pattern=r"^\d{1,3}(\.\d{1,3}){3}$")]
 VariantName = Literal["adaptive", "merged", "reconstruct", "explore", "explore-yaw", "explore-then-refine", "evpp", "vpp"]
 UncertaintyName = Literal["agreement", "paper", "colour", "information", "product"]
@@ -153,7 +161,7 @@ class LinkConfig(Section):
 class CameraConfig(Section):
     """The camera and its mount on the body."""
 
-    source: Literal["stream", "realsense", "recorded"] = "realsense"  # stream = external camera through a memory-mapped file
+    source: Literal["stream", "realsense", "recorded", "ros2"] = "realsense"  # stream = through a memory-mapped file
     stream: Path = Path("camera.stream")  # stream file, in the runtime directory unless absolute
     recording: Path | None = None  # for "recorded": a flight folder; for "realsense": a RealSense recording
     mount: Literal["fixed", "gimbal"] = "fixed"  # gimbal = pitch is set through MAVLink
@@ -175,12 +183,25 @@ class CameraConfig(Section):
 class LocalizationConfig(Section):
     """Fusion of delayed poses into continuous odometry."""
 
-    source: Literal["stream", "slam"] = "stream"  # stream = poses that come with the camera; slam = embedded RGB-D SLAM
+    source: Literal["stream", "slam", "ros2"] = "stream"  # stream = with the camera; slam = embedded SLAM; ros2: see [ros2]
     rate_hz: Annotated[float, Field(ge=20.0, le=200.0)] = 30.0  # rate of the odometry output
     origin: Literal["pad", "source"] = "pad"  # of the world: the body on the take-off pad, or the pose source's own origin
     pose_lost_s: Annotated[float, Field(gt=0.0, le=2.0)] = 0.5  # no pose for longer: quality 0
     frame_wait_s: Annotated[float, Field(ge=0.0, le=0.5)] = 0.2  # max. time a frame waits for the next pose
     calibration: Path | None = None  # file of the camera's errors: written in flight, read by the next; unset: none is kept
+
+
+class Ros2Config(Section):
+    """ROS 2 topics, read over DDS without a ROS installation."""
+
+    domain: Annotated[int, Field(ge=0, le=232)] = 0  # DDS domain, ROS_DOMAIN_ID of the publishers
+    reliability: Literal["best_effort", "reliable"] = "best_effort"  # best_effort hears both kinds of publishers
+    pose_topic: TopicName = "/odom"  # poses of base_link (FLU) in odom (z up)
+    pose_type: Literal["odometry", "pose"] = "odometry"  # nav_msgs/Odometry, or geometry_msgs/PoseStamped
+    depth_topic: TopicName = "/camera/aligned_depth_to_color/image_raw"  # Image, 16UC1 (mm) or 32FC1 (m), registered to colour
+    rgb_topic: TopicName = "/camera/color/image_raw"  # Image, rgb8 or bgr8
+    info_topic: TopicName = "/camera/color/camera_info"  # CameraInfo of both images
+    imu_topic: TopicName | None = None  # Imu in the axes of base_link (FLU); unset: none
 
 
 class VoxelConfig(Section):
@@ -292,6 +313,7 @@ class Config(Section):
     link: LinkConfig = LinkConfig()
     camera: CameraConfig = CameraConfig()
     localization: LocalizationConfig = LocalizationConfig()
+    ros2: Ros2Config = Ros2Config()
     voxels: VoxelConfig = VoxelConfig()
     mapper: MapperConfig = MapperConfig()
     planner: PlannerConfig = PlannerConfig()

@@ -118,6 +118,10 @@ REQUIREMENTS = (
         "camera.recording: must name a flight folder where camera.source is recorded",
     ),
     Requirement(
+        lambda c: c.camera.source == "recorded" and c.localization.source != "stream",
+        "localization.source: must be stream where camera.source is recorded: the poses are in the recording",
+    ),
+    Requirement(
         lambda c: c.recording.live and not c.recording.rerun,
         "recording.live: true wants recording.rerun true",
     ),

@@ -89,8 +89,18 @@ def _open_realsense_camera(config: Config, clock: Clock, stopped: Callable[[], b
     )  # fmt: skip
 
 
+def _open_ros2_camera(config: Config, clock: Clock, stopped: Callable[[], bool]) -> DepthCamera:
+    from uav_recon.sensors.ros2 import Ros2Camera
+    from uav_recon.sensors.stream_camera import open_stream
+
+    if config.localization.source == "stream":
+        open_stream(stream_path(config), clock, CAMERA_WAIT_S, stopped)  # poses come through it
+    return Ros2Camera(config.ros2, clock, config.camera.depth_min_m, config.camera.depth_max_m)
+
+
 _OPENERS: dict[str, Callable[[Config, Clock, Callable[[], bool]], DepthCamera]] = {
     "stream": _open_stream_camera,
     "realsense": _open_realsense_camera,
     "recorded": _open_recorded_camera,
+    "ros2": _open_ros2_camera,
 }

@@ -19,7 +19,10 @@ if TYPE_CHECKING:  # the pilot's process imports no stage of perception
 
 @dataclass(frozen=True)
 class SourceContext:
-    """What a pose source may use: the config, the channels, the clock, the camera, and its pose on the body."""
+    """Objects that a pose source may use.
+
+    They are the config, the channels, the clock, the camera, and the pose of the camera on the body.
+    """
 
     config: Config
     wires: FlightChannels
@@ -61,7 +64,14 @@ def _open_slam(context: SourceContext) -> tuple[DepthCamera, PoseSource]:
     return source, source
 
 
+def _open_ros2_poses(context: SourceContext) -> tuple[DepthCamera, PoseSource]:
+    from uav_recon.sensors.ros2 import Ros2Poses
+
+    return context.camera, Ros2Poses(context.config.ros2, context.clock)
+
+
 _OPENERS: dict[str, Callable[[SourceContext], tuple[DepthCamera, PoseSource]]] = {
     "stream": _open_stream_poses,
     "slam": _open_slam,
+    "ros2": _open_ros2_poses,
 }
