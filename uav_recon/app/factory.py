@@ -14,8 +14,9 @@ from uav_recon.app import camera_sources, pose_sources
 from uav_recon.app.flight_channels import FlightChannels
 from uav_recon.config import Config, LinkConfig
 from uav_recon.errors import EXIT_CONFIG, UserError
-from uav_recon.interfaces import ByteLink, Clock, Executor, Journal, Mapper
+from uav_recon.interfaces import ByteLink, Clock, DepthCamera, Executor, Journal, Mapper, PoseSource
 from uav_recon.types.maps import GridSpec
+from uav_recon.types.reason import Reason
 
 if TYPE_CHECKING:  # each process imports only the stages that it runs
     from uav_recon.autopilot.firmware.profile import FirmwareProfile
@@ -24,6 +25,7 @@ if TYPE_CHECKING:  # each process imports only the stages that it runs
     from uav_recon.autopilot.parameters.preflight_check import ParameterCheck
     from uav_recon.autopilot.parameters.reader import ParameterEncoding
     from uav_recon.autopilot.pilot.pilot import HullGeometry, Pilot
+    from uav_recon.localization.camera_mount import Mount
     from uav_recon.localization.perception import Perception
     from uav_recon.mapping.keyframe_selection import KeyframeSelection
     from uav_recon.mapping.neural.neural_mapper import NeuralMapper
@@ -213,9 +215,7 @@ def make_perception(
     Raises UserError if there is no camera; with exit code 0 if stopped() becomes true while it waits for one.
     """
     from uav_recon.localization.camera_mount import FixedMount, GimbalMount
-    from uav_recon.localization.fusion_filter import FusionFilter
     from uav_recon.localization.pad_origin import PadOrigin
-    from uav_recon.localization.perception import Perception
 
     camera = camera_sources.open_camera(config, clock, stopped)
     mount = (
@@ -225,14 +225,34 @@ def make_perception(
     )
     camera, poses = pose_sources.open_poses(pose_sources.SourceContext(config, wires, clock, camera, mount))
     compile_ahead()
-    fusion = FusionFilter(pose_lost_s=config.localization.pose_lost_s)
     pad = None
     if config.localization.origin == "pad" and config.camera.source != "recorded":
         poses = pad = PadOrigin(poses, wires.vehicle, config.runtime.folder / PAD_FILE)
+    return connect_perception(config, wires, clock, camera, poses, mount, origin=lambda: None if pad is None else pad.reason)
+
+
+def connect_perception(
+    config: Config,
+    wires: FlightChannels,
+    clock: Clock,
+    camera: DepthCamera,
+    poses: PoseSource,
+    mount: Mount,
+    *,
+    origin: Callable[[], Reason | None] = lambda: None,
+) -> Perception:
+    """Build the stages of perception on an open camera and an open pose source.
+
+    origin: where the take-off pad is, if not at the pose source's origin.
+    """
+    from uav_recon.localization.fusion_filter import FusionFilter
+    from uav_recon.localization.perception import Perception
+
+    fusion = FusionFilter(pose_lost_s=config.localization.pose_lost_s)
     rate_hz, wait_s = config.localization.rate_hz, config.localization.frame_wait_s
     return Perception(
         camera, poses, fusion, mount, wires.odom, wires.frames, wires.nearby, wires.perception, clock, rate_hz, wait_s,
-        origin=lambda: None if pad is None else pad.reason,
+        origin=origin,
     )  # fmt: skip
 
 
