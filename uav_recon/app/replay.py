@@ -55,6 +55,8 @@ MAX_DEPTH_M = 20.0
 _BODY_RADIUS_M = 0.2  #: plan: the space of this radius around the camera's path counts as free: it was there
 _BODY_HALF_M = 0.15
 _FREE_STEP_M = 0.2
+_FIRST_VIEWS = 4  #: plan: views that may be taken at once; the others are spread over the recording
+_ANY_GAIN = 10**6  #: plan: views left, as told to the keyframe selection: any view with the smallest gain is worth it
 
 
 @dataclass(frozen=True)
@@ -145,12 +147,15 @@ class _Mapping:
         self.log = MissionLog(journal, config.mission.views)
         self._sequence = 0
         self._freed_m = np.full(3, np.inf)
+        self._share = 0.0
+        self._body = Pose.identity()
         self.path_m: list[np.ndarray[tuple[int, ...], np.dtype[np.float64]]] = []
         self.posed: list[tuple[float, Pose]] = []
         self._plan_rate, self._progress_rate = RateKeeper(PLAN_HZ, START_S), RateKeeper(PROGRESS_HZ, START_S)
 
-    def step(self, now_s: float, body_from_depth: Pose) -> None:
-        """Map the newest frame, plan, and log the progress."""
+    def step(self, now_s: float, body_from_depth: Pose, share: float) -> None:
+        """Map the newest frame, plan, and log the progress. share: of the recording that has been read, 0 to 1."""
+        self._share = share
         sequence = self._wires.frames.sequence()
         posed = self._wires.frames.latest() if sequence != self._sequence else None
         if posed is not None:
@@ -188,7 +193,8 @@ class _Mapping:
             self._freed_m = here
             self._voxels.declare_free(here, _BODY_RADIUS_M, float(here[2]) - _BODY_HALF_M, float(here[2]) + _BODY_HALF_M)
         self._voxels.integrate(posed)
-        if self._budget.worth(posed, self.log.views_left) and self.mapper.add(posed):
+        due = self.log.views < _FIRST_VIEWS + self._share * (self.log.views_budget - _FIRST_VIEWS)
+        if due and self._budget.worth(posed, _ANY_GAIN) and self.mapper.add(posed):
             self._budget.keep(posed)
             self.log.view(posed)
 
@@ -283,8 +289,9 @@ class _Replay:
             left -= self._camera.finished
             self._clock.advance_to(START_S + steps * STEP_S)
             self._perception.step()
-            self._alarms.step()
-            self._mapping.step(self._clock.now_s(), info.body_from_depth)
+            if not self._camera.finished:
+                self._alarms.step()
+            self._mapping.step(self._clock.now_s(), info.body_from_depth, self._camera.read / info.frames)
             self._perception_log.step(self._clock.now_s())
             report(self._camera.read, info.frames)
 

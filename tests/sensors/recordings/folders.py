@@ -20,7 +20,7 @@ def depth_mm(number: int) -> np.ndarray:
 
 def rgb(number: int) -> np.ndarray:
     image = np.zeros((*SHAPE, 3), np.uint8)
-    image[...] = (200, 100, 10 * number)
+    image[...] = (200, 100, 10 * (number % 20))
     return image
 
 
