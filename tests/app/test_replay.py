@@ -91,8 +91,9 @@ def test_floor_of_the_room_is_level(tmp_path: Path) -> None:
     survey = survey_recording(open_recording(tmp_path / "r", ReadOptions()), "auto", use_poses=True)
     world_from_odom = (survey.odom_from_source @ SOURCE_FROM_WORLD).inverse()
     np.testing.assert_allclose(world_from_odom.rotation() @ (0, 0, 1), (0, 0, 1), atol=0.01)
-    np.testing.assert_allclose(world_from_odom.translation_m, camera_pose(0).translation_m, atol=1e-6)
-    assert survey.box_min_m[2] == pytest.approx(-HALF_M[2] - 0.3, abs=0.1)
+    np.testing.assert_allclose(world_from_odom.translation_m, (*camera_pose(0).translation_m[:2], -HALF_M[2]), atol=0.02)
+    assert survey.box_min_m[2] == pytest.approx(-0.3, abs=0.1)
+    assert 1.5 < survey.box_max_m[2] < 2 * HALF_M[2] + 0.4  # the camera looks down: not all of the ceiling is seen
 
 
 def test_pose_jump_is_reported(tmp_path: Path) -> None:

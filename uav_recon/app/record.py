@@ -40,7 +40,7 @@ class RecordOptions:
 
 
 def record(options: RecordOptions, console: Console, stopped: Callable[[], bool]) -> int:
-    """Record until stopped() is True, the limits are reached or the camera is silent; returns exit code 0.
+    """Record until stopped(), a limit, or the end of the camera; returns exit code 0.
 
     Raises UserError with one line.
     """
@@ -70,7 +70,7 @@ def record(options: RecordOptions, console: Console, stopped: Callable[[], bool]
 
 
 class StreamRecorder:
-    """Copies what is new in a stream to a recording; ``ended`` says why no more is recorded, '' while it is."""
+    """Copy of a stream into a recording. ``ended``: reason of the end, '' before it."""
 
     def __init__(self, reader: StreamReader, writer: McapWriter, folder: Path, clock: Clock, seconds: float) -> None:
         self._reader, self._writer, self._folder, self._clock = reader, writer, folder, clock

@@ -1,4 +1,4 @@
-"""First look at a recording: which way is up, and the box that its depth fills."""
+"""Survey of a recording: the direction up, and the box that its depth fills."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _BOX_WITHOUT_POSES_M = np.array([6.0, 6.0, 2.5])
 class RecordingSurvey:
     """Result of the first look.
 
-    odom_from_source: moves poses of the recording so that z is up, and the first body pose is at the origin with heading 0.
+    odom_from_source: moves poses of the recording so that z is up, and the first body pose has x = y = 0 and heading 0, and the lowest depth is at z = 0.
     box_min_m, box_max_m: (3,) corners, in odom, of what the depth shows. size_px: of the depth image. depth_k: its intrinsics.
     """
 
@@ -61,11 +61,15 @@ def survey_recording(recording: Recording, up: str, *, use_poses: bool) -> Recor
     level_from_source = Pose(_turn_to_z(_up_direction(chosen, views, info.body_from_depth)), np.zeros(3))
     first = level_from_source @ poses[0].odom_from_body
     odom_from_source = Pose.from_yaw(first.yaw_rad(), first.translation_m).inverse() @ level_from_source
-    path = np.array([(odom_from_source @ pose.odom_from_body).translation_m for pose in poses])
     seen = np.concatenate([_points(frame, odom_from_source @ pose @ info.body_from_depth) for frame, pose in views])
+    floor_m = float(np.percentile(seen[:, 2], _SHARE_PERCENT))
+    odom_from_source = Pose(Pose.identity().quat_wxyz, np.array([0.0, 0.0, -floor_m])) @ odom_from_source
+    seen[:, 2] -= floor_m
+    path = np.array([(odom_from_source @ pose.odom_from_body).translation_m for pose in poses])
     low, high = np.percentile(seen, [_SHARE_PERCENT, 100.0 - _SHARE_PERCENT], axis=0)
     box_min, box_max = np.minimum(low, path.min(axis=0) - _MARGIN_M), np.maximum(high, path.max(axis=0) + _MARGIN_M)
-    low, high = np.minimum(box_min - _MARGIN_M, -_SMALLEST_M), np.maximum(box_max + _MARGIN_M, _SMALLEST_M)
+    low = np.minimum(box_min - _MARGIN_M, (-_SMALLEST_M, -_SMALLEST_M, 0.0))
+    high = np.maximum(box_max + _MARGIN_M, _SMALLEST_M)
     return RecordingSurvey(odom_from_source, low, high, lens)
 
 
@@ -89,7 +93,7 @@ def _up_direction(chosen: str, views: list[tuple[Frame, Pose]], body_from_depth:
 
 
 def floor_normal(normals: FloatArray, start: FloatArray) -> FloatArray:
-    """Return the most frequent direction (3,) near ``start`` among unit normals (N, 3), of floor, table and ceiling.
+    """Return the most frequent direction (3,) near ``start`` among unit normals (N, 3).
 
     Normals of both signs count. It is ``start`` if none is near.
     """
@@ -104,7 +108,7 @@ def floor_normal(normals: FloatArray, start: FloatArray) -> FloatArray:
 
 
 def _cloud(frame: Frame) -> FloatArray:
-    """Return points (h, w, 3) of a coarse grid of pixels, in the frame of the depth imager; NaN without return."""
+    """Return points (h, w, 3) of a coarse grid of pixels, in the depth frame; NaN: no return."""
     bearings = frame.depth_intrinsics.bearings()[::_STRIDE_PX, ::_STRIDE_PX]
     return np.asarray(bearings * frame.depth_m[::_STRIDE_PX, ::_STRIDE_PX, None].astype(np.float64))
 

@@ -1,7 +1,8 @@
-"""`uav-recon replay`: perception, maps and planner over a recording, on a manual clock, as fast as the machine allows.
+"""`uav-recon replay`: perception, maps and planner over a recording.
 
-The objects are those of a flight; only camera and poses come from the recording, and nothing is flown: views are the frames
-that show enough that is new, and the planner is asked from where the camera was.
+The clock is manual, so it runs as fast as the machine allows. The objects are those of a flight; only camera and poses come
+from the recording, and nothing is flown: views are the frames that show enough that is new, and the planner is asked from where
+the camera was.
 """
 
 from __future__ import annotations
@@ -61,7 +62,10 @@ _ANY_GAIN = 10**6  #: plan: views left, as told to the keyframe selection: any v
 
 @dataclass(frozen=True)
 class ReplayOptions:
-    """The options of the command. pose: "recording" or a value of localization.source. up: see survey_recording."""
+    """The options of the command.
+
+    pose: "recording" or a value of localization.source. up: see survey_recording.
+    """
 
     source: Path
     out: Path
@@ -154,7 +158,10 @@ class _Mapping:
         self._plan_rate, self._progress_rate = RateKeeper(PLAN_HZ, START_S), RateKeeper(PROGRESS_HZ, START_S)
 
     def step(self, now_s: float, body_from_depth: Pose, share: float) -> None:
-        """Map the newest frame, plan, and log the progress. share: of the recording that has been read, 0 to 1."""
+        """Map the newest frame, plan, and log the progress.
+
+        share: of the recording that has been read, 0 to 1.
+        """
         self._share = share
         sequence = self._wires.frames.sequence()
         posed = self._wires.frames.latest() if sequence != self._sequence else None
@@ -232,7 +239,7 @@ class _Alarms:
 
 
 def replay(options: ReplayOptions, console: Console) -> int:
-    """Replay a recording, print its figures and write the results to options.out; returns exit code 0.
+    """Replay a recording and write its results to options.out; returns exit code 0.
 
     Raises UserError with one line.
     """
@@ -320,7 +327,7 @@ class _Replay:
         return PlaybackPoses(self._recording, self._clock, self._camera.shift_s, self._survey.odom_from_source)
 
     def _write_trajectory(self, path: Path) -> None:
-        """Write the poses of the used frames as a TUM file: the depth imager, in the frame and time of the recording."""
+        """Write the depth imager's poses as a TUM file, in the frame and time of the recording."""
         source_from_odom, lines = self._survey.odom_from_source.inverse(), []
         for stamp_s, odom_from_depth in self._mapping.posed:
             pose = source_from_odom @ odom_from_depth
@@ -343,7 +350,9 @@ class _Replay:
 
 
 def replay_config(options: ReplayOptions, recording: Recording, survey: RecordingSurvey) -> Config:
-    """Return the product's config for a recording. Its [safety] only bounds the map: nothing is flown.
+    """Return the product's config for a recording.
+
+    Its [safety] only bounds the map: nothing is flown.
 
     Raises UserError with exit code 78.
     """

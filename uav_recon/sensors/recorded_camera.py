@@ -52,7 +52,10 @@ class Keyframe:
         return Keyframe(int(entry["sequence"]), float(entry["stamp_s"]), files[0], depth, files[1], rgb, *poses)
 
     def load(self, table: Float32Array, stamp_s: float) -> Frame | None:
-        """Read the images (about 5 ms); None if one is missing or has another size. table: metres of 16-bit depth."""
+        """Read the images (about 5 ms); None if one is missing or has another size.
+
+        table: metres of 16-bit depth.
+        """
         depth_mm: Any = cv2.imread(str(self.depth), cv2.IMREAD_UNCHANGED)
         bgr: Any = cv2.imread(str(self.rgb), cv2.IMREAD_COLOR)
         depth, rgb = self.depth_intrinsics, self.rgb_intrinsics
@@ -65,7 +68,7 @@ class Keyframe:
 
 
 def read_keyframes(folder: Path) -> list[Keyframe]:
-    """Read poses.json of a flight folder, or of its folder of keyframes: the keyframes that have a pose.
+    """Return the keyframes with a pose of a flight folder, or of its folder of keyframes.
 
     Raises RecordingError (one line) for a list that cannot be read, that is empty, or whose stamps do not increase.
     """

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.sensors.recordings.folders import K, depth_mm, rgb, world_from_optical, write_seven_scenes, write_tum
 
+from tests.sensors.recordings.folders import K, depth_mm, rgb, world_from_optical, write_seven_scenes, write_tum
 from uav_recon.clock import ManualClock
 from uav_recon.sensors.recordings.detection import ReadOptions, open_recording
 from uav_recon.sensors.recordings.recording import PlaybackCamera, PlaybackPoses, Recording, RecordingError

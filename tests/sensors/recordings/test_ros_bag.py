@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
-from tests.sensors.recordings.folders import K, SHAPE, depth_mm, rgb, world_from_optical
 
+from tests.sensors.recordings.folders import SHAPE, K, depth_mm, rgb, world_from_optical
 from uav_recon.sensors.recordings.bag_messages import BagTopics
 from uav_recon.sensors.recordings.detection import ReadOptions, open_recording
 from uav_recon.sensors.recordings.mcap_writer import McapWriter
@@ -208,7 +208,7 @@ def test_wrong_bags_are_one_line(tmp_path: Path) -> None:
         "no depth image": (without(usual(), "/d/image_raw"), BagTopics()),
         "name one by --depth-topic: /d/image_raw, /d2/image": (twice, BagTopics()),
         "--depth-topic /x:": (usual(), BagTopics(depth="/x")),
-        "no CameraInfo beside /d/image_raw": (without(usual(), "/d/camera_info") + [("/e/camera_info", 1.0, camera_info())],
+        "no CameraInfo beside /d/image_raw": ([*without(usual(), "/d/camera_info"), ("/e/camera_info", 1.0, camera_info())],
                                               BagTopics()),
         "distortion model 'fisheye'": (usual(model="fisheye", distortion=0.1), BagTopics()),
         "/tf_static does not connect": (

@@ -1,4 +1,4 @@
-"""Contents of a ROS 2 bag: topics by type, images, intrinsics, poses and static transforms as the product's values."""
+"""Messages of a ROS 2 bag as values: images, intrinsics, poses and static transforms."""
 
 from __future__ import annotations
 
@@ -30,7 +30,10 @@ _CHANNELS = {"rgb8": (3, None), "bgr8": (3, cv2.COLOR_BGR2RGB), "rgba8": (4, cv2
 
 @dataclass(frozen=True)
 class BagTopics:
-    """Topics that the user names; None: the only one of a fitting type. pose_of: whose pose it is, where no transform tells."""
+    """Topics that the user names; None: the only one of a fitting type.
+
+    pose_of: whose pose it is, where no transform tells.
+    """
 
     depth: str | None = None
     colour: str | None = None
@@ -40,7 +43,10 @@ class BagTopics:
 
 
 def only_topic(path: Path, what: str, option: str, named: str | None, found: Iterable[str]) -> str | None:
-    """Return the named topic, or the only one found, or None. Raises RecordingError for a wrong name or several topics."""
+    """Return the named topic, or the only one found, or None.
+
+    Raises RecordingError for a wrong name or several topics.
+    """
     topics = sorted(found)
     if named is not None:
         if named not in topics:
@@ -59,7 +65,10 @@ def is_depth(message: Any, topic: str) -> bool:
 
 
 def depth_image(message: Any, where: str) -> AnyArray:
-    """Return the depth (H, W) of an image: uint16 in millimetres or float32 in metres. Raises RecordingError."""
+    """Return the depth (H, W) of an image: uint16 in millimetres or float32 in metres.
+
+    Raises RecordingError.
+    """
     if not hasattr(message, "encoding"):
         data = bytes(message.data)
         begin = data.find(_PNG)
@@ -120,7 +129,10 @@ class Lens:
             self._maps = maps[0], maps[1]
 
     def undistorted(self, image: AnyArray, where: str) -> AnyArray:
-        """Return the image without distortion; depth keeps its values. Raises RecordingError for another size."""
+        """Return the image without distortion; depth keeps its values.
+
+        Raises RecordingError for another size.
+        """
         if image.shape[:2] != (self.intrinsics.height, self.intrinsics.width):
             found = f"{image.shape[1]} x {image.shape[0]}"
             raise RecordingError(f"{where}: is {found}, and its CameraInfo {self.intrinsics.width} x {self.intrinsics.height}")
@@ -145,7 +157,10 @@ class StaticTransforms:
             self._from.setdefault(parent, {})[child] = parent_from_child.inverse()
 
     def between(self, target: str, source: str) -> Pose | None:
-        """Return target_from_source, None if the two are not connected. A frame is connected with itself."""
+        """Return target_from_source, None if the two are not connected.
+
+        A frame is connected with itself.
+        """
         target, source = target.lstrip("/"), source.lstrip("/")
         reached, todo = {source: Pose.identity()}, deque([source])
         while todo:
@@ -165,7 +180,7 @@ def pose_of(position: Any, rotation: Any) -> Pose:
 
 
 def stamped_pose_of(message: Any) -> tuple[Pose, str]:
-    """Return the pose of an Odometry, PoseStamped or TransformStamped, and the frame that it is of ('' if not told).
+    """Return the pose of an Odometry, PoseStamped or TransformStamped, and its frame or ''.
 
     Raises ValueError for a pose that is not finite or has no rotation.
     """

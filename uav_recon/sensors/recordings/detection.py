@@ -20,7 +20,10 @@ WANTED = (
 
 @dataclass(frozen=True)
 class ReadOptions:
-    """How to read a recording. Depths outside the range are no returns; k: fx, fy, cx, cy for formats without intrinsics."""
+    """Options of the readers.
+
+    Depths outside the range are no returns; k: fx, fy, cx, cy for formats without intrinsics.
+    """
 
     depth_min_m: float = 0.3
     depth_max_m: float = 6.0
@@ -29,7 +32,10 @@ class ReadOptions:
 
 
 def open_recording(path: Path, options: ReadOptions) -> Recording:
-    """Open a recording. Raises RecordingError (one line) that says what was found and what is wanted."""
+    """Open a recording.
+
+    Raises RecordingError (one line) that says what was found and what is wanted.
+    """
     span_m = options.depth_min_m, options.depth_max_m
     if not path.exists():
         raise RecordingError(f"{path}: does not exist; {WANTED}")

@@ -1,4 +1,4 @@
-"""Flight folder of uav_recon as a recording: its keyframes, and poses interpolated between them."""
+"""Flight folder as a recording: keyframes, and poses interpolated between them."""
 
 from __future__ import annotations
 

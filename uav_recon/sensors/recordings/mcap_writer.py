@@ -1,5 +1,6 @@
-"""Writer of a recording: an MCAP file with ROS 2 messages, which Foxglove and the ros2 tools open.
+"""Writer of a recording: an MCAP file with ROS 2 messages.
 
+Foxglove and the ros2 tools open it.
 Chunks are compressed and written whole: a file that is cut is readable up to its last whole chunk. Topics: /camera/depth/image
 (16UC1, millimetres), /camera/colour/image/compressed (JPEG), their camera_info, /imu, /odom and /tf_static.
 """
@@ -27,7 +28,9 @@ JPEG_QUALITY = 95
 
 
 class McapWriter:
-    """A recording being written. Raises RecordingError if the packages are missing, OSError if the file cannot be written.
+    """A recording being written.
+
+    Raises RecordingError if the packages are missing, OSError if the file cannot be written.
 
     max_bytes: the file never grows beyond it by more than a frame; ``full`` is True then, and nothing more is written.
     body_from_depth: mount of the depth imager.
@@ -48,12 +51,13 @@ class McapWriter:
         self._schemas: dict[str, int] = {}
         self._header, self._body_from_depth = header, body_from_depth
         self._described = False
+        self._closed_bytes = 0
         self.frames = self.imu = self.poses = 0
 
     @property
     def size_bytes(self) -> int:
-        """Size of the file so far; up to a chunk is still in memory."""
-        return self._file.tell()
+        """Size of the file. Up to a chunk is still in memory."""
+        return self._closed_bytes if self._file.closed else self._file.tell()
 
     @property
     def full(self) -> bool:
@@ -116,6 +120,7 @@ class McapWriter:
     def close(self) -> None:
         """Write the index and close the file."""
         self._writer.finish()
+        self._closed_bytes = self._file.tell()
         self._file.close()
 
     def _describe(self, stamp_s: float) -> None:

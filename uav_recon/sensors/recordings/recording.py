@@ -1,4 +1,4 @@
-"""Interface of a recording, and its playback as a camera and a pose source on an injected clock."""
+"""Interface of a recording, and its playback as a camera and a pose source."""
 
 from __future__ import annotations
 
@@ -43,7 +43,10 @@ class RecordingInfo:
 
 
 class Recording(Protocol):
-    """A recording that is read from begin to end. Each call reads files and may block for seconds."""
+    """A recording that is read from begin to end.
+
+    Each call reads files and may block for seconds.
+    """
 
     @property
     def info(self) -> RecordingInfo:
@@ -51,7 +54,10 @@ class Recording(Protocol):
         ...
 
     def frames(self, step: int = 1) -> Iterator[Frame]:
-        """Yield every step-th frame, with increasing stamps. Raises RecordingError for one that cannot be read."""
+        """Yield every step-th frame, with increasing stamps.
+
+        Raises RecordingError for one that cannot be read.
+        """
         ...
 
     def poses(self) -> list[StampedPose]:
@@ -65,7 +71,10 @@ class Recording(Protocol):
 
 @dataclass(frozen=True)
 class DepthUnit:
-    """Metres of raw depth. table_m: (65536,), NaN for no return and for depths outside the camera's range."""
+    """Metres of raw depth.
+
+    table_m: (65536,), NaN for no return and for depths outside the camera's range.
+    """
 
     table_m: Float32Array
 
@@ -86,7 +95,9 @@ class DepthUnit:
 
 
 class PlaybackCamera:
-    """DepthCamera protocol over a recording. Stamps are shifted: the first frame is due when this object is made.
+    """DepthCamera protocol over a recording.
+
+    Stamps are shifted: the first frame is due when this object is made.
 
     ``finished`` is True after the last frame. ``read`` counts the frames that were given on.
     """
@@ -128,7 +139,10 @@ class PlaybackCamera:
 
 
 class PlaybackPoses:
-    """PoseSource protocol over a recording. target_from_source: moves the poses, for example to a level frame at the start."""
+    """PoseSource protocol over a recording.
+
+    target_from_source: moves the poses, for example to a level frame at the start.
+    """
 
     def __init__(self, recording: Recording, clock: Clock, shift_s: float, target_from_source: Pose) -> None:
         self._clock = clock
@@ -147,7 +161,10 @@ class PlaybackPoses:
 
 
 def require_increasing(path: Path, stamps_s: list[float]) -> None:
-    """Check the stamps of frames. Raises RecordingError if there are none, or if they do not increase."""
+    """Check the stamps of frames.
+
+    Raises RecordingError if there are none, or if they do not increase.
+    """
     if not stamps_s:
         raise RecordingError(f"{path}: has no depth frame")
     for before_s, after_s in itertools.pairwise(stamps_s):

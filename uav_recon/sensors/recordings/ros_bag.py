@@ -1,7 +1,9 @@
-"""ROS 2 bag as a recording: MCAP or SQLite (.db3). Recordings of `uav-recon record` are such bags.
+"""ROS 2 bag as a recording: MCAP or SQLite (.db3).
 
-A file that was cut, for example by a loss of power, is read up to the cut. Needs the packages mcap and rosbags
-(`pip install uav-recon[recordings]`), not ROS. librealsense's own .db3 holds no ROS 2 messages and is refused.
+Recordings of `uav-recon record` are such bags.
+
+A file that was cut, for example by a loss of power, is read up to the cut. Needs the packages mcap and rosbags (`pip install
+uav-recon[recordings]`), not ROS. librealsense's own .db3 holds no ROS 2 messages and is refused.
 """
 
 from __future__ import annotations
@@ -59,7 +61,7 @@ class RawMessage:
 
 @dataclass
 class _Contents:
-    """What the first pass over a bag finds."""
+    """Result of the first pass over a bag."""
 
     depth: set[str] = field(default_factory=set)
     colour: set[str] = field(default_factory=set)
@@ -228,7 +230,10 @@ class RosBag:
 
 
 def bag_file(path: Path) -> Path | None:
-    """Return the bag at a path, or the only one in a folder; None if there is none. Raises RecordingError for several."""
+    """Return the bag at a path, or the only one in a folder; None if there is none.
+
+    Raises RecordingError for several.
+    """
     if path.is_dir():
         files = [entry for entry in sorted(path.iterdir()) if entry.suffix in (".mcap", ".db3")]
         if len(files) > 1:

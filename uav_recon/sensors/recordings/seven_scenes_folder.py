@@ -1,4 +1,6 @@
-"""Folder in the format of 7-Scenes: frame-NNNNNN.color.*, .depth.png and .pose.txt, and camera-intrinsics.txt.
+"""Folder in the format of 7-Scenes.
+
+Files: frame-NNNNNN.color.*, .depth.png and .pose.txt, and camera-intrinsics.txt.
 
 Shotton et al., Scene Coordinate Regression Forests, CVPR 2013. Depth is 16 bit in millimetres, 0 and 65535 are no return;
 pose.txt is the matrix (4, 4) world_from_camera in optical axes. The format has no stamps: the frames are 1/30 s apart.
@@ -111,7 +113,10 @@ def _read_pose(depth: Path) -> Pose | None:
 
 
 def _matrix(path: Path, size: int) -> FloatArray | None:
-    """Return a matrix (size, size); None if the file holds anything else. Raises RecordingError if it cannot be read."""
+    """Return a matrix (size, size); None if the file holds anything else.
+
+    Raises RecordingError if it cannot be read.
+    """
     try:
         numbers = np.array([float(word) for word in path.read_text().split()])
     except OSError as error:
