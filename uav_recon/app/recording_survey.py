@@ -27,10 +27,11 @@ _BOX_WITHOUT_POSES_M = np.array([6.0, 6.0, 2.5])
 
 @dataclass(frozen=True)
 class RecordingSurvey:
-    """Result of the first look.
+    """Result of the survey.
 
-    odom_from_source: moves poses of the recording so that z is up, and the first body pose has x = y = 0 and heading 0, and the lowest depth is at z = 0.
-    box_min_m, box_max_m: (3,) corners, in odom, of what the depth shows. size_px: of the depth image. depth_k: its intrinsics.
+    odom_from_source: moves poses of the recording so that z is up, the first body pose has x = y = 0 and heading 0, and the
+    lowest depth is at z = 0. box_min_m, box_max_m: (3,) corners, in odom, of what the depth shows. depth_lens: intrinsics of the
+    depth image.
     """
 
     odom_from_source: Pose
