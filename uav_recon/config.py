@@ -171,7 +171,7 @@ class CameraConfig(Section):
 class LocalizationConfig(Section):
     """Fusion of delayed poses into continuous odometry."""
 
-    source: Literal["stream"] = "stream"  # stream = poses that come with the camera: in its stream, or in the recording
+    source: Literal["stream", "slam"] = "stream"  # stream = poses that come with the camera; slam = embedded RGB-D SLAM
     rate_hz: Annotated[float, Field(ge=20.0, le=200.0)] = 30.0  # rate of the odometry output
     origin: Literal["pad", "source"] = "pad"  # of the world: the body on the take-off pad, or the pose source's own origin
     pose_lost_s: Annotated[float, Field(gt=0.0, le=2.0)] = 0.5  # no pose for longer: quality 0

@@ -26,6 +26,7 @@ MAPPERS = ("neural", "depth-only")
 OLD_NAMES = {"stand-in": "depth-only"}  # of a mapper: still accepted
 VARIANTS = get_args(VariantName)
 UNCERTAINTIES = get_args(UncertaintyName)
+POSES = ("stream", "slam")
 AUTOPILOTS = ("px4", "ardupilot")
 BUILT_IN_VIEWS = 60
 SCENE_VIEWS = 120
@@ -70,6 +71,7 @@ class SimOptions:
     uncertainty: str
     firmware: Path | None  # binary of a real firmware, in place of the simulated autopilot
     blind_speed_mps: float
+    pose: str  # source of the poses
     camera_errors: float  # scale of the errors of the camera that the seed draws; 0: the exact camera
 
     @staticmethod
@@ -79,7 +81,7 @@ class SimOptions:
         mount: str = "fixed:15", depth_noise: str = "d435i", camera: str | None = None, mapper: str = "neural",
         radius: float = RADIUS_M, lockstep: bool = False, live: bool = False, port: int = 14540,
         uncertainty: str = "agreement", firmware: Path | None = None, blind_speed: float = BLIND_MPS,
-        camera_errors: str | None = None,
+        camera_errors: str | None = None, pose: str = "stream",
     ) -> SimOptions:  # fmt: skip
         """Validate the options of the command line. Raises UsageError with one line."""
         mapper = OLD_NAMES.get(mapper, mapper)
@@ -89,6 +91,7 @@ class SimOptions:
         for name, value, allowed in (
             ("autopilot", autopilot, AUTOPILOTS), ("variant", variant, VARIANTS), ("depth-noise", depth_noise, NOISES),
             ("camera", chosen, CAMERAS), ("mapper", mapper, MAPPERS), ("uncertainty", uncertainty, UNCERTAINTIES),
+            ("pose", pose, POSES),
         ):  # fmt: skip
             if value not in allowed:
                 raise UsageError(f"--{name} {value}: want one of {', '.join(allowed)}")
@@ -117,7 +120,7 @@ class SimOptions:
             mount_pitch_down_deg=mount_pitch_deg(mount), depth_noise=depth_noise, camera=chosen, mapper=mapper,
             radius_m=radius, lockstep=lockstep, live=live, port=port, uncertainty=uncertainty,
             firmware=None if firmware is None else firmware.absolute(), blind_speed_mps=blind_speed,
-            camera_errors=camera_error_scale(camera_errors),
+            pose=pose, camera_errors=camera_error_scale(camera_errors),
         )  # fmt: skip
 
     def check_folder(self) -> None:
@@ -194,6 +197,7 @@ class SimOptions:
                 "pitch_down_deg": self.mount_pitch_down_deg or 0.0,
                 "depth_noise_px": noise_px,
             },
+            "localization": {"source": self.pose},
             "mapper": {"seed": self.seed, "uncertainty": self.uncertainty},
             "planner": {
                 "variant": self.variant,

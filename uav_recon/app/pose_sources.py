@@ -52,6 +52,15 @@ def _open_stream_poses(context: SourceContext) -> tuple[DepthCamera, PoseSource]
     return context.camera, StreamPoses(camera_sources.stream_path(config))
 
 
+def _open_slam(context: SourceContext) -> tuple[DepthCamera, PoseSource]:
+    from uav_recon.localization.slam.slam_source import SlamSource
+    from uav_recon.localization.slam.slam_tracker import SlamTracker
+
+    source = SlamSource(context.camera, context.mount, SlamTracker())
+    return source, source
+
+
 _OPENERS: dict[str, Callable[[SourceContext], tuple[DepthCamera, PoseSource]]] = {
     "stream": _open_stream_poses,
+    "slam": _open_slam,
 }

@@ -118,6 +118,14 @@ def sim(
             help="Camera mount. DEG is the tilt in degrees, -60 to 60; positive looks down.",
         ),
     ] = "fixed:15",
+    pose: Annotated[
+        str,
+        typer.Option(
+            metavar=choices.listed(choices.POSES), autocompletion=choices.one_of(choices.POSES), rich_help_panel=CAMERA,
+            help="Source of the poses. stream: a simulated tracking system beside the camera. slam: the embedded RGB-D SLAM, "
+            "which has nothing but the images and the IMU of the camera.",
+        ),
+    ] = "stream",
     depth_noise: Annotated[
         str,
         typer.Option(
@@ -204,7 +212,7 @@ def sim(
                 scene=scene, start=start, fence=fence, views=views, seed=seed, out=out, autopilot=autopilot, variant=variant,
                 mount=mount, depth_noise=depth_noise, camera=camera, mapper=mapper, uncertainty=uncertainty, radius=radius,
                 lockstep=lockstep, live=live, port=port, firmware=firmware, blind_speed=blind_speed,
-                camera_errors=camera_errors,
+                camera_errors=camera_errors, pose=pose,
             ),
             json,
         )

@@ -36,6 +36,8 @@ from uav_recon.types.camera import ImuSample
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.pose import Pose, StampedPose, WorldFromOdom
 
+#: reject: after a longer silence, a pose until more agree with it; after a shorter one, a pose where the inertial track is not
+_BRIDGED_S = 0.7
 _CREDIBLE_M = 0.1  #: reject: max. standard deviation of a track that may contradict a pose source
 #: reject: a larger turn is no correction of a map, but a tracker that has lost its heading
 _TURN_OF_MAP_RAD = math.radians(12.0)
@@ -153,9 +155,15 @@ class FusionFilter:
         said = met.said
         if said.source.reset_counter != self._source_resets:
             return PoseRejection.RESET
-        if said.stamp_s - before.stamp_s > self._lost_s:
+        if said.stamp_s - before.stamp_s > self._lost_s and not self._bridges(met, before):
             return PoseRejection.UNPROVEN
         return self._gates.leap(met.residual, met.covariance) or self._gates.speed_fault(before.sighting, said)
+
+    def _bridges(self, met: Arrival, before: FusedPose) -> bool:
+        """Return True if a pose after a short silence lies where the inertial track has come."""
+        credible = met.carried.model.accelerometer and max(np.diagonal(met.carried.covariance)[:3]) <= _CREDIBLE_M**2
+        near = math.hypot(*met.residual[:3].tolist()) <= self._gates.jump_m
+        return bool(credible and near and met.said.stamp_s - before.stamp_s <= _BRIDGED_S)
 
     def _accept_run(self, met: Arrival) -> bool:
         """Return True if a doubtful pose completes an accepted run of such poses.

@@ -1,0 +1,1 @@
+"""Embedded RGB-D-inertial SLAM: poses from depth, colour and gyro."""

@@ -1,0 +1,114 @@
+"""Gyro and camera: turn between two frames by the gyro, its bias, and the delay of the frames.
+
+A frame shows the body ``delay_s`` before its stamp. The turn that the images show between two frames is that of the gyro, less
+its bias, between the two instants that they show. So the delay shows when the turn rate changes, and the bias always.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from uav_recon.localization.imu_integration import InertialState, InertialTrack, conjugate, logarithm, multiply
+from uav_recon.types.camera import ImuSample
+from uav_recon.types.frames import FloatArray
+
+_GAP_S = 0.05  # the gyro measures an interval if its samples come closer than this
+_RATE_SPAN_S = 0.02  # time over which a turn rate is measured
+_DELAY_S = 0.02  # prior standard deviation of the delay
+_MOST_DELAY_S = 0.08
+_BIAS_RADPS = 0.01  # the same of the bias, before the rest is seen
+_REST_BIAS_RADPS = 0.001  # after a rest
+_BIAS_WALK = 0.0003  # rad/s per root second
+_DELAY_WALK = 0.0005  # s per root second
+_TURN_RAD = math.radians(0.1)  # standard deviation of the turn that two frames show
+_JITTER_S = 0.007  # the same of the time between them
+
+
+class GyroAlignment:
+    """Bias (3,) of the gyro in rad/s, and delay of the frames in s. Not thread-safe."""
+
+    def __init__(self) -> None:
+        self._track = InertialTrack(_GAP_S)
+        self._state = np.zeros(4)  # bias, delay
+        self._covariance = np.diag([_BIAS_RADPS**2] * 3 + [_DELAY_S**2])
+
+    @property
+    def delay_s(self) -> float:
+        """Time from what a frame shows to its stamp."""
+        return float(np.clip(self._state[3], -_MOST_DELAY_S, _MOST_DELAY_S))
+
+    @property
+    def delay_sigma_s(self) -> float:
+        """Standard deviation of the delay."""
+        return math.sqrt(self._covariance[3, 3])
+
+    @property
+    def bias_radps(self) -> FloatArray:
+        """Bias of the gyro (3,)."""
+        return self._state[:3].copy()
+
+    def add(self, samples: list[ImuSample]) -> None:
+        """Add inertial samples; those that are not newer or not finite are dropped."""
+        for sample in samples:
+            x, y, z = sample.gyro_radps.tolist()
+            a, b, c = sample.specific_force_mps2.tolist()
+            if sample.stamp_s > self._track.newest_s and math.isfinite(sample.stamp_s + x + y + z + a + b + c):
+                self._track.push(sample.stamp_s, (x, y, z), (a, b, c))
+
+    def rest(self, rate_radps: FloatArray) -> None:
+        """Take the mean turn rate (3,) of a rest as the bias."""
+        self._state[:3] = rate_radps
+        self._covariance[:3, :3] = np.eye(3) * _REST_BIAS_RADPS**2
+
+    def turn(self, from_s: float, to_s: float) -> FloatArray | None:
+        """Return the rotation vector (3,) in body axes from one frame to another; None if the gyro does not cover it."""
+        a, b = from_s - self.delay_s, to_s - self.delay_s
+        return self._turn(a, b)
+
+    def track(self, from_s: float, to_s: float) -> tuple[InertialState, InertialState] | None:
+        """Return the inertial track at what two frames show; None if the samples do not cover it."""
+        a_s, b_s = from_s - self.delay_s, to_s - self.delay_s
+        first, last = self._track.at(a_s), self._track.at(b_s)
+        return None if first is None or last is None or b_s > self._track.newest_s + _GAP_S else (first, last)
+
+    def rate(self, stamp_s: float) -> FloatArray | None:
+        """Return the turn rate (3,) in body axes that a frame shows; None if the gyro does not cover it."""
+        instant_s = stamp_s - self.delay_s
+        turned = self._turn(instant_s - _RATE_SPAN_S, instant_s)
+        return None if turned is None else turned / _RATE_SPAN_S
+
+    def turn_sigma_rad(self, from_s: float, to_s: float) -> float:
+        """Return the standard deviation per axis of turn() against what the images show."""
+        rate = self.rate(to_s)
+        speed = 0.0 if rate is None else float(np.linalg.norm(rate))
+        return math.hypot(_TURN_RAD, _JITTER_S * speed, (to_s - from_s) * math.sqrt(self._covariance[0, 0]))
+
+    def update(self, from_s: float, to_s: float, turned_rad: FloatArray) -> None:
+        """Compare the gyro with the turn (3,) that the images show between two frames."""
+        expected, before, after = self.turn(from_s, to_s), self.rate(from_s), self.rate(to_s)
+        step_s = to_s - from_s
+        self._covariance += np.diag([_BIAS_WALK**2 * step_s] * 3 + [_DELAY_WALK**2 * step_s])
+        if expected is None or before is None or after is None:
+            return
+        rows = np.column_stack((-step_s * np.eye(3), before - after))
+        speed = max(float(np.linalg.norm(before)), float(np.linalg.norm(after)))
+        noise = (_TURN_RAD**2 + (_JITTER_S * speed) ** 2) * np.eye(3)
+        innovation, spread = turned_rad - expected, rows @ self._covariance @ rows.T + noise
+        if innovation @ np.linalg.solve(spread, innovation) > _SURPRISE:
+            return
+        gain = np.linalg.solve(spread, rows @ self._covariance).T
+        self._state = self._state + gain @ innovation
+        kept = np.eye(4) - gain @ rows
+        self._covariance = kept @ self._covariance @ kept.T + gain @ noise @ gain.T
+
+    def _turn(self, a_s: float, b_s: float) -> FloatArray | None:
+        first, last = self._track.at(a_s), self._track.at(b_s)
+        if first is None or last is None or b_s > self._track.newest_s + _GAP_S:
+            return None
+        between = multiply(conjugate(first.gyro_from_body), last.gyro_from_body)
+        return np.array(logarithm(between)) - (b_s - a_s) * self._state[:3]
+
+
+_SURPRISE = 16.0  # squared innovation in standard deviations beyond which a comparison is not used

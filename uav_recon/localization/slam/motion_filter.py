@@ -1,0 +1,141 @@
+"""Motion of the body between frames: Kalman filter of place, velocity and offset of the accelerometer.
+
+The accelerometer carries the place through views that do not determine it: along a bare wall, or with nothing in view. Its offset
+contains its bias, a mount that is off, and the tilt error of the map: it turns with the body. An accelerometer that the images
+contradict is left out.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from uav_recon.localization.imu_integration import GRAVITY_MPS2, InertialState, conjugate
+from uav_recon.types.frames import FloatArray
+from uav_recon.types.pose import Pose
+
+PLACE = slice(0, 3)
+VELOCITY = slice(3, 6)
+OFFSET = slice(6, 9)
+_VELOCITY_MPS = 0.05  # standard deviations at the start
+_OFFSET_MPS2 = 0.1  # the rest on the pad shows bias and tilt together: only their share that turns is unknown
+_PLACE_M = 1e-3
+_FORCE_DENSITY = 0.15  # m/s² per root Hz: twice that of a flying camera, with stamps that are off by some milliseconds
+_OFFSET_WALK = 0.02  # m/s² per root second
+_BLIND_MPS2 = 2.0  # white acceleration of a body without an accelerometer, over one frame
+_STEP_M = 0.004  # what the images themselves are off by, from frame to frame
+_SURPRISE = 25.0  # squared innovation of a place, in standard deviations, that contradicts the accelerometer
+_SURPRISES = 3  # in a row, until it is left out
+_TRUSTED_AGAIN = 45  # frames without a surprise until it is used again
+_GRAVITY = np.array([0.0, 0.0, -GRAVITY_MPS2])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PredictedMotion:
+    """Place (3,) and velocity (3,) in odom at a later frame, with the covariance (9, 9) of the whole state."""
+
+    state: FloatArray
+    covariance: FloatArray
+
+    @property
+    def place_m(self) -> FloatArray:
+        """The place (3,)."""
+        return self.state[PLACE]
+
+    @property
+    def velocity_mps(self) -> FloatArray:
+        """The velocity (3,)."""
+        return self.state[VELOCITY]
+
+    @property
+    def place_covariance(self) -> FloatArray:
+        """The covariance (3, 3) of the place."""
+        return self.covariance[PLACE, PLACE]
+
+
+class MotionFilter:
+    """State (9,): place (m), velocity (m/s), offset (m/s², body axes). Not thread-safe."""
+
+    def __init__(self, place_m: FloatArray) -> None:
+        self._now = PredictedMotion(
+            np.concatenate((place_m, np.zeros(6))),
+            np.diag([_PLACE_M**2] * 3 + [_VELOCITY_MPS**2] * 3 + [_OFFSET_MPS2**2] * 3),
+        )
+        self._surprises = 0
+        self._calm = _TRUSTED_AGAIN
+
+    @property
+    def velocity_mps(self) -> FloatArray:
+        """Velocity (3,) in odom."""
+        return self._now.velocity_mps
+
+    @property
+    def accelerometer_used(self) -> bool:
+        """True unless the images have contradicted the accelerometer."""
+        return self._calm >= _TRUSTED_AGAIN
+
+    def rest(self) -> None:
+        """Set the velocity to zero: the body rests."""
+        self._now = PredictedMotion(
+            np.concatenate((self._now.place_m, np.zeros(3), self._now.state[OFFSET])),
+            np.diag([_PLACE_M**2] * 3 + [_VELOCITY_MPS**2] * 3 + [_OFFSET_MPS2**2] * 3),
+        )
+
+    def predict(
+        self, step_s: float, odom_from_body: Pose, track: tuple[InertialState, InertialState] | None
+    ) -> PredictedMotion:
+        """Return the motion step_s later.
+
+        odom_from_body: attitude now. track: the inertial track now and then, None without an accelerometer.
+        """
+        state, transition = self._now.state.copy(), np.eye(9)
+        transition[PLACE, VELOCITY] = step_s * np.eye(3)
+        noise = np.zeros((9, 9))
+        if track is None or not self.accelerometer_used:
+            state[PLACE] += step_s * state[VELOCITY]
+            _add_white_acceleration(noise, _BLIND_MPS2**2 * step_s, step_s)
+        else:
+            a, b = track
+            odom_from_gyro = odom_from_body @ Pose(np.array(conjugate(a.gyro_from_body)), np.zeros(3))
+            turn, body = odom_from_gyro.rotation(), odom_from_body.rotation()
+            gained = turn @ (np.array(b.velocity_integral) - np.array(a.velocity_integral))
+            swept = turn @ (
+                np.array(b.position_integral) - np.array(a.position_integral) - np.array(a.velocity_integral) * step_s
+            )
+            off = body @ state[OFFSET]
+            state[PLACE] += step_s * state[VELOCITY] + swept + 0.5 * step_s**2 * (_GRAVITY - off)
+            state[VELOCITY] += gained + step_s * (_GRAVITY - off)
+            transition[PLACE, OFFSET] = -0.5 * step_s**2 * body
+            transition[VELOCITY, OFFSET] = -step_s * body
+            _add_white_acceleration(noise, _FORCE_DENSITY**2, step_s)
+        noise[PLACE, PLACE] += _STEP_M**2 * np.eye(3)
+        noise[OFFSET, OFFSET] += _OFFSET_WALK**2 * step_s * np.eye(3)
+        return PredictedMotion(state, transition @ self._now.covariance @ transition.T + noise)
+
+    def coast(self, predicted: PredictedMotion) -> None:
+        """Take the predicted motion: the frame was not believed."""
+        self._now = predicted
+
+    def update(self, predicted: PredictedMotion, place_m: FloatArray, place_covariance: FloatArray) -> None:
+        """Take the place (3,) of a believed frame, with its covariance (3, 3); both contain the prediction already."""
+        before = predicted.place_covariance
+        gain = np.linalg.solve(before, predicted.covariance[PLACE, :]).T
+        shift = place_m - predicted.place_m
+        covariance = predicted.covariance - gain @ (before - place_covariance) @ gain.T
+        self._now = PredictedMotion(predicted.state + gain @ shift, 0.5 * (covariance + covariance.T))
+        self._judge(float(shift @ np.linalg.solve(before, shift)))
+
+    def _judge(self, surprise: float) -> None:
+        """Leave the accelerometer out after surprises in a row, and use it again after a while without."""
+        self._surprises = self._surprises + 1 if surprise > _SURPRISE else 0
+        self._calm = 0 if self._surprises >= _SURPRISES else self._calm + 1
+
+
+def _add_white_acceleration(noise: FloatArray, density2: float, step_s: float) -> None:
+    """Add the growth by white acceleration of a squared density (m²/s³) over a step."""
+    eye = np.eye(3)
+    noise[PLACE, PLACE] += density2 * step_s**3 / 3.0 * eye
+    noise[PLACE, VELOCITY] += density2 * step_s**2 / 2.0 * eye
+    noise[VELOCITY, PLACE] += density2 * step_s**2 / 2.0 * eye
+    noise[VELOCITY, VELOCITY] += density2 * step_s * eye

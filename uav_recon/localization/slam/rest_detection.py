@@ -1,0 +1,73 @@
+"""Rest before the flight: where down is, and what the gyro measures at rest."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+
+import numpy as np
+
+from uav_recon.localization.imu_integration import GRAVITY_MPS2
+from uav_recon.types.camera import ImuSample
+from uav_recon.types.frames import FloatArray
+from uav_recon.types.pose import Pose
+
+_REST_S = 0.5  #: refuse: no pose of our own before the inertial samples were at rest for this time
+_KEPT_S = 1.0
+_STILL_S = 0.3  # time over which rest is measured
+_STILL_RADPS = 0.02
+_STILL_MPS2 = 0.3
+_WITHOUT_S = 1.5  #: refuse: without inertial samples for this time, the body is taken as level
+_MAX_SPREAD_RADPS = 0.05  #: refuse: a larger standard deviation of the turn rate is no rest
+_MAX_RATE_RADPS = 0.1  #: refuse: nor a larger mean
+_MAX_GRAVITY_ERROR_MPS2 = 1.0  #: refuse: nor a specific force that differs more from gravity
+
+
+class RestDetector:
+    """Collects inertial samples until the body is at rest."""
+
+    def __init__(self) -> None:
+        self._samples: deque[ImuSample] = deque()
+        self._since_s = math.inf
+        self.gyro_bias_radps: FloatArray = np.zeros(3)
+
+    def add(self, samples: list[ImuSample]) -> None:
+        """Add inertial samples; the oldest are dropped."""
+        self._samples.extend(samples)
+        while self._samples and self._samples[-1].stamp_s - self._samples[0].stamp_s > _KEPT_S:
+            self._samples.popleft()
+
+    def still(self, stamp_s: float) -> bool:
+        """Return True while the newest inertial samples are those of a body at rest, with its motors off."""
+        newest = [sample for sample in self._samples if sample.stamp_s > stamp_s - _STILL_S]
+        if not newest:
+            return False
+        rate = np.array([sample.gyro_radps for sample in newest]) - self.gyro_bias_radps
+        force = np.array([sample.specific_force_mps2 for sample in newest])
+        return bool(
+            np.abs(rate.mean(axis=0)).max() < _STILL_RADPS
+            and rate.std(axis=0).max() < _MAX_SPREAD_RADPS
+            and force.std(axis=0).max() < _STILL_MPS2
+        )
+
+    def level(self, stamp_s: float) -> Pose | None:
+        """Return odom_from_body of a body at rest with heading zero; None while it is not known.
+
+        Sets ``gyro_bias_radps``. Without inertial samples the body is taken as level.
+        """
+        self._since_s = min(self._since_s, stamp_s)
+        if not self._samples:
+            return Pose.identity() if stamp_s - self._since_s >= _WITHOUT_S else None
+        if self._samples[-1].stamp_s - self._samples[0].stamp_s < _REST_S:
+            return None
+        rate = np.array([sample.gyro_radps for sample in self._samples])
+        force = np.array([sample.specific_force_mps2 for sample in self._samples]).mean(axis=0)
+        mean, spread = rate.mean(axis=0), rate.std(axis=0)
+        still = spread.max() <= _MAX_SPREAD_RADPS and np.abs(mean).max() <= _MAX_RATE_RADPS
+        if not still or abs(float(np.linalg.norm(force)) - GRAVITY_MPS2) > _MAX_GRAVITY_ERROR_MPS2:
+            return None
+        self.gyro_bias_radps = mean
+        roll_rad, pitch_rad = math.atan2(force[1], force[2]), math.atan2(-force[0], math.hypot(force[1], force[2]))
+        pitched = Pose(np.array([math.cos(pitch_rad / 2), 0.0, math.sin(pitch_rad / 2), 0.0]), np.zeros(3))
+        rolled = Pose(np.array([math.cos(roll_rad / 2), math.sin(roll_rad / 2), 0.0, 0.0]), np.zeros(3))
+        return pitched @ rolled

@@ -1,0 +1,158 @@
+"""Registration of an RGB-D frame: Gauss-Newton on depth against the field, landmarks, and the predicted motion together."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from uav_recon.localization.slam.depth_points import add_depth_equations
+from uav_recon.localization.slam.landmarks import SIZE, Landmarks, add_landmark_equations
+from uav_recon.localization.slam.rgbd_view import RgbdView
+from uav_recon.localization.slam.tsdf_volume import TsdfVolume
+from uav_recon.types.frames import FloatArray
+from uav_recon.types.pose import Pose
+
+_ROUNDS = 10
+_STILL_M = 2e-4
+_STILL_RAD = 1e-4
+_WIDER = (4.0, 2.0, 1.0)  # scale of the robust weight of depth in the first rounds: a far start must be pulled, too
+_DEPTH_SHARE = 0.3  # weight of a depth point: the errors of neighbours are alike
+# shares of known points on known surfaces below which depth says nothing, and above which it counts in full
+_UNFIT = 0.55
+_FITTING = 0.85
+_ENOUGH_POINTS = 250  # points on known surfaces from which on depth counts in full
+_FEWEST_LANDMARKS = 12
+_AGREEING_SHARE = 0.5
+_POSE = slice(0, 6)
+# Depth tells nothing of a direction in which it has less than this share of its information: along a plane the noise of the field
+# would hold the camera to where it was.
+_WEAK_SHARE = 0.005
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MotionPrior:
+    """The predicted pose of the depth imager, and how well it is known.
+
+    covariance (6, 6): of a rotation in odom axes about the camera, and of its place. turn_sigma_rad: of the turn since the newest
+    believed frame, per axis. rate_radps (3,), velocity_mps (3,): of the camera in odom. slow (2,): delay and width
+    of the colour image (landmarks.DELAY, WIDTH); slow_covariance (2, 2).
+    """
+
+    odom_from_depth: Pose
+    covariance: FloatArray
+    turn_sigma_rad: float
+    rate_radps: FloatArray
+    velocity_mps: FloatArray
+    slow: FloatArray
+    slow_covariance: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Registration:
+    """The pose of a frame, and what supports it.
+
+    covariance (6, 6): of a rotation in odom axes about the camera, and of its place. points, known, inliers: depth points, those in
+    known space, those on a known surface. landmarks: number that fit. measured (6, 6): information of the frame without the prior.
+    slow, slow_covariance: as in MotionPrior, after this frame.
+    """
+
+    odom_from_depth: Pose
+    covariance: FloatArray
+    points: int
+    known: int
+    inliers: int
+    landmarks: int
+    measured: FloatArray
+    slow: FloatArray
+    slow_covariance: FloatArray
+
+    @property
+    def coverage(self) -> float:
+        """Share of the depth points that lie in known space."""
+        return self.known / max(self.points, 1)
+
+    @property
+    def fit(self) -> float:
+        """Share of the points in known space that lie on a known surface."""
+        return self.inliers / max(self.known, 1)
+
+
+def register(view: RgbdView, volume: TsdfVolume, landmarks: Landmarks, prior: MotionPrior) -> Registration:
+    """Return the pose at which the frame fits the map, from the predicted one on. About 2 ms.
+
+    Landmarks of which too few agree are those of a view without texture, and left out.
+    """
+    found = _converge(view, volume, landmarks, prior)
+    followed = len(landmarks.place_m)
+    if followed and found.landmarks < max(_FEWEST_LANDMARKS, _AGREEING_SHARE * followed):
+        return _converge(view, volume, Landmarks.none(), prior)
+    return found
+
+
+def _converge(view: RgbdView, volume: TsdfVolume, landmarks: Landmarks, prior: MotionPrior) -> Registration:
+    """Run Gauss-Newton from the predicted pose."""
+    rotation = prior.odom_from_depth.rotation()
+    place_m = prior.odom_from_depth.translation_m.copy()
+    turned_rad, moved_m, slow = np.zeros(3), np.zeros(3), prior.slow.copy()
+    predicted = np.linalg.inv(prior.covariance)
+    slow_information = np.linalg.inv(prior.slow_covariance)
+    motion = np.concatenate((prior.rate_radps, prior.velocity_mps))
+    known = inliers = fitting = 0
+    information = np.zeros((SIZE, SIZE))
+    for number in range(_ROUNDS):
+        wide = _WIDER[min(number, len(_WIDER) - 1)]
+        information, gradient = np.zeros((SIZE, SIZE)), np.zeros(SIZE)
+        known, inliers = add_depth_equations(
+            view.points, rotation, place_m, volume.index, volume.distance, volume.weight, _DEPTH_SHARE, wide,
+            information, gradient,
+        )  # fmt: skip
+        support = _support(known, inliers)
+        information *= support
+        gradient *= support
+        _leave_weak_directions(information, gradient, prior.turn_sigma_rad)
+        eye = rotation @ view.depth_from_rgb.rotation(), rotation @ view.depth_from_rgb.translation_m + place_m
+        fitting = add_landmark_equations(
+            landmarks.place_m, landmarks.slope, landmarks.texture, landmarks.at_px, view.camera, *eye, place_m, motion, slow, slow - prior.slow,
+            information, gradient,
+        )  # fmt: skip
+        whole = information.copy()
+        whole[_POSE, _POSE] += predicted
+        whole[6:, 6:] += slow_information
+        gradient[_POSE] -= predicted @ np.concatenate((turned_rad, moved_m))
+        gradient[6:] -= slow_information @ (slow - prior.slow)
+        step = np.linalg.solve(whole, gradient)
+        rotation = Pose.from_rotation_vector(step[:3], np.zeros(3)).rotation() @ rotation
+        place_m = place_m + step[3:6]
+        turned_rad, moved_m, slow = turned_rad + step[:3], moved_m + step[3:6], slow + step[6:]
+        if wide == 1.0 and math.hypot(*step[3:6].tolist()) < _STILL_M and math.hypot(*step[:3].tolist()) < _STILL_RAD:
+            break
+    covariance = np.linalg.inv(whole)
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = rotation, place_m
+    return Registration(
+        Pose.from_matrix(matrix), covariance[_POSE, _POSE], len(view.points), known, inliers, fitting,
+        information[_POSE, _POSE], slow, covariance[6:, 6:],
+    )  # fmt: skip
+
+
+def _support(known: int, inliers: int) -> float:
+    """Return the weight 0 to 1 of depth as a whole: little where little is known, or where much of it does not fit."""
+    fit = inliers / max(known, 1)
+    fitting = min(max((fit - _UNFIT) / (_FITTING - _UNFIT), 0.0), 1.0)
+    return max(fitting**2 * min(inliers / _ENOUGH_POINTS, 1.0) ** 2, 1e-6)
+
+
+def _leave_weak_directions(information: FloatArray, gradient: FloatArray, turn_sigma_rad: float) -> None:
+    """Remove from the equations of depth the translations that it does not determine (Zhang, Kaess and Singh 2016)."""
+    turn = information[:3, :3] + np.eye(3) * turn_sigma_rad**-2
+    alone = information[3:6, 3:6] - information[3:6, :3] @ np.linalg.solve(turn, information[:3, 3:6])
+    values, directions = np.linalg.eigh(0.5 * (alone + alone.T))
+    weak = directions[:, values < _WEAK_SHARE * values[-1]]
+    if not weak.size:
+        return
+    kept = np.eye(SIZE)
+    kept[3:6, 3:6] -= weak @ weak.T
+    information[:] = kept @ information @ kept
+    gradient[:] = kept @ gradient

@@ -1,0 +1,121 @@
+"""One RGB-D frame as the tracker uses it: points of its depth, brightness of its colour, and depth at a corner."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from uav_recon.geometry.jit import kernel
+from uav_recon.localization.slam.depth_points import depth_points
+from uav_recon.types.camera import Frame
+from uav_recon.types.frames import AnyArray, ByteArray, FloatArray
+from uav_recon.types.pose import Pose
+
+_WIDEST_PX = 640
+_NARROWEST_PX = 32
+_FARTHEST_M = 5.0
+_FLAT_SHARE = 0.04  # spread of the depths around a corner; more is the edge of an object
+_SPAN_PX = 2
+_FIRST_M = 2.0  # first guess of a depth
+_ROUNDS = 4
+
+
+class RgbdView:
+    """A frame prepared once.
+
+    ``points`` (N, 3): of depth, in the depth imager's frame. ``grey`` (h, w): brightness, None for a camera without colour;
+    ``camera`` (4,): its fx, fy, cx, cy. ``depth_from_rgb``: pose of the colour imager.
+    """
+
+    def __init__(self, frame: Frame) -> None:
+        self.frame = frame
+        self.points = depth_points(frame.depth_m, frame.depth_intrinsics.pinhole_px())
+        self.depth_from_rgb = frame.rgb_from_depth.inverse()
+        self.grey: ByteArray | None = None
+        self.camera = frame.rgb_intrinsics.pinhole_px()
+        if min(frame.rgb.shape[:2]) >= _NARROWEST_PX:
+            self.grey, self.camera = _grey(frame.rgb, self.camera)
+
+    def rgb_pose(self, odom_from_depth: Pose) -> tuple[FloatArray, FloatArray]:
+        """Return rotation (3, 3) and translation (3,) of the colour imager in odom, at the instant of the depth image."""
+        odom_from_rgb = odom_from_depth @ self.depth_from_rgb
+        return odom_from_rgb.rotation(), odom_from_rgb.translation_m
+
+    def places(self, at_px: AnyArray, odom_from_depth: Pose, motion: FloatArray, slow: FloatArray) -> FloatArray:
+        """Return the places (N, 3) in odom of pixels (N, 2) of the brightness; NaN where depth does not show one surface.
+
+        motion (6,): turn rate and velocity of the camera in odom; slow (2,): delay and width of the colour image, see landmarks.
+        """
+        turned = Pose.from_rotation_vector(slow[0] * motion[:3], np.zeros(3))
+        later = Pose((turned @ odom_from_depth).quat_wxyz, odom_from_depth.translation_m + slow[0] * motion[3:])
+        odom_from_rgb = later @ self.depth_from_rgb
+        there = odom_from_rgb.inverse() @ odom_from_depth
+        camera = self.camera * np.array([1.0 + slow[1], 1.0 + slow[1], 1.0, 1.0])
+        found: FloatArray = corner_places(
+            at_px, camera, self.frame.depth_m, self.frame.depth_intrinsics.pinhole_px(), there.rotation(), there.translation_m
+        )
+        return np.asarray(odom_from_rgb.apply(found), dtype=np.float64)
+
+
+@kernel
+def corner_places(
+    at_px: AnyArray, camera: AnyArray, depth_m: AnyArray, depth_camera: AnyArray, rgb_from_depth: AnyArray, offset_m: AnyArray
+) -> AnyArray:
+    """Return the places (N, 3) of pixels (N, 2) of the colour image in the colour imager's frame, NaN where not known.
+
+    The depth on the ray of the pixel is found by iteration: at which pixel of the depth image the ray is at the depth so far.
+    rgb_from_depth (3, 3), offset_m (3,): pose of the depth imager in the colour imager.
+    """
+    height, width = depth_m.shape
+    out = np.full((at_px.shape[0], 3), np.nan)
+    for n in range(at_px.shape[0]):
+        x, y = (at_px[n, 0] - camera[2]) / camera[0], (at_px[n, 1] - camera[3]) / camera[1]
+        z, u, v, ok = _FIRST_M, 0, 0, True
+        for _ in range(_ROUNDS):
+            a, b, c = x * z - offset_m[0], y * z - offset_m[1], z - offset_m[2]
+            p = rgb_from_depth[0, 0] * a + rgb_from_depth[1, 0] * b + rgb_from_depth[2, 0] * c
+            q = rgb_from_depth[0, 1] * a + rgb_from_depth[1, 1] * b + rgb_from_depth[2, 1] * c
+            r = rgb_from_depth[0, 2] * a + rgb_from_depth[1, 2] * b + rgb_from_depth[2, 2] * c
+            ok = r > 0.0
+            if not ok:
+                break
+            u = int(np.rint(p / r * depth_camera[0] + depth_camera[2]))
+            v = int(np.rint(q / r * depth_camera[1] + depth_camera[3]))
+            ok = _SPAN_PX <= u < width - _SPAN_PX and _SPAN_PX <= v < height - _SPAN_PX
+            if not ok:
+                break
+            d = float(depth_m[v, u])
+            ok = 0.0 < d <= _FARTHEST_M
+            if not ok:
+                break
+            # along the optical axis of the colour imager
+            p, q = (u - depth_camera[2]) / depth_camera[0] * d, (v - depth_camera[3]) / depth_camera[1] * d
+            z = rgb_from_depth[2, 0] * p + rgb_from_depth[2, 1] * q + rgb_from_depth[2, 2] * d + offset_m[2]
+        if ok and _is_flat(depth_m, u, v):
+            out[n, 0], out[n, 1], out[n, 2] = x * z, y * z, z
+    return out
+
+
+@kernel
+def _is_flat(depth_m: AnyArray, u: int, v: int) -> bool:
+    """Return True if the depths around a pixel are those of one surface."""
+    z = float(depth_m[v, u])
+    low, high = z, z
+    for dv in range(-_SPAN_PX, _SPAN_PX + 1, _SPAN_PX):
+        for du in range(-_SPAN_PX, _SPAN_PX + 1, _SPAN_PX):
+            d = float(depth_m[v + dv, u + du])
+            if not d > 0.0:
+                return False
+            low, high = min(low, d), max(high, d)
+    return high - low <= _FLAT_SHARE * z
+
+
+def _grey(rgb: ByteArray, camera: FloatArray) -> tuple[ByteArray, FloatArray]:
+    """Return the brightness (h, w) of an image, made smaller if it is large, and its camera (4,)."""
+    grey = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)
+    stride = -(-grey.shape[1] // _WIDEST_PX)
+    if stride > 1:
+        grey = cv2.resize(grey, (grey.shape[1] // stride, grey.shape[0] // stride), interpolation=cv2.INTER_AREA)
+    smaller = np.array([grey.shape[1] / rgb.shape[1], grey.shape[0] / rgb.shape[0]])
+    middle_px = (camera[2:] + 0.5) * smaller - 0.5  # pixel (0, 0) is its centre
+    return np.asarray(grey, dtype=np.uint8), np.concatenate((camera[:2] * smaller, middle_px))

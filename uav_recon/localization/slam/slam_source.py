@@ -1,0 +1,50 @@
+"""A camera that is tracked: its frames with true stamps, and the poses that the embedded SLAM finds."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from uav_recon.interfaces import DepthCamera
+from uav_recon.localization.camera_mount import Mount
+from uav_recon.localization.slam.slam_tracker import SlamTracker
+from uav_recon.types.camera import Frame, ImuSample
+from uav_recon.types.pose import StampedPose
+
+
+class SlamSource:
+    """DepthCamera and PoseSource in one: each frame that is read is tracked first, which takes about 8 ms.
+
+    A frame's stamp is moved to the instant that it shows, as far as the gyro has told the delay. The pose of a frame has the
+    stamp of that frame; it can be read after it.
+    """
+
+    def __init__(self, camera: DepthCamera, mount: Mount, tracker: SlamTracker) -> None:
+        self._camera = camera
+        self._mount = mount
+        self._tracker = tracker
+        self._poses: list[StampedPose] = []
+
+    def poll(self) -> Frame | None:
+        """Return the newest frame that was not returned before, or None."""
+        frame = self._camera.poll()
+        if frame is None:
+            return None
+        body_from_depth = self._mount.body_from_depth(frame.stamp_s - self._tracker.delay_s)
+        if body_from_depth is not None and (pose := self._tracker.track(frame, body_from_depth)) is not None:
+            self._poses.append(pose)
+        return replace(frame, stamp_s=frame.stamp_s - self._tracker.delay_s)
+
+    def imu(self) -> list[ImuSample]:
+        """Return the inertial samples since the last call."""
+        samples = self._camera.imu()
+        self._tracker.add_imu(samples)
+        return samples
+
+    def close(self) -> None:
+        """Release the camera."""
+        self._camera.close()
+
+    def poses(self) -> list[StampedPose]:
+        """Return the poses since the last call, oldest first."""
+        found, self._poses = self._poses, []
+        return found

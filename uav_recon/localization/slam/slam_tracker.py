@@ -1,0 +1,268 @@
+"""RGB-D-inertial tracker: the pose of each frame against a map of its own.
+
+Depth is registered to a field of the surfaces seen so far, corners of the colour image to landmarks, and both to the motion that
+the gyro and the last velocity predict, in one Gauss-Newton problem. The map covers the room, so a surface that comes into view
+again corrects the drift since. A frame that may not be believed changes nothing: neither map nor landmarks nor motion.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from uav_recon.localization.slam.gyro_alignment import GyroAlignment
+from uav_recon.localization.slam.landmarks import Landmarks, LandmarkTracker, project
+from uav_recon.localization.slam.motion_filter import MotionFilter
+from uav_recon.localization.slam.rest_detection import RestDetector
+from uav_recon.localization.slam.rgbd_registration import MotionPrior, Registration, register
+from uav_recon.localization.slam.rgbd_view import RgbdView
+from uav_recon.localization.slam.tracking_monitor import TrackingFault, TrackingMonitor
+from uav_recon.localization.slam.tsdf_volume import TsdfVolume
+from uav_recon.types.camera import Frame, ImuSample
+from uav_recon.types.frames import Float32Array, FloatArray
+from uav_recon.types.pose import Pose, StampedPose
+
+_BLIND_TURN_RADPS = math.radians(30.0)  # uncertainty of the turn rate without a gyro
+_FUSE_M = 0.05  # a frame is fused after this motion
+_FUSE_RAD = math.radians(3.0)
+# a body that rests has moved if this much of a view says so
+_REST_M = 0.01
+_SEEN_POINTS = 200
+_SEEN_LANDMARKS = 15
+_AT_REST = 1e-4**2 * np.eye(3)
+_FIRST_SLOW_SIGMA = np.array([0.012, 0.006])  # delay of the colour image (s), share of its width
+_SLOW_WALK = np.array([0.0005, 0.0002])  # per root second
+_SLOW_FLOOR = np.array([0.001, 0.0005])
+_FUSION_FRAMES = 8  # frames in a row that must be believed before the map grows again after doubt
+_PROOF_FRAMES = 2  # frames that must be believed after doubt until poses are given again
+_MOST_SIGMA_M = 0.15  #: reject: no pose is given while the place is more uncertain than this in a direction
+_SEARCHED = (TrackingFault.FIT, TrackingFault.STEP, TrackingFault.TURN)
+_SHIFTS = np.array([(x, y, 0.0) for x in (-1.0, 0.0, 1.0) for y in (-1.0, 0.0, 1.0) if x or y])
+_LEAST_SEARCH_M = 0.05
+_MOST_SEARCH_M = 0.5
+_BETTER = 1.15  # share of inliers by which another place must be better
+_POSITION_SIGMA_M = 0.01
+_ROTATION_SIGMA_RAD = math.radians(0.3)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrackedState:
+    """The newest believed frame.
+
+    stamp_s: of the frame. odom_from_body. velocity_mps (3,) in odom. turn_covariance (3, 3): of the attitude against the map.
+    """
+
+    stamp_s: float
+    odom_from_body: Pose
+    velocity_mps: FloatArray
+    turn_covariance: FloatArray
+
+
+class SlamTracker:
+    """Tracks the camera. Not thread-safe; about 8 ms a frame of 424x240 on one core.
+
+    It starts at rest: the first poses come once the inertial samples have shown where down is. ``fault``: why the newest frame was
+    not believed, None if it was.
+    """
+
+    def __init__(self) -> None:
+        self.volume = TsdfVolume()
+        self.gyro = GyroAlignment()
+        self.fault: TrackingFault | None = None
+        self._rest = RestDetector()
+        self._landmarks = LandmarkTracker()
+        self._monitor = TrackingMonitor()
+        self._state: TrackedState | None = None
+        self._motion = MotionFilter(np.zeros(3))
+        self._predicted = self._motion.predict(0.0, Pose.identity(), None)
+        self._fused: Pose | None = None
+        self._believed = 0
+        self._launched = False
+        self._unproven = 0
+        self._depth_m: Float32Array | None = None
+        self._slow = np.zeros(2)
+        self._slow_covariance = np.diag(_FIRST_SLOW_SIGMA**2)
+        self._reset_counter = 0
+
+    @property
+    def delay_s(self) -> float:
+        """Time from what a frame shows to its stamp."""
+        return self.gyro.delay_s
+
+    def add_imu(self, samples: list[ImuSample]) -> None:
+        """Add inertial samples, oldest first."""
+        self.gyro.add(samples)
+        self._rest.add(samples)
+
+    def track(self, frame: Frame, body_from_depth: Pose) -> StampedPose | None:
+        """Return the body's pose at what the frame shows; None if it is not known."""
+        view = RgbdView(frame)
+        if self._state is None:
+            return self._start(view, body_from_depth)
+        repeats, self._depth_m = _repeats(frame.depth_m, self._depth_m), frame.depth_m
+        prior = self._predict(self._state, frame.stamp_s, body_from_depth)
+        landmarks = self._follow(view, prior)
+        found = register(view, self.volume, landmarks, prior)
+        if self._rests(frame.stamp_s, found, prior):
+            return self._stay(view, self._state, body_from_depth)
+        self.fault = TrackingFault.FROZEN if repeats else self._monitor.fault(found, prior)
+        if self.fault in _SEARCHED:
+            found = self._search(view, found, prior)
+            self.fault = self._monitor.fault(found, prior)
+        if self.fault not in (None, TrackingFault.LOOSE):
+            self._coast(self._state, prior, frame.stamp_s, body_from_depth)
+            return None
+        self._settle(view, found, prior, self._state, body_from_depth)
+        return self._pose(frame.stamp_s, found)
+
+    def _search(self, view: RgbdView, found: Registration, prior: MotionPrior) -> Registration:
+        """Return the best registration from places around the predicted one, by depth alone."""
+        reach_m = min(2.0 * math.sqrt(float(np.diagonal(prior.covariance)[3:].max())), _MOST_SEARCH_M)
+        if reach_m < _LEAST_SEARCH_M:
+            return found
+        for shift in _SHIFTS:
+            place_m = prior.odom_from_depth.translation_m + reach_m * shift
+            near = replace(prior, odom_from_depth=Pose(prior.odom_from_depth.quat_wxyz, place_m))
+            other = register(view, self.volume, Landmarks.none(), near)
+            if other.inliers > found.inliers * _BETTER:
+                found = other
+        return found
+
+    def _coast(self, state: TrackedState, prior: MotionPrior, stamp_s: float, body_from_depth: Pose) -> None:
+        """Go on by the inertial samples alone: the frame is not believed."""
+        odom_from_body = prior.odom_from_depth @ body_from_depth.inverse()
+        self._motion.coast(self._predicted)
+        self._state = TrackedState(stamp_s, odom_from_body, self._motion.velocity_mps, prior.covariance[:3, :3])
+        self._believed = 0
+        self._unproven = _PROOF_FRAMES
+
+    def _start(self, view: RgbdView, body_from_depth: Pose) -> StampedPose | None:
+        level = self._rest.level(view.frame.stamp_s)
+        if level is None:
+            return None
+        self.gyro.rest(self._rest.gyro_bias_radps)
+        self._state = TrackedState(view.frame.stamp_s, level, np.zeros(3), _AT_REST)
+        self._motion = MotionFilter(level.translation_m)
+        self._believed = _FUSION_FRAMES
+        self._add_to_map(view, level @ body_from_depth, np.zeros(3), np.zeros(3))
+        return self._stamped(view.frame.stamp_s)
+
+    def _rests(self, stamp_s: float, found: Registration, prior: MotionPrior) -> bool:
+        """Return True until inertial samples or images show that the body has moved for the first time."""
+        moved_m = np.linalg.norm(found.odom_from_depth.translation_m - prior.odom_from_depth.translation_m)
+        seen = found.known * found.fit >= _SEEN_POINTS or found.landmarks >= _SEEN_LANDMARKS
+        self._launched = self._launched or not self._rest.still(stamp_s) or bool(seen and moved_m > _REST_M)
+        return not self._launched
+
+    def _stay(self, view: RgbdView, state: TrackedState, body_from_depth: Pose) -> StampedPose:
+        """Take another frame of a body that rests: the view from the pad may be poor."""
+        self._state = replace(state, stamp_s=view.frame.stamp_s)
+        self._motion.rest()
+        odom_from_depth = state.odom_from_body @ body_from_depth
+        self._fused = None
+        self._add_to_map(view, odom_from_depth, np.zeros(3), np.zeros(3))
+        return self._stamped(view.frame.stamp_s)
+
+    def _predict(self, state: TrackedState, stamp_s: float, body_from_depth: Pose) -> MotionPrior:
+        """Return the predicted motion from the newest believed frame."""
+        step_s = stamp_s - state.stamp_s
+        moved = self._motion.predict(step_s, state.odom_from_body, self.gyro.track(state.stamp_s, stamp_s))
+        self._predicted = moved
+        turned, rate = self.gyro.turn(state.stamp_s, stamp_s), self.gyro.rate(stamp_s)
+        turn_sigma = self.gyro.turn_sigma_rad(state.stamp_s, stamp_s) if turned is not None else _BLIND_TURN_RADPS * step_s
+        turn = Pose.from_rotation_vector(np.zeros(3) if turned is None else turned, np.zeros(3))
+        odom_from_body = Pose((state.odom_from_body @ turn).quat_wxyz, moved.place_m)
+        rate_odom = np.zeros(3) if rate is None else odom_from_body.rotation() @ rate
+        arm_m = odom_from_body.rotation() @ body_from_depth.translation_m
+        covariance = np.zeros((6, 6))
+        covariance[:3, :3] = state.turn_covariance + turn_sigma**2 * np.eye(3)
+        covariance[3:, 3:] = moved.place_covariance
+        velocity = moved.velocity_mps + np.cross(rate_odom, arm_m)
+        return MotionPrior(
+            odom_from_body @ body_from_depth, covariance, turn_sigma, rate_odom, velocity, self._slow,
+            self._slow_covariance,
+        )  # fmt: skip
+
+    def _follow(self, view: RgbdView, prior: MotionPrior) -> Landmarks:
+        points = self._landmarks.points
+        return self._landmarks.follow(
+            view, self._projected(view, points, prior.odom_from_depth, prior.rate_radps, prior.velocity_mps)
+        )
+
+    def _projected(
+        self, view: RgbdView, points: Landmarks, odom_from_depth: Pose, rate: FloatArray, velocity: FloatArray
+    ) -> FloatArray:
+        rotation, eye_m = view.rgb_pose(odom_from_depth)
+        motion = np.concatenate((rate, velocity))
+        out: FloatArray = project(
+            points.place_m, view.camera, rotation, eye_m, odom_from_depth.translation_m, motion, self._slow
+        )
+        return out
+
+    def _settle(
+        self, view: RgbdView, found: Registration, prior: MotionPrior, state: TrackedState, body_from_depth: Pose
+    ) -> None:
+        """Take a believed frame into motion, gyro, landmarks and map."""
+        stamp_s = view.frame.stamp_s
+        step_s = stamp_s - state.stamp_s
+        odom_from_body = found.odom_from_depth @ body_from_depth.inverse()
+        self._motion.update(self._predicted, odom_from_body.translation_m, found.covariance[3:, 3:])
+        velocity = self._motion.velocity_mps
+        between = state.odom_from_body.inverse() @ odom_from_body
+        self.gyro.update(state.stamp_s, stamp_s, _rotation_vector(between))
+        self._slow = found.slow
+        grown = found.slow_covariance + np.diag(_SLOW_WALK**2 * step_s)
+        self._slow_covariance = grown + np.diag(np.maximum(_SLOW_FLOOR**2 - np.diagonal(grown), 0.0))
+        self._state = TrackedState(stamp_s, odom_from_body, velocity, found.covariance[:3, :3])
+        self._believed = self._believed + 1 if self.fault is None else 0
+        self._unproven = max(self._unproven - 1, 0)
+        self._add_to_map(view, found.odom_from_depth, prior.rate_radps, velocity)
+
+    def _add_to_map(self, view: RgbdView, odom_from_depth: Pose, rate: FloatArray, velocity: FloatArray) -> None:
+        self._landmarks.settle(view, odom_from_depth, np.concatenate((rate, velocity)), self._slow)
+        if self._believed >= _FUSION_FRAMES and self._has_moved(odom_from_depth):
+            self.volume.integrate(view.frame, odom_from_depth)
+            self._fused = odom_from_depth
+
+    def _has_moved(self, odom_from_depth: Pose) -> bool:
+        if self._fused is None:
+            return True
+        between = self._fused.inverse() @ odom_from_depth
+        return bool(np.linalg.norm(between.translation_m) > _FUSE_M or np.linalg.norm(_rotation_vector(between)) > _FUSE_RAD)
+
+    def _pose(self, stamp_s: float, found: Registration) -> StampedPose | None:
+        """Return the pose of a frame; None while it is not sure, or not yet again."""
+        sigma_m = math.sqrt(float(np.linalg.eigvalsh(found.covariance[3:, 3:])[-1]))
+        if sigma_m > _MOST_SIGMA_M or self._unproven:
+            return None
+        return replace(self._stamped(stamp_s, sigma_m), quality=_quality(found))
+
+    def _stamped(self, stamp_s: float, sigma_m: float = 0.0) -> StampedPose:
+        assert self._state is not None
+        place_m2 = _POSITION_SIGMA_M**2 + sigma_m**2
+        covariance = np.diag([place_m2] * 3 + [_ROTATION_SIGMA_RAD**2] * 3)
+        return StampedPose(
+            stamp_s - self.delay_s, self._state.odom_from_body, self._state.velocity_mps, covariance,
+            reset_counter=self._reset_counter,
+        )  # fmt: skip
+
+
+def _quality(found: Registration) -> int:
+    """Return the quality 1 to 100 of a believed frame."""
+    support = min(1.0, found.known / 400.0) * found.fit + min(1.0, found.landmarks / 60.0)
+    return int(np.clip(round(100.0 * min(1.0, support)), 1, 100))
+
+
+def _repeats(depth_m: Float32Array, before: Float32Array | None) -> bool:
+    """Return True if a depth image is that before it, to the last bit."""
+    return before is not None and before.shape == depth_m.shape and np.array_equal(depth_m, before, equal_nan=True)
+
+
+def _rotation_vector(pose: Pose) -> FloatArray:
+    w, x, y, z = pose.quat_wxyz.tolist()
+    sign = 1.0 if w >= 0.0 else -1.0
+    length = math.sqrt(x * x + y * y + z * z)
+    k = 2.0 * sign if length < 1e-9 else 2.0 * sign * math.atan2(length, abs(w)) / length
+    return np.array([k * x, k * y, k * z])

@@ -1,0 +1,57 @@
+"""Tracking monitor: whether a registered frame may be believed."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+
+from uav_recon.localization.slam.rgbd_registration import MotionPrior, Registration
+
+#: reject: a frame with depth in fewer points: it is covered, or before something too near or too far
+_MIN_POINTS = 150
+_MIN_FIT = 0.55  #: reject: a frame with fewer of its known points on a known surface
+_FIT_COVERAGE = 0.15  #: reject: the same holds only if at least this share of its points is in known space
+_MAX_TURN_SIGMAS = 6.0  #: reject: a frame that turns by more of the predicted standard deviations against the gyro
+_MAX_TURN_RAD = math.radians(0.8)  #: reject: the same, but never for less
+_MAX_STEP_SIGMAS = 5.0  #: reject: a frame that moves by more of the predicted standard deviations
+_MAX_STEP_M = 0.06  #: reject: the same, but never for less
+_LOOSE_M = 0.08  #: reject: a frame that leaves the place in a direction as uncertain as this
+_LOOSE_RAD = math.radians(2.0)  #: reject: a frame that leaves a turn as uncertain as this
+
+
+class TrackingFault(str, Enum):
+    """Why a frame is not believed."""
+
+    FROZEN = "repeats"
+    FEW_POINTS = "few points"
+    FIT = "does not fit"
+    TURN = "turn"
+    STEP = "step"
+    LOOSE = "loose"
+
+
+@dataclass(frozen=True, slots=True)
+class TrackingMonitor:
+    """Limits of one registered frame."""
+
+    def fault(self, found: Registration, prior: MotionPrior) -> TrackingFault | None:
+        """Return why the frame is not believed, None if it is."""
+        turned = (found.odom_from_depth @ prior.odom_from_depth.inverse()).quat_wxyz
+        turn_rad = 2.0 * math.atan2(float(np.linalg.norm(turned[1:])), abs(float(turned[0])))
+        step_m = float(np.linalg.norm(found.odom_from_depth.translation_m - prior.odom_from_depth.translation_m))
+        loose = (
+            np.sqrt(np.linalg.eigvalsh(found.covariance[3:, 3:])[-1]),
+            np.sqrt(np.linalg.eigvalsh(found.covariance[:3, :3])[-1]),
+        )
+        place_sigma_m = math.sqrt(float(np.linalg.eigvalsh(prior.covariance[3:, 3:])[-1]))
+        checks = (
+            (found.points < _MIN_POINTS, TrackingFault.FEW_POINTS),
+            (found.coverage >= _FIT_COVERAGE and found.fit < _MIN_FIT, TrackingFault.FIT),
+            (turn_rad > max(_MAX_TURN_RAD, _MAX_TURN_SIGMAS * prior.turn_sigma_rad), TrackingFault.TURN),
+            (step_m > max(_MAX_STEP_M, _MAX_STEP_SIGMAS * place_sigma_m), TrackingFault.STEP),
+            (loose[0] > _LOOSE_M or loose[1] > _LOOSE_RAD, TrackingFault.LOOSE),
+        )
+        return next((fault for fails, fault in checks if fails), None)
