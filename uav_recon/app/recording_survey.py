@@ -30,8 +30,8 @@ class RecordingSurvey:
     """Result of the survey.
 
     odom_from_source: moves poses of the recording so that z is up, the first body pose has x = y = 0 and heading 0, and the
-    lowest depth is at z = 0. box_min_m, box_max_m: (3,) corners, in odom, of what the depth shows. depth_lens: intrinsics of the
-    depth image.
+    lowest depth is at z = 0. box_min_m, box_max_m: (3,) corners, in odom, of what the depth shows. depth_lens: of the depth
+    image.
     """
 
     odom_from_source: Pose
