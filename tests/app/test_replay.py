@@ -48,7 +48,7 @@ def depth_of_box(world_from_depth: Pose) -> FloatArray:
 def write_recording(folder: Path, source_from_world: Pose, *, jump_m: float = 0.0) -> None:
     folder.mkdir()
     fx, fy, cx, cy = K
-    np.savetxt(folder / "camera-intrinsics.txt", [[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
+    np.savetxt(folder / "camera-intrinsics.txt", np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]))
     for number in range(FRAMES):
         pose = camera_pose(number)
         depth_mm = np.rint(depth_of_box(pose) * 1000).astype(np.uint16)

@@ -35,7 +35,7 @@ def world_from_optical(number: int) -> np.ndarray:
 def write_seven_scenes(folder: Path, frames: int) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     fx, fy, cx, cy = K
-    np.savetxt(folder / "camera-intrinsics.txt", [[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
+    np.savetxt(folder / "camera-intrinsics.txt", np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]))
     for number in range(frames):
         cv2.imwrite(str(folder / f"frame-{number:06d}.depth.png"), depth_mm(number))
         cv2.imwrite(str(folder / f"frame-{number:06d}.color.png"), rgb(number)[..., ::-1])

@@ -31,7 +31,7 @@ HEADER = StreamHeader(
 
 
 def large_rgb(number: int) -> np.ndarray:
-    return cv2.resize(rgb(number), (80, 60))
+    return np.asarray(cv2.resize(rgb(number), (80, 60)))
 
 
 def record(path: Path, frames: int, max_bytes: int = 10**9) -> McapWriter:

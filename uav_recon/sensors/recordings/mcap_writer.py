@@ -45,7 +45,7 @@ class McapWriter:
         self._max_bytes = max_bytes
         self._store = get_typestore(Stores.ROS2_HUMBLE)
         self._file: BufferedWriter = path.open("xb")
-        self._writer = Writer(self._file, chunk_size=CHUNK_BYTES)
+        self._writer: Any = Writer(self._file, chunk_size=CHUNK_BYTES)
         self._writer.start(profile="ros2", library="uav_recon")
         self._channels: dict[str, int] = {}
         self._schemas: dict[str, int] = {}
