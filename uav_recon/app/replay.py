@@ -106,6 +106,7 @@ class ReplaySummary:
     calibration: list[tuple[str, float, float]] = field(default_factory=list)
     imu_samples: int = 0
     recorded_s: float = 0.0
+    skipped: dict[str, int] = field(default_factory=dict)
     path_length_m: float = 0.0
     explored_m3: float = 0.0
     views: int = 0
@@ -228,6 +229,7 @@ class _Alarms:
         """Read the newest odometry; called every STEP_S."""
         odom = self._wires.odom.latest()
         if odom is None:
+            self.lost_s += STEP_S
             return
         self.resets = odom.reset_counter
         self.wrong_s += STEP_S * (odom.health is PoseHealth.WRONG)
@@ -344,7 +346,7 @@ class _Replay:
             str(self._options.source), info.kind, info.frames, self._camera.read, self._perception.published_frames,
             dropped | samples, alarms.begun, round(alarms.wrong_s, 2), round(alarms.lost_s, 2), dict(alarms.reasons),
             alarms.resets, [] if status is None else list(status.calibration), len(self._recording.imu()),
-            info.last_s - info.first_s, self._mapping.path_length_m(), self._mapping.explored_m3(), self._mapping.log.views,
+            info.last_s - info.first_s, dict(info.skipped), self._mapping.path_length_m(), self._mapping.explored_m3(), self._mapping.log.views,
             self._mapping.log.plans, time.perf_counter() - self._wall_s,
         )  # fmt: skip
 
@@ -427,6 +429,7 @@ def _print(summary: ReplaySummary, options: ReplayOptions, console: Console) -> 
     alarms = ", ".join(f"{reason} {count}" for reason, count in summary.alarms.items()) or "none"
     for name, value in (
         ("frames: recorded, read, used", f"{summary.frames_in_recording}, {summary.frames_read}, {summary.frames_used}"),
+        *(("not read: " + name, str(count)) for name, count in summary.skipped.items()),
         ("refused, by reason", refused), ("drift alarms", alarms), ("pose lost", f"{summary.lost_s:.1f} s"),
         ("path", f"{summary.path_length_m:.2f} m"), ("explored", f"{summary.explored_m3:.1f} m³"),
         ("views, plans", f"{summary.views}, {summary.plans}"),

@@ -90,6 +90,16 @@ def test_depth_without_near_colour_is_skipped(tmp_path: Path) -> None:
     assert [frame.sequence for frame in opened(tmp_path / "r").frames()] == [0, 1]
 
 
+def test_listed_images_that_are_missing_are_counted(tmp_path: Path) -> None:
+    write_tum(tmp_path / "r", 4)
+    sorted((tmp_path / "r/depth").iterdir())[1].unlink()
+    sorted((tmp_path / "r/rgb").iterdir())[2].unlink()
+    recording = opened(tmp_path / "r")
+    stamps_s = [frame.stamp_s for frame in recording.frames()]
+    np.testing.assert_allclose(stamps_s, (100.0, 100.1), atol=1e-5)
+    assert dict(recording.info.skipped) == {"images listed but missing": 2, "depth images without colour": 1}
+
+
 def test_tum_without_poses(tmp_path: Path) -> None:
     write_tum(tmp_path / "r", 2, poses=False)
     assert opened(tmp_path / "r").poses() == []

@@ -31,7 +31,8 @@ class RecordingInfo:
     """Head of a recording.
 
     kind: its format in words. frames: number of depth frames. first_s, last_s: stamps of the first and the last of them, in the
-    recording's time. body_from_depth: mount of the depth imager. up_is_z: True if z of the poses' frame is up.
+    recording's time. body_from_depth: mount of the depth imager. up_is_z: True if z of the poses' frame is up. skipped: what
+    cannot be used: (reason, count) each.
     """
 
     kind: str
@@ -40,6 +41,7 @@ class RecordingInfo:
     last_s: float
     body_from_depth: Pose
     up_is_z: bool
+    skipped: tuple[tuple[str, int], ...] = ()
 
 
 class Recording(Protocol):

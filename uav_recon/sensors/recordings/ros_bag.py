@@ -104,7 +104,9 @@ class RosBag:
     def info(self) -> RecordingInfo:
         """Return the head of the recording."""
         stamps_s = self._stamps_s
-        return RecordingInfo("ROS 2 bag", len(stamps_s), stamps_s[0], stamps_s[-1], self._body_from_depth, up_is_z=True)
+        return RecordingInfo(
+            "ROS 2 bag", len(stamps_s), stamps_s[0], stamps_s[-1], self._body_from_depth, True, tuple(self.skipped.items())
+        )
 
     def frames(self, step: int = 1) -> Iterator[Frame]:
         """Yield every step-th depth image with its nearest colour image. Raises RecordingError."""

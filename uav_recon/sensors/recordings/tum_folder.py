@@ -44,16 +44,19 @@ class TumFolder:
         self._folder = folder
         self._unit = DepthUnit.of(1.0 / UNITS_PER_M, depth_min_m, depth_max_m)
         self._k = k or _intrinsics_file(folder) or DEFAULT_K
-        depth, rgb = _list(folder / "depth.txt"), _list(folder / "rgb.txt")
+        lists = _list(folder / "depth.txt"), _list(folder / "rgb.txt")
+        depth, rgb = ([one for one in entries if (folder / one[1]).is_file()] for entries in lists)
+        missing = sum(map(len, lists)) - len(depth) - len(rgb)
         self._pairs = _paired(depth, rgb)
         require_increasing(folder / "depth.txt", [stamp_s for stamp_s, _, _ in self._pairs])
-        self.skipped = len(depth) - len(self._pairs)
+        counts = ("images listed but missing", missing), ("depth images without colour", len(depth) - len(self._pairs))
+        self._skipped = tuple(one for one in counts if one[1])
 
     @property
     def info(self) -> RecordingInfo:
         """Return the head of the recording."""
         first_s, last_s = self._pairs[0][0], self._pairs[-1][0]
-        return RecordingInfo("TUM RGB-D folder", len(self._pairs), first_s, last_s, LEVEL_MOUNT, up_is_z=True)
+        return RecordingInfo("TUM RGB-D folder", len(self._pairs), first_s, last_s, LEVEL_MOUNT, True, self._skipped)
 
     def frames(self, step: int = 1) -> Iterator[Frame]:
         """Yield every step-th depth image that has a colour image. Raises RecordingError."""
