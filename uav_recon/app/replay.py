@@ -346,8 +346,8 @@ class _Replay:
             str(self._options.source), info.kind, info.frames, self._camera.read, self._perception.published_frames,
             dropped | samples, alarms.begun, round(alarms.wrong_s, 2), round(alarms.lost_s, 2), dict(alarms.reasons),
             alarms.resets, [] if status is None else list(status.calibration), len(self._recording.imu()),
-            info.last_s - info.first_s, dict(info.skipped), self._mapping.path_length_m(), self._mapping.explored_m3(), self._mapping.log.views,
-            self._mapping.log.plans, time.perf_counter() - self._wall_s,
+            info.last_s - info.first_s, dict(info.skipped), self._mapping.path_length_m(), self._mapping.explored_m3(),
+            self._mapping.log.views, self._mapping.log.plans, time.perf_counter() - self._wall_s,
         )  # fmt: skip
 
 
