@@ -11,7 +11,7 @@ import pytest
 from tests.sensors.recordings.folders import K, depth_mm, rgb, world_from_optical, write_seven_scenes, write_tum
 from uav_recon.clock import ManualClock
 from uav_recon.sensors.recordings.detection import ReadOptions, open_recording
-from uav_recon.sensors.recordings.recording import PlaybackCamera, PlaybackPoses, Recording, RecordingError
+from uav_recon.sensors.recordings.recording import DepthUnit, PlaybackCamera, PlaybackPoses, Recording, RecordingError
 from uav_recon.types.pose import Pose
 
 
@@ -32,6 +32,12 @@ def test_depth_in_metres_without_zero_and_65535(recording: Recording) -> None:
         np.testing.assert_allclose(frame.depth_m, wanted, atol=1e-6)
         assert (frame.depth_intrinsics.fx, frame.depth_intrinsics.cy) == (K[0], K[3])
     assert number == 2
+
+
+def test_largest_raw_depth_is_no_return_in_any_unit() -> None:
+    unit = DepthUnit.of(1 / 5000, 0.3, 20.0)
+    raw = np.array([[0, 65534, 65535, 5000]], np.uint16)
+    np.testing.assert_allclose(unit.metres(raw), [[np.nan, 65534 / 5000, np.nan, 1.0]], rtol=1e-6)
 
 
 def test_colour_is_rgb(recording: Recording) -> None:

@@ -191,11 +191,17 @@ def test_pose_of_body_where_no_transform_tells(tmp_path: Path) -> None:
 
 
 def test_distorted_colour_is_undistorted(tmp_path: Path) -> None:
-    folder = bag(tmp_path / "b", StoragePlugin.MCAP, usual(distortion=-0.3))
+    rows, columns = np.indices(SHAPE)
+    pattern = np.stack([4 * rows, 3 * columns, rows + columns], axis=-1).astype(np.uint8)
+    messages = [
+        (t, s, image(s, pattern, "rgb8") if t == "/c/image_raw" else m) for t, s, m in usual(distortion=-0.3)
+    ]  # fmt: skip
+    folder = bag(tmp_path / "b", StoragePlugin.MCAP, messages)
     frame = next(open_recording(folder, ReadOptions()).frames())
     k = np.array([[K[0], 0, K[2]], [0, K[1], K[3]], [0, 0, 1]])
-    wanted = cv2.undistort(rgb(0), k, np.array([-0.3, 0, 0, 0, 0]))
+    wanted = cv2.undistort(pattern, k, np.array([-0.3, 0, 0, 0, 0]))
     assert np.abs(frame.rgb.astype(int) - wanted.astype(int)).max() <= 2
+    assert np.abs(frame.rgb.astype(int) - pattern).max() > 10
 
 
 def without(messages: list[tuple[str, float, Any]], topic: str) -> list[tuple[str, float, Any]]:
