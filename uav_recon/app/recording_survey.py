@@ -19,7 +19,7 @@ _STRIDE_PX = 8
 _NEAR_S = 0.06  #: reject: a frame with no pose nearer in time does not count for the box
 _CONES_RAD = np.radians([45.0, 20.0, 10.0, 5.0])  #: internal: widths of the search for the floor's normal
 _SHARE_PERCENT = 0.5  #: plan: this share of the points may lie outside each side of the box
-_SMALLEST_M = 0.9  #: plan: the box reaches at least this far from the first pose: a config wants room for a take-off
+_SMALLEST_M = 1.1  #: plan: the box reaches at least this far from the first pose: a fence is at least 2 m wide
 _MARGIN_M = 0.3  #: plan: margin of the box around depth and path
 #: plan: half sizes of the box where no pose tells how far the camera went
 _BOX_WITHOUT_POSES_M = np.array([6.0, 6.0, 2.5])
