@@ -123,7 +123,7 @@ def test_the_recorder_ends_with_its_mission_even_if_that_ended_first(config: Pat
         sys.executable,
         "-m",
         "uav_recon",
-        "record",
+        "recorder",
         "--config",
         str(config),
         "--flight",

@@ -15,8 +15,19 @@ from uav_recon.app.flight_channels import FlightChannels
 from uav_recon.clock import InlineExecutor
 from uav_recon.config import Config, LinkConfig
 from uav_recon.errors import EXIT_CONFIG, UserError
-from uav_recon.interfaces import ByteLink, CameraRemarks, Clock, Executor, ExposureLocking, Journal, Mapper
+from uav_recon.interfaces import (
+    ByteLink,
+    CameraRemarks,
+    Clock,
+    DepthCamera,
+    Executor,
+    ExposureLocking,
+    Journal,
+    Mapper,
+    PoseSource,
+)
 from uav_recon.types.maps import GridSpec
+from uav_recon.types.reason import Reason
 from uav_recon.types.vehicle import FlightPhase, VehicleState
 
 if TYPE_CHECKING:  # each process imports only the stages that it runs
@@ -26,6 +37,7 @@ if TYPE_CHECKING:  # each process imports only the stages that it runs
     from uav_recon.autopilot.parameters.preflight_check import ParameterCheck
     from uav_recon.autopilot.parameters.reader import ParameterEncoding
     from uav_recon.autopilot.pilot.pilot import HullGeometry, Pilot
+    from uav_recon.localization.camera_mount import Mount
     from uav_recon.localization.perception import Perception
     from uav_recon.mapping.keyframe_selection import KeyframeSelection
     from uav_recon.mapping.neural.neural_mapper import NeuralMapper
@@ -218,10 +230,7 @@ def make_perception(
     Raises UserError if there is no camera; with exit code 0 if stopped() becomes true while it waits for one.
     """
     from uav_recon.localization.camera_mount import FixedMount, GimbalMount
-    from uav_recon.localization.fusion_filter import FusionFilter
-    from uav_recon.localization.kept_calibration import KeptCalibration
     from uav_recon.localization.pad_origin import PadOrigin
-    from uav_recon.localization.perception import Perception
 
     camera = camera_sources.open_camera(config, clock, stopped)
     mount = (
@@ -232,18 +241,45 @@ def make_perception(
     if isinstance(camera, ExposureLocking):
         camera.lock_exposure(lambda: _flight_is_near(wires.vehicle.latest()))
     remarks = camera.remarks if isinstance(camera, CameraRemarks) else tuple
-    camera, poses = pose_sources.open_poses(pose_sources.SourceContext(config, wires, clock, camera, mount))
     compile_ahead()
-    fusion = FusionFilter(pose_lost_s=config.localization.pose_lost_s)
+    camera, poses = pose_sources.open_poses(pose_sources.SourceContext(config, wires, clock, camera, mount))
     pad = None
     if config.localization.origin == "pad" and config.camera.source != "recorded":
         poses = pad = PadOrigin(poses, wires.vehicle, config.runtime.folder / PAD_FILE)
+    return connect_perception(
+        config, wires, clock, camera, poses, mount,
+        origin=lambda: None if pad is None else pad.reason, remarks=remarks, writer=writer,
+    )  # fmt: skip
+
+
+def connect_perception(
+    config: Config,
+    wires: FlightChannels,
+    clock: Clock,
+    camera: DepthCamera,
+    poses: PoseSource,
+    mount: Mount,
+    *,
+    origin: Callable[[], Reason | None] = lambda: None,
+    remarks: Callable[[], tuple[Reason, ...]] = tuple,
+    writer: Executor | None = None,
+) -> Perception:
+    """Build the stages of perception on an open camera and an open pose source.
+
+    origin: where the take-off pad is, if not at the pose source's origin. remarks: of the camera. writer: writes the kept
+    calibration.
+    """
+    from uav_recon.localization.fusion_filter import FusionFilter
+    from uav_recon.localization.kept_calibration import KeptCalibration
+    from uav_recon.localization.perception import Perception
+
+    fusion = FusionFilter(pose_lost_s=config.localization.pose_lost_s)
     rate_hz, wait_s = config.localization.rate_hz, config.localization.frame_wait_s
     file = config.localization.calibration
     kept = KeptCalibration(file, camera_sources.mount_text(config), writer or InlineExecutor(clock)) if file else None
     return Perception(
         camera, poses, fusion, mount, wires.odom, wires.frames, wires.nearby, wires.perception, clock, rate_hz, wait_s,
-        origin=lambda: None if pad is None else pad.reason, remarks=remarks, rates=wires.rates, kept=kept,
+        origin=origin, remarks=remarks, rates=wires.rates, kept=kept,
     )  # fmt: skip
 
 

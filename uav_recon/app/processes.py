@@ -258,19 +258,19 @@ def mission(config_path: Path, flight: Path | None) -> int:
     return 0
 
 
-def record(config_path: Path, flight: Path | None) -> int:
+def recorder(config_path: Path, flight: Path | None) -> int:
     """Subscribe to the channels, read-only, and record them until SIGTERM."""
     stop, clock, config = Stop(), MonotonicClock(), factory.load_config(config_path)
     wires = read_only_channels(config.runtime.folder)
-    recorder = factory.make_recorder(config, wires, flight_folder(config, flight), clock)
-    waiting = WaitNotice("record", clock.now_s())
+    the_recorder = factory.make_recorder(config, wires, flight_folder(config, flight), clock)
+    waiting = WaitNotice("recorder", clock.now_s())
 
     def step() -> None:
         waiting.update(clock.now_s(), missing_processes(wires, clock.now_s()))
-        recorder.step()
+        the_recorder.step()
 
     _loop(step, RECORDER_RATE_HZ, clock, lambda: stop.asked or _hung_up(sys.stdin.fileno()))
-    recorder.close()
+    the_recorder.close()
     return 0
 
 
@@ -328,7 +328,7 @@ def _write_report(config: Config, folder: Path, wall_s: float) -> None:
 
 
 def _start_recorder(config_path: Path, folder: Path) -> subprocess.Popen[bytes]:
-    command = [sys.executable, "-m", "uav_recon", "record", "--config", str(config_path), "--flight", str(folder)]
+    command = [sys.executable, "-m", "uav_recon", "recorder", "--config", str(config_path), "--flight", str(folder)]
     return subprocess.Popen(["nice", "-n", "10", *command], stdin=subprocess.PIPE)  # noqa: S603, S607 - our own program
 
 

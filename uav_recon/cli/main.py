@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from uav_recon.app.kernel_cache import use_writable_cache
-from uav_recon.cli import faults, operator, services, simulate
+from uav_recon.cli import faults, operator, recordings, services, simulate
 from uav_recon.cli.bench import bench
 from uav_recon.cli.check import check
 from uav_recon.cli.commands import HELP_NAMES, Commands, add
@@ -58,6 +58,7 @@ add(app, faults.faults, "faults", FLY, faults.EXAMPLES)
 add(app, simulate.sweep, "sweep", FLY, simulate.SWEEP_EXAMPLES)
 add(app, simulate.compile_kernels, "compile", FLY)
 add(app, services.review, "review", REVIEW, services.REVIEW_EXAMPLES)
+add(app, recordings.replay, "replay", REVIEW, recordings.REPLAY_EXAMPLES)
 add(app, services.refine, "refine", REVIEW, services.REFINE_EXAMPLES)
 app.add_typer(bench, name="bench", rich_help_panel=MEASURE)
 for name, command in operator.COMMANDS.items():
@@ -66,7 +67,8 @@ add(app, services.pilot, "pilot", VEHICLE)
 add(app, services.perception, "perception", VEHICLE)
 add(app, services.mission, "mission", VEHICLE)
 add(app, services.calibrate, "calibrate", VEHICLE, services.CALIBRATE_EXAMPLES)
-add(app, services.record, "record", hidden=True)
+add(app, recordings.record, "record", VEHICLE, recordings.RECORD_EXAMPLES)
+add(app, services.recorder, "recorder", hidden=True)
 app.add_typer(check, name="check", rich_help_panel=VEHICLE)
 app.add_typer(params, name="params", rich_help_panel=VEHICLE)
 app.add_typer(config, name="config", rich_help_panel=VEHICLE)

@@ -60,14 +60,14 @@ def mission(config: ConfigOption = CONFIG, flight: FlightOption = None) -> None:
     exit_with(lambda: processes.mission(config, flight))
 
 
-def record(config: ConfigOption = CONFIG, flight: FlightOption = None) -> None:
+def recorder(config: ConfigOption = CONFIG, flight: FlightOption = None) -> None:
     """Run the recorder, which writes the channels to flight.rrd.
 
     The mission starts it.
     """
     from uav_recon.app import processes
 
-    exit_with(lambda: processes.record(config, flight))
+    exit_with(lambda: processes.recorder(config, flight))
 
 
 def calibrate(

@@ -20,6 +20,7 @@ from uav_recon.interfaces import Clock
 from uav_recon.sensors.stream_camera import depth_lookup_table
 from uav_recon.sensors.stream_format import StreamError
 from uav_recon.types.camera import Frame, ImuSample, Intrinsics
+from uav_recon.types.frames import Float32Array
 from uav_recon.types.pose import Pose, StampedPose
 
 _POSE_RATE_HZ = 15.0
@@ -30,7 +31,9 @@ class RecordingError(StreamError):
 
 
 @dataclass(frozen=True)
-class _Keyframe:
+class Keyframe:
+    """A keyframe of poses.json; its images are not read yet."""
+
     sequence: int
     stamp_s: float
     depth: Path
@@ -41,11 +44,46 @@ class _Keyframe:
     world_from_depth: Pose
 
     @staticmethod
-    def read(folder: Path, entry: dict[str, Any]) -> _Keyframe:
+    def read(folder: Path, entry: dict[str, Any]) -> Keyframe:
+        """Read an entry of the list. Raises ValueError, KeyError or TypeError."""
         depth, rgb = (Intrinsics.from_tree(entry[lens]) for lens in ("depth_intrinsics", "rgb_intrinsics"))
         files = [folder / Path(entry[name]).name for name in ("depth", "rgb")]  # never outside the folder
         poses = [_pose(entry[name]) for name in ("rgb_from_depth", "world_from_depth")]
-        return _Keyframe(int(entry["sequence"]), float(entry["stamp_s"]), files[0], depth, files[1], rgb, *poses)
+        return Keyframe(int(entry["sequence"]), float(entry["stamp_s"]), files[0], depth, files[1], rgb, *poses)
+
+    def load(self, table: Float32Array, stamp_s: float) -> Frame | None:
+        """Read the images (about 5 ms); None if one is missing or has another size.
+
+        table: metres of 16-bit depth.
+        """
+        depth_mm: Any = cv2.imread(str(self.depth), cv2.IMREAD_UNCHANGED)
+        bgr: Any = cv2.imread(str(self.rgb), cv2.IMREAD_COLOR)
+        depth, rgb = self.depth_intrinsics, self.rgb_intrinsics
+        if (
+            depth_mm is None or bgr is None or depth_mm.dtype != np.uint16
+            or depth_mm.shape != (depth.height, depth.width) or bgr.shape != (rgb.height, rgb.width, 3)
+        ):  # fmt: skip
+            return None
+        return Frame(stamp_s, self.sequence, table[depth_mm], depth, bgr[..., ::-1], rgb, self.rgb_from_depth)
+
+
+def read_keyframes(folder: Path) -> list[Keyframe]:
+    """Return the keyframes with a pose of a flight folder, or of its folder of keyframes.
+
+    Raises RecordingError (one line) for a list that cannot be read, that is empty, or whose stamps do not increase.
+    """
+    images = folder / "keyframes" if (folder / "keyframes").is_dir() else folder
+    path = images / "poses.json"
+    try:
+        tree = json.loads(path.read_text(encoding="utf-8"))
+        frames = [Keyframe.read(images, entry) for entry in tree["keyframes"] if entry["world_from_depth"] is not None]
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be read ({error.strerror})") from None
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
+        raise RecordingError(f"{path}: not a keyframe list: {' '.join(repr(error).split())}") from None
+    if not frames or any(not a.stamp_s < b.stamp_s for a, b in itertools.pairwise(frames)):
+        raise RecordingError(f"{path}: wants at least one keyframe, with stamps that increase")
+    return frames
 
 
 class _Recording:
@@ -55,19 +93,8 @@ class _Recording:
     """
 
     def __init__(self, folder: Path, clock: Clock) -> None:
-        images = folder / "keyframes" if (folder / "keyframes").is_dir() else folder
-        path = images / "poses.json"
-        try:
-            tree = json.loads(path.read_text(encoding="utf-8"))
-            frames = [_Keyframe.read(images, entry) for entry in tree["keyframes"] if entry["world_from_depth"] is not None]
-        except OSError as error:
-            raise RecordingError(f"{path}: cannot be read ({error.strerror})") from None
-        except (ValueError, KeyError, TypeError, RecursionError) as error:
-            raise RecordingError(f"{path}: not a keyframe list: {' '.join(repr(error).split())}") from None
-        if not frames or any(not a.stamp_s < b.stamp_s for a, b in itertools.pairwise(frames)):
-            raise RecordingError(f"{path}: wants at least one keyframe, with stamps that increase")
-        self.frames = frames
-        self.shift_s = clock.now_s() - frames[0].stamp_s  # recorded stamp + shift = stamp on our clock
+        self.frames = read_keyframes(folder)
+        self.shift_s = clock.now_s() - self.frames[0].stamp_s  # recorded stamp + shift = stamp on our clock
 
 
 class RecordedCamera:
@@ -94,18 +121,9 @@ class RecordedCamera:
             return None
         self._next = due
         keyframe = recording.frames[due - 1]
-        depth_mm: Any = cv2.imread(str(keyframe.depth), cv2.IMREAD_UNCHANGED)
-        bgr: Any = cv2.imread(str(keyframe.rgb), cv2.IMREAD_COLOR)
-        depth, rgb = keyframe.depth_intrinsics, keyframe.rgb_intrinsics
-        if (
-            depth_mm is None or bgr is None or depth_mm.dtype != np.uint16
-            or depth_mm.shape != (depth.height, depth.width) or bgr.shape != (rgb.height, rgb.width, 3)
-        ):  # fmt: skip
-            self.missing_images += 1
-            return None
-        stamp_s = keyframe.stamp_s + recording.shift_s
-        rgb_from_depth = keyframe.rgb_from_depth
-        return Frame(stamp_s, keyframe.sequence, self._table[depth_mm], depth, bgr[..., ::-1], rgb, rgb_from_depth)
+        frame = keyframe.load(self._table, keyframe.stamp_s + recording.shift_s)
+        self.missing_images += frame is None
+        return frame
 
     def imu(self) -> list[ImuSample]:
         """Return an empty list: keyframes have no inertial samples."""

@@ -113,7 +113,7 @@ def measure(seconds: float, negative: bool, autopilot: str, say: Callable[[str],
         loader = ends.enter_context(_child(load, log, _PILOT_NICE if negative else 0))
         say("loading the machine")
         _await(folder / setpoint_load.LEARNING, loader, log)
-        ends.enter_context(_child([*product, "record", *ours], log, _RECORDER_NICE))
+        ends.enter_context(_child([*product, "recorder", *ours], log, _RECORDER_NICE))
         if not negative:
             ends.enter_context(_child([*product, "pilot", *ours], log, _PILOT_NICE, _PILOT_FIFO))
         say(f"flying for {seconds / 60.0:g} minutes")

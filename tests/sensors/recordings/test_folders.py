@@ -1,0 +1,161 @@
+"""Readers of TUM and 7-Scenes folders against files that the test writes itself."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from recording_folders import K, depth_mm, rgb, world_from_optical, write_seven_scenes, write_tum
+
+from uav_recon.clock import ManualClock
+from uav_recon.sensors.recordings.detection import ReadOptions, open_recording
+from uav_recon.sensors.recordings.recording import DepthUnit, PlaybackCamera, PlaybackPoses, Recording, RecordingError
+from uav_recon.types.pose import Pose
+
+
+def opened(folder: Path, options: ReadOptions | None = None) -> Recording:
+    return open_recording(folder, options or ReadOptions())
+
+
+@pytest.fixture(params=[write_seven_scenes, write_tum])
+def recording(request: pytest.FixtureRequest, tmp_path: Path) -> Recording:
+    request.param(tmp_path / "r", 3)
+    return opened(tmp_path / "r", ReadOptions(k=K))
+
+
+def test_depth_in_metres_without_zero_and_65535(recording: Recording) -> None:
+    for number, frame in enumerate(recording.frames()):
+        wanted = depth_mm(number).astype(float) * 0.001
+        wanted[0, 0] = wanted[0, 1] = np.nan  # 65535 x 5 units of TUM overflow to 13.1 m, beyond the range
+        np.testing.assert_allclose(frame.depth_m, wanted, atol=1e-6)
+        assert (frame.depth_intrinsics.fx, frame.depth_intrinsics.cy) == (K[0], K[3])
+    assert number == 2
+
+
+def test_largest_raw_depth_is_no_return_in_any_unit() -> None:
+    unit = DepthUnit.of(1 / 5000, 0.3, 20.0)
+    raw = np.array([[0, 65534, 65535, 5000]], np.uint16)
+    np.testing.assert_allclose(unit.metres(raw), [[np.nan, 65534 / 5000, np.nan, 1.0]], rtol=1e-6)
+
+
+def test_colour_is_rgb(recording: Recording) -> None:
+    np.testing.assert_array_equal(list(recording.frames())[2].rgb, rgb(2))
+
+
+def test_camera_pose_is_body_pose_and_mount(recording: Recording) -> None:
+    mount = recording.info.body_from_depth
+    for number, pose in enumerate(recording.poses()):
+        np.testing.assert_allclose((pose.odom_from_body @ mount).matrix(), world_from_optical(number), atol=1e-9)
+
+
+def test_level_mount_looks_along_x(recording: Recording) -> None:
+    np.testing.assert_allclose(recording.info.body_from_depth.rotation() @ (0, 0, 1), (1, 0, 0), atol=1e-12)
+    np.testing.assert_allclose(recording.info.body_from_depth.rotation() @ (0, -1, 0), (0, 0, 1), atol=1e-12)
+
+
+def test_frames_are_thirty_a_second(recording: Recording) -> None:
+    stamps_s = [frame.stamp_s for frame in recording.frames()]
+    np.testing.assert_allclose(np.diff(stamps_s), 1 / 30, atol=1e-5)
+    assert [frame.sequence for frame in recording.frames(step=2)] == [0, 2]
+    assert recording.info.frames == 3
+
+
+def test_playback_gives_each_frame_once_when_due(recording: Recording) -> None:
+    clock = ManualClock(50.0)
+    camera, given = PlaybackCamera(recording, clock), []
+    poses = PlaybackPoses(recording, clock, camera.shift_s, Pose.identity())
+    due = []
+    for tick in range(12):
+        clock.advance_to(50.0 + 0.01 * tick)
+        frame = camera.poll()
+        if frame is not None:
+            assert frame.stamp_s <= clock.now_s() + 1e-9
+            given.append(frame.stamp_s)
+        due += [pose.stamp_s for pose in poses.poses()]
+        assert all(stamp_s <= clock.now_s() + 1e-9 for stamp_s in due)
+    np.testing.assert_allclose(given, 50.0 + np.arange(3) / 30, atol=1e-5)
+    np.testing.assert_allclose(due, given, atol=1e-9)
+    assert camera.finished
+    assert camera.read == 3
+
+
+def test_frame_without_pose_file_has_no_pose(tmp_path: Path) -> None:
+    write_seven_scenes(tmp_path, 3)
+    (tmp_path / "frame-000001.pose.txt").unlink()
+    (tmp_path / "frame-000002.pose.txt").write_text("0 " * 16)
+    assert len(opened(tmp_path).poses()) == 1
+    assert len(list(opened(tmp_path).frames())) == 3
+
+
+def test_depth_without_near_colour_is_skipped(tmp_path: Path) -> None:
+    write_tum(tmp_path / "r", 3)
+    lines = (tmp_path / "r/rgb.txt").read_text().splitlines()
+    (tmp_path / "r/rgb.txt").write_text("\n".join(lines[:-1]))
+    assert [frame.sequence for frame in opened(tmp_path / "r").frames()] == [0, 1]
+
+
+def test_listed_images_that_are_missing_are_counted(tmp_path: Path) -> None:
+    write_tum(tmp_path / "r", 4)
+    sorted((tmp_path / "r/depth").iterdir())[1].unlink()
+    sorted((tmp_path / "r/rgb").iterdir())[2].unlink()
+    recording = opened(tmp_path / "r")
+    stamps_s = [frame.stamp_s for frame in recording.frames()]
+    np.testing.assert_allclose(stamps_s, (100.0, 100.1), atol=1e-5)
+    assert dict(recording.info.skipped) == {"images listed but missing": 2, "depth images without colour": 1}
+
+
+def test_tum_without_poses(tmp_path: Path) -> None:
+    write_tum(tmp_path / "r", 2, poses=False)
+    assert opened(tmp_path / "r").poses() == []
+
+
+def one_line(folder: Path) -> str:
+    with pytest.raises(RecordingError) as error:
+        recording = opened(folder)
+        recording.poses()
+        list(recording.frames())
+    assert "\n" not in str(error.value)
+    return str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "said"),
+    [
+        ("depth.txt", "yesterday depth/a.png\n", "want a stamp in seconds and a file name"),
+        ("depth.txt", "1.0 ../../etc/passwd\n", "leads out of the folder"),
+        ("depth.txt", "# nothing\n", "has no depth frame"),
+        ("groundtruth.txt", "1 2 3\n", "want 8 numbers"),
+        ("groundtruth.txt", "1 nan 3 4 0 0 0 1\n", "want 8 numbers"),
+        ("camera-intrinsics.txt", "1 2 3\n", "want a matrix of 3 x 3 numbers"),
+        ("camera-intrinsics.txt", "0 0 1 0 5 1 0 0 1\n", "must be positive"),
+    ],
+)
+def test_wrong_tum_folder_is_one_line(tmp_path: Path, name: str, text: str, said: str) -> None:
+    write_tum(tmp_path / "r", 2)
+    (tmp_path / "r" / name).write_text(text)
+    assert said in one_line(tmp_path / "r")
+
+
+def test_cut_image_is_one_line(tmp_path: Path) -> None:
+    write_seven_scenes(tmp_path, 2)
+    image = tmp_path / "frame-000001.depth.png"
+    image.write_bytes(image.read_bytes()[:20])
+    assert "frame-000001.depth.png" in one_line(tmp_path)
+
+
+def test_colour_in_place_of_depth_is_one_line(tmp_path: Path) -> None:
+    write_seven_scenes(tmp_path, 2)
+    shutil.copy(tmp_path / "frame-000000.color.png", tmp_path / "frame-000000.depth.png")
+    assert "want a 16-bit grey image" in one_line(tmp_path)
+
+
+def test_other_things_say_what_was_found_and_what_is_wanted(tmp_path: Path) -> None:
+    assert "does not exist" in one_line(tmp_path / "nowhere")
+    assert "an empty folder; want a flight folder" in one_line(tmp_path)
+    (tmp_path / "holiday.jpg").write_bytes(b"\xff\xd8\xff\xe0jpeg")
+    assert "a folder with holiday.jpg" in one_line(tmp_path)
+    assert "a file that begins with" in one_line(tmp_path / "holiday.jpg")
+    (tmp_path / "old.bag").write_bytes(b"#ROSBAG V2.0\n" + bytes(20))
+    assert "a ROS 1 bag" in one_line(tmp_path / "old.bag")

@@ -1,0 +1,237 @@
+"""Bags: the writer of `record`, and files that rosbags writes, a writer independent of ours."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from recording_folders import (
+    HEADER,
+    MOUNT,
+    RGB_FROM_DEPTH,
+    SHAPE,
+    K,
+    depth_mm,
+    large_rgb,
+    rgb,
+    world_from_optical,
+)
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+
+from uav_recon.sensors.recordings.bag_messages import BagTopics
+from uav_recon.sensors.recordings.detection import ReadOptions, open_recording
+from uav_recon.sensors.recordings.mcap_writer import McapWriter
+from uav_recon.sensors.recordings.recording import LEVEL_MOUNT, RecordingError
+from uav_recon.types.pose import Pose
+
+STORE = get_typestore(Stores.ROS2_HUMBLE)
+T = STORE.types
+
+
+def record(path: Path, frames: int, max_bytes: int = 10**9) -> McapWriter:
+    writer = McapWriter(path, HEADER, MOUNT, max_bytes)
+    for number in range(frames):
+        stamp_s = 5.0 + number / 15.0
+        for sample in range(10):
+            writer.write_imu(stamp_s + sample / 150.0, np.array([0.1, 0.2, 0.01 * number]), np.array([0.0, 0.5, 9.8]))
+        writer.write_pose(stamp_s, Pose.from_matrix(world_from_optical(number)), np.full(6, 1e-4))
+        writer.write_frame(stamp_s, depth_mm(number), large_rgb(number))
+    return writer
+
+
+def test_recording_is_read_as_it_was_written(tmp_path: Path) -> None:
+    record(tmp_path / "r.mcap", 4).close()
+    recording = open_recording(tmp_path / "r.mcap", ReadOptions())
+    frames, poses, imu = list(recording.frames()), recording.poses(), recording.imu()
+    assert (len(frames), len(poses), len(imu), recording.info.frames) == (4, 4, 40, 4)
+    np.testing.assert_allclose(recording.info.body_from_depth.matrix(), MOUNT.matrix(), atol=1e-12)
+    for number, (frame, pose) in enumerate(zip(frames, poses, strict=True)):
+        assert frame.stamp_s == pytest.approx(5.0 + number / 15.0, abs=1e-8)
+        np.testing.assert_allclose(frame.depth_m[1:], depth_mm(number)[1:] * 0.001, atol=1e-6)
+        assert np.abs(frame.rgb.astype(int) - large_rgb(number)).max() <= 4  # JPEG
+        np.testing.assert_allclose(frame.rgb_from_depth.matrix(), RGB_FROM_DEPTH.matrix(), atol=1e-12)
+        np.testing.assert_allclose(pose.odom_from_body.matrix(), world_from_optical(number), atol=1e-12)
+        assert (frame.rgb_intrinsics.fx, frame.rgb_intrinsics.width) == (70.0, 80)
+    np.testing.assert_allclose(imu[-1].gyro_radps, (0.1, 0.2, 0.03), atol=1e-12)
+    np.testing.assert_allclose(imu[-1].specific_force_mps2, (0.0, 0.5, 9.8), atol=1e-12)
+
+
+def test_mcap_reader_of_the_field_opens_it(tmp_path: Path) -> None:
+    from mcap.reader import make_reader
+
+    record(tmp_path / "r.mcap", 2).close()
+    with (tmp_path / "r.mcap").open("rb") as file:
+        reader = make_reader(file)
+        summary = reader.get_summary()
+        assert summary is not None
+        names = {channel.topic for channel in summary.channels.values()}
+        assert {"/imu", "/odom", "/tf_static", "/camera/depth/image", "/camera/colour/image/compressed"} <= names
+        assert reader.get_header().profile == "ros2"
+        assert len(list(reader.iter_messages())) == 2 * 13 + 3
+
+
+@pytest.mark.parametrize("share", [0.3, 0.6, 0.95])
+def test_cut_file_is_read_up_to_the_cut(tmp_path: Path, share: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("uav_recon.sensors.recordings.mcap_writer.CHUNK_BYTES", 5000)
+    record(tmp_path / "r.mcap", 60).close()
+    data = (tmp_path / "r.mcap").read_bytes()
+    (tmp_path / "cut.mcap").write_bytes(data[: int(len(data) * share)])
+    whole = [frame.stamp_s for frame in open_recording(tmp_path / "r.mcap", ReadOptions()).frames()]
+    cut = [frame.stamp_s for frame in open_recording(tmp_path / "cut.mcap", ReadOptions()).frames()]
+    assert cut == whole[: len(cut)]
+    assert len(cut) > 60 * share * 0.7
+
+
+def test_file_without_close_is_readable(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("uav_recon.sensors.recordings.mcap_writer.CHUNK_BYTES", 5000)
+    writer = record(tmp_path / "r.mcap", 30)
+    writer._file.flush()
+    assert len(list(open_recording(tmp_path / "r.mcap", ReadOptions()).frames())) > 20
+    writer.close()
+
+
+def test_size_is_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("uav_recon.sensors.recordings.mcap_writer.CHUNK_BYTES", 2000)
+    writer = record(tmp_path / "r.mcap", 40, max_bytes=20000)
+    assert writer.full
+    writer.close()
+    writer = record(tmp_path / "s.mcap", 1, max_bytes=10**8)
+    assert not writer.full
+    writer.close()
+
+
+# -- bags of other programs --------------------------------------------------------------------------------------------
+
+
+def head(stamp_s: float, frame: str) -> Any:
+    time = T["builtin_interfaces/msg/Time"](sec=int(stamp_s), nanosec=round((stamp_s - int(stamp_s)) * 1e9))
+    return T["std_msgs/msg/Header"](stamp=time, frame_id=frame)
+
+
+def image(stamp_s: float, pixels: np.ndarray, encoding: str, frame: str = "optical") -> Any:
+    data = np.frombuffer(np.ascontiguousarray(pixels).tobytes(), np.uint8)
+    return T["sensor_msgs/msg/Image"](
+        header=head(stamp_s, frame), height=pixels.shape[0], width=pixels.shape[1], encoding=encoding, is_bigendian=0,
+        step=data.size // pixels.shape[0], data=data,
+    )  # fmt: skip
+
+
+def camera_info(frame: str = "optical", model: str = "plumb_bob", distortion: float = 0.0) -> Any:
+    fx, fy, cx, cy = K
+    roi = T["sensor_msgs/msg/RegionOfInterest"](x_offset=0, y_offset=0, height=0, width=0, do_rectify=False)
+    return T["sensor_msgs/msg/CameraInfo"](
+        header=head(1.0, frame), height=SHAPE[0], width=SHAPE[1], distortion_model=model,
+        d=np.array([distortion, 0.0, 0.0, 0.0, 0.0]), k=np.array([fx, 0, cx, 0, fy, cy, 0, 0, 1.0]),
+        r=np.eye(3).reshape(-1), p=np.zeros(12), binning_x=0, binning_y=0, roi=roi,
+    )  # fmt: skip
+
+
+def pose_stamped(stamp_s: float, number: int) -> Any:
+    pose = Pose.from_matrix(world_from_optical(number))
+    (w, x, y, z), (tx, ty, tz) = pose.quat_wxyz.tolist(), pose.translation_m.tolist()
+    return T["geometry_msgs/msg/PoseStamped"](
+        header=head(stamp_s, "map"),
+        pose=T["geometry_msgs/msg/Pose"](
+            position=T["geometry_msgs/msg/Point"](x=tx, y=ty, z=tz),
+            orientation=T["geometry_msgs/msg/Quaternion"](x=x, y=y, z=z, w=w),
+        ),
+    )
+
+
+def bag(folder: Path, plugin: StoragePlugin, messages: list[tuple[str, float, Any]]) -> Path:
+    with Writer(folder, version=9, storage_plugin=plugin) as writer:
+        connections: dict[str, Any] = {}
+        for topic, stamp_s, message in messages:
+            kind = message.__msgtype__
+            if topic not in connections:
+                connections[topic] = writer.add_connection(topic, kind, typestore=STORE)
+            writer.write(connections[topic], round(stamp_s * 1e9), STORE.serialize_cdr(message, kind))
+    return folder
+
+
+def usual(frames: int = 3, depth: str = "16UC1", **info: Any) -> list[tuple[str, float, Any]]:
+    out: list[tuple[str, float, Any]] = [
+        ("/d/camera_info", 1.0, camera_info()), ("/c/camera_info", 1.0, camera_info(**info))
+    ]  # fmt: skip
+    for number in range(frames):
+        stamp_s = 2.0 + number / 30.0
+        pixels = depth_mm(number) if depth == "16UC1" else (depth_mm(number) * 0.001).astype(np.float32)
+        out.append(("/d/image_raw", stamp_s, image(stamp_s, pixels, depth)))
+        out.append(("/c/image_raw", stamp_s + 0.004, image(stamp_s + 0.004, rgb(number)[..., ::-1], "bgr8")))
+        out.append(("/pose", stamp_s, pose_stamped(stamp_s, number)))
+    return out
+
+
+@pytest.mark.parametrize("plugin", [StoragePlugin.SQLITE3, StoragePlugin.MCAP])
+@pytest.mark.parametrize("depth", ["16UC1", "32FC1"])
+def test_foreign_bag(tmp_path: Path, plugin: StoragePlugin, depth: str) -> None:
+    recording = open_recording(bag(tmp_path / "b", plugin, usual(depth=depth)), ReadOptions())
+    frames = list(recording.frames())
+    assert [frame.stamp_s for frame in frames] == pytest.approx([2.0, 2.0 + 1 / 30, 2.0 + 2 / 30], abs=1e-8)
+    for number, frame in enumerate(frames):
+        wanted = depth_mm(number) * 0.001
+        np.testing.assert_allclose(frame.depth_m[1:], wanted[1:], atol=1e-6)
+        assert np.isnan(frame.depth_m[0, :2]).all()
+        np.testing.assert_array_equal(frame.rgb, rgb(number))
+        pose = recording.poses()[number].odom_from_body @ recording.info.body_from_depth
+        np.testing.assert_allclose(pose.matrix(), world_from_optical(number), atol=1e-9)
+
+
+def test_pose_of_body_where_no_transform_tells(tmp_path: Path) -> None:
+    folder = bag(tmp_path / "b", StoragePlugin.MCAP, usual())
+    recording = open_recording(folder, ReadOptions(topics=BagTopics(pose_of="body")))
+    np.testing.assert_allclose(recording.poses()[2].odom_from_body.matrix(), world_from_optical(2), atol=1e-9)
+    np.testing.assert_allclose(recording.info.body_from_depth.matrix(), LEVEL_MOUNT.matrix())
+
+
+def test_distorted_colour_is_undistorted(tmp_path: Path) -> None:
+    rows, columns = np.indices(SHAPE)
+    pattern = np.stack([4 * rows, 3 * columns, rows + columns], axis=-1).astype(np.uint8)
+    messages = [
+        (t, s, image(s, pattern, "rgb8") if t == "/c/image_raw" else m) for t, s, m in usual(distortion=-0.3)
+    ]  # fmt: skip
+    folder = bag(tmp_path / "b", StoragePlugin.MCAP, messages)
+    frame = next(open_recording(folder, ReadOptions()).frames())
+    k = np.array([[K[0], 0, K[2]], [0, K[1], K[3]], [0, 0, 1]])
+    wanted = cv2.undistort(pattern, k, np.array([-0.3, 0, 0, 0, 0]))
+    assert np.abs(frame.rgb.astype(int) - wanted.astype(int)).max() <= 2
+    assert np.abs(frame.rgb.astype(int) - pattern).max() > 10
+
+
+def without(messages: list[tuple[str, float, Any]], topic: str) -> list[tuple[str, float, Any]]:
+    return [one for one in messages if one[0] != topic]
+
+
+def test_wrong_bags_are_one_line(tmp_path: Path) -> None:
+    twice = [*usual(), ("/d2/image", 2.0, image(2.0, depth_mm(0), "16UC1"))]
+    cases = {
+        "no depth image": (without(usual(), "/d/image_raw"), BagTopics()),
+        "name one by --depth-topic: /d/image_raw, /d2/image": (twice, BagTopics()),
+        "--depth-topic /x:": (usual(), BagTopics(depth="/x")),
+        "no CameraInfo beside /d/image_raw": ([*without(usual(), "/d/camera_info"), ("/e/camera_info", 1.0, camera_info())],
+                                              BagTopics()),
+        "distortion model 'fisheye'": (usual(model="fisheye", distortion=0.1), BagTopics()),
+        "/tf_static does not connect": (
+            [(t, s, image(s, rgb(0), "rgb8", "elsewhere")) if t == "/c/image_raw" else (t, s, m) for t, s, m in usual()],
+            BagTopics(),
+        ),
+    }  # fmt: skip
+    for number, (said, (messages, topics)) in enumerate(cases.items()):
+        folder = bag(tmp_path / str(number), StoragePlugin.SQLITE3, messages)
+        with pytest.raises(RecordingError) as error:
+            open_recording(folder, ReadOptions(topics=topics))
+        assert said in str(error.value)
+        assert "\n" not in str(error.value)
+
+
+def test_sqlite_that_is_no_bag_names_librealsense(tmp_path: Path) -> None:
+    import sqlite3
+
+    with sqlite3.connect(tmp_path / "x.db3") as database:
+        database.execute("CREATE TABLE other (a)")
+    with pytest.raises(RecordingError, match="no ROS 2 bag"):
+        open_recording(tmp_path / "x.db3", ReadOptions())

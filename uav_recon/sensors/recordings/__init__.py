@@ -1,0 +1,1 @@
+"""Recordings of the world: folders and files with depth, colour, poses and inertial samples."""

@@ -1,0 +1,191 @@
+"""Messages of a ROS 2 bag as values: images, intrinsics, poses and static transforms."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from uav_recon.sensors.recordings.recording import RecordingError
+from uav_recon.types.camera import Intrinsics
+from uav_recon.types.frames import AnyArray
+from uav_recon.types.pose import Pose
+
+IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
+CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
+IMU = "sensor_msgs/msg/Imu"
+POSES = ("nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/TransformStamped")
+TF = "tf2_msgs/msg/TFMessage"
+_PNG = b"\x89PNG"
+_DISTORTED = 1e-9  #: internal: smaller coefficients of a lens are none
+_DEPTH_ENCODINGS = {"16UC1": np.uint16, "mono16": np.uint16, "32FC1": np.float32}
+_CHANNELS = {"rgb8": (3, None), "bgr8": (3, cv2.COLOR_BGR2RGB), "rgba8": (4, cv2.COLOR_RGBA2RGB),
+             "bgra8": (4, cv2.COLOR_BGRA2RGB), "mono8": (1, cv2.COLOR_GRAY2RGB)}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class BagTopics:
+    """Topics that the user names; None: the only one of a fitting type.
+
+    pose_of: whose pose it is, where no transform tells.
+    """
+
+    depth: str | None = None
+    colour: str | None = None
+    pose: str | None = None
+    imu: str | None = None
+    pose_of: str = "camera"
+
+
+def only_topic(path: Path, what: str, option: str, named: str | None, found: Iterable[str]) -> str | None:
+    """Return the named topic, or the only one found, or None.
+
+    Raises RecordingError for a wrong name or several topics.
+    """
+    topics = sorted(found)
+    if named is not None:
+        if named not in topics:
+            raise RecordingError(f"{option} {named}: {path} has no such {what} topic; it has {', '.join(topics) or 'none'}")
+        return named
+    if len(topics) > 1:
+        raise RecordingError(f"{path}: has several {what} topics, name one by {option}: {', '.join(topics)}")
+    return topics[0] if topics else None
+
+
+def is_depth(message: Any, topic: str) -> bool:
+    """Return True if an Image or CompressedImage holds depth."""
+    if hasattr(message, "encoding"):
+        return message.encoding in _DEPTH_ENCODINGS
+    return "16UC1" in message.format or "32FC1" in message.format or "compressedDepth" in message.format or "depth" in topic
+
+
+def depth_image(message: Any, where: str) -> AnyArray:
+    """Return the depth (H, W) of an image: uint16 in millimetres or float32 in metres.
+
+    Raises RecordingError.
+    """
+    if not hasattr(message, "encoding"):
+        data = bytes(message.data)
+        begin = data.find(_PNG)
+        image = cv2.imdecode(np.frombuffer(data[max(begin, 0) :], np.uint8), cv2.IMREAD_UNCHANGED) if begin >= 0 else None
+        if image is None or image.dtype != np.uint16:
+            raise RecordingError(f"{where}: compressed depth of format {message.format!r}; want a 16-bit PNG (16UC1)")
+        return np.asarray(image)
+    kind = _DEPTH_ENCODINGS.get(message.encoding)
+    if kind is None:
+        raise RecordingError(f"{where}: depth encoding {message.encoding!r}; want 16UC1 or 32FC1")
+    return _pixels(message, np.dtype(kind), 1, where)[..., 0]
+
+
+def rgb_image(message: Any, where: str) -> AnyArray:
+    """Return the colour (h, w, 3) uint8 RGB of an image. Raises RecordingError."""
+    if not hasattr(message, "encoding"):
+        bgr = cv2.imdecode(np.frombuffer(bytes(message.data), np.uint8), cv2.IMREAD_COLOR)
+        if bgr is None:
+            raise RecordingError(f"{where}: compressed image of format {message.format!r} cannot be read")
+        return np.ascontiguousarray(bgr[..., ::-1])
+    if message.encoding not in _CHANNELS:
+        raise RecordingError(f"{where}: colour encoding {message.encoding!r}; want one of {', '.join(_CHANNELS)}")
+    channels, code = _CHANNELS[message.encoding]
+    pixels = _pixels(message, np.dtype(np.uint8), channels, where)
+    return pixels if code is None else np.asarray(cv2.cvtColor(pixels, code))
+
+
+def _pixels(message: Any, kind: np.dtype[Any], channels: int, where: str) -> AnyArray:
+    data, row = np.asarray(message.data, dtype=np.uint8), message.width * channels * kind.itemsize
+    if message.step < row or data.size < message.step * message.height:
+        raise RecordingError(f"{where}: {data.size} bytes for {message.width} x {message.height} {message.encoding}")
+    rows = np.ascontiguousarray(data[: message.step * message.height].reshape(message.height, message.step)[:, :row])
+    pixels = rows.view(kind.newbyteorder(">" if message.is_bigendian else "<")).astype(kind, copy=False)
+    return pixels.reshape(message.height, message.width, channels)
+
+
+class Lens:
+    """Intrinsics of a CameraInfo, and the correction of its distortion.
+
+    Raises RecordingError for a distortion model that is not known.
+    """
+
+    def __init__(self, info: Any, where: str) -> None:
+        k, coefficients = np.asarray(info.k, dtype=np.float64).reshape(3, 3), np.asarray(info.d, dtype=np.float64)
+        if not (np.isfinite(k).all() and k[0, 0] > 0 and k[1, 1] > 0):
+            raise RecordingError(f"{where}: fx {k[0, 0]:g} and fy {k[1, 1]:g} must be positive")
+        self.intrinsics = Intrinsics(
+            float(k[0, 0]), float(k[1, 1]), float(k[0, 2]), float(k[1, 2]), int(info.width), int(info.height)
+        )
+        self._maps: tuple[AnyArray, AnyArray] | None = None
+        if coefficients.size and np.abs(coefficients).max() > _DISTORTED:
+            if info.distortion_model not in ("plumb_bob", "rational_polynomial"):
+                raise RecordingError(
+                    f"{where}: distortion model {info.distortion_model!r}; want plumb_bob, rational_polynomial or none"
+                )
+            size = (int(info.width), int(info.height))
+            maps: Any = cv2.initUndistortRectifyMap(k, coefficients, np.eye(3), k, size, cv2.CV_32FC1)
+            self._maps = maps[0], maps[1]
+
+    def undistorted(self, image: AnyArray, where: str) -> AnyArray:
+        """Return the image without distortion; depth keeps its values.
+
+        Raises RecordingError for another size.
+        """
+        if image.shape[:2] != (self.intrinsics.height, self.intrinsics.width):
+            found = f"{image.shape[1]} x {image.shape[0]}"
+            raise RecordingError(f"{where}: is {found}, and its CameraInfo {self.intrinsics.width} x {self.intrinsics.height}")
+        if self._maps is None:
+            return image
+        colour = image.ndim == 3
+        return np.asarray(cv2.remap(image, *self._maps, cv2.INTER_LINEAR if colour else cv2.INTER_NEAREST))
+
+
+class StaticTransforms:
+    """Transforms of /tf_static between any two connected frames."""
+
+    def __init__(self) -> None:
+        self._from: dict[str, dict[str, Pose]] = {}
+
+    def add(self, message: Any) -> None:
+        """Add the transforms of a TFMessage."""
+        for one in message.transforms:
+            parent_from_child = pose_of(one.transform.translation, one.transform.rotation)
+            parent, child = one.header.frame_id.lstrip("/"), one.child_frame_id.lstrip("/")
+            self._from.setdefault(child, {})[parent] = parent_from_child
+            self._from.setdefault(parent, {})[child] = parent_from_child.inverse()
+
+    def between(self, target: str, source: str) -> Pose | None:
+        """Return target_from_source, None if the two are not connected.
+
+        A frame is connected with itself.
+        """
+        target, source = target.lstrip("/"), source.lstrip("/")
+        reached, todo = {source: Pose.identity()}, deque([source])
+        while todo:
+            frame = todo.popleft()
+            if frame == target:
+                return reached[frame]
+            for following, following_from_frame in self._from.get(frame, {}).items():
+                if following not in reached:
+                    reached[following] = following_from_frame @ reached[frame]
+                    todo.append(following)
+        return None
+
+
+def pose_of(position: Any, rotation: Any) -> Pose:
+    """Return the pose of a Point or Vector3 and a Quaternion. Raises ValueError if it is none."""
+    return Pose(np.array([rotation.w, rotation.x, rotation.y, rotation.z]), np.array([position.x, position.y, position.z]))
+
+
+def stamped_pose_of(message: Any) -> tuple[Pose, str]:
+    """Return the pose of an Odometry, PoseStamped or TransformStamped, and its frame or ''.
+
+    Raises ValueError for a pose that is not finite or has no rotation.
+    """
+    if hasattr(message, "transform"):
+        return pose_of(message.transform.translation, message.transform.rotation), message.child_frame_id
+    if hasattr(message, "child_frame_id"):
+        return pose_of(message.pose.pose.position, message.pose.pose.orientation), message.child_frame_id
+    return pose_of(message.pose.position, message.pose.orientation), ""

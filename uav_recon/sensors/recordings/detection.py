@@ -1,0 +1,62 @@
+"""Detection of the format of a recording, from its content."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from uav_recon.sensors.recordings.bag_messages import BagTopics
+from uav_recon.sensors.recordings.flight_folder import FlightFolder, is_flight_folder
+from uav_recon.sensors.recordings.recording import Pinhole, Recording, RecordingError
+from uav_recon.sensors.recordings.ros_bag import RosBag, bag_file
+from uav_recon.sensors.recordings.seven_scenes_folder import SevenScenesFolder, is_seven_scenes_folder
+from uav_recon.sensors.recordings.tum_folder import TumFolder, is_tum_folder
+
+WANTED = (
+    "want a flight folder (keyframes/poses.json), a TUM RGB-D folder (rgb.txt, depth.txt), a 7-Scenes folder "
+    "(frame-NNNNNN.depth.png), or a ROS 2 bag (.mcap, .db3 or a folder with one)"
+)
+
+
+@dataclass(frozen=True)
+class ReadOptions:
+    """Options of the readers.
+
+    Depths outside the range are no returns; k: fx, fy, cx, cy for formats without intrinsics.
+    """
+
+    depth_min_m: float = 0.3
+    depth_max_m: float = 6.0
+    k: Pinhole | None = None
+    topics: BagTopics = field(default_factory=BagTopics)
+
+
+def open_recording(path: Path, options: ReadOptions) -> Recording:
+    """Open a recording.
+
+    Raises RecordingError (one line) that says what was found and what is wanted.
+    """
+    span_m = options.depth_min_m, options.depth_max_m
+    if not path.exists():
+        raise RecordingError(f"{path}: does not exist; {WANTED}")
+    if path.is_dir() and is_flight_folder(path):
+        return FlightFolder(path, *span_m)
+    if path.is_dir() and is_tum_folder(path):
+        return TumFolder(path, *span_m, options.k)
+    if path.is_dir() and is_seven_scenes_folder(path):
+        return SevenScenesFolder(path, *span_m, options.k)
+    file = bag_file(path)
+    if file is None:
+        raise RecordingError(f"{path}: {_found(path)}; {WANTED}")
+    return RosBag(file, *span_m, options.topics)
+
+
+def _found(path: Path) -> str:
+    if path.is_dir():
+        names = sorted(entry.name for entry in path.iterdir())
+        return f"a folder with {', '.join(names[:3])}{' ...' if len(names) > 3 else ''}" if names else "an empty folder"
+    with path.open("rb") as file:
+        head = file.read(13)
+    if head.startswith(b"#ROSBAG V"):
+        return 'a ROS 1 bag (also librealsense\'s .bag): play it with camera.source = "realsense", or convert it to ROS 2'
+    return f"a file that begins with {head[:8]!r}"

@@ -1,0 +1,201 @@
+"""Interface of a recording, and its playback as a camera and a pose source."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from uav_recon.interfaces import Clock
+from uav_recon.sensors.stream_camera import depth_lookup_table
+from uav_recon.sensors.stream_format import StreamError
+from uav_recon.types.camera import BODY_FROM_OPTICAL, Frame, ImuSample, Intrinsics
+from uav_recon.types.frames import AnyArray, Float32Array
+from uav_recon.types.pose import Pose, StampedPose
+
+Pinhole = tuple[float, float, float, float]  # fx, fy, cx, cy in pixels
+LEVEL_MOUNT = Pose.from_matrix(BODY_FROM_OPTICAL)  # body_from_depth where the recording is of a camera without a body
+
+
+class RecordingError(StreamError):
+    """Raised for a recording that cannot be read; the text is one line."""
+
+
+@dataclass(frozen=True)
+class RecordingInfo:
+    """Head of a recording.
+
+    kind: its format in words. frames: number of depth frames. first_s, last_s: stamps of the first and the last of them, in the
+    recording's time. body_from_depth: mount of the depth imager. up_is_z: True if z of the poses' frame is up. skipped: what
+    cannot be used: (reason, count) each.
+    """
+
+    kind: str
+    frames: int
+    first_s: float
+    last_s: float
+    body_from_depth: Pose
+    up_is_z: bool
+    skipped: tuple[tuple[str, int], ...] = ()
+
+
+class Recording(Protocol):
+    """A recording that is read from begin to end.
+
+    Each call reads files and may block for seconds.
+    """
+
+    @property
+    def info(self) -> RecordingInfo:
+        """Return the head of the recording."""
+        ...
+
+    def frames(self, step: int = 1) -> Iterator[Frame]:
+        """Yield every step-th frame, with increasing stamps.
+
+        Raises RecordingError for one that cannot be read.
+        """
+        ...
+
+    def poses(self) -> list[StampedPose]:
+        """Return all poses of the body, oldest first; empty if the recording has none."""
+        ...
+
+    def imu(self) -> list[ImuSample]:
+        """Return all inertial samples, oldest first; empty if the recording has none."""
+        ...
+
+
+@dataclass(frozen=True)
+class DepthUnit:
+    """Metres of raw depth.
+
+    table_m: (65536,), NaN for no return and for depths outside the camera's range.
+    """
+
+    table_m: Float32Array
+
+    @staticmethod
+    def of(metres_per_unit: float, depth_min_m: float, depth_max_m: float) -> DepthUnit:
+        """Return the table of a 16-bit image. 0 and 65535 are no return."""
+        table = depth_lookup_table(depth_min_m, depth_max_m, metres_per_unit)
+        table[65535] = np.nan
+        return DepthUnit(table)
+
+    def metres(self, raw: AnyArray) -> Float32Array:
+        """Return the depth in metres of a uint16 image (H, W), or of a float image in metres."""
+        if raw.dtype == np.uint16:
+            return self.table_m[raw]
+        valid = self.table_m[np.isfinite(self.table_m)]
+        inside = np.isfinite(raw) & (raw >= valid[0] - 1e-3) & (raw <= valid[-1] + 1e-3)
+        return np.where(inside, raw, np.nan).astype(np.float32)
+
+
+class PlaybackCamera:
+    """DepthCamera protocol over a recording.
+
+    Stamps are shifted: the first frame is due when this object is made.
+
+    ``finished`` is True after the last frame. ``read`` counts the frames that were given on.
+    """
+
+    def __init__(self, recording: Recording, clock: Clock) -> None:
+        self._clock = clock
+        self.shift_s = clock.now_s() - recording.info.first_s
+        self._frames = recording.frames()
+        self._imu = recording.imu()
+        self._next_imu = 0
+        self._ahead = next(self._frames, None)
+        self.read = 0
+
+    @property
+    def finished(self) -> bool:
+        """True if no frame is left."""
+        return self._ahead is None
+
+    def poll(self) -> Frame | None:
+        """Return the next frame if it is due; reads the one after it from disk (about 5 ms)."""
+        frame = self._ahead
+        if frame is None or frame.stamp_s + self.shift_s > self._clock.now_s() + 1e-9:
+            return None
+        self._ahead = next(self._frames, None)
+        self.read += 1
+        return replace(frame, stamp_s=frame.stamp_s + self.shift_s)
+
+    def imu(self) -> list[ImuSample]:
+        """Return the inertial samples that became due since the last call."""
+        now_s, out = self._clock.now_s() - self.shift_s, []
+        while self._next_imu < len(self._imu) and self._imu[self._next_imu].stamp_s <= now_s + 1e-9:
+            sample = self._imu[self._next_imu]
+            out.append(replace(sample, stamp_s=sample.stamp_s + self.shift_s))
+            self._next_imu += 1
+        return out
+
+    def close(self) -> None:
+        """Do nothing: files are open only while they are read."""
+
+
+class PlaybackPoses:
+    """PoseSource protocol over a recording.
+
+    target_from_source: moves the poses, for example to a level frame at the start.
+    """
+
+    def __init__(self, recording: Recording, clock: Clock, shift_s: float, target_from_source: Pose) -> None:
+        self._clock = clock
+        self._poses = [
+            replace(pose, stamp_s=pose.stamp_s + shift_s, odom_from_body=target_from_source @ pose.odom_from_body)
+            for pose in recording.poses()
+        ]
+        self._next = 0
+
+    def poses(self) -> list[StampedPose]:
+        """Return the poses that became due since the last call."""
+        begin, now_s = self._next, self._clock.now_s()
+        while self._next < len(self._poses) and self._poses[self._next].stamp_s <= now_s + 1e-9:
+            self._next += 1
+        return self._poses[begin : self._next]
+
+
+def require_increasing(path: Path, stamps_s: list[float]) -> None:
+    """Check the stamps of frames.
+
+    Raises RecordingError if there are none, or if they do not increase.
+    """
+    if not stamps_s:
+        raise RecordingError(f"{path}: has no depth frame")
+    for before_s, after_s in itertools.pairwise(stamps_s):
+        if not before_s < after_s or not math.isfinite(after_s):
+            raise RecordingError(f"{path}: stamps must increase, and {after_s:.6f} s follows {before_s:.6f} s")
+
+
+def read_depth(path: Path) -> AnyArray:
+    """Read a 16-bit image (H, W). Raises RecordingError."""
+    return _image(path, lambda image: image.dtype == np.uint16 and image.ndim == 2, "a 16-bit grey image", colour=False)
+
+
+def read_rgb(path: Path) -> AnyArray:
+    """Read a colour image (h, w, 3) uint8 as RGB. Raises RecordingError."""
+    bgr = _image(path, lambda image: image.dtype == np.uint8, "a colour image", colour=True)
+    return np.ascontiguousarray(bgr[..., ::-1])
+
+
+def pinhole(numbers: Pinhole, shape: tuple[int, ...]) -> Intrinsics:
+    """Return the intrinsics fx, fy, cx, cy of an image of this shape (H, W, ...)."""
+    return Intrinsics(*numbers, width=shape[1], height=shape[0])
+
+
+def _image(path: Path, fits: Callable[[AnyArray], bool], wanted: str, *, colour: bool) -> AnyArray:
+    import cv2
+
+    image: Any = cv2.imread(str(path), cv2.IMREAD_COLOR if colour else cv2.IMREAD_UNCHANGED)
+    if image is None:
+        raise RecordingError(f"{path}: cannot be read as an image; want {wanted}")
+    if not fits(image):
+        raise RecordingError(f"{path}: is {image.dtype} of shape {image.shape}; want {wanted}")
+    return np.asarray(image)

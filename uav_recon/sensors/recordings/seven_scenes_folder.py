@@ -1,0 +1,126 @@
+"""Folder in the format of 7-Scenes.
+
+Files: frame-NNNNNN.color.*, .depth.png and .pose.txt, and camera-intrinsics.txt.
+
+Shotton et al., Scene Coordinate Regression Forests, CVPR 2013. Depth is 16 bit in millimetres, 0 and 65535 are no return;
+pose.txt is the matrix (4, 4) world_from_camera in optical axes. The format has no stamps: the frames are 1/30 s apart.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from uav_recon.sensors.recordings.recording import (
+    LEVEL_MOUNT,
+    DepthUnit,
+    Pinhole,
+    RecordingError,
+    RecordingInfo,
+    pinhole,
+    read_depth,
+    read_rgb,
+)
+from uav_recon.types.camera import Frame, ImuSample
+from uav_recon.types.frames import FloatArray
+from uav_recon.types.pose import Pose, StampedPose
+
+RATE_HZ = 30.0
+INTRINSICS = "camera-intrinsics.txt"
+#: internal: fx, fy, cx, cy of the 7-Scenes camera, as its authors give them
+DEFAULT_K = (585.0, 585.0, 320.0, 240.0)
+_ROTATION_TOLERANCE = 0.01  #: reject: a pose whose matrix is farther from a rotation, for example all zero or not a number
+
+
+class SevenScenesFolder:
+    """Recording protocol over a folder of 7-Scenes or tsdf-fusion-python.
+
+    k: fx, fy, cx, cy; None = camera-intrinsics.txt in the folder, or the values of 7-Scenes. A frame whose pose is missing or
+    is no rotation has no pose. Raises RecordingError.
+    """
+
+    def __init__(self, folder: Path, depth_min_m: float, depth_max_m: float, k: Pinhole | None) -> None:
+        self._unit = DepthUnit.of(0.001, depth_min_m, depth_max_m)
+        self._k = k or (read_intrinsics(folder / INTRINSICS) if (folder / INTRINSICS).exists() else DEFAULT_K)
+        self._depth = sorted(folder.glob("frame-*.depth.png"))
+        if not self._depth:
+            raise RecordingError(f"{folder}: has no file frame-NNNNNN.depth.png")
+        try:
+            self._numbers = [int(path.name.split(".")[0].removeprefix("frame-")) for path in self._depth]
+        except ValueError:
+            raise RecordingError(f"{folder}: want frame-NNNNNN.depth.png with a number") from None
+
+    @property
+    def info(self) -> RecordingInfo:
+        """Return the head of the recording."""
+        first_s, last_s = self._numbers[0] / RATE_HZ, self._numbers[-1] / RATE_HZ
+        return RecordingInfo("7-Scenes folder", len(self._depth), first_s, last_s, LEVEL_MOUNT, up_is_z=False)
+
+    def frames(self, step: int = 1) -> Iterator[Frame]:
+        """Yield every step-th frame, by number. Raises RecordingError for one that cannot be read."""
+        for number, path in zip(self._numbers[::step], self._depth[::step], strict=True):
+            depth, rgb = read_depth(path), read_rgb(self._colour_of(path))
+            lens = pinhole(self._k, depth.shape)
+            scale = rgb.shape[1] / depth.shape[1]  # registered: the same view at another resolution
+            fx, fy, cx, cy = self._k
+            rgb_k = (fx * scale, fy * scale, (cx + 0.5) * scale - 0.5, (cy + 0.5) * scale - 0.5)
+            stamp_s = number / RATE_HZ
+            yield Frame(stamp_s, number, self._unit.metres(depth), lens, rgb, pinhole(rgb_k, rgb.shape), Pose.identity())
+
+    def poses(self) -> list[StampedPose]:
+        """Return the poses of the frames that have one, as poses of the body."""
+        optical_from_body = LEVEL_MOUNT.inverse()
+        found = ((number, _read_pose(path)) for number, path in zip(self._numbers, self._depth, strict=True))
+        return [
+            StampedPose(number / RATE_HZ, pose @ optical_from_body, np.zeros(3)) for number, pose in found if pose is not None
+        ]
+
+    def imu(self) -> list[ImuSample]:
+        """Return an empty list: the format has no inertial samples."""
+        return []
+
+    @staticmethod
+    def _colour_of(depth: Path) -> Path:
+        stem = depth.name.removesuffix(".depth.png")
+        png = depth.with_name(f"{stem}.color.png")
+        return png if png.exists() else depth.with_name(f"{stem}.color.jpg")
+
+
+def is_seven_scenes_folder(path: Path) -> bool:
+    """Return True if the folder has a depth image of the format."""
+    return next(path.glob("frame-*.depth.png"), None) is not None
+
+
+def read_intrinsics(path: Path) -> Pinhole:
+    """Return fx, fy, cx, cy of a file with the matrix (3, 3). Raises RecordingError."""
+    matrix = _matrix(path, 3)
+    if matrix is None:
+        raise RecordingError(f"{path}: want a matrix of 3 x 3 numbers")
+    fx, fy, cx, cy = (float(matrix[i, j]) for i, j in ((0, 0), (1, 1), (0, 2), (1, 2)))
+    if not (fx > 0 and fy > 0):
+        raise RecordingError(f"{path}: fx {fx:g} and fy {fy:g} must be positive")
+    return fx, fy, cx, cy
+
+
+def _read_pose(depth: Path) -> Pose | None:
+    path = depth.with_name(depth.name.removesuffix("depth.png") + "pose.txt")
+    matrix = _matrix(path, 4) if path.exists() else None
+    if matrix is None or np.abs(matrix[:3, :3] @ matrix[:3, :3].T - np.eye(3)).max() > _ROTATION_TOLERANCE:
+        return None
+    return Pose.from_matrix(matrix)
+
+
+def _matrix(path: Path, size: int) -> FloatArray | None:
+    """Return a matrix (size, size); None if the file holds anything else.
+
+    Raises RecordingError if it cannot be read.
+    """
+    try:
+        numbers = np.array([float(word) for word in path.read_text().split()])
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be read ({error.strerror})") from None
+    except ValueError:
+        return None
+    return numbers.reshape(size, size) if numbers.size == size * size and np.isfinite(numbers).all() else None

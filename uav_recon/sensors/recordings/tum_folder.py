@@ -1,0 +1,140 @@
+"""Folder in the format of the TUM RGB-D benchmark: rgb.txt, depth.txt and groundtruth.txt.
+
+Sturm et al., A Benchmark for the Evaluation of RGB-D SLAM Systems, IROS 2012. Each line of the lists is a stamp in seconds and
+a file name; depth is 16 bit, 5000 units a metre, registered to the colour image; groundtruth.txt has stamp tx ty tz qx qy qz qw
+of the camera in optical axes. The accelerometer (accelerometer.txt) is not used: without a gyro it does not carry a pose.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from uav_recon.sensors.recordings.recording import (
+    LEVEL_MOUNT,
+    DepthUnit,
+    Pinhole,
+    RecordingError,
+    RecordingInfo,
+    pinhole,
+    read_depth,
+    read_rgb,
+    require_increasing,
+)
+from uav_recon.types.camera import Frame, ImuSample
+from uav_recon.types.frames import FloatArray
+from uav_recon.types.pose import Pose, StampedPose
+
+UNITS_PER_M = 5000.0
+PAIR_S = 0.02  #: reject: a depth image whose nearest colour image is farther away is skipped, as by the benchmark's own tool
+#: internal: fx, fy, cx, cy that the benchmark names for depth registered by its driver (no distortion)
+DEFAULT_K = (525.0, 525.0, 319.5, 239.5)
+
+
+class TumFolder:
+    """Recording protocol over a TUM folder.
+
+    k: fx, fy, cx, cy; None = camera-intrinsics.txt in the folder, or the benchmark's default. Raises RecordingError.
+    """
+
+    def __init__(self, folder: Path, depth_min_m: float, depth_max_m: float, k: Pinhole | None) -> None:
+        self._folder = folder
+        self._unit = DepthUnit.of(1.0 / UNITS_PER_M, depth_min_m, depth_max_m)
+        self._k = k or _intrinsics_file(folder) or DEFAULT_K
+        lists = _list(folder / "depth.txt"), _list(folder / "rgb.txt")
+        depth, rgb = ([one for one in entries if (folder / one[1]).is_file()] for entries in lists)
+        missing = sum(map(len, lists)) - len(depth) - len(rgb)
+        self._pairs = _paired(depth, rgb)
+        require_increasing(folder / "depth.txt", [stamp_s for stamp_s, _, _ in self._pairs])
+        counts = ("images listed but missing", missing), ("depth images without colour", len(depth) - len(self._pairs))
+        self._skipped = tuple(one for one in counts if one[1])
+
+    @property
+    def info(self) -> RecordingInfo:
+        """Return the head of the recording."""
+        first_s, last_s = self._pairs[0][0], self._pairs[-1][0]
+        return RecordingInfo("TUM RGB-D folder", len(self._pairs), first_s, last_s, LEVEL_MOUNT, True, self._skipped)
+
+    def frames(self, step: int = 1) -> Iterator[Frame]:
+        """Yield every step-th depth image that has a colour image. Raises RecordingError."""
+        for number, (stamp_s, depth_file, rgb_file) in list(enumerate(self._pairs))[::step]:
+            depth, rgb = read_depth(self._folder / depth_file), read_rgb(self._folder / rgb_file)
+            lens = pinhole(self._k, depth.shape)
+            yield Frame(stamp_s, number, self._unit.metres(depth), lens, rgb, pinhole(self._k, rgb.shape), Pose.identity())
+
+    def poses(self) -> list[StampedPose]:
+        """Return the poses of groundtruth.txt as poses of the body; empty without the file."""
+        path = self._folder / "groundtruth.txt"
+        if not path.exists():
+            return []
+        optical_from_body = LEVEL_MOUNT.inverse()
+        out = []
+        for row in _numbers(path, 8):
+            world_from_optical = Pose(row[[7, 4, 5, 6]], row[1:4])
+            out.append(StampedPose(float(row[0]), world_from_optical @ optical_from_body, np.zeros(3)))
+        return sorted(out, key=lambda pose: pose.stamp_s)
+
+    def imu(self) -> list[ImuSample]:
+        """Return an empty list: the format has no gyro."""
+        return []
+
+
+def is_tum_folder(path: Path) -> bool:
+    """Return True if the folder has the lists of the format."""
+    return (path / "depth.txt").is_file() and (path / "rgb.txt").is_file()
+
+
+def _paired(depth: list[tuple[float, str]], rgb: list[tuple[float, str]]) -> list[tuple[float, str, str]]:
+    """Return (stamp, depth file, nearest colour file) for each depth image that has one."""
+    stamps_s = [stamp_s for stamp_s, _ in rgb]
+    out = []
+    for stamp_s, file in depth:
+        after = bisect_left(stamps_s, stamp_s)
+        near = min((i for i in (after - 1, after) if 0 <= i < len(rgb)), key=lambda i: abs(stamps_s[i] - stamp_s), default=None)
+        if near is not None and abs(stamps_s[near] - stamp_s) <= PAIR_S:
+            out.append((stamp_s, file, rgb[near][1]))
+    return out
+
+
+def _list(path: Path) -> list[tuple[float, str]]:
+    out = []
+    for number, line in _lines(path):
+        words = line.split()
+        try:
+            stamp_s, name = float(words[0]), words[1]
+        except (ValueError, IndexError):
+            raise RecordingError(f"{path}: line {number} is {line[:60]!r}; want a stamp in seconds and a file name") from None
+        if Path(name).is_absolute() or ".." in Path(name).parts:
+            raise RecordingError(f"{path}: line {number}: {name!r} leads out of the folder")
+        out.append((stamp_s, name))
+    return sorted(out)
+
+
+def _numbers(path: Path, count: int) -> Iterator[FloatArray]:
+    for number, line in _lines(path):
+        try:
+            row = np.array([float(word) for word in line.replace(",", " ").split()])
+        except ValueError:
+            row = np.zeros(0)
+        if row.shape != (count,) or not np.isfinite(row).all():
+            raise RecordingError(f"{path}: line {number} is {line[:60]!r}; want {count} numbers")
+        yield row
+
+
+def _lines(path: Path) -> Iterator[tuple[int, str]]:
+    try:
+        text = path.read_text(encoding="utf-8", errors="replace")
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be read ({error.strerror})") from None
+    for number, line in enumerate(text.splitlines(), 1):
+        if line.strip() and not line.lstrip().startswith("#"):
+            yield number, line.strip()
+
+
+def _intrinsics_file(folder: Path) -> Pinhole | None:
+    from uav_recon.sensors.recordings.seven_scenes_folder import INTRINSICS, read_intrinsics
+
+    return read_intrinsics(folder / INTRINSICS) if (folder / INTRINSICS).exists() else None
