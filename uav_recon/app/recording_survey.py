@@ -17,11 +17,11 @@ UPS = ("auto", "source", "first", "floor")
 _SAMPLES = 40  #: internal: frames looked at
 _STRIDE_PX = 8
 _NEAR_S = 0.06  #: reject: a frame with no pose nearer in time does not count for the box
-_CONES_RAD = np.radians([45.0, 20.0, 10.0, 5.0])  #: internal: widths of the search for the floor's normal
-_SHARE_PERCENT = 0.5  #: plan: this share of the points may lie outside each side of the box
+_CONES_RAD = np.radians([45.0, 20.0, 10.0, 5.0])  # widths of the search for the floor's normal
+_OUTSIDE_SHARE = 0.005  #: plan: this share of the points may lie outside each side of the box
 _SMALLEST_M = 1.1  #: plan: the box reaches at least this far from the first pose: a fence is at least 2 m wide
 _MARGIN_M = 0.3  #: plan: margin of the box around depth and path
-#: plan: half sizes of the box where no pose tells how far the camera went
+# plan: half sizes of the box where no pose tells how far the camera went
 _BOX_WITHOUT_POSES_M = np.array([6.0, 6.0, 2.5])
 
 
@@ -63,11 +63,11 @@ def survey_recording(recording: Recording, up: str, *, use_poses: bool) -> Recor
     first = level_from_source @ poses[0].odom_from_body
     odom_from_source = Pose.from_yaw(first.yaw_rad(), first.translation_m).inverse() @ level_from_source
     seen = np.concatenate([_points(frame, odom_from_source @ pose @ info.body_from_depth) for frame, pose in views])
-    floor_m = float(np.percentile(seen[:, 2], _SHARE_PERCENT))
+    floor_m = float(np.quantile(seen[:, 2], _OUTSIDE_SHARE))
     odom_from_source = Pose(Pose.identity().quat_wxyz, np.array([0.0, 0.0, -floor_m])) @ odom_from_source
     seen[:, 2] -= floor_m
     path = np.array([(odom_from_source @ pose.odom_from_body).translation_m for pose in poses])
-    low, high = np.percentile(seen, [_SHARE_PERCENT, 100.0 - _SHARE_PERCENT], axis=0)
+    low, high = np.quantile(seen, [_OUTSIDE_SHARE, 1.0 - _OUTSIDE_SHARE], axis=0)
     box_min, box_max = np.minimum(low, path.min(axis=0) - _MARGIN_M), np.maximum(high, path.max(axis=0) + _MARGIN_M)
     low = np.minimum(box_min - _MARGIN_M, (-_SMALLEST_M, -_SMALLEST_M, 0.0))
     high = np.maximum(box_max + _MARGIN_M, _SMALLEST_M)

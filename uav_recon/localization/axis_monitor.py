@@ -41,12 +41,11 @@ _REST_S = 0.5  #: refuse: time at rest before the vertical is compared
 # gyro
 _TURN_S = 0.4  #: internal: time over which turns are compared
 _TURN_RAD = math.radians(0.4)  # standard deviation of the difference of two such turns, per axis
-_SURE = 50.0  #: land: squared deviations by which another assignment fits the turns better; honest: below 0
-_SURE_FORCE = 12.0  #: land: the same for velocities; poses with a height of the wrong sign make the autopilot run away
-_PROVEN = (
-    60.0  #: internal: squared deviations by which every other assignment is worse, once the configured one has proven right
-)
-_EXPLAINED = 0.4  #: land: share of the squared deviations that the other assignment leaves at most
+_TURN_NIS = 50.0  #: land: squared deviations by which another assignment fits the turns better; honest: below 0
+_FORCE_NIS = 12.0  #: land: the same for velocities; poses with a height of the wrong sign make the autopilot run away
+#: internal: squared deviations by which every other assignment is worse, once the configured one has proven right
+_PROVEN_NIS = 60.0
+_EXPLAINED_SHARE = 0.4  #: land: share of the squared deviations that the other assignment leaves at most
 _HALF_S = 0.15  #: internal: velocities are compared between one such time and the next
 _GAINED_MPS = 0.12  # standard deviation of the difference of two such changes of the velocity, per axis
 # depth
@@ -56,12 +55,13 @@ _AGE_S = 0.5  #: internal: max. age of a compared view
 _MOVED_M = 0.05  #: land: a camera that moved by less between two views is not compared
 _TURNED_RAD = math.radians(5.0)  #: land: ... and turned by less
 _MIN_PATCHES = 60  #: land: min. patches that both views see
-_MISFIT = 0.32  #: land: mean misfit as configured above which others are tried; 0: exact, 1: nothing fits; honest: 0.1 to 0.3
-_FITS = 0.35  #: land: max. mean misfit under the other assignment
-_IN_VIEW = 0.6  #: land: share of the patches that both views see under the other assignment, too
-_GAIN = 0.10  #: land: the other assignment has a misfit that is smaller by this, also than that of a camera at rest
+#: land: mean misfit as configured above which others are tried; 0: exact, 1: nothing fits; honest: 0.1 to 0.3
+_MISFIT_SHARE = 0.32
+_FITTING_SHARE = 0.35  #: land: max. mean misfit under the other assignment
+_IN_VIEW_SHARE = 0.6  #: land: share of the patches that both views see under the other assignment, too
+_GAIN_SHARE = 0.10  #: land: the other assignment has a misfit that is smaller by this, also than that of a camera at rest
 #: land: the configured axes fit worse than a camera at rest less this: an exchanged axis is at least 90 degrees off
-_NO_BETTER = 0.12
+_NO_BETTER_SHARE = 0.12
 _IN_A_ROW = 3  #: land: comparisons in a row that accuse
 _LASTS_S = 0.3  #: land: ... for this time
 _PROVEN_M = 1.0  #: internal: level motion after which depth and poses have proven to agree, with
@@ -77,7 +77,7 @@ _SIGNED = tuple(
     for axes in itertools.permutations(range(3))
     for signs in itertools.product((1.0, -1.0), repeat=3)
 )
-#: assignments of axes (48, 3, 3), the configured one first; a rotation or a mirror image
+# assignments of axes (48, 3, 3), the configured one first; a rotation or a mirror image
 ASSIGNMENTS = np.array(sorted(_SIGNED, key=lambda matrix: -float(np.trace(matrix))))
 _TURNS = ASSIGNMENTS[np.linalg.det(ASSIGNMENTS) > 0.0]  # (24, 3, 3)
 
@@ -208,8 +208,8 @@ class _Evidence:
         self.squares += weight * np.sum((ASSIGNMENTS @ one - other) ** 2, axis=1)
         best = int(np.argmin(self.squares))
         configured, least = float(self.squares[0]), float(self.squares[best])
-        self.proven = float(np.min(self.squares[1:])) - configured > _PROVEN
-        return ASSIGNMENTS[best] if configured - least > self._sure and least < _EXPLAINED * configured else None
+        self.proven = float(np.min(self.squares[1:])) - configured > _PROVEN_NIS
+        return ASSIGNMENTS[best] if configured - least > self._sure and least < _EXPLAINED_SHARE * configured else None
 
 
 class _ForceAgainstPoses:
@@ -218,7 +218,7 @@ class _ForceAgainstPoses:
     def __init__(self) -> None:
         self._samples: deque[tuple[float, FloatArray]] = deque()
         self._compared_s = -math.inf
-        self._evidence = _Evidence(_SURE_FORCE)
+        self._evidence = _Evidence(_FORCE_NIS)
 
     def add(self, sample: ImuSample) -> None:
         if self._evidence.proven or (self._samples and sample.stamp_s <= self._samples[-1][0]):
@@ -265,7 +265,7 @@ class _GyroAgainstPoses:
     def __init__(self) -> None:
         self._samples: deque[tuple[float, FloatArray]] = deque()
         self._since: StampedPose | None = None
-        self._evidence = _Evidence(_SURE)
+        self._evidence = _Evidence(_TURN_NIS)
 
     def add(self, sample: ImuSample) -> None:
         if self._evidence.proven or (self._samples and sample.stamp_s <= self._samples[-1][0]):
@@ -338,18 +338,18 @@ class _DepthAgainstPoses:
         configured = misfits(*seen, *_as_assigned(view, here, _TURNS[:1], _NONE))
         count, misfit = float(configured[0, 0]), float(configured[:, 1].min())
         in_view, still = misfits(*seen, np.eye(3)[None], np.zeros((1, 3)))[0]
-        if count < max(_MIN_PATCHES, _IN_VIEW * in_view):
+        if count < max(_MIN_PATCHES, _IN_VIEW_SHARE * in_view):
             return None
-        if misfit <= _MISFIT:
+        if misfit <= _MISFIT_SHARE:
             self._row = 0
             self._agree(here.stamp_s, view.stamp_s, np.array([math.hypot(*shift_m[:2]), abs(float(shift_m[2])), turned_rad]))
             return None
         others = misfits(*seen, *_as_assigned(view, here, _TURNS, ASSIGNMENTS))
-        others[others[:, 0] < _IN_VIEW * count, 1] = np.inf
+        others[others[:, 0] < _IN_VIEW_SHARE * count, 1] = np.inf
         best = int(np.argmin(others[:, 1])) // len(_DELAYS_S)
         least = float(others[:, 1].min())
-        opposed = misfit > still - _NO_BETTER
-        if not (opposed and least < _FITS and min(misfit, still) - least > _GAIN):
+        opposed = misfit > still - _NO_BETTER_SHARE
+        if not (opposed and least < _FITTING_SHARE and min(misfit, still) - least > _GAIN_SHARE):
             self._row = 0
             return None
         self._since_s = here.stamp_s if self._row == 0 else self._since_s

@@ -27,7 +27,7 @@ _MOST_FRAMES = 400  # frames that are kept for the residuals: the first minutes
 _AGE_S = 3.0  # age of the views that residuals compare
 _WAITING = 8  # frames that wait for a pose
 _OUTLIER_M = 0.15  # a larger distance is another surface
-#: elements that a fixed mount's calibration needs, each with the motion that shows it
+# elements that a fixed mount's calibration needs, each with the motion that shows it
 MOTIONS = {
     "delay_s": "turn left and right, briskly",
     "rotation_x_rad": "move up and down and to and fro before a wall or over the floor",

@@ -454,7 +454,7 @@ class ReasonCode(str, Enum):
     SURFACE_NOT_WORTH = "surface-not-worth", "{0:d} surface tasks not worth their flight", "", (9999,)
 
 
-#: wrong axes or signs of poses, camera or inertial sensor
+# wrong axes or signs of poses, camera or inertial sensor
 AXES = frozenset(
     {ReasonCode.AXES_GRAVITY, ReasonCode.AXES_GYRO, ReasonCode.AXES_FORCE, ReasonCode.AXES_DEPTH, ReasonCode.AXES_ATTITUDE}
 )

@@ -22,7 +22,7 @@ IMU = "sensor_msgs/msg/Imu"
 POSES = ("nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/TransformStamped")
 TF = "tf2_msgs/msg/TFMessage"
 _PNG = b"\x89PNG"
-_DISTORTED = 1e-9  #: internal: smaller coefficients of a lens are none
+_DISTORTED_SHARE = 1e-9  #: internal: smaller coefficients of a lens are none
 _DEPTH_ENCODINGS = {"16UC1": np.uint16, "mono16": np.uint16, "32FC1": np.float32}
 _CHANNELS = {"rgb8": (3, None), "bgr8": (3, cv2.COLOR_BGR2RGB), "rgba8": (4, cv2.COLOR_RGBA2RGB),
              "bgra8": (4, cv2.COLOR_BGRA2RGB), "mono8": (1, cv2.COLOR_GRAY2RGB)}  # fmt: skip
@@ -119,7 +119,7 @@ class Lens:
             float(k[0, 0]), float(k[1, 1]), float(k[0, 2]), float(k[1, 2]), int(info.width), int(info.height)
         )
         self._maps: tuple[AnyArray, AnyArray] | None = None
-        if coefficients.size and np.abs(coefficients).max() > _DISTORTED:
+        if coefficients.size and np.abs(coefficients).max() > _DISTORTED_SHARE:
             if info.distortion_model not in ("plumb_bob", "rational_polynomial"):
                 raise RecordingError(
                     f"{where}: distortion model {info.distortion_model!r}; want plumb_bob, rational_polynomial or none"

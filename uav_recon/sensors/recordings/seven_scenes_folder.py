@@ -31,7 +31,7 @@ RATE_HZ = 30.0
 INTRINSICS = "camera-intrinsics.txt"
 #: internal: fx, fy, cx, cy of the 7-Scenes camera, as its authors give them
 DEFAULT_K = (585.0, 585.0, 320.0, 240.0)
-_ROTATION_TOLERANCE = 0.01  #: reject: a pose whose matrix is farther from a rotation, for example all zero or not a number
+_NO_ROTATION_SHARE = 0.01  #: reject: a pose whose matrix is farther from a rotation, for example all zero or not a number
 
 
 class SevenScenesFolder:
@@ -107,7 +107,7 @@ def read_intrinsics(path: Path) -> Pinhole:
 def _read_pose(depth: Path) -> Pose | None:
     path = depth.with_name(depth.name.removesuffix("depth.png") + "pose.txt")
     matrix = _matrix(path, 4) if path.exists() else None
-    if matrix is None or np.abs(matrix[:3, :3] @ matrix[:3, :3].T - np.eye(3)).max() > _ROTATION_TOLERANCE:
+    if matrix is None or np.abs(matrix[:3, :3] @ matrix[:3, :3].T - np.eye(3)).max() > _NO_ROTATION_SHARE:
         return None
     return Pose.from_matrix(matrix)
 
