@@ -19,7 +19,7 @@ if TYPE_CHECKING:  # the pilot's process imports no stage of perception
 
 @dataclass(frozen=True)
 class SourceContext:
-    """What a pose source may use: the config, the channels, the clock, the camera, and its pose on the body."""
+    """Config, channels, clock, camera, and its pose on the body: what a pose source may use."""
 
     config: Config
     wires: FlightChannels

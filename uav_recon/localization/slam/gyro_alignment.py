@@ -1,4 +1,4 @@
-"""Gyro and camera: turn between two frames by the gyro, its bias, and the delay of the frames.
+"""Gyro and camera: the turn between two frames, the bias, and the delay of the frames.
 
 A frame shows the body ``delay_s`` before its stamp. The turn that the images show between two frames is that of the gyro, less
 its bias, between the two instants that they show. So the delay shows when the turn rate changes, and the bias always.
@@ -64,7 +64,10 @@ class GyroAlignment:
         self._covariance[:3, :3] = np.eye(3) * _REST_BIAS_RADPS**2
 
     def turn(self, from_s: float, to_s: float) -> FloatArray | None:
-        """Return the rotation vector (3,) in body axes from one frame to another; None if the gyro does not cover it."""
+        """Return the rotation vector (3,) in body axes from one frame to another.
+
+        None if the gyro does not cover it.
+        """
         a, b = from_s - self.delay_s, to_s - self.delay_s
         return self._turn(a, b)
 
@@ -75,7 +78,10 @@ class GyroAlignment:
         return None if first is None or last is None or b_s > self._track.newest_s + _GAP_S else (first, last)
 
     def rate(self, stamp_s: float) -> FloatArray | None:
-        """Return the turn rate (3,) in body axes that a frame shows; None if the gyro does not cover it."""
+        """Return the turn rate (3,) in body axes that a frame shows.
+
+        None if the gyro does not cover it.
+        """
         instant_s = stamp_s - self.delay_s
         turned = self._turn(instant_s - _RATE_SPAN_S, instant_s)
         return None if turned is None else turned / _RATE_SPAN_S

@@ -13,9 +13,11 @@ from uav_recon.types.frames import FloatArray
 from uav_recon.types.pose import Pose
 
 _REST_S = 0.5  #: refuse: no pose of our own before the inertial samples were at rest for this time
-_KEPT_S = 1.0
+_KEPT_S = 1.0  #: internal: the rest is measured over the inertial samples of this time
 _STILL_S = 0.3  # time over which rest is measured
+#: internal: a body that turns faster has moved for the first time; until then it stands on the pad
 _STILL_RADPS = 0.02
+#: internal: a larger standard deviation of the specific force also ends the rest on the pad: the motors run
 _STILL_MPS2 = 0.3
 _WITHOUT_S = 1.5  #: refuse: without inertial samples for this time, the body is taken as level
 _MAX_SPREAD_RADPS = 0.05  #: refuse: a larger standard deviation of the turn rate is no rest
@@ -38,7 +40,7 @@ class RestDetector:
             self._samples.popleft()
 
     def still(self, stamp_s: float) -> bool:
-        """Return True while the newest inertial samples are those of a body at rest, with its motors off."""
+        """Return True while the newest inertial samples are those of a body with its motors off."""
         newest = [sample for sample in self._samples if sample.stamp_s > stamp_s - _STILL_S]
         if not newest:
             return False

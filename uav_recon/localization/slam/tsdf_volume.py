@@ -1,5 +1,6 @@
-"""Truncated signed distance field of the surfaces seen so far (Curless and Levoy 1996), in blocks of voxels.
+"""Truncated signed distance field of the surfaces seen before, in blocks of voxels.
 
+Curless and Levoy 1996, A Volumetric Method for Building Complex Models from Range Images.
 Only blocks near a surface exist. An index volume gives the block at a place; the blocks themselves lie in a pool that grows.
 A voxel holds the weighted mean of its distances to the planes through the measured points, positive in front of a surface.
 """
@@ -90,7 +91,9 @@ def create_blocks(
     count: int,
     fusion: int,
 ) -> int:
-    """Create the missing blocks near the surface of a depth image, and mark all of those with the number of the fusion.
+    """Create the missing blocks near the surface of a depth image.
+
+    All of the blocks there are marked with the number of the fusion.
 
     Returns the number of blocks that are needed; more than fit are not created.
     """
@@ -127,7 +130,7 @@ def _block_of(direction: float, deep: float, place_m: float, origin_m: float) ->
 
 @kernel
 def incidence(depth_m: AnyArray, camera: AnyArray) -> AnyArray:
-    """Return the distance of a point to the plane through a pixel's, per metre along the optical axis, (H, W) float32.
+    """Return the distance to the plane through a pixel per metre along the axis, (H, W) float32.
 
     Zero where there is no plane: at edges, and without a return.
     """
@@ -200,7 +203,7 @@ def fuse_blocks(
 
 @kernel
 def sample(point: AnyArray, index: AnyArray, distance: AnyArray, weight: AnyArray, out: AnyArray) -> bool:
-    """Interpolate the field at a point (3,) in odom into out (4,): distance (m) and its gradient.
+    """Interpolate the field at a point (3,) in odom: distance (m) and gradient into out (4,).
 
     Returns False where a voxel around the point is unknown.
     """
