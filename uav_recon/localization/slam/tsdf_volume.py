@@ -144,8 +144,8 @@ def incidence(depth_m: AnyArray, camera: AnyArray) -> AnyArray:
             span = min(_SPAN_PX + int(_SPAN_PER_M * z), _WIDEST_SPAN_PX, u, v, width - 1 - u, height - 1 - v)
             # the inverse depth of a plane is a linear function of the direction: 1/z = a x + b y + c, and (a, b, c) its normal
             here = 1.0 / z
-            left, right = 1.0 / float(depth_m[v, u - span]), 1.0 / float(depth_m[v, u + span])
-            up, down = 1.0 / float(depth_m[v - span, u]), 1.0 / float(depth_m[v + span, u])
+            left, right = _inverse(depth_m[v, u - span]), _inverse(depth_m[v, u + span])
+            up, down = _inverse(depth_m[v - span, u]), _inverse(depth_m[v + span, u])
             most = _MAX_BEND_PER_M + _MAX_BEND_SHARE * here
             if not (abs(left + right - 2.0 * here) < most and abs(up + down - 2.0 * here) < most):  # not for NaN either
                 continue
@@ -154,6 +154,12 @@ def incidence(depth_m: AnyArray, camera: AnyArray) -> AnyArray:
             c = here - a * x - b * y
             out[v, u] = max(here / np.sqrt(a * a + b * b + c * c), _MIN_COS)
     return out
+
+
+@kernel
+def _inverse(depth_m: float) -> float:
+    """Return the inverse of a depth, NaN without a return."""
+    return 1.0 / float(depth_m) if depth_m > 0.0 else np.nan
 
 
 @kernel
