@@ -66,7 +66,7 @@ class RestDetector:
         force = np.array([sample.specific_force_mps2 for sample in self._samples]).mean(axis=0)
         mean, spread = rate.mean(axis=0), rate.std(axis=0)
         still = spread.max() <= _MAX_SPREAD_RADPS and np.abs(mean).max() <= _MAX_RATE_RADPS
-        if not still or abs(float(np.linalg.norm(force)) - GRAVITY_MPS2) > _MAX_GRAVITY_ERROR_MPS2:
+        if not (still and abs(float(np.linalg.norm(force)) - GRAVITY_MPS2) <= _MAX_GRAVITY_ERROR_MPS2):  # nor for NaN
             return None
         self.gyro_bias_radps = mean
         roll_rad, pitch_rad = math.atan2(force[1], force[2]), math.atan2(-force[0], math.hypot(force[1], force[2]))
