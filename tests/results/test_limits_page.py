@@ -26,6 +26,8 @@ DECIDING = (  # here a constant that is compared must be on the page
     "localization/perception.py",
     "localization/pose_stream_health.py",
     "localization/relocalization_check.py",
+    "localization/slam/rest_detection.py",
+    "localization/slam/tracking_monitor.py",
 )
 
 

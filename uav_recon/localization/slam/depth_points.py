@@ -23,7 +23,7 @@ _MAX_SLOPE = 1.5
 
 @kernel
 def depth_points(depth_m: AnyArray, camera: AnyArray) -> AnyArray:
-    """Return points (N, 3) of a depth image (H, W) in its own frame, from a regular grid of pixels."""
+    """Return points (N, 3) of a depth image (H, W) in its own frame, from a grid of pixels."""
     height, width = depth_m.shape
     rows, columns = min(ROWS, height), min(COLUMNS, width)
     out, number = np.empty((rows * columns, 3)), 0
@@ -52,7 +52,9 @@ def add_depth_equations(
     information: AnyArray,
     gradient: AnyArray,
 ) -> tuple[int, int]:
-    """Add the normal equations of points (N, 3) against the field for a camera at rotation (3, 3) and place_m (3,).
+    """Add the normal equations of points (N, 3) against the field.
+
+    rotation (3, 3), place_m (3,): pose of the depth imager in odom.
 
     information (>= 6, >= 6) and gradient (>= 6): of a small rotation in odom axes about the camera and of its translation, in
     units of standard deviations. share: weight of one point, since the errors of neighbours are alike. wider: factor on the

@@ -1,4 +1,4 @@
-"""Gyro and camera: turn between two frames by the gyro, its bias, and the delay of the frames.
+"""Gyro and camera: the turn between two frames, the bias, and the delay of the frames.
 
 A frame shows the body ``delay_s`` before its stamp. The turn that the images show between two frames is that of the gyro, less
 its bias, between the two instants that they show. So the delay shows when the turn rate changes, and the bias always.
@@ -7,6 +7,7 @@ its bias, between the two instants that they show. So the delay shows when the t
 from __future__ import annotations
 
 import math
+from collections import deque
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from uav_recon.types.frames import FloatArray
 
 _SURPRISE = 16.0  # squared innovation in standard deviations beyond which a comparison is not used
 _GAP_S = 0.05  # the gyro measures an interval if its samples come closer than this
+_MOST_GAPS = 32  # the newest that are remembered
 _RATE_SPAN_S = 0.02  # time over which a turn rate is measured
 _DELAY_S = 0.02  # prior standard deviation of the delay
 _MOST_DELAY_S = 0.08
@@ -32,6 +34,7 @@ class GyroAlignment:
 
     def __init__(self) -> None:
         self._track = InertialTrack(_GAP_S)
+        self._gaps: deque[tuple[float, float]] = deque(maxlen=_MOST_GAPS)
         self._state = np.zeros(4)  # bias, delay
         self._covariance = np.diag([_BIAS_RADPS**2] * 3 + [_DELAY_S**2])
 
@@ -56,6 +59,8 @@ class GyroAlignment:
             x, y, z = sample.gyro_radps.tolist()
             a, b, c = sample.specific_force_mps2.tolist()
             if sample.stamp_s > self._track.newest_s and math.isfinite(sample.stamp_s + x + y + z + a + b + c):
+                if sample.stamp_s - self._track.newest_s > _GAP_S and len(self._track):
+                    self._gaps.append((self._track.newest_s, sample.stamp_s))
                 self._track.push(sample.stamp_s, (x, y, z), (a, b, c))
 
     def rest(self, rate_radps: FloatArray) -> None:
@@ -64,18 +69,23 @@ class GyroAlignment:
         self._covariance[:3, :3] = np.eye(3) * _REST_BIAS_RADPS**2
 
     def turn(self, from_s: float, to_s: float) -> FloatArray | None:
-        """Return the rotation vector (3,) in body axes from one frame to another; None if the gyro does not cover it."""
+        """Return the rotation vector (3,) in body axes from one frame to another.
+
+        None if the gyro does not cover it.
+        """
         a, b = from_s - self.delay_s, to_s - self.delay_s
         return self._turn(a, b)
 
     def track(self, from_s: float, to_s: float) -> tuple[InertialState, InertialState] | None:
         """Return the inertial track at what two frames show; None if the samples do not cover it."""
         a_s, b_s = from_s - self.delay_s, to_s - self.delay_s
-        first, last = self._track.at(a_s), self._track.at(b_s)
-        return None if first is None or last is None or b_s > self._track.newest_s + _GAP_S else (first, last)
+        return self._measured(a_s, b_s)
 
     def rate(self, stamp_s: float) -> FloatArray | None:
-        """Return the turn rate (3,) in body axes that a frame shows; None if the gyro does not cover it."""
+        """Return the turn rate (3,) in body axes that a frame shows.
+
+        None if the gyro does not cover it.
+        """
         instant_s = stamp_s - self.delay_s
         turned = self._turn(instant_s - _RATE_SPAN_S, instant_s)
         return None if turned is None else turned / _RATE_SPAN_S
@@ -104,9 +114,16 @@ class GyroAlignment:
         kept = np.eye(4) - gain @ rows
         self._covariance = kept @ self._covariance @ kept.T + gain @ noise @ gain.T
 
-    def _turn(self, a_s: float, b_s: float) -> FloatArray | None:
+    def _measured(self, a_s: float, b_s: float) -> tuple[InertialState, InertialState] | None:
+        """Return the track at two instants; None if the samples do not cover the time between them."""
         first, last = self._track.at(a_s), self._track.at(b_s)
         if first is None or last is None or b_s > self._track.newest_s + _GAP_S:
             return None
-        between = multiply(conjugate(first.gyro_from_body), last.gyro_from_body)
+        return None if any(a_s < end_s and b_s > begin_s for begin_s, end_s in self._gaps) else (first, last)
+
+    def _turn(self, a_s: float, b_s: float) -> FloatArray | None:
+        ends = self._measured(a_s, b_s)
+        if ends is None:
+            return None
+        between = multiply(conjugate(ends[0].gyro_from_body), ends[1].gyro_from_body)
         return np.array(logarithm(between)) - (b_s - a_s) * self._state[:3]

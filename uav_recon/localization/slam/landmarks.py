@@ -1,4 +1,4 @@
-"""Landmarks: corners of the colour image with their places in odom, followed from image to image.
+"""Landmarks: corners of the colour image with places in odom, followed between images.
 
 A corner is followed by pyramidal Lucas-Kanade (OpenCV) from where the predicted pose expects it. Its place is the mean of the
 depths measured at it.
@@ -81,7 +81,10 @@ class LandmarkTracker:
         self.points = Landmarks.none()
 
     def follow(self, view: RgbdView, predicted: FloatArray) -> Landmarks:
-        """Return the landmarks that the image shows; predicted (N, 2): where the predicted pose expects each of ``points``."""
+        """Return the landmarks that the image shows.
+
+        predicted (N, 2): where the predicted pose expects each of ``points``.
+        """
         points, grey = self.points, view.grey
         self.points = Landmarks.none()
         before, self._grey = self._grey, grey
@@ -187,10 +190,10 @@ def add_landmark_equations(
     information: AnyArray,
     gradient: AnyArray,
 ) -> int:
-    """Add the normal equations (SIZE) of landmarks that the image shows at at_px (N, 2). Arguments as in project().
+    """Add the normal equations (SIZE) of landmarks that the image shows at at_px (N, 2).
 
-    slope (N, 3, 2), texture (N, 2, 2): of Landmarks; change (2,): of ``slow`` since the places were right. The first six
-    elements are those of add_depth_equations. Returns the number of landmarks that fit.
+    Arguments as in project(). slope (N, 3, 2), texture (N, 2, 2): of Landmarks; change (2,): of ``slow`` since the places
+    were right. The first six elements are those of add_depth_equations. Returns the number of landmarks that fit.
     """
     fitting, expected, columns = 0, np.empty(2), np.empty((2, SIZE))
     for n in range(place_m.shape[0]):
@@ -262,7 +265,10 @@ def _row(
 
 
 def _shown(texture: FloatArray) -> FloatArray:
-    """Return Landmarks.texture (N, 2, 2) from eigenvalues and eigenvectors (N, 6) of the brightness around corners."""
+    """Return Landmarks.texture (N, 2, 2) of the brightness around corners.
+
+    texture (N, 6): its eigenvalues and eigenvectors.
+    """
     values, first, second = texture[:, :2], texture[:, 2:4], texture[:, 4:6]
     ratio = values / values.max(axis=1, keepdims=True)
     share = np.clip((ratio - _EDGE_SHARE) / (_CORNER_SHARE - _EDGE_SHARE), 0.0, 1.0) ** 2
@@ -278,7 +284,7 @@ def _weight(place_m: FloatArray, eye_m: FloatArray) -> FloatArray:
 
 
 def _slope(place_m: FloatArray, eye: tuple[FloatArray, FloatArray], turn_m: FloatArray, motion: FloatArray) -> FloatArray:
-    """Return the derivatives (N, 3, 2) of places, measured in this image, by its delay and width."""
+    """Return the derivatives (N, 3, 2) of measured places by the delay and width of the image."""
     swept = motion[3:] + np.cross(motion[:3], place_m - turn_m)
     rotation, eye_m = eye
     ahead = (place_m - eye_m) @ rotation
@@ -294,7 +300,7 @@ def _inside(at_px: AnyArray, grey: ByteArray) -> BoolArray:
 
 
 def _followed(before: ByteArray, now: ByteArray, was_px: AnyArray, guess_px: AnyArray) -> tuple[AnyArray, BoolArray]:
-    """Return the new positions of corners (N, 2), and a mask of those found there and back again."""
+    """Return the new positions of corners (N, 2), and a mask of those found there and back."""
     follow = functools.partial(
         cv2.calcOpticalFlowPyrLK, winSize=(_WINDOW_PX, _WINDOW_PX), maxLevel=_LEVELS, flags=cv2.OPTFLOW_USE_INITIAL_FLOW
     )

@@ -1,4 +1,4 @@
-"""Motion of the body between frames: Kalman filter of place, velocity and offset of the accelerometer.
+"""Motion of the body: Kalman filter of place, velocity and offset of the accelerometer.
 
 The accelerometer carries the place through views that do not determine it: along a bare wall, or with nothing in view. Its
 offset contains its bias, a mount that is off, and the tilt error of the map: it turns with the body. An accelerometer that the
@@ -33,7 +33,10 @@ _GRAVITY = np.array([0.0, 0.0, -GRAVITY_MPS2])
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PredictedMotion:
-    """Place (3,) and velocity (3,) in odom at a later frame, with the covariance (9, 9) of the whole state."""
+    """Place and velocity in odom at a later frame.
+
+    state (9,): of MotionFilter; covariance (9, 9).
+    """
 
     state: FloatArray
     covariance: FloatArray
@@ -118,7 +121,10 @@ class MotionFilter:
         self._now = predicted
 
     def update(self, predicted: PredictedMotion, place_m: FloatArray, place_covariance: FloatArray) -> None:
-        """Take the place (3,) of a believed frame, with its covariance (3, 3); both contain the prediction already."""
+        """Take the place (3,) of a believed frame, with its covariance (3, 3).
+
+        Both contain the prediction already.
+        """
         before = predicted.place_covariance
         gain = np.linalg.solve(before, predicted.covariance[PLACE, :]).T
         shift = place_m - predicted.place_m
@@ -127,7 +133,7 @@ class MotionFilter:
         self._judge(float(shift @ np.linalg.solve(before, shift)))
 
     def _judge(self, surprise: float) -> None:
-        """Leave the accelerometer out after surprises in a row, and use it again after a while without."""
+        """Leave the accelerometer out after surprises in a row; use it after a while without."""
         self._surprises = self._surprises + 1 if surprise > _SURPRISE else 0
         self._calm = 0 if self._surprises >= _SURPRISES else self._calm + 1
 

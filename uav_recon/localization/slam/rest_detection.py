@@ -13,9 +13,11 @@ from uav_recon.types.frames import FloatArray
 from uav_recon.types.pose import Pose
 
 _REST_S = 0.5  #: refuse: no pose of our own before the inertial samples were at rest for this time
-_KEPT_S = 1.0
+_KEPT_S = 1.0  #: internal: the rest is measured over the inertial samples of this time
 _STILL_S = 0.3  # time over which rest is measured
+#: internal: a body that turns faster has moved for the first time; until then it stands on the pad
 _STILL_RADPS = 0.02
+#: internal: a larger standard deviation of the specific force also ends the rest on the pad: the motors run
 _STILL_MPS2 = 0.3
 _WITHOUT_S = 1.5  #: refuse: without inertial samples for this time, the body is taken as level
 _MAX_SPREAD_RADPS = 0.05  #: refuse: a larger standard deviation of the turn rate is no rest
@@ -38,7 +40,7 @@ class RestDetector:
             self._samples.popleft()
 
     def still(self, stamp_s: float) -> bool:
-        """Return True while the newest inertial samples are those of a body at rest, with its motors off."""
+        """Return True while the newest inertial samples are those of a body with its motors off."""
         newest = [sample for sample in self._samples if sample.stamp_s > stamp_s - _STILL_S]
         if not newest:
             return False
@@ -64,7 +66,7 @@ class RestDetector:
         force = np.array([sample.specific_force_mps2 for sample in self._samples]).mean(axis=0)
         mean, spread = rate.mean(axis=0), rate.std(axis=0)
         still = spread.max() <= _MAX_SPREAD_RADPS and np.abs(mean).max() <= _MAX_RATE_RADPS
-        if not still or abs(float(np.linalg.norm(force)) - GRAVITY_MPS2) > _MAX_GRAVITY_ERROR_MPS2:
+        if not (still and abs(float(np.linalg.norm(force)) - GRAVITY_MPS2) <= _MAX_GRAVITY_ERROR_MPS2):  # nor for NaN
             return None
         self.gyro_bias_radps = mean
         roll_rad, pitch_rad = math.atan2(force[1], force[2]), math.atan2(-force[0], math.hypot(force[1], force[2]))

@@ -1,4 +1,4 @@
-"""Registration of an RGB-D frame: Gauss-Newton on depth against the field, landmarks, and the predicted motion together."""
+"""Registration of an RGB-D frame: Gauss-Newton on depth, landmarks and motion together."""
 
 from __future__ import annotations
 
@@ -136,14 +136,20 @@ def _converge(view: RgbdView, volume: TsdfVolume, landmarks: Landmarks, prior: M
 
 
 def _support(known: int, inliers: int) -> float:
-    """Return the weight 0 to 1 of depth as a whole: little where little is known, or where much of it does not fit."""
+    """Return the weight 0 to 1 of depth as a whole.
+
+    It is little where little is known, or where much of it does not fit.
+    """
     fit = inliers / max(known, 1)
     fitting = min(max((fit - _UNFIT) / (_FITTING - _UNFIT), 0.0), 1.0)
     return max(fitting**2 * min(inliers / _ENOUGH_POINTS, 1.0) ** 2, 1e-6)
 
 
 def _leave_weak_directions(information: FloatArray, gradient: FloatArray, turn_sigma_rad: float) -> None:
-    """Remove from the equations of depth the translations that it does not determine (Zhang, Kaess and Singh 2016)."""
+    """Remove from the equations of depth the translations that it does not determine.
+
+    Zhang, Kaess and Singh 2016, On Degeneracy of Optimization-based State Estimation Problems.
+    """
     turn = information[:3, :3] + np.eye(3) * turn_sigma_rad**-2
     alone = information[3:6, 3:6] - information[3:6, :3] @ np.linalg.solve(turn, information[:3, 3:6])
     values, directions = np.linalg.eigh(0.5 * (alone + alone.T))

@@ -1,4 +1,4 @@
-"""One RGB-D frame as the tracker uses it: points of its depth, brightness of its colour, and depth at a corner."""
+"""RGB-D frame of the tracker: points of depth, brightness of colour, depth at a corner."""
 
 from __future__ import annotations
 
@@ -37,14 +37,18 @@ class RgbdView:
             self.grey, self.camera = _grey(frame.rgb, self.camera)
 
     def rgb_pose(self, odom_from_depth: Pose) -> tuple[FloatArray, FloatArray]:
-        """Return rotation (3, 3) and translation (3,) of the colour imager in odom, at the instant of the depth image."""
+        """Return rotation (3, 3) and translation (3,) of the colour imager in odom.
+
+        At the instant of the depth image.
+        """
         odom_from_rgb = odom_from_depth @ self.depth_from_rgb
         return odom_from_rgb.rotation(), odom_from_rgb.translation_m
 
     def places(self, at_px: AnyArray, odom_from_depth: Pose, motion: FloatArray, slow: FloatArray) -> FloatArray:
-        """Return the places (N, 3) in odom of pixels (N, 2) of the brightness; NaN where depth does not show one surface.
+        """Return the places (N, 3) in odom of pixels (N, 2) of the brightness.
 
-        motion (6,): turn rate and velocity of the camera in odom. slow (2,): delay and width of the colour image (landmarks).
+        NaN where depth does not show one surface. motion (6,): turn rate and velocity of the camera in
+        odom. slow (2,): delay and width of the colour image (landmarks).
         """
         turned = Pose.from_rotation_vector(slow[0] * motion[:3], np.zeros(3))
         later = Pose((turned @ odom_from_depth).quat_wxyz, odom_from_depth.translation_m + slow[0] * motion[3:])
@@ -61,9 +65,10 @@ class RgbdView:
 def corner_places(
     at_px: AnyArray, camera: AnyArray, depth_m: AnyArray, depth_camera: AnyArray, rgb_from_depth: AnyArray, offset_m: AnyArray
 ) -> AnyArray:
-    """Return the places (N, 3) of pixels (N, 2) of the colour image in the colour imager's frame, NaN where not known.
+    """Return the places (N, 3) of pixels (N, 2) of the colour image, NaN where not known.
 
-    The depth on the ray of the pixel is found by iteration: at which pixel of the depth image the ray is at the depth so far.
+    The places are in the colour imager's frame. The depth on the ray of a pixel is found by iteration: the present depth gives
+    the pixel of the depth image, and this pixel the next depth.
     rgb_from_depth (3, 3), offset_m (3,): pose of the depth imager in the colour imager.
     """
     height, width = depth_m.shape
@@ -111,7 +116,7 @@ def _is_flat(depth_m: AnyArray, u: int, v: int) -> bool:
 
 
 def _grey(rgb: ByteArray, camera: FloatArray) -> tuple[ByteArray, FloatArray]:
-    """Return the brightness (h, w) of an image, made smaller if it is large, and its camera (4,)."""
+    """Return the brightness (h, w) of an image, smaller if it is large, and its camera (4,)."""
     grey = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)
     stride = -(-grey.shape[1] // _WIDEST_PX)
     if stride > 1:

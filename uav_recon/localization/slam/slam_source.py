@@ -1,4 +1,4 @@
-"""A camera that is tracked: its frames with true stamps, and the poses that the embedded SLAM finds."""
+"""Source of poses by the embedded SLAM, and of the tracked frames with true stamps."""
 
 from __future__ import annotations
 
@@ -12,10 +12,11 @@ from uav_recon.types.pose import StampedPose
 
 
 class SlamSource:
-    """DepthCamera and PoseSource in one: each frame that is read is tracked first, which takes about 8 ms.
+    """DepthCamera and PoseSource in one.
 
-    A frame's stamp is moved to the instant that it shows, as far as the gyro has told the delay. The pose of a frame has the
-    stamp of that frame; it can be read after it.
+    Each frame that is read is tracked first, which takes about 8 ms. A frame's stamp is moved to
+    the instant that it shows, as far as the gyro has told the delay. The pose of a frame has the stamp of that frame; it can
+    be read after it.
     """
 
     def __init__(self, camera: DepthCamera, mount: Mount, tracker: SlamTracker) -> None:

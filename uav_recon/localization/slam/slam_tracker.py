@@ -1,6 +1,6 @@
 """RGB-D-inertial tracker: the pose of each frame against a map of its own.
 
-Depth is registered to a field of the surfaces seen so far, corners of the colour image to landmarks, and both to the motion
+Depth is registered to a field of the surfaces seen before, corners of the colour image to landmarks, and both to the motion
 that the inertial samples predict, in one Gauss-Newton problem. The map covers the room, so a surface that comes into view again
 corrects the drift since. A frame that may not be believed changes neither map nor landmarks: the inertial samples alone carry
 the track on.
@@ -151,7 +151,7 @@ class SlamTracker:
         return self._stamped(view.frame.stamp_s)
 
     def _rests(self, stamp_s: float, found: Registration, prior: MotionPrior) -> bool:
-        """Return True until inertial samples or images show that the body has moved for the first time."""
+        """Return True until inertial samples or images show that the body has moved once."""
         moved_m = np.linalg.norm(found.odom_from_depth.translation_m - prior.odom_from_depth.translation_m)
         seen = found.known * found.fit >= _SEEN_POINTS or found.landmarks >= _SEEN_LANDMARKS
         self._launched = self._launched or not self._rest.still(stamp_s) or bool(seen and moved_m > _REST_M)

@@ -13,7 +13,7 @@ from uav_recon.localization.slam.rgbd_registration import MotionPrior, Registrat
 #: reject: a frame with depth in fewer points: it is covered, or before something too near or too far
 _MIN_POINTS = 150
 _MIN_FIT_SHARE = 0.55  #: reject: a frame with fewer of its known points on a known surface
-_FIT_COVERAGE_SHARE = 0.15  #: reject: the same holds only if at least this share of its points is in known space
+_MIN_COVERAGE_SHARE = 0.15  #: reject: the same holds only if at least this share of its points is in known space
 _MAX_TURN_SIGMAS = 6.0  #: reject: a frame that turns by more of the predicted standard deviations against the gyro
 _MAX_TURN_RAD = math.radians(0.8)  #: reject: the same, but never for less
 _MAX_STEP_SIGMAS = 5.0  #: reject: a frame that moves by more of the predicted standard deviations
@@ -23,7 +23,7 @@ _LOOSE_RAD = math.radians(2.0)  #: reject: a frame that leaves a turn as uncerta
 
 
 class TrackingFault(str, Enum):
-    """Why a frame is not believed."""
+    """Reason why a frame is not believed."""
 
     FROZEN = "repeats"
     FEW_POINTS = "few points"
@@ -49,7 +49,7 @@ class TrackingMonitor:
         place_sigma_m = math.sqrt(float(np.linalg.eigvalsh(prior.covariance[3:, 3:])[-1]))
         checks = (
             (found.points < _MIN_POINTS, TrackingFault.FEW_POINTS),
-            (found.coverage >= _FIT_COVERAGE_SHARE and found.fit < _MIN_FIT_SHARE, TrackingFault.FIT),
+            (found.coverage >= _MIN_COVERAGE_SHARE and found.fit < _MIN_FIT_SHARE, TrackingFault.FIT),
             (turn_rad > max(_MAX_TURN_RAD, _MAX_TURN_SIGMAS * prior.turn_sigma_rad), TrackingFault.TURN),
             (step_m > max(_MAX_STEP_M, _MAX_STEP_SIGMAS * place_sigma_m), TrackingFault.STEP),
             (loose[0] > _LOOSE_M or loose[1] > _LOOSE_RAD, TrackingFault.LOOSE),

@@ -1,5 +1,6 @@
-"""Truncated signed distance field of the surfaces seen so far (Curless and Levoy 1996), in blocks of voxels.
+"""Truncated signed distance field of the surfaces seen before, in blocks of voxels.
 
+Curless and Levoy 1996, A Volumetric Method for Building Complex Models from Range Images.
 Only blocks near a surface exist. An index volume gives the block at a place; the blocks themselves lie in a pool that grows.
 A voxel holds the weighted mean of its distances to the planes through the measured points, positive in front of a surface.
 """
@@ -90,7 +91,9 @@ def create_blocks(
     count: int,
     fusion: int,
 ) -> int:
-    """Create the missing blocks near the surface of a depth image, and mark all of those with the number of the fusion.
+    """Create the missing blocks near the surface of a depth image.
+
+    All of the blocks there are marked with the number of the fusion.
 
     Returns the number of blocks that are needed; more than fit are not created.
     """
@@ -127,7 +130,7 @@ def _block_of(direction: float, deep: float, place_m: float, origin_m: float) ->
 
 @kernel
 def incidence(depth_m: AnyArray, camera: AnyArray) -> AnyArray:
-    """Return the distance of a point to the plane through a pixel's, per metre along the optical axis, (H, W) float32.
+    """Return the distance to the plane through a pixel per metre along the axis, (H, W) float32.
 
     Zero where there is no plane: at edges, and without a return.
     """
@@ -141,8 +144,8 @@ def incidence(depth_m: AnyArray, camera: AnyArray) -> AnyArray:
             span = min(_SPAN_PX + int(_SPAN_PER_M * z), _WIDEST_SPAN_PX, u, v, width - 1 - u, height - 1 - v)
             # the inverse depth of a plane is a linear function of the direction: 1/z = a x + b y + c, and (a, b, c) its normal
             here = 1.0 / z
-            left, right = 1.0 / float(depth_m[v, u - span]), 1.0 / float(depth_m[v, u + span])
-            up, down = 1.0 / float(depth_m[v - span, u]), 1.0 / float(depth_m[v + span, u])
+            left, right = _inverse(depth_m[v, u - span]), _inverse(depth_m[v, u + span])
+            up, down = _inverse(depth_m[v - span, u]), _inverse(depth_m[v + span, u])
             most = _MAX_BEND_PER_M + _MAX_BEND_SHARE * here
             if not (abs(left + right - 2.0 * here) < most and abs(up + down - 2.0 * here) < most):  # not for NaN either
                 continue
@@ -151,6 +154,12 @@ def incidence(depth_m: AnyArray, camera: AnyArray) -> AnyArray:
             c = here - a * x - b * y
             out[v, u] = max(here / np.sqrt(a * a + b * b + c * c), _MIN_COS)
     return out
+
+
+@kernel
+def _inverse(depth_m: float) -> float:
+    """Return the inverse of a depth, NaN without a return."""
+    return 1.0 / float(depth_m) if depth_m > 0.0 else np.nan
 
 
 @kernel
@@ -200,7 +209,7 @@ def fuse_blocks(
 
 @kernel
 def sample(point: AnyArray, index: AnyArray, distance: AnyArray, weight: AnyArray, out: AnyArray) -> bool:
-    """Interpolate the field at a point (3,) in odom into out (4,): distance (m) and its gradient.
+    """Interpolate the field at a point (3,) in odom: distance (m) and gradient into out (4,).
 
     Returns False where a voxel around the point is unknown.
     """
