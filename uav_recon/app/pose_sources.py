@@ -19,14 +19,10 @@ if TYPE_CHECKING:  # the pilot's process imports no stage of perception
 
 @dataclass(frozen=True)
 class SourceContext:
-<<<<<<< HEAD
     """Objects that a pose source may use.
 
     They are the config, the channels, the clock, the camera, and the pose of the camera on the body.
     """
-=======
-    """Config, channels, clock, camera, and its pose on the body: what a pose source may use."""
->>>>>>> ac330925268bdc4ba39e68c3ae164347f3934e5d
 
     config: Config
     wires: FlightChannels

@@ -40,10 +40,12 @@ _FUSION_FRAMES = 8  # frames in a row that must be believed before the map grows
 _PROOF_FRAMES = 2  # frames that must be believed after doubt until poses are given again
 _MOST_SIGMA_M = 0.15  #: reject: no pose is given while the place is more uncertain than this in a direction
 _SEARCHED = (TrackingFault.FIT, TrackingFault.STEP, TrackingFault.TURN)
-_SHIFTS = np.array([(x, y, 0.0) for x in (-1.0, 0.0, 1.0) for y in (-1.0, 0.0, 1.0) if x or y])
+# shifts of the search, as shares of its reach
+_SHIFTS = np.array([(x, y, 0.0) for x in (-1.0, -0.5, 0.0, 0.5, 1.0) for y in (-1.0, -0.5, 0.0, 0.5, 1.0) if x or y])
+_SEARCH_SIGMAS = 3.0  # reach of the search, in standard deviations of the predicted place
 _LEAST_SEARCH_M = 0.05
 _MOST_SEARCH_M = 0.5
-_BETTER = 1.15  # share of inliers by which another place must be better
+_BETTER = 1.02  # share of inliers by which another place must be better
 _POSITION_SIGMA_M = 0.01
 _ROTATION_SIGMA_RAD = math.radians(0.3)
 
@@ -109,7 +111,7 @@ class SlamTracker:
         if self._rests(frame.stamp_s, found, prior):
             return self._stay(view, self._state, body_from_depth)
         self.fault = TrackingFault.FROZEN if repeats else self._monitor.fault(found, prior)
-        if self.fault in _SEARCHED:
+        if self.fault in _SEARCHED or (self._unproven and not repeats):
             found = self._search(view, found, prior)
             self.fault = self._monitor.fault(found, prior)
         if self.fault not in (None, TrackingFault.LOOSE):
@@ -120,7 +122,7 @@ class SlamTracker:
 
     def _search(self, view: RgbdView, found: Registration, prior: MotionPrior) -> Registration:
         """Return the best registration from places around the predicted one, by depth alone."""
-        reach_m = min(2.0 * math.sqrt(float(np.diagonal(prior.covariance)[3:].max())), _MOST_SEARCH_M)
+        reach_m = min(_SEARCH_SIGMAS * math.sqrt(float(np.diagonal(prior.covariance)[3:].max())), _MOST_SEARCH_M)
         if reach_m < _LEAST_SEARCH_M:
             return found
         for shift in _SHIFTS:
