@@ -57,7 +57,10 @@ def connected_devices() -> list[Any]:
 
 @contextmanager
 def device_errors(name: str) -> Iterator[None]:
-    """Turn an error of librealsense inside into a RealSenseError in one line, which begins with the name."""
+    """Turn an error of librealsense into a RealSenseError of one line.
+
+    The line begins with the name.
+    """
     try:
         yield
     except RuntimeError as error:

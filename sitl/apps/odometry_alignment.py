@@ -1,4 +1,4 @@
-"""Odometry of a flight against its true path: the error, and the rigid transform between both frames.
+"""Error of the odometry against the true path, after rigid alignment.
 
 The embedded SLAM has no true origin: where the pad is, which way is north, and how a mount that is off tilts the map cannot be
 seen from inside. Its model is compared with the truth after the rigid alignment of the two paths, as is usual for SLAM.
@@ -39,7 +39,10 @@ class OdometryAlignment:
 
 
 def align_odometry(stamp_s: F64, position_m: F64, true_stamp_s: F64, true_position_m: F64) -> OdometryAlignment | None:
-    """Align positions (N, 3) at stamps (N,) with the truth (M, 3) at (M,); None for too few, or of another clock."""
+    """Align positions (N, 3) at stamps (N,) with the truth (M, 3) at stamps (M,).
+
+    None for too few positions, or those of another clock.
+    """
     if len(true_stamp_s) < MIN_POSES or len(stamp_s) < MIN_POSES:
         return None
     after = np.clip(np.searchsorted(true_stamp_s, stamp_s), 1, len(true_stamp_s) - 1)
