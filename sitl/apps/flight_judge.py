@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 
+from sitl.apps.odometry_alignment import OdometryAlignment, align_odometry
 from sitl.apps.sim_options import SimOptions
 from sitl.camera.d435i import Model
 from sitl.runtime.array_cache import cache_folder
 from sitl.scene.rasterizer import Renderer
 from sitl.scene.scene import Scene
-from sitl.apps.odometry_alignment import OdometryAlignment, align_odometry
 from sitl.truth.reference_times import REFERENCE_TIMES_S
 from sitl.truth.visibility import VisibleTruth, load_visible_truth
 from uav_recon.app import factory
