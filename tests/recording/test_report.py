@@ -44,6 +44,7 @@ def tree() -> dict[str, Any]:
         "rejected_by_perception": {"depth-frame-empty": 4, "pose jump": 7},
         "camera_calibration": {"delay_s": [0.0281, 0.0062]}, "kept_calibration": "begun from an earlier flight",
         "camera": ["camera streams: depth 424x240 at 30 Hz, colour 424x240 at 30 Hz, IMU none, USB 3.2"],
+        "odometry": {"ate_cm": 3.41, "largest_cm": 9.2, "shift_cm": 6.5, "turn_deg": 1.2, "model_aligned": True},
     }  # fmt: skip
 
 
@@ -150,6 +151,8 @@ def test_the_page_needs_no_other_file(tmp_path: Path) -> None:
         "96.4 s, 2.9 times the oracle",
         "<th>At reduced speed: no inertial samples</th><td>62 s of 162 s</td></tr><tr><th>At reduced speed: poses disagree",
         "<th>Memory is full</th><td>11</td></tr><tr><th>No depth</th><td>2</td></tr><tr><th>All</th><td>13</td>",
+        "<th>Error of the position (ATE)</th><td>3.4 cm</td>",
+        "<td>after this alignment</td>",
         "<th>delay_s</th><td>0.0281 ± 0.0062</td>",
         "<th>Pose jump</th><td>7</td></tr><tr><th>Depth frame empty</th><td>4</td></tr><tr><th>All</th><td>11</td>",
     ):
@@ -161,6 +164,7 @@ def test_the_page_states_that_ground_truth_is_missing(tmp_path: Path) -> None:
     real = tree() | {"recall_over_time": None, "time_to_recall_s": {"0.90": None, "0.95": None}, "oracle_s": None}
     real |= {"quality": None, "explored_fraction": None, "seed": None, "depth_noise": None, "safety": safety}
     real |= {"refused_views": None, "rejected_by_perception": None, "camera_calibration": None, "camera": []}
+    real |= {"odometry": None}
     _, page = write_report(tmp_path, Report.from_tree(real))
     text = page.read_text()
     assert "no truth to be held against" in text

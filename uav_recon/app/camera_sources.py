@@ -42,11 +42,14 @@ def tilted_camera(config: Config) -> Pose:
 
 
 def mount_text(config: Config) -> str:
-    """Return how the config mounts the camera, as text; another text is another mount."""
+    """Return how the config mounts the camera, and against whose poses, as text; another text is another mount.
+
+    The embedded SLAM corrects the stamps of the frames itself, so their delay is another one.
+    """
     camera = config.camera
     turns = f"{camera.pitch_down_deg:g} {camera.roll_deg:g} {camera.yaw_deg:g}"
     tilt = f"fixed {turns}" if camera.mount == "fixed" else "gimbal"
-    return f"{tilt} {camera.position_body_m} {camera.delay_s:g} {camera.depth_scale:g}"
+    return f"{tilt} {camera.position_body_m} {camera.delay_s:g} {camera.depth_scale:g} {config.localization.source}"
 
 
 def stream_path(config: Config) -> Path:

@@ -73,6 +73,7 @@ def render_page(report: Report, pictures: Sequence[Picture], notes: Sequence[str
         _refused_views(report),
         _rejected_by_perception(report),
         _camera(report),
+        _odometry(report),
         _camera_calibration(report),
         _safety(report),
         _planning(report),
@@ -159,6 +160,19 @@ def _refused_views(report: Report) -> str:
     reasons = sorted(refused.items(), key=lambda item: (-item[1], item[0]))
     rows = [(reason[:1].upper() + reason[1:], str(count)) for reason, count in reasons]
     return _table("Views that the mapper refused", [*rows, ("All", str(sum(refused.values())))])
+
+
+def _odometry(report: Report) -> str:
+    found = report.odometry
+    if found is None:
+        return ""
+    rows = [
+        ("Error of the position (ATE)", _number(found.ate_cm, 1, " cm")),
+        ("Largest error", _number(found.largest_cm, 1, " cm")),
+        ("Alignment with the true path", f"{found.shift_cm:.1f} cm, {found.turn_deg:.1f}°"),
+        ("Model compared", "after this alignment" if found.model_aligned else "as it is"),
+    ]
+    return _table("Odometry against the true path", rows)
 
 
 def _camera_calibration(report: Report) -> str:
