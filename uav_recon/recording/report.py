@@ -146,9 +146,9 @@ class Report:
     reduced_speed_s: Mapping[str, float] | None = None
     rejected_by_perception: Mapping[str, int] | None = None
     camera_calibration: Mapping[str, tuple[float, float]] | None = None
+    kept_calibration: str = ""
     camera: tuple[str, ...] = ()
     odometry: ReportOdometry | None = None
-    kept_calibration: str = ""
 
     @property
     def completed(self) -> bool:
