@@ -51,9 +51,7 @@ def body_at(t: float | FloatArray) -> tuple[FloatArray, Rotation]:
     """Return place (..., 3) and attitude of the body at times: at rest on the pad, then up to 0.6 m/s and 0.7 rad/s."""
     s = np.maximum(np.asarray(t, dtype=np.float64) - REST_S, 0.0)
     ease = s * s / (s + 1.5)  # starts at rest
-    place = np.stack(
-        (0.9 * np.sin(0.55 * ease), 0.6 * (1.0 - np.cos(0.6 * ease)), 0.55 * (1.0 - np.cos(0.5 * ease))), axis=-1
-    )
+    place = np.stack((0.9 * np.sin(0.55 * ease), 0.6 * (1.0 - np.cos(0.6 * ease)), 0.55 * (1.0 - np.cos(0.5 * ease))), axis=-1)
     yaw = 0.9 * np.sin(0.5 * ease) + 0.15 * ease
     tilt = np.stack((yaw, 0.06 * np.sin(0.9 * ease), 0.05 * np.sin(1.1 * ease)), axis=-1)
     return place, Rotation.from_euler("ZYX", tilt)

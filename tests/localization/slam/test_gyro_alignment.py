@@ -81,7 +81,9 @@ def test_a_rest_gives_the_bias_at_once() -> None:
     np.testing.assert_allclose(turned, (ends[0].inv() * ends[1]).as_rotvec(), atol=0.003)
     rate = gyro.rate(1.0)
     assert rate is not None
-    np.testing.assert_allclose(rate, (_turning(np.array([0.98])).inv() * _turning(np.array([1.0]))).as_rotvec()[0] / 0.02, atol=0.01)
+    np.testing.assert_allclose(
+        rate, (_turning(np.array([0.98])).inv() * _turning(np.array([1.0]))).as_rotvec()[0] / 0.02, atol=0.01
+    )
 
 
 def test_what_the_samples_do_not_cover_is_unknown() -> None:

@@ -140,7 +140,13 @@ def test_more_blocks_than_the_first_pool_are_kept(monkeypatch: pytest.MonkeyPatc
 @pytest.mark.parametrize("corner", [[25.5, 0.0, 0.0], [-25.5, 0.0, 0.0], [0.0, 25.5, 0.0], [0.0, 0.0, 6.3], [0.0, 0.0, -6.3]])
 def test_a_surface_outside_of_the_volume_is_left_out(corner: list[float]) -> None:
     volume, out = TsdfVolume(), np.full(4, np.nan)
-    for turn in ([0.0, 0.0, 0.0], [0.0, math.pi / 2, 0.0], [0.0, -math.pi / 2, 0.0], [math.pi / 2, 0.0, 0.0], [math.pi, 0.0, 0.0]):
+    for turn in (
+        [0.0, 0.0, 0.0],
+        [0.0, math.pi / 2, 0.0],
+        [0.0, -math.pi / 2, 0.0],
+        [math.pi / 2, 0.0, 0.0],
+        [math.pi, 0.0, 0.0],
+    ):
         camera = Pose.from_rotation_vector(np.array(turn), np.array(corner))
         volume.integrate(frame_of(0.0, _plane_depth(_normal(0.0, 0.0), 2.0)), camera)
     assert np.isfinite(volume.distance).all()
