@@ -125,11 +125,10 @@ class Tracked:
     error_rad: float | None
 
 
-def fly(tracker: SlamTracker, seen: Iterable[Frame], inertial: bool = True, from_s: float = -1.0) -> list[Tracked]:
-    """Track frames, with the inertial samples up to 20 ms after each; from_s: those before it were added already."""
-    answers, samples, added = list[Tracked](), imu() if inertial else (), 0
-    while added < len(samples) and samples[added].stamp_s <= from_s:
-        added += 1
+def fly(tracker: SlamTracker, seen: Iterable[Frame], samples: tuple[ImuSample, ...] | None = None) -> list[Tracked]:
+    """Track frames, with the inertial samples up to 20 ms after each. samples: instead of those of the flight."""
+    answers, added = list[Tracked](), 0
+    samples = imu() if samples is None else samples
     for each in seen:
         start = added
         while added < len(samples) and samples[added].stamp_s <= each.stamp_s + 0.02:

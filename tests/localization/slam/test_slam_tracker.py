@@ -148,8 +148,19 @@ def test_a_patch_of_wrong_depth_does_not_move_the_pose() -> None:
     assert _worst_m(_poses(answers, 3.0)) < 0.06
 
 
+@pytest.mark.parametrize(("factor", "shift_mps2"), [(0.5, 0.0), (1.0, 2.0)])
+def test_an_accelerometer_that_lies_in_flight_moves_nothing(factor: float, shift_mps2: float) -> None:
+    def wrong(sample: ImuSample) -> ImuSample:
+        force = factor * sample.specific_force_mps2 + np.array([shift_mps2, 0.0, 0.0])
+        return replace(sample, specific_force_mps2=force if sample.stamp_s > 3.0 else sample.specific_force_mps2)
+
+    answers = fly(SlamTracker(), frames(8.0), samples=tuple(wrong(sample) for sample in imu()))
+    assert len(_poses(answers, 3.0)) >= 0.9 * 5.0 * RATE_HZ
+    assert _worst_m(_poses(answers, 3.0)) < 0.1
+
+
 def test_without_inertial_samples_the_images_carry_the_pose() -> None:
-    answers = fly(SlamTracker(), frames(8.0), inertial=False)
+    answers = fly(SlamTracker(), frames(8.0), samples=())
     poses = _poses(answers, 0.0)
     assert poses[0].stamp_s == pytest.approx(1.5, abs=0.1)  # the body is taken as level after this time
     assert len(_poses(answers, 1.6)) > 0.95 * (8.0 - 1.6) * RATE_HZ
