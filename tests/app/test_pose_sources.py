@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from slam_flight import BODY_FROM_DEPTH, LENS, RATE_HZ, RGB_FROM_DEPTH, RGB_LENS, frame, imu, truth
+from slam_flight import BODY_FROM_DEPTH, LENS, RATE_HZ, RGB_LENS, frame, imu, truth
+from textured_room import RGB_FROM_DEPTH
 
 from sitl.apps.kernel_compilation import flight_jobs
 from uav_recon import config as configuration

@@ -81,7 +81,7 @@ def test_two_trackers_give_the_same_poses() -> None:
 
 def test_the_age_of_the_frames_is_found_and_taken_from_the_stamps() -> None:
     tracker = SlamTracker()
-    answers = fly(tracker, frames(7.0, delay_s=0.03))
+    answers = fly(tracker, frames(6.0, delay_s=0.03))
     assert tracker.delay_s == pytest.approx(0.03, abs=0.015)
     assert ate_m(answers) < 0.03  # at the instants that the poses claim
     last = answers[-1].pose
@@ -130,7 +130,7 @@ def _wall(share: float, away_m: float) -> Callable[[Frame], Frame]:
     return seen
 
 
-@pytest.mark.parametrize(("share", "begin_s"), [(1.0, 3.0), (1.0, 12.0), (0.8, 12.0)])
+@pytest.mark.parametrize(("share", "begin_s"), [(1.0, 3.0), (0.8, 12.0)])
 def test_a_wall_that_is_not_there_is_reported_and_moves_nothing(share: float, begin_s: float) -> None:
     answers = fly(SlamTracker(), frames(begin_s + 2.0, _during(begin_s, _wall(share, 0.8))))
     wrong = [answer for answer in answers if begin_s <= answer.stamp_s < begin_s + REPORTED_S]
