@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -289,6 +290,21 @@ def test_corners_are_followed_to_where_the_room_shows_them() -> None:
     off = np.linalg.norm(found.at_px - shown, axis=1)
     assert np.median(off) < 0.5
     assert np.quantile(off, 0.9) < 1.5
+
+
+def test_corners_that_the_image_no_longer_shows_are_dropped() -> None:
+    """The right half of the next image shows something else."""
+    tracker, first = LandmarkTracker(), RgbdView(frame(90))
+    tracker.follow(first, np.empty((0, 2)))
+    tracker.settle(first, truth(6.0) @ BODY_FROM_DEPTH, np.zeros(6), np.zeros(2))
+    before = tracker.points.at_px
+    rgb = frame(90).rgb.copy()
+    rgb[:, 106:] = np.kron(np.random.default_rng(0).integers(0, 255, (24, 22, 1)), np.ones((5, 5, 3)))[:120, :106]
+    found = tracker.follow(RgbdView(replace(frame(90), rgb=rgb)), before.astype(np.float64))
+    left, right = before[:, 0] < 90.0, before[:, 0] > 120.0
+    assert right.sum() > 10
+    assert (found.at_px[:, 0] < 90.0).sum() > 0.9 * left.sum()
+    assert (found.at_px[:, 0] > 120.0).sum() < 0.2 * right.sum()
 
 
 def test_recalled_landmarks_are_those_of_the_newest_settled_image() -> None:
