@@ -43,8 +43,9 @@ _SEARCHED = (TrackingFault.FIT, TrackingFault.STEP, TrackingFault.TURN)
 _LEAST_SEARCH_M = 0.05
 _MOST_SEARCH_M = 0.5
 _BETTER = 1.15  # share of inliers by which another place must be better
-_PROOF_SHARE = 0.4  #: reject: after doubt, a frame with fewer of its depth points on known surfaces, unless
-_PROOF_LANDMARKS = 20  #: reject: it shows this number of the landmarks that were in view before
+#: reject: after doubt, a frame with fewer of its depth points on known surfaces and fewer known landmarks than below
+_PROOF_SHARE = 0.4
+_PROOF_LANDMARKS = 20  #: reject: after doubt, a frame with fewer of the landmarks from before, and less known depth than above
 _POSITION_SIGMA_M = 0.01
 _ROTATION_SIGMA_RAD = math.radians(0.3)
 
