@@ -22,7 +22,7 @@ from uav_recon.app import config_template
 from uav_recon.cli import choices
 from uav_recon.cli.exit_codes import exit_with
 from uav_recon.cli.main import app, main
-from uav_recon.config import Config, parse
+from uav_recon.config import Config, LocalizationConfig, parse
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -161,6 +161,7 @@ def test_the_version_names_package_and_commit(monkeypatch: pytest.MonkeyPatch) -
 
 
 def test_the_words_of_completion_are_those_that_are_accepted() -> None:
+    assert choices.POSES == sim_options.POSES == typing.get_args(LocalizationConfig.model_fields["source"].annotation)
     assert choices.AUTOPILOTS == sim_options.AUTOPILOTS
     assert choices.VARIANTS == sim_options.VARIANTS
     assert choices.DEPTH_NOISES == sim_options.NOISES

@@ -171,7 +171,7 @@ def test_status_reads_like_an_instrument_panel() -> None:
         "refused   2 by the guard",
         "note      refused: pose is stale",
         "origin    -",
-        "camera    -",
+        "calibr.   -",
         "rejected  -",
     ]
 

@@ -42,6 +42,8 @@ STARTED = {  # what each command starts once its options are valid
     "bench endurance": "uav_recon.bench.mapper.endurance.bench_endurance",
     "bench setpoints": "uav_recon.bench.setpoints.setpoint_bench.bench_setpoints",
     "bench uncertainty": "uav_recon.bench.mapper.uncertainty_bench.bench_uncertainty",
+    "check camera": "uav_recon.app.camera_check.check",
+    "check realsense": "uav_recon.app.realsense_check.check_realsense",
     "params check": "uav_recon.app.parameter_tool.check",
     "params diff": "uav_recon.app.parameter_tool.check",
     "params write": "uav_recon.app.parameter_tool.write",

@@ -42,9 +42,9 @@ def tilted_camera(config: Config) -> Pose:
 
 
 def mount_text(config: Config) -> str:
-    """Return how the config mounts the camera, and against whose poses, as text; another text is another mount.
+    """Return how the config mounts the camera, as text; another text is another mount.
 
-    The embedded SLAM corrects the stamps of the frames itself, so their delay is another one.
+    The source of the poses is in it: the embedded SLAM corrects the stamps of the frames itself.
     """
     camera = config.camera
     turns = f"{camera.pitch_down_deg:g} {camera.roll_deg:g} {camera.yaw_deg:g}"

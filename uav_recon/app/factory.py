@@ -55,6 +55,8 @@ if TYPE_CHECKING:  # each process imports only the stages that it runs
     from uav_recon.safety.recently_seen_space import RecentlySeenSpace
 
 PAD_FILE = "pad_origin.json"  # in the runtime folder
+#: reject: after a longer silence, a pose of the embedded SLAM until more agree with it; a camera loses up to five frames
+SLAM_BRIDGED_S = 0.7
 NARROW_M = 0.15  #: plan: clearance of the hull on paths to where planner.clearance_m leads no more
 INSIDE_M = 0.03  #: plan: a motion stays this much farther inside the fence than the guard requires
 #: plan: clearance of the hull on the last possible paths home: the vehicle flew there, even if the map differs
@@ -273,7 +275,8 @@ def connect_perception(
     from uav_recon.localization.kept_calibration import KeptCalibration
     from uav_recon.localization.perception import Perception
 
-    fusion = FusionFilter(pose_lost_s=config.localization.pose_lost_s)
+    bridged_s = SLAM_BRIDGED_S if config.localization.source == "slam" else 0.0
+    fusion = FusionFilter(pose_lost_s=config.localization.pose_lost_s, bridged_s=bridged_s)
     rate_hz, wait_s = config.localization.rate_hz, config.localization.frame_wait_s
     file = config.localization.calibration
     kept = KeptCalibration(file, camera_sources.mount_text(config), writer or InlineExecutor(clock)) if file else None

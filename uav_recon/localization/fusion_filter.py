@@ -36,8 +36,6 @@ from uav_recon.types.camera import ImuSample
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.pose import Pose, StampedPose, WorldFromOdom
 
-#: reject: after a longer silence, a pose until more agree with it; after a shorter one, a pose where the inertial track is not
-_BRIDGED_S = 0.7
 _CREDIBLE_M = 0.1  #: reject: max. standard deviation of a track that may contradict a pose source
 #: reject: a larger turn is no correction of a map, but a tracker that has lost its heading
 _TURN_OF_MAP_RAD = math.radians(12.0)
@@ -53,15 +51,17 @@ class FusionFilter:
 
     Costs 0.03 ms per inertial sample, 0.4 ms per pose and 0.1 ms per answer on one core.
 
-    pose_lost_s: an answer later than this after the newest pose has quality 0. ``rejected`` counts rejected poses by reason:
+    pose_lost_s: an answer later than this after the newest pose has quality 0. bridged_s: after a silence of up to this, a pose
+    that lies where a credible inertial track has come is fused at once; 0: never. ``rejected`` counts rejected poses by reason:
     not finite, out of range, stamp, duplicate, quality, jump, turn, speed, reset, unproven (the first after a loss), and "imu
     ..." for inertial samples.
     """
 
-    def __init__(self, pose_lost_s: float = 0.5, gates: PoseGates | None = None) -> None:
+    def __init__(self, pose_lost_s: float = 0.5, gates: PoseGates | None = None, bridged_s: float = 0.0) -> None:
         self.rejected: Counter[PoseRejection] = Counter()
         self.correction = WorldFromOdom.start()
         self._lost_s = pose_lost_s
+        self._bridged_s = bridged_s
         self._gates = gates or PoseGates()
         self._frozen = FrozenPoseGate()
         self._relocalization = RelocalizationCheck()
@@ -163,7 +163,7 @@ class FusionFilter:
         """Return True if a pose after a short silence lies where the inertial track has come."""
         credible = met.carried.model.accelerometer and max(np.diagonal(met.carried.covariance)[:3]) <= _CREDIBLE_M**2
         near = math.hypot(*met.residual[:3].tolist()) <= self._gates.jump_m
-        return bool(credible and near and met.said.stamp_s - before.stamp_s <= _BRIDGED_S)
+        return bool(credible and near and met.said.stamp_s - before.stamp_s <= self._bridged_s)
 
     def _accept_run(self, met: Arrival) -> bool:
         """Return True if a doubtful pose completes an accepted run of such poses.

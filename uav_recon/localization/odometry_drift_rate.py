@@ -26,9 +26,9 @@ from uav_recon.types.camera import Frame
 from uav_recon.types.frames import AnyArray, FloatArray
 
 # the camera moves faster in flight or in a hand; after this time below both it stands at rest
-_REST_MPS = 0.15
-_REST_RADPS = 0.15
-_REST_S = 5.0
+_REST_MPS = 0.15  #: internal: a faster camera moves
+_REST_RADPS = 0.15  #: internal: ... or one that turns faster
+_REST_S = 5.0  #: internal: time without motion after which the camera rests
 _LONGEST_STEP_S = 0.5  #: internal: a longer pause between frames counts as this
 _SETTLES_S = 3.0  #: land: no drift is measured for this time after odom begins: it settles
 _EVERY_S = 1.0  #: internal: interval of stored views

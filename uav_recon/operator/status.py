@@ -128,7 +128,7 @@ class Status:
             "refused": f"{self.refusals} by the guard" if self.refusals else None,
             "note": self.note or None,
             "origin": self.origin or None,
-            "camera": self.calibration or None,
+            "calibr.": self.calibration or None,
             "rejected": self._rejected(),
         }
         lines = [f"{name:9} {value if value is not None else '-'}" for name, value in known.items()]

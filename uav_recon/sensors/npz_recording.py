@@ -35,7 +35,7 @@ class NpzRecording:
 
     def __init__(self, path: Path, clock: Clock, depth_min_m: float, depth_max_m: float) -> None:
         try:
-            with np.load(path, allow_pickle=False) as file:
+            with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
                 data = {name: file[name] for name in file.files}
         except OSError as error:
             raise StreamError(f"{path}: cannot be read ({error.strerror or error})") from None

@@ -81,14 +81,15 @@ def rendered(camera: Pose, seed: int) -> tuple[Float32Array, ByteArray]:
     """Return noisy depth (H, W) and colour (h, w, 3) of the room from a pose of the depth imager."""
     random, boxes = np.random.default_rng(seed), (CABINET_M,)
     depth = ranges_m(camera, LENS, ROOM_M, boxes)
-    depth = (1.0 / (1.0 / depth + 0.004 * random.standard_normal(depth.shape))).astype(np.float32)
+    noisy: Float32Array = (1.0 / (1.0 / depth + 0.004 * random.standard_normal(depth.shape))).astype(np.float32)
     eye = camera @ RGB_FROM_DEPTH.inverse()
     far = ranges_m(eye, RGB_LENS, ROOM_M, boxes)
     x, y, z = np.moveaxis((far[..., None] * RGB_LENS.bearings()) @ eye.rotation().T + eye.translation_m, -1, 0)
     across, up = (x + 1.7 * y) / _TEXEL_M, (z + 0.6 * x - 0.4 * y) / _TEXEL_M
-    wrapped = [np.mod(axis, _TEXELS - 1).astype(np.float32) for axis in (across, up)]
-    grey = cv2.remap(_texture(), *wrapped, cv2.INTER_LINEAR) + 2.0 * random.standard_normal(far.shape)
-    return depth, np.repeat(np.clip(grey, 0.0, 255.0).astype(np.uint8)[..., None], 3, axis=2)
+    u, v = (np.mod(axis, _TEXELS - 1).astype(np.float32) for axis in (across, up))
+    grey = cv2.remap(_texture(), u, v, cv2.INTER_LINEAR) + 2.0 * random.standard_normal(far.shape)
+    rgb: ByteArray = np.repeat(np.clip(grey, 0.0, 255.0).astype(np.uint8)[..., None], 3, axis=2)
+    return noisy, rgb
 
 
 @functools.cache
@@ -125,11 +126,10 @@ class Tracked:
     error_rad: float | None
 
 
-def fly(tracker: SlamTracker, seen: Iterable[Frame], inertial: bool = True, from_s: float = -1.0) -> list[Tracked]:
-    """Track frames, with the inertial samples up to 20 ms after each; from_s: those before it were added already."""
-    answers, samples, added = list[Tracked](), imu() if inertial else (), 0
-    while added < len(samples) and samples[added].stamp_s <= from_s:
-        added += 1
+def fly(tracker: SlamTracker, seen: Iterable[Frame], samples: tuple[ImuSample, ...] | None = None) -> list[Tracked]:
+    """Track frames, with the inertial samples up to 20 ms after each. samples: instead of those of the flight."""
+    answers, added = list[Tracked](), 0
+    samples = imu() if samples is None else samples
     for each in seen:
         start = added
         while added < len(samples) and samples[added].stamp_s <= each.stamp_s + 0.02:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -13,6 +15,8 @@ from uav_recon.types.frames import FloatArray
 PERIOD_S = 1.0 / 15.0
 BIAS_RADPS = np.array([0.004, -0.006, 0.005])
 HOVER_MPS2 = np.array([0.0, 0.0, 9.80665])
+
+Attitude = Callable[[FloatArray], Rotation]
 
 
 def _turning(t: FloatArray) -> Rotation:
@@ -26,19 +30,19 @@ def _spinning(t: FloatArray) -> Rotation:
     return Rotation.from_euler("ZYX", np.stack((0.8 * t, 0.0 * t, 0.0 * t), axis=1))
 
 
-def _samples(attitude: type[object] | object, seconds: float, bias: FloatArray, from_s: float = -0.2) -> list[ImuSample]:
+def _samples(attitude: Attitude, seconds: float, bias: FloatArray, from_s: float = -0.2) -> list[ImuSample]:
     stamps = np.arange(from_s, seconds, 0.005)
     half_s = 5e-4
-    rate = (attitude(stamps - half_s).inv() * attitude(stamps + half_s)).as_rotvec() / (2 * half_s)  # type: ignore[operator]
+    rate = (attitude(stamps - half_s).inv() * attitude(stamps + half_s)).as_rotvec() / (2 * half_s)
     return [ImuSample(stamp, row, HOVER_MPS2) for stamp, row in zip(stamps.tolist(), rate + bias, strict=True)]
 
 
-def _aligned(attitude: object, delay_s: float, bias: FloatArray, seconds: float = 20.0, outlier: int = 0) -> GyroAlignment:
-    """Frames from attitudes of ``delay_s`` before their stamps, with 1 mrad of noise. outlier: each so manieth is wrong."""
+def _aligned(attitude: Attitude, delay_s: float, bias: FloatArray, seconds: float = 20.0, outlier: int = 0) -> GyroAlignment:
+    """Frames from attitudes of ``delay_s`` before their stamps, with 1 mrad of noise. outlier: the period of wrong ones."""
     gyro, random = GyroAlignment(), np.random.default_rng(3)
     gyro.add(_samples(attitude, seconds, bias))
     stamps = np.arange(0.0, seconds - 0.1, PERIOD_S)
-    shown = attitude(stamps - delay_s)  # type: ignore[operator]
+    shown = attitude(stamps - delay_s)
     turned = (shown[:-1].inv() * shown[1:]).as_rotvec() + 1e-3 * random.standard_normal((len(stamps) - 1, 3))
     for n, row in enumerate(turned):
         wrong = 0.15 * random.standard_normal(3) if outlier and n % outlier == outlier - 1 else np.zeros(3)

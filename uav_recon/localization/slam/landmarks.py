@@ -74,11 +74,17 @@ class LandmarkTracker:
         self._grey: ByteArray | None = None
         self._slow = np.zeros(2)
         self.points = Landmarks.none()
+        self._believed: tuple[ByteArray | None, Landmarks] = None, self.points
 
     def forget(self) -> None:
         """Forget all landmarks: the view was lost."""
         self._grey = None
         self.points = Landmarks.none()
+        self._believed = None, self.points
+
+    def recall(self) -> None:
+        """Return to the image and the landmarks of the newest believed frame: this one is not."""
+        self._grey, self.points = self._believed
 
     def follow(self, view: RgbdView, predicted: FloatArray) -> Landmarks:
         """Return the landmarks that the image shows.
@@ -123,6 +129,7 @@ class LandmarkTracker:
         self.points = points._replace(place_m=place_m, slope=slope, seen=seen)
         if len(self.points.seen) < _ENOUGH:
             self._add(view, odom_from_depth, motion, slow)
+        self._believed = self._grey, self.points
 
     def _add(self, view: RgbdView, odom_from_depth: Pose, motion: FloatArray, slow: FloatArray) -> None:
         grey = view.grey

@@ -25,8 +25,9 @@ _FORCE_DENSITY = 0.15  # m/s² per root Hz: twice that of a flying camera, for s
 _OFFSET_WALK = 0.02  # m/s² per root second
 _BLIND_MPS2 = 2.0  # white acceleration of a body without an accelerometer, over one frame
 _STEP_M = 0.004  # what the images themselves are off by, from frame to frame
-_SURPRISE = 25.0  # squared innovation of a place, in standard deviations, that contradicts the accelerometer
-_SURPRISES = 3  # in a row, until it is left out
+_SURPRISE = 25.0  # squared innovation of a place, in standard deviations; a larger one counts as this
+_MEAN_SURPRISE = 5.0  # mean over _MEAN_FRAMES that contradicts the accelerometer: after four large ones, or more small ones
+_MEAN_FRAMES = 15
 _TRUSTED_AGAIN = 45  # frames without a surprise until it is used again
 _GRAVITY = np.array([0.0, 0.0, -GRAVITY_MPS2])
 
@@ -65,7 +66,7 @@ class MotionFilter:
             np.concatenate((place_m, np.zeros(6))),
             np.diag([_PLACE_M**2] * 3 + [_VELOCITY_MPS**2] * 3 + [_OFFSET_MPS2**2] * 3),
         )
-        self._surprises = 0
+        self._mean_surprise = 0.0
         self._calm = _TRUSTED_AGAIN
 
     @property
@@ -133,9 +134,12 @@ class MotionFilter:
         self._judge(float(shift @ np.linalg.solve(before, shift)))
 
     def _judge(self, surprise: float) -> None:
-        """Leave the accelerometer out after surprises in a row; use it after a while without."""
-        self._surprises = self._surprises + 1 if surprise > _SURPRISE else 0
-        self._calm = 0 if self._surprises >= _SURPRISES else self._calm + 1
+        """Leave the accelerometer out after surprises; use it again after a while without."""
+        self._mean_surprise += (min(surprise, _SURPRISE) - self._mean_surprise) / _MEAN_FRAMES
+        if self._mean_surprise > _MEAN_SURPRISE:
+            self._calm, self._mean_surprise = 0, 0.0
+        else:
+            self._calm += 1
 
 
 def _add_white_acceleration(noise: FloatArray, density2: float, step_s: float) -> None:

@@ -15,6 +15,9 @@ from uav_recon.types.frames import FloatArray
 from uav_recon.types.pose import Pose
 
 _ROUNDS = 10
+_FAR_ROUNDS = 8  # before them, from a far start
+_STEPS = (-1.0, -0.5, 0.0, 0.5, 1.0)  # of a search along an axis, in shares of its reach
+_SHIFTS = np.array([(x, y, z) for x in _STEPS for y in _STEPS for z in _STEPS])
 _STILL_M = 2e-4
 _STILL_RAD = 1e-4
 _WIDER = (4.0, 2.0, 1.0)  # scale of the robust weight of depth in the first rounds: a far start must be pulled, too
@@ -78,6 +81,16 @@ class Registration:
         return self.inliers / max(self.known, 1)
 
 
+def search(view: RgbdView, volume: TsdfVolume, prior: MotionPrior, reach_m: float) -> Registration:
+    """Return the pose at which depth alone fits the map, at most about reach_m from the predicted one. About 20 ms.
+
+    From a far start most points lie off their surfaces: this says nothing against depth there.
+    """
+    place_m, rotation = prior.odom_from_depth.translation_m, prior.odom_from_depth.rotation()
+    fitting = [_inliers(view, volume, rotation, place_m + reach_m * shift) for shift in _SHIFTS]
+    return _converge(view, volume, Landmarks.none(), prior, reach_m * _SHIFTS[int(np.argmax(fitting))])
+
+
 def register(view: RgbdView, volume: TsdfVolume, landmarks: Landmarks, prior: MotionPrior) -> Registration:
     """Return the pose at which the frame fits the map, from the predicted one on. About 2 ms.
 
@@ -90,24 +103,31 @@ def register(view: RgbdView, volume: TsdfVolume, landmarks: Landmarks, prior: Mo
     return found
 
 
-def _converge(view: RgbdView, volume: TsdfVolume, landmarks: Landmarks, prior: MotionPrior) -> Registration:
-    """Run Gauss-Newton from the predicted pose."""
+def _converge(
+    view: RgbdView, volume: TsdfVolume, landmarks: Landmarks, prior: MotionPrior, shift_m: FloatArray | None = None
+) -> Registration:
+    """Run Gauss-Newton from the predicted pose.
+
+    shift_m (3,): from a place farther by this instead; depth counts at first even where it does not fit.
+    """
     rotation = prior.odom_from_depth.rotation()
-    place_m = prior.odom_from_depth.translation_m.copy()
-    turned_rad, moved_m, slow = np.zeros(3), np.zeros(3), prior.slow.copy()
+    far, moved_m = shift_m is not None, np.zeros(3) if shift_m is None else shift_m
+    place_m = prior.odom_from_depth.translation_m + moved_m
+    turned_rad, slow = np.zeros(3), prior.slow.copy()
     predicted = np.linalg.inv(prior.covariance)
     slow_information = np.linalg.inv(prior.slow_covariance)
     motion = np.concatenate((prior.rate_radps, prior.velocity_mps))
     known = inliers = fitting = 0
     information = np.zeros((SIZE, SIZE))
-    for number in range(_ROUNDS):
-        wide = _WIDER[min(number, len(_WIDER) - 1)]
+    rounds = _ROUNDS + _FAR_ROUNDS if far else _ROUNDS
+    for number in range(rounds):
+        wide = _WIDER[0] if number < rounds - _ROUNDS else _WIDER[min(number - rounds + _ROUNDS, len(_WIDER) - 1)]
         information, gradient = np.zeros((SIZE, SIZE)), np.zeros(SIZE)
         known, inliers = add_depth_equations(
             view.points, rotation, place_m, volume.index, volume.distance, volume.weight, _DEPTH_SHARE, wide,
             information, gradient,
         )  # fmt: skip
-        support = _support(known, inliers)
+        support = 1.0 if far and number < _FAR_ROUNDS else _support(known, inliers)
         information *= support
         gradient *= support
         _leave_weak_directions(information, gradient, prior.turn_sigma_rad)
@@ -125,7 +145,12 @@ def _converge(view: RgbdView, volume: TsdfVolume, landmarks: Landmarks, prior: M
         rotation = Pose.from_rotation_vector(step[:3], np.zeros(3)).rotation() @ rotation
         place_m = place_m + step[3:6]
         turned_rad, moved_m, slow = turned_rad + step[:3], moved_m + step[3:6], slow + step[6:]
-        if wide == 1.0 and math.hypot(*step[3:6].tolist()) < _STILL_M and math.hypot(*step[:3].tolist()) < _STILL_RAD:
+        if (
+            wide == 1.0
+            and number >= rounds - _ROUNDS + len(_WIDER) - 1
+            and math.hypot(*step[3:6].tolist()) < _STILL_M
+            and math.hypot(*step[:3].tolist()) < _STILL_RAD
+        ):
             break
     covariance = np.asarray(np.linalg.inv(whole), dtype=np.float64)
     matrix = np.eye(4)
@@ -133,6 +158,13 @@ def _converge(view: RgbdView, volume: TsdfVolume, landmarks: Landmarks, prior: M
     return Registration(
         Pose.from_matrix(matrix), covariance[_POSE, _POSE], len(view.points), known, inliers, fitting, slow, covariance[6:, 6:],
     )  # fmt: skip
+
+
+def _inliers(view: RgbdView, volume: TsdfVolume, rotation: FloatArray, place_m: FloatArray) -> int:
+    """Return the number of depth points on a known surface from a pose."""
+    unused = np.zeros((SIZE, SIZE)), np.zeros(SIZE)
+    seen = view.points, rotation, place_m, volume.index, volume.distance, volume.weight
+    return int(add_depth_equations(*seen, _DEPTH_SHARE, _WIDER[0], *unused)[1])
 
 
 def _support(known: int, inliers: int) -> float:

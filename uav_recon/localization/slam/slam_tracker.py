@@ -17,7 +17,7 @@ from uav_recon.localization.slam.gyro_alignment import GyroAlignment
 from uav_recon.localization.slam.landmarks import Landmarks, LandmarkTracker, project
 from uav_recon.localization.slam.motion_filter import MotionFilter
 from uav_recon.localization.slam.rest_detection import RestDetector
-from uav_recon.localization.slam.rgbd_registration import MotionPrior, Registration, register
+from uav_recon.localization.slam.rgbd_registration import MotionPrior, Registration, register, search
 from uav_recon.localization.slam.rgbd_view import RgbdView
 from uav_recon.localization.slam.tracking_monitor import TrackingFault, TrackingMonitor
 from uav_recon.localization.slam.tsdf_volume import TsdfVolume
@@ -40,12 +40,13 @@ _FUSION_FRAMES = 8  # frames in a row that must be believed before the map grows
 _PROOF_FRAMES = 2  # frames that must be believed after doubt until poses are given again
 _MOST_SIGMA_M = 0.15  #: reject: no pose is given while the place is more uncertain than this in a direction
 _SEARCHED = (TrackingFault.FIT, TrackingFault.STEP, TrackingFault.TURN)
-# shifts of the search, as shares of its reach
-_SHIFTS = np.array([(x, y, 0.0) for x in (-1.0, -0.5, 0.0, 0.5, 1.0) for y in (-1.0, -0.5, 0.0, 0.5, 1.0) if x or y])
 _SEARCH_SIGMAS = 3.0  # reach of the search, in standard deviations of the predicted place
 _LEAST_SEARCH_M = 0.05
 _MOST_SEARCH_M = 0.5
 _BETTER = 1.02  # share of inliers by which another place must be better
+#: reject: after doubt, a frame with fewer of its depth points on known surfaces and fewer known landmarks than below
+_PROOF_SHARE = 0.4
+_PROOF_LANDMARKS = 20  #: reject: after doubt, a frame with fewer of the landmarks from before, and less known depth than above
 _POSITION_SIGMA_M = 0.01
 _ROTATION_SIGMA_RAD = math.radians(0.3)
 
@@ -114,6 +115,8 @@ class SlamTracker:
         if self.fault in _SEARCHED or (self._unproven and not repeats):
             found = self._search(view, found, prior)
             self.fault = self._monitor.fault(found, prior)
+        if self.fault is None and self._unproven and not _proves(found):
+            self.fault = TrackingFault.UNPROVEN
         if self.fault not in (None, TrackingFault.LOOSE):
             self._coast(self._state, prior, frame.stamp_s, body_from_depth)
             return None
@@ -125,18 +128,14 @@ class SlamTracker:
         reach_m = min(_SEARCH_SIGMAS * math.sqrt(float(np.diagonal(prior.covariance)[3:].max())), _MOST_SEARCH_M)
         if reach_m < _LEAST_SEARCH_M:
             return found
-        for shift in _SHIFTS:
-            place_m = prior.odom_from_depth.translation_m + reach_m * shift
-            near = replace(prior, odom_from_depth=Pose(prior.odom_from_depth.quat_wxyz, place_m))
-            other = register(view, self.volume, Landmarks.none(), near)
-            if other.inliers > found.inliers * _BETTER:
-                found = other
-        return found
+        other = search(view, self.volume, prior, reach_m)
+        return other if other.inliers > found.inliers * _BETTER else found
 
     def _coast(self, state: TrackedState, prior: MotionPrior, stamp_s: float, body_from_depth: Pose) -> None:
         """Go on by the inertial samples alone: the frame is not believed."""
         odom_from_body = prior.odom_from_depth @ body_from_depth.inverse()
         self._motion.coast(self._predicted)
+        self._landmarks.recall()
         self._state = TrackedState(stamp_s, odom_from_body, self._motion.velocity_mps, prior.covariance[:3, :3])
         self._believed = 0
         self._unproven = _PROOF_FRAMES
@@ -220,8 +219,11 @@ class SlamTracker:
         self._slow_covariance = grown + np.diag(np.maximum(_SLOW_FLOOR**2 - np.diagonal(grown), 0.0))
         self._state = TrackedState(stamp_s, odom_from_body, velocity, found.covariance[:3, :3])
         self._believed = self._believed + 1 if self.fault is None else 0
-        self._unproven = max(self._unproven - 1, 0)
-        self._add_to_map(view, found.odom_from_depth, prior.rate_radps, velocity)
+        self._unproven = max(self._unproven - 1, 0) if self.fault is None else self._unproven
+        if self._unproven:  # new landmarks would confirm a wrong place in the next frame
+            self._landmarks.recall()
+        else:
+            self._add_to_map(view, found.odom_from_depth, prior.rate_radps, velocity)
 
     def _add_to_map(self, view: RgbdView, odom_from_depth: Pose, rate: FloatArray, velocity: FloatArray) -> None:
         self._landmarks.settle(view, odom_from_depth, np.concatenate((rate, velocity)), self._slow)
@@ -263,6 +265,11 @@ def warm_up() -> None:
     for n in range(4):
         depth_m = depth_m + np.float32(1e-3)
         tracker.track(Frame(0.7 + 0.03 * n, n, depth_m, lens, colour, lens, Pose.identity()), level)
+
+
+def _proves(found: Registration) -> bool:
+    """Return True if enough of the map from before the doubt is in view."""
+    return found.inliers >= _PROOF_SHARE * found.points or found.landmarks >= _PROOF_LANDMARKS
 
 
 def _quality(found: Registration) -> int:

@@ -31,6 +31,7 @@ class TrackingFault(str, Enum):
     TURN = "turn"
     STEP = "step"
     LOOSE = "loose"
+    UNPROVEN = "unproven"
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,0 +1,208 @@
+"""The tracker on a rendered flight: accuracy, and what a camera that is covered, frozen or wrong does to it."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from slam_flight import (
+    BODY_FROM_DEPTH,
+    RATE_HZ,
+    REST_S,
+    SECONDS,
+    Tracked,
+    ate_m,
+    colourless,
+    covered,
+    fly,
+    frame,
+    frames,
+    imu,
+    truth,
+)
+
+from uav_recon.localization.slam.slam_tracker import SlamTracker
+from uav_recon.localization.slam.tracking_monitor import TrackingFault
+from uav_recon.types.camera import Frame, ImuSample
+
+FAULT_S = 1.0  # a covered lens, frozen frames, a false wall
+REPORTED_S = 0.3
+
+
+def _during(begin_s: float, wrong: Callable[[Frame], Frame]) -> Callable[[Frame], Frame]:
+    return lambda true: wrong(true) if begin_s <= true.stamp_s < begin_s + FAULT_S else true
+
+
+def _poses(answers: list[Tracked], from_s: float, to_s: float = np.inf) -> list[Tracked]:
+    return [answer for answer in answers if answer.pose is not None and from_s <= answer.stamp_s < to_s]
+
+
+def _worst_m(answers: list[Tracked]) -> float:
+    return max(answer.error_m for answer in answers if answer.error_m is not None)
+
+
+@functools.cache
+def _whole_flight() -> tuple[SlamTracker, list[Tracked]]:
+    tracker = SlamTracker()
+    return tracker, fly(tracker, frames(SECONDS))
+
+
+def test_a_flight_through_a_textured_room() -> None:
+    tracker, answers = _whole_flight()
+    assert len(_poses(answers, 0.2)) == len(answers) - round(0.2 * RATE_HZ)  # from the rest on, one for each frame
+    assert ate_m(answers) < 0.03
+    assert _worst_m(answers) < 0.06
+    assert all(answer.error_rad < 0.03 for answer in answers if answer.error_rad is not None)
+    assert all(answer.fault is None for answer in answers)
+    np.testing.assert_allclose(tracker.gyro.bias_radps, [0.006, -0.004, 0.005], atol=0.001)
+    assert tracker.delay_s == pytest.approx(0.0, abs=0.012)
+    velocity = np.gradient([truth(answer.stamp_s).translation_m for answer in answers], 1.0 / RATE_HZ, axis=0)
+    off = [
+        np.linalg.norm(answer.pose.velocity_odom_mps - true)
+        for answer, true in zip(answers, velocity, strict=True)
+        if answer.pose
+    ]
+    assert np.median(off) < 0.05
+
+
+def test_two_trackers_give_the_same_poses() -> None:
+    seconds = 4.0
+    again = fly(SlamTracker(), frames(seconds))
+    for first, second in zip(_whole_flight()[1], again, strict=False):
+        assert (first.pose is None) == (second.pose is None)
+        if first.pose is not None and second.pose is not None:
+            assert first.pose.stamp_s == second.pose.stamp_s
+            np.testing.assert_array_equal(first.pose.odom_from_body.matrix(), second.pose.odom_from_body.matrix())
+            np.testing.assert_array_equal(first.pose.covariance, second.pose.covariance)
+
+
+def test_the_age_of_the_frames_is_found_and_taken_from_the_stamps() -> None:
+    tracker = SlamTracker()
+    answers = fly(tracker, frames(6.0, delay_s=0.03))
+    assert tracker.delay_s == pytest.approx(0.03, abs=0.015)
+    assert ate_m(answers) < 0.03  # at the instants that the poses claim
+    last = answers[-1].pose
+    assert last is not None
+    assert last.stamp_s == answers[-1].stamp_s - tracker.delay_s
+
+
+@pytest.mark.parametrize("begin_s", [3.0, 6.0])
+def test_a_covered_camera_gives_no_pose_and_the_track_comes_back(begin_s: float) -> None:
+    answers = fly(SlamTracker(), frames(begin_s + FAULT_S + 2.5, _during(begin_s, covered)))
+    assert not _poses(answers, begin_s, begin_s + FAULT_S)
+    back = _poses(answers, begin_s + FAULT_S)
+    assert back[0].stamp_s < begin_s + FAULT_S + 2.0
+    assert _worst_m(back) < 0.1
+    assert answers[-1].fault is None
+
+
+def test_a_camera_without_colour_that_was_covered_never_gives_a_wrong_pose() -> None:
+    """Depth alone does not show the place along a wall: after the cover it takes corners of the room to know it again."""
+    cover = _during(5.0, covered)
+    answers = fly(SlamTracker(), frames(9.0, lambda true: colourless(cover(true))))
+    assert not _poses(answers, 5.0, 6.0)
+    assert _worst_m(_poses(answers, 0.0)) < 0.3
+
+
+def test_frozen_frames_are_reported_at_once() -> None:
+    """The camera repeats an image with new stamps."""
+    begin_s, still = 3.0, frame(round(3.0 * RATE_HZ))
+    answers = fly(SlamTracker(), frames(5.0, _during(begin_s, lambda true: replace(still, stamp_s=true.stamp_s))))
+    stuck = [answer for answer in answers if begin_s < answer.stamp_s < begin_s + FAULT_S]
+    assert {answer.fault for answer in stuck} == {TrackingFault.FROZEN}
+    assert not _poses(answers, begin_s + 0.01, begin_s + FAULT_S)
+    assert _worst_m(_poses(answers, begin_s + FAULT_S)) < 0.06
+
+
+def _wall(share: float, away_m: float) -> Callable[[Frame], Frame]:
+    """A wall in the middle of the image that is not there."""
+
+    def seen(true: Frame) -> Frame:
+        depth, (height, width) = true.depth_m.copy(), true.depth_m.shape
+        v, u = round(height * (1.0 - share) / 2), round(width * (1.0 - share) / 2)
+        noise = np.random.default_rng(true.sequence).standard_normal((height - 2 * v, width - 2 * u))
+        depth[v : height - v, u : width - u] = away_m + 0.004 * away_m**2 * noise
+        return replace(true, depth_m=depth)
+
+    return seen
+
+
+@pytest.mark.parametrize(("share", "begin_s"), [(1.0, 3.0), (0.8, 12.0)])
+def test_a_wall_that_is_not_there_is_reported_and_moves_nothing(share: float, begin_s: float) -> None:
+    answers = fly(SlamTracker(), frames(begin_s + 2.0, _during(begin_s, _wall(share, 0.8))))
+    wrong = [answer for answer in answers if begin_s <= answer.stamp_s < begin_s + REPORTED_S]
+    assert any(answer.fault is TrackingFault.FIT for answer in wrong)
+    assert _worst_m(_poses(answers, begin_s)) < 0.3
+    back = _poses(answers, begin_s + FAULT_S)
+    assert len(back) > 0.8 * RATE_HZ
+    assert _worst_m(back) < 0.06
+
+
+def test_a_patch_of_wrong_depth_does_not_move_the_pose() -> None:
+    """Landmarks and the rest of the depth image carry the pose."""
+    answers = fly(SlamTracker(), frames(5.0, _during(3.0, _wall(0.4, 1.0))))
+    assert len(_poses(answers, 3.0)) >= 0.9 * 2.0 * RATE_HZ
+    assert _worst_m(_poses(answers, 3.0)) < 0.06
+
+
+@pytest.mark.parametrize(("factor", "shift_mps2"), [(0.5, 0.0), (1.0, 2.0)])
+def test_an_accelerometer_that_lies_in_flight_moves_nothing(factor: float, shift_mps2: float) -> None:
+    def wrong(sample: ImuSample) -> ImuSample:
+        force = factor * sample.specific_force_mps2 + np.array([shift_mps2, 0.0, 0.0])
+        return replace(sample, specific_force_mps2=force if sample.stamp_s > 3.0 else sample.specific_force_mps2)
+
+    answers = fly(SlamTracker(), frames(8.0), samples=tuple(wrong(sample) for sample in imu()))
+    assert len(_poses(answers, 3.0)) >= 0.9 * 5.0 * RATE_HZ
+    assert _worst_m(_poses(answers, 3.0)) < 0.1
+
+
+def test_without_inertial_samples_the_images_carry_the_pose() -> None:
+    answers = fly(SlamTracker(), frames(8.0), samples=())
+    poses = _poses(answers, 0.0)
+    assert poses[0].stamp_s == pytest.approx(1.5, abs=0.1)  # the body is taken as level after this time
+    assert len(_poses(answers, 1.6)) > 0.95 * (8.0 - 1.6) * RATE_HZ
+    assert _worst_m(poses) < 0.15
+
+
+def test_without_colour_depth_carries_the_pose_as_far_as_it_determines_it() -> None:
+    answers = fly(SlamTracker(), frames(8.0, colourless))
+    poses = _poses(answers, 0.2)
+    assert len(poses) > 60
+    assert _worst_m(poses) < 0.15
+
+
+def _shaking(sample: ImuSample) -> ImuSample:
+    return ImuSample(sample.stamp_s, sample.gyro_radps + np.array([0.3, 0.0, 0.0]), sample.specific_force_mps2)
+
+
+def test_it_starts_only_at_rest() -> None:
+    tracker = SlamTracker()
+    samples = [sample for sample in imu() if sample.stamp_s < 1.0]
+    tracker.add_imu([_shaking(sample) for sample in samples])
+    for n in range(10):
+        assert tracker.track(replace(frame(n), stamp_s=0.9 + 0.01 * n), BODY_FROM_DEPTH) is None
+    assert tracker.volume.count == 0
+    rest = [replace(sample, stamp_s=sample.stamp_s + 1.4) for sample in samples if sample.stamp_s < REST_S]
+    tracker.add_imu(rest)
+    pose = tracker.track(replace(frame(10), stamp_s=2.35), BODY_FROM_DEPTH)
+    assert pose is not None
+    np.testing.assert_allclose(pose.odom_from_body.translation_m, np.zeros(3))
+    np.testing.assert_allclose(pose.odom_from_body.rotation(), np.eye(3), atol=0.03)
+    assert pose.odom_from_body.yaw_rad() == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_body_on_the_pad_stays_exactly_where_it_is() -> None:
+    answers = fly(SlamTracker(), frames(REST_S))
+    places = [answer.pose.odom_from_body.matrix() for answer in answers if answer.pose is not None]
+    assert len(places) > 10
+    assert all(np.array_equal(place, places[0]) for place in places)
+
+
+def test_a_frame_without_landmarks_and_depth_at_the_start_is_no_error() -> None:
+    tracker = SlamTracker()
+    answers = fly(tracker, frames(0.8, covered))
+    assert all(answer.fault is None for answer in answers)
+    assert tracker.volume.count == 0
