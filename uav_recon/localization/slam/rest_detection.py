@@ -14,7 +14,7 @@ from uav_recon.types.pose import Pose
 
 _REST_S = 0.5  #: refuse: no pose of our own before the inertial samples were at rest for this time
 _KEPT_S = 1.0  #: internal: the rest is measured over the inertial samples of this time
-_STILL_S = 0.3  #: internal: time over which rest is measured
+_STILL_S = 0.3  #: internal: time over which the rest on the pad is measured
 #: internal: a body that turns faster has moved for the first time; until then it stands on the pad
 _STILL_RADPS = 0.02
 #: internal: a larger standard deviation of the specific force also ends the rest on the pad: the motors run

@@ -82,9 +82,10 @@ class Registration:
 
 
 def search(view: RgbdView, volume: TsdfVolume, prior: MotionPrior, reach_m: float) -> Registration:
-    """Return the pose at which depth alone fits the map, at most about reach_m from the predicted one. About 20 ms.
+    """Return the pose at which depth alone fits the map, near the predicted one. About 20 ms.
 
-    From a far start most points lie off their surfaces: this says nothing against depth there.
+    reach_m: of the search along each axis. From a far start most points lie off their surfaces: this says nothing against
+    depth there.
     """
     place_m, rotation = prior.odom_from_depth.translation_m, prior.odom_from_depth.rotation()
     fitting = [_inliers(view, volume, rotation, place_m + reach_m * shift) for shift in _SHIFTS]
