@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from textured_room import ranges_m
 
+from uav_recon.localization.calibration_filter import DELAY
 from uav_recon.localization.camera_motion import CameraMotion
 from uav_recon.localization.depth_consistency import DepthConsistencyMonitor, _moved
 from uav_recon.localization.past_view_comparison import ViewComparison
@@ -327,3 +328,12 @@ def test_a_shift_that_few_points_ask_for_is_no_drift() -> None:
     """As it was over a pad: a sixth of the points were floor, hidden by something as the vehicle climbed; the walls fitted."""
     assert _moved(iter([_told(1.0, fitting=0.85), _told(1.0, fitting=0.82)]), 0.75) is None
     assert _moved(iter([_told(1.0, fitting=0.74), _told(1.0, fitting=0.74)]), 0.75) is not None
+
+
+@pytest.mark.parametrize("corrects", [True, False])
+def test_errors_that_the_poses_share_with_the_frames_are_not_corrected(corrects: bool) -> None:
+    monitor = DepthConsistencyMonitor(corrects)
+    monitor.calibration_filter.state[DELAY] = 0.02
+    monitor.calibration_filter.covariance *= 0.01
+    assert (monitor.calibration.delay_s == pytest.approx(0.02)) is corrects
+    assert (monitor.calibration.delay_s == 0.0) is not corrects

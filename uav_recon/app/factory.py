@@ -275,14 +275,15 @@ def connect_perception(
     from uav_recon.localization.kept_calibration import KeptCalibration
     from uav_recon.localization.perception import Perception
 
-    bridged_s = SLAM_BRIDGED_S if config.localization.source == "slam" else 0.0
+    tracks = config.localization.source == "slam"  # the poses come from the frames themselves
+    bridged_s = SLAM_BRIDGED_S if tracks else 0.0
     fusion = FusionFilter(pose_lost_s=config.localization.pose_lost_s, bridged_s=bridged_s)
     rate_hz, wait_s = config.localization.rate_hz, config.localization.frame_wait_s
     file = config.localization.calibration
     kept = KeptCalibration(file, camera_sources.mount_text(config), writer or InlineExecutor(clock)) if file else None
     return Perception(
         camera, poses, fusion, mount, wires.odom, wires.frames, wires.nearby, wires.perception, clock, rate_hz, wait_s,
-        origin=origin, remarks=remarks, rates=wires.rates, kept=kept,
+        origin=origin, remarks=remarks, rates=wires.rates, kept=kept, corrects=not tracks,
     )  # fmt: skip
 
 

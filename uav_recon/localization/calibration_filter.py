@@ -89,6 +89,11 @@ class CameraCalibration:
     nominal_from_true: Pose
     scale: float
 
+    @staticmethod
+    def none() -> CameraCalibration:
+        """Return the calibration of a camera that is as configured."""
+        return CameraCalibration(0.0, Pose.identity(), 0.0)
+
     def corrected(self, frame: Frame) -> Frame:
         """Return the frame with depth at its true scale."""
         if self.scale == 0.0:

@@ -70,13 +70,16 @@ class DepthConsistencyMonitor:
 
     Every frame is passed once with its pose: about 0.4 ms each, 1 ms with colour. warm_up() compiles the kernels.
 
+    corrects: False if the poses come from these very frames: they contain the errors of mount and stamps already.
+
     A frame that is nearly empty, has isolated pixels, or is frozen is rejected by itself alone. A frame that contradicts
     earlier views raises a doubt, because a wrong frame may be followed by one that fits by chance. The doubt ends at a frame
     that fits a stored view in which a shift would be visible, or at the third frame in a row that fits the one before it and
     the views from before the doubt, see _Doubt.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, corrects: bool = True) -> None:
+        self._corrects = corrects
         self._past_views = PastViews()
         self._reset_counter = 0
         self._doubt: _Doubt | None = None  # None: the newest frame that could be compared was accepted
@@ -166,8 +169,8 @@ class DepthConsistencyMonitor:
 
     @property
     def calibration(self) -> CameraCalibration:
-        """Errors of the depth imager, as far as they are known."""
-        return self._drift_rate.calibration.calibration()
+        """Errors of the depth imager to correct, as far as they are known."""
+        return self._drift_rate.calibration.calibration() if self._corrects else CameraCalibration.none()
 
     @property
     def calibration_filter(self) -> CalibrationFilter:

@@ -47,6 +47,7 @@ class Perception:
     minimum range grid of a frame is published at once, with or without a pose, valid or not.
 
     Odometry that depth contradicts has health WRONG; its quality stays, because it is better than none for landing.
+    corrects: False if the poses come from the frames themselves, which then have no error against them.
     ``published_odom`` and ``published_frames`` are counters, ``dropped_frames`` counts by reason; all of them are published
     once a second, with the origin of the poses, the camera's errors, and remarks(), what the camera says of itself.
 
@@ -71,6 +72,7 @@ class Perception:
         remarks: Callable[[], tuple[Reason, ...]] = tuple,
         rates: Channel[TurnRates] | None = None,
         kept: KeptCalibration | None = None,
+        corrects: bool = True,
     ) -> None:
         self._camera = camera
         self._poses = poses
@@ -86,7 +88,7 @@ class Perception:
         self._remarks = remarks
         self._inertial = InertialSelection(camera.imu, rates)
         self._kept = kept
-        self._depth_consistency = DepthConsistencyMonitor()
+        self._depth_consistency = DepthConsistencyMonitor(corrects)
         self._axes = AxisMonitor()
         warm_up()
         self._rate = RateKeeper(rate_hz, clock.now_s())
