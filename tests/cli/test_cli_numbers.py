@@ -36,4 +36,5 @@ def test_a_mistyped_number_is_a_one_line_error(words: str, line: str, monkeypatc
     assert ended.exit_code == 2, ended.output
     assert ended.stderr.startswith(f"uav-recon: {line}")
     assert len(ended.stderr.splitlines()) == 1
-    assert all(shown.startswith("loading the scene: ") for shown in ended.stdout.splitlines()), "on a busy machine"
+    progress = ("loading the scene: ", "compiling kernels ")  # on a busy machine, or before the first flight
+    assert all(shown.startswith(progress) for shown in ended.stdout.splitlines()), ended.stdout
