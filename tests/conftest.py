@@ -35,7 +35,7 @@ def flown_up() -> Rig:
     from flight_rig import Rig
 
     rig = Rig()
-    rig.airborne()
+    rig.take_off_and_hover()
     return rig
 
 
@@ -47,7 +47,7 @@ def both_flown_up() -> dict[str, Rig]:
 
     rigs = {"px4": Rig(), "ardupilot": CopterRig()}
     for rig in rigs.values():
-        rig.airborne()
+        rig.take_off_and_hover()
     return rigs
 
 

@@ -222,7 +222,7 @@ def test_a_wall_clock_that_is_set_in_flight_is_not_felt_by_a_signed_link(
         write(data)
 
     monkeypatch.setattr(rig.tap, "write", keep)
-    rig.airborne()
+    rig.take_off_and_hover()
     for wall_s in (NOW_S + 3600.0, NOW_S - 3600.0, 0.0, NOW_S):
         rig.wall_s = wall_s
         refused, believed = rig.end.refused, len(rig.end.believed)

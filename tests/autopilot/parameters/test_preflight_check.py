@@ -124,7 +124,7 @@ def test_several_faults_are_counted() -> None:
 
 def test_nothing_is_asked_for_in_flight() -> None:
     rig = CheckedRig()
-    rig.airborne()
+    rig.take_off_and_hover()
     begin_s = rig.clock.now_s()
     rig.run(35.0)
     assert rig.tap.since(begin_s)["PARAM_REQUEST_READ"] == 0
@@ -168,7 +168,7 @@ def test_a_change_in_flight_is_held_for_and_told_until_it_is_taken_back(
 
 def test_what_may_differ_may_be_changed_in_flight() -> None:
     rig = CheckedRig()
-    rig.airborne()
+    rig.take_off_and_hover()
     rig.tap.forged = told_of(rig, "COM_DL_LOSS_T", 5)
     rig.run(1.0)
     assert rig.state.note is None

@@ -230,7 +230,7 @@ class Rig:
         self.intent = (Goal.FLY, trajectory)
         return trajectory
 
-    def airborne(self) -> None:
+    def take_off_and_hover(self) -> None:
         """From boot to hovering at 1.1 m over the pad."""
         self.until(FlightPhase.READY, 20.0)
         self.intent = (Goal.FLY, None)

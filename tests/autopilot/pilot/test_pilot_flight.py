@@ -48,7 +48,7 @@ def test_a_whole_flight_from_boot_to_disarmed() -> None:
 
 def test_the_handshake_keeps_its_order_and_never_forces() -> None:
     rig = Rig()
-    rig.airborne()
+    rig.take_off_and_hover()
     first: dict[str, float] = {}
     for at, message in rig.tap.sent:
         first.setdefault(Tap.name(message), at)
@@ -76,7 +76,7 @@ def test_a_converged_autopilot_still_reads_our_stamps_right() -> None:
     rig.run(70.0)
     assert rig.px4.timesync_converged
     assert abs(rig.px4._state.timesync.offset_us) < 10_000, "our answers are on its own clock: nothing is left to correct"
-    rig.airborne()
+    rig.take_off_and_hover()
     assert rig.px4.failsafes == []
 
 

@@ -29,7 +29,7 @@ class CopterRig(Rig):
     def _make_autopilot(self, end: ByteEnd, seed: int) -> ArduCopter:
         return ArduCopter(self.vehicle, end, ArduPilotParameters.load(), seed)
 
-    def airborne(self) -> None:
+    def take_off_and_hover(self) -> None:
         self.until(FlightPhase.READY, 30.0)
         self.intent = (Goal.FLY, None)
         self.until(FlightPhase.FLYING, 15.0)
@@ -41,7 +41,7 @@ class CopterRig(Rig):
 @pytest.fixture(scope="module")
 def flown_up() -> CopterRig:
     rig = CopterRig()
-    rig.airborne()
+    rig.take_off_and_hover()
     return rig
 
 

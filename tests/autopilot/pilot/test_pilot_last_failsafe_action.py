@@ -38,7 +38,7 @@ def test_a_refused_landing_is_handed_to_px4(hovering: Rig) -> None:
 
 def test_a_refused_landing_is_handed_to_ardupilot() -> None:
     rig = CopterRig()
-    rig.airborne()
+    rig.take_off_and_hover()
     refuse_every_mode(rig.autopilot._state.commander)  # type: ignore[attr-defined]
     rig.intent = (Goal.LAND, None)
     rig.until(FlightPhase.LANDING, 0.5)

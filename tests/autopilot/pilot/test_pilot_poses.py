@@ -225,7 +225,7 @@ def test_bad_poses_are_not_fed(fault: str) -> None:
 def test_the_autopilots_turn_rates_come_on_our_clock_in_body_axes() -> None:
     """Perception uses them where the camera has no IMU. The truth's attitudes are differentiated."""
     rig = Rig()
-    rig.airborne()
+    rig.take_off_and_hover()
     rig.fly((1.2, 0.8, 1.1), identifier=2)
     told: dict[float, list[float]] = {}
     stamps_s, turns, ages_s = [], [], []
