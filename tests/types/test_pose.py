@@ -92,3 +92,11 @@ def test_an_optical_camera_on_a_level_body_looks_along_x() -> None:
     down = body_from_camera(np.array([0.1, 0.0, 0.0]), np.pi / 2)
     np.testing.assert_allclose(down.apply(np.array([0.0, 0.0, 1.0])), [0.1, 0.0, -1.0], atol=1e-12)
     np.testing.assert_allclose(down.apply(np.array([1.0, 0.0, 0.0])), [0.1, -1.0, 0.0], atol=1e-12)  # optical x is body right
+
+
+@given(rotation_vectors)
+def test_the_rotation_vector_is_that_of_the_smaller_angle(rotation_rad: np.ndarray) -> None:
+    pose, matrix = _pose(rotation_rad, np.zeros(3))
+    found = pose.rotation_vector()
+    assert np.linalg.norm(found) <= np.pi + 1e-9
+    np.testing.assert_allclose(Rotation.from_rotvec(found).as_matrix(), matrix[:3, :3], atol=1e-9)

@@ -60,7 +60,7 @@ def _open_slam(context: SourceContext) -> tuple[DepthCamera, PoseSource]:
     from uav_recon.localization.slam.slam_tracker import SlamTracker, warm_up
 
     warm_up()
-    source = SlamSource(context.camera, context.mount, SlamTracker())
+    source = SlamSource(context.camera, context.mount, SlamTracker(), now_s=context.clock.now_s)
     return source, source
 
 

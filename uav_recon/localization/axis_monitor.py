@@ -285,7 +285,7 @@ class _GyroAgainstPoses:
         if gyro_rad is None:
             return None
         turn = since.odom_from_body.inverse() @ newest.odom_from_body
-        poses_rad = _rotation_vector(turn)
+        poses_rad = turn.rotation_vector()
         best = self._evidence.add(gyro_rad / _TURN_RAD, poses_rad / _TURN_RAD)
         return None if best is None else Reason(ReasonCode.AXES_GYRO, (_named(best.T),))
 
@@ -298,7 +298,7 @@ class _GyroAgainstPoses:
         for stamp_s, rate in inside:
             turn = turn @ Pose.from_rotation_vector((stamp_s - before_s) * rate, np.zeros(3))
             before_s = stamp_s
-        return _rotation_vector(turn)
+        return turn.rotation_vector()
 
 
 class _DepthAgainstPoses:
@@ -331,7 +331,7 @@ class _DepthAgainstPoses:
 
     def _compare(self, view: _View, here: _View, frame: Frame) -> Reason | None:
         shift_m = here.odom_from_body[0].translation_m - view.odom_from_body[0].translation_m
-        turned_rad = float(np.linalg.norm(_rotation_vector(view.odom_from_body[0].inverse() @ here.odom_from_body[0])))
+        turned_rad = float(np.linalg.norm((view.odom_from_body[0].inverse() @ here.odom_from_body[0]).rotation_vector()))
         if float(np.linalg.norm(shift_m)) < _MOVED_M and turned_rad < _TURNED_RAD:
             return None
         seen = view.patches, frame.depth_m, frame.depth_intrinsics.pinhole_px()
@@ -431,13 +431,6 @@ def _velocity_mps(before: StampedPose, after: StampedPose) -> FloatArray:
     """Return the mean velocity (3,) between two poses."""
     shift_m = after.odom_from_body.translation_m - before.odom_from_body.translation_m
     return np.asarray(shift_m / (after.stamp_s - before.stamp_s))
-
-
-def _rotation_vector(pose: Pose) -> FloatArray:
-    """Return the rotation vector (3,) of a pose, rad."""
-    quat = pose.quat_wxyz if pose.quat_wxyz[0] >= 0.0 else -pose.quat_wxyz
-    length = float(np.linalg.norm(quat[1:]))
-    return np.asarray(2.0 * quat[1:] if length < 1e-9 else 2.0 * math.atan2(length, float(quat[0])) / length * quat[1:])
 
 
 def _named(assignment: FloatArray) -> str:

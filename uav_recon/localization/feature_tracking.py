@@ -8,7 +8,6 @@ tracked with the Lucas-Kanade method (OpenCV's pyramids), each forward and back 
 
 from __future__ import annotations
 
-import functools
 import math
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -17,6 +16,7 @@ import cv2
 import numpy as np
 
 from uav_recon.localization.camera_motion import CameraMotion
+from uav_recon.localization.optical_flow import brightness, followed, inside
 from uav_recon.localization.planar_patches import patches
 from uav_recon.types.camera import Frame
 from uav_recon.types.frames import AnyArray, BoolArray, ByteArray, FloatArray
@@ -147,7 +147,7 @@ class FeatureTracker:
         """
         if min(frame.rgb.shape[:2]) < _NARROWEST_PX:
             return None
-        grey, smaller = _grey(frame.rgb)
+        grey, smaller = brightness(frame.rgb, _WIDEST_PX)
         still = self._grey is not None and np.array_equal(grey, self._grey)  # the camera repeated the image
         if still or not frame.stamp_s - self._stamp_s <= _PAUSE_S:
             self.forget()
@@ -164,12 +164,15 @@ class FeatureTracker:
         """Track the points, starting from their predicted position plus their last displacement."""
         points = self._points.only(stamp_s - self._points.since_s <= _OLDEST_S)
         belongs_px = eye.pixels(ahead_m := eye.ahead(points.place_m))
-        shown = _inside(belongs_px + points.displacement_px, grey) & (ahead_m[:, 2] > _NEAREST_M)
+        shown = inside(belongs_px + points.displacement_px, grey, _WINDOW_PX) & (ahead_m[:, 2] > _NEAREST_M)
         points, belongs_px = points.only(shown), belongs_px[shown]
         if self._grey is None or not len(belongs_px):
             self._points = _NONE
             return None
-        at_px, found = _followed(self._grey, grey, points.at_px, belongs_px + points.displacement_px)
+        at_px, found = followed(
+            self._grey, grey, points.at_px, belongs_px + points.displacement_px,
+            window_px=_WINDOW_PX, levels=_LEVELS, returns_px=_RETURNS_PX,
+        )  # fmt: skip
         self._points = points = points._replace(at_px=at_px, displacement_px=at_px - belongs_px).only(found)
         ahead_m = eye.ahead(points.place_m)
         along, range_m = eye.along(ahead_m), ahead_m[:, 2]
@@ -182,8 +185,8 @@ class FeatureTracker:
         camera, here = frame.depth_intrinsics.pinhole_px(), odom_from_depth
         place_m = patches(frame.depth_m, camera, here.rotation(), here.translation_m)[:, :3]
         at_px = eye.pixels(eye.ahead(place_m))
-        inside = _inside(at_px, grey)
-        place_m, at_px = place_m[inside], at_px[inside]
+        shown = inside(at_px, grey, _WINDOW_PX)
+        place_m, at_px = place_m[shown], at_px[shown]
         column, row = np.rint(at_px).astype(np.int64).T
         telling = cv2.cornerMinEigenVal(grey, _BLOCK_PX)[row, column]
         taken = np.zeros((grey.shape[0] // _APART_PX + 1, grey.shape[1] // _APART_PX + 1), dtype=np.bool_)
@@ -195,33 +198,3 @@ class FeatureTracker:
         rows = eye.error_rows(ahead_m, eye.along(ahead_m)) / ahead_m[:, 2, None, None]
         none_px = np.zeros((len(best), 2), np.float32)
         return _Points(place_m[best], np.full(len(best), frame.stamp_s), at_px[best], none_px, rows)
-
-
-def _grey(rgb: ByteArray) -> tuple[ByteArray, FloatArray]:
-    """Return the brightness (h, w) of an image, and the scale of its width and height (2,)."""
-    grey = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)
-    stride = -(-grey.shape[1] // _WIDEST_PX)
-    if stride > 1:
-        grey = cv2.resize(grey, (grey.shape[1] // stride, grey.shape[0] // stride), interpolation=cv2.INTER_AREA)
-    return np.asarray(grey, dtype=np.uint8), np.array([grey.shape[1] / rgb.shape[1], grey.shape[0] / rgb.shape[0]])
-
-
-def _inside(at_px: AnyArray, grey: ByteArray) -> BoolArray:
-    """Return a mask of the pixels (N, 2) with half a window around them."""
-    room_px, (height, width) = _WINDOW_PX // 2, grey.shape
-    inside = (at_px >= room_px).all(axis=1) & (at_px[:, 0] <= width - 1 - room_px) & (at_px[:, 1] <= height - 1 - room_px)
-    return np.asarray(inside, dtype=np.bool_)
-
-
-def _followed(before: ByteArray, now: ByteArray, was_px: AnyArray, guess_px: AnyArray) -> tuple[AnyArray, BoolArray]:
-    """Return the new positions of points (N, 2), and a mask of those found.
-
-    A point is found if tracking it back leads to where it was.
-    """
-    follow = functools.partial(
-        cv2.calcOpticalFlowPyrLK, winSize=(_WINDOW_PX, _WINDOW_PX), maxLevel=_LEVELS, flags=cv2.OPTFLOW_USE_INITIAL_FLOW
-    )
-    at_px, there, _ = follow(before, now, was_px, guess_px.copy())
-    back_px, back, _ = follow(now, before, at_px, was_px.copy())
-    returns = np.linalg.norm(back_px - was_px, axis=1) <= _RETURNS_PX
-    return at_px, np.asarray(returns & (there[:, 0] == 1) & (back[:, 0] == 1) & _inside(at_px, now), dtype=np.bool_)

@@ -94,6 +94,13 @@ class Pose:
         out[:3, 3] = self.translation_m
         return out
 
+    def rotation_vector(self) -> FloatArray:
+        """Return the rotation as axis times angle (3,), rad, for the smaller angle."""
+        quat = self.quat_wxyz if self.quat_wxyz[0] >= 0.0 else -self.quat_wxyz
+        length = float(np.linalg.norm(quat[1:]))
+        scale = 2.0 if length < 1e-9 else 2.0 * math.atan2(length, float(quat[0])) / length
+        return np.asarray(scale * quat[1:])
+
     def inverse(self) -> Pose:
         """Return source_from_target."""
         conjugate = self.quat_wxyz * np.array([1.0, -1.0, -1.0, -1.0])

@@ -6,13 +6,13 @@ depths measured at it.
 
 from __future__ import annotations
 
-import functools
 from typing import NamedTuple
 
 import cv2
 import numpy as np
 
 from uav_recon.geometry.jit import kernel
+from uav_recon.localization.optical_flow import followed, inside
 from uav_recon.localization.slam.rgbd_view import RgbdView
 from uav_recon.types.frames import AnyArray, BoolArray, ByteArray, FloatArray
 from uav_recon.types.pose import Pose
@@ -76,12 +76,6 @@ class LandmarkTracker:
         self.points = Landmarks.none()
         self._believed: tuple[ByteArray | None, Landmarks] = None, self.points
 
-    def forget(self) -> None:
-        """Forget all landmarks: the view was lost."""
-        self._grey = None
-        self.points = Landmarks.none()
-        self._believed = None, self.points
-
     def recall(self) -> None:
         """Return to the image and the landmarks of the newest believed frame: this one is not."""
         self._grey, self.points = self._believed
@@ -97,11 +91,13 @@ class LandmarkTracker:
         if before is None or grey is None or not len(points.place_m) or before.shape != grey.shape:
             return self.points
         guess_px = (predicted + points.off_px).astype(np.float32)
-        inside = _inside(guess_px, grey)
-        points, guess_px = points.only(inside), guess_px[inside]
+        shown = inside(guess_px, grey, _WINDOW_PX)
+        points, guess_px = points.only(shown), guess_px[shown]
         if not len(guess_px):
             return self.points
-        at_px, found = _followed(before, grey, points.at_px, guess_px)
+        at_px, found = followed(
+            before, grey, points.at_px, guess_px, window_px=_WINDOW_PX, levels=_LEVELS, returns_px=_RETURNS_PX
+        )
         self.points = points._replace(at_px=at_px).only(found)
         return self.points
 
@@ -143,7 +139,7 @@ class LandmarkTracker:
         if corners is None:
             return
         at_px = corners.reshape(-1, 2).astype(np.float32)
-        at_px = at_px[_inside(at_px, grey)]
+        at_px = at_px[inside(at_px, grey, _WINDOW_PX)]
         column, row = np.rint(at_px).astype(np.int64).T
         texture = cv2.cornerEigenValsAndVecs(grey, _WINDOW_PX // 2, 3)[row, column].astype(np.float64)
         strong = np.minimum(texture[:, 0], texture[:, 1]) > _MIN_TEXTURE
@@ -297,21 +293,3 @@ def _slope(place_m: FloatArray, eye: tuple[FloatArray, FloatArray], turn_m: Floa
     ahead = (place_m - eye_m) @ rotation
     ahead[:, 2] = 0.0
     return np.stack((swept, -ahead @ rotation.T), axis=2)
-
-
-def _inside(at_px: AnyArray, grey: ByteArray) -> BoolArray:
-    """Return a mask of the pixels (N, 2) with half a window around them; not of NaN."""
-    room_px, (height, width) = _WINDOW_PX // 2, grey.shape
-    inside = (at_px >= room_px).all(axis=1) & (at_px[:, 0] <= width - 1 - room_px) & (at_px[:, 1] <= height - 1 - room_px)
-    return np.asarray(inside, dtype=np.bool_)
-
-
-def _followed(before: ByteArray, now: ByteArray, was_px: AnyArray, guess_px: AnyArray) -> tuple[AnyArray, BoolArray]:
-    """Return the new positions of corners (N, 2), and a mask of those found there and back."""
-    follow = functools.partial(
-        cv2.calcOpticalFlowPyrLK, winSize=(_WINDOW_PX, _WINDOW_PX), maxLevel=_LEVELS, flags=cv2.OPTFLOW_USE_INITIAL_FLOW
-    )
-    at_px, there, _ = follow(before, now, was_px, guess_px.copy())
-    back_px, back, _ = follow(now, before, at_px, was_px.copy())
-    returns = np.linalg.norm(back_px - was_px, axis=1) <= _RETURNS_PX
-    return at_px, np.asarray(returns & (there[:, 0] == 1) & (back[:, 0] == 1) & _inside(at_px, now), dtype=np.bool_)

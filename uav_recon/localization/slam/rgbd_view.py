@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 
 from uav_recon.geometry.jit import kernel
+from uav_recon.localization.optical_flow import brightness
 from uav_recon.localization.slam.depth_points import depth_points
 from uav_recon.types.camera import Frame
 from uav_recon.types.frames import AnyArray, ByteArray, FloatArray
@@ -34,7 +34,9 @@ class RgbdView:
         self.grey: ByteArray | None = None
         self.camera = frame.rgb_intrinsics.pinhole_px()
         if min(frame.rgb.shape[:2]) >= _NARROWEST_PX:
-            self.grey, self.camera = _grey(frame.rgb, self.camera)
+            self.grey, smaller = brightness(frame.rgb, _WIDEST_PX)
+            middle_px = (self.camera[2:] + 0.5) * smaller - 0.5  # pixel (0, 0) is its centre
+            self.camera = np.concatenate((self.camera[:2] * smaller, middle_px))
 
     def rgb_pose(self, odom_from_depth: Pose) -> tuple[FloatArray, FloatArray]:
         """Return rotation (3, 3) and translation (3,) of the colour imager in odom.
@@ -113,14 +115,3 @@ def _is_flat(depth_m: AnyArray, u: int, v: int) -> bool:
                 return False
             low, high = min(low, d), max(high, d)
     return high - low <= _FLAT_SHARE * z
-
-
-def _grey(rgb: ByteArray, camera: FloatArray) -> tuple[ByteArray, FloatArray]:
-    """Return the brightness (h, w) of an image, smaller if it is large, and its camera (4,)."""
-    grey = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)
-    stride = -(-grey.shape[1] // _WIDEST_PX)
-    if stride > 1:
-        grey = cv2.resize(grey, (grey.shape[1] // stride, grey.shape[0] // stride), interpolation=cv2.INTER_AREA)
-    smaller = np.array([grey.shape[1] / rgb.shape[1], grey.shape[0] / rgb.shape[0]])
-    middle_px = (camera[2:] + 0.5) * smaller - 0.5  # pixel (0, 0) is its centre
-    return np.asarray(grey, dtype=np.uint8), np.concatenate((camera[:2] * smaller, middle_px))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from dataclasses import replace
 
 from uav_recon.interfaces import DepthCamera
@@ -9,6 +11,8 @@ from uav_recon.localization.camera_mount import Mount
 from uav_recon.localization.slam.slam_tracker import SlamTracker
 from uav_recon.types.camera import Frame, ImuSample
 from uav_recon.types.pose import StampedPose
+
+_FUTURE_S = 0.01  #: reject: a frame stamped later than the clock by this
 
 
 class SlamSource:
@@ -19,10 +23,13 @@ class SlamSource:
     be read after it.
     """
 
-    def __init__(self, camera: DepthCamera, mount: Mount, tracker: SlamTracker) -> None:
+    def __init__(
+        self, camera: DepthCamera, mount: Mount, tracker: SlamTracker, *, now_s: Callable[[], float] = lambda: math.inf
+    ) -> None:
         self._camera = camera
         self._mount = mount
         self._tracker = tracker
+        self._now_s = now_s
         self._poses: list[StampedPose] = []
 
     def poll(self) -> Frame | None:
@@ -30,6 +37,8 @@ class SlamSource:
         frame = self._camera.poll()
         if frame is None:
             return None
+        if frame.stamp_s > self._now_s() + _FUTURE_S:  # perception rejects it; it must not move the track into the future
+            return frame
         body_from_depth = self._mount.body_from_depth(frame.stamp_s - self._tracker.delay_s)
         if body_from_depth is not None and (pose := self._tracker.track(frame, body_from_depth)) is not None:
             self._poses.append(pose)

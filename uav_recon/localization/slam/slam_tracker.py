@@ -88,7 +88,6 @@ class SlamTracker:
         self._depth_m: Float32Array | None = None
         self._slow = np.zeros(2)
         self._slow_covariance = np.diag(_FIRST_SLOW_SIGMA**2)
-        self._reset_counter = 0
 
     @property
     def delay_s(self) -> float:
@@ -105,6 +104,9 @@ class SlamTracker:
         view = RgbdView(frame)
         if self._state is None:
             return self._start(view, body_from_depth)
+        if not frame.stamp_s > self._state.stamp_s:
+            self.fault = TrackingFault.STAMP
+            return None
         repeats, self._depth_m = _repeats(frame.depth_m, self._depth_m), frame.depth_m
         prior = self._predict(self._state, frame.stamp_s, body_from_depth)
         landmarks = self._follow(view, prior)
@@ -213,7 +215,7 @@ class SlamTracker:
         self._motion.update(self._predicted, odom_from_body.translation_m, found.covariance[3:, 3:])
         velocity = self._motion.velocity_mps
         between = state.odom_from_body.inverse() @ odom_from_body
-        self.gyro.update(state.stamp_s, stamp_s, _rotation_vector(between))
+        self.gyro.update(state.stamp_s, stamp_s, between.rotation_vector())
         self._slow = found.slow
         grown = found.slow_covariance + np.diag(_SLOW_WALK**2 * step_s)
         self._slow_covariance = grown + np.diag(np.maximum(_SLOW_FLOOR**2 - np.diagonal(grown), 0.0))
@@ -235,7 +237,7 @@ class SlamTracker:
         if self._fused is None:
             return True
         between = self._fused.inverse() @ odom_from_depth
-        return bool(np.linalg.norm(between.translation_m) > _FUSE_M or np.linalg.norm(_rotation_vector(between)) > _FUSE_RAD)
+        return bool(np.linalg.norm(between.translation_m) > _FUSE_M or np.linalg.norm(between.rotation_vector()) > _FUSE_RAD)
 
     def _pose(self, stamp_s: float, found: Registration) -> StampedPose | None:
         """Return the pose of a frame; None while it is not sure, or not yet again."""
@@ -248,10 +250,8 @@ class SlamTracker:
         assert self._state is not None
         place_m2 = _POSITION_SIGMA_M**2 + sigma_m**2
         covariance = np.diag([place_m2] * 3 + [_ROTATION_SIGMA_RAD**2] * 3)
-        return StampedPose(
-            stamp_s - self.delay_s, self._state.odom_from_body, self._state.velocity_mps, covariance,
-            reset_counter=self._reset_counter,
-        )  # fmt: skip
+        state = self._state
+        return StampedPose(stamp_s - self.delay_s, state.odom_from_body, state.velocity_mps, covariance)
 
 
 def warm_up() -> None:
@@ -281,11 +281,3 @@ def _quality(found: Registration) -> int:
 def _repeats(depth_m: Float32Array, before: Float32Array | None) -> bool:
     """Return True if a depth image is that before it, to the last bit."""
     return before is not None and before.shape == depth_m.shape and np.array_equal(depth_m, before, equal_nan=True)
-
-
-def _rotation_vector(pose: Pose) -> FloatArray:
-    w, x, y, z = pose.quat_wxyz.tolist()
-    sign = 1.0 if w >= 0.0 else -1.0
-    length = math.sqrt(x * x + y * y + z * z)
-    k = 2.0 * sign if length < 1e-9 else 2.0 * sign * math.atan2(length, abs(w)) / length
-    return np.array([k * x, k * y, k * z])

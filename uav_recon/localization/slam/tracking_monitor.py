@@ -25,6 +25,7 @@ _LOOSE_RAD = math.radians(2.0)  #: reject: a frame that leaves a turn as uncerta
 class TrackingFault(str, Enum):
     """Reason why a frame is not believed."""
 
+    STAMP = "not newer"
     FROZEN = "repeats"
     FEW_POINTS = "few points"
     FIT = "does not fit"
