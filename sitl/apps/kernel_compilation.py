@@ -53,7 +53,7 @@ def flight_jobs(variants: Sequence[str] = ("adaptive",), neural: bool = True, po
     """
     jobs = [job for variant in variants for job in kernel_jobs.mission_jobs(cast(VariantName, variant))]
     mission = dict.fromkeys(job for job in jobs if neural or job.name != kernel_jobs.MAPPER)
-    last = [*kernel_jobs.perception_jobs(pose), *([] if neural else [DEPTH_ONLY_MAPPER])]
+    last = [*kernel_jobs.perception_jobs(), *([] if neural else [DEPTH_ONLY_MAPPER])]
     return [SIMULATOR, *mission, *last]  # the scene is loaded after the first job, beside the others
 
 

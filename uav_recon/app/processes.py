@@ -164,7 +164,7 @@ def perception(config_path: Path) -> int:
 
     def compile_ahead() -> None:
         compile_kernels(
-            kernel_jobs.perception_jobs(config.localization.source), config_path, log_progress(LOG), lambda: stop.asked
+            kernel_jobs.perception_jobs(), config_path, log_progress(LOG), lambda: stop.asked
         )
 
     writer = ThreadExecutor("calibration", WRITER_PATIENCE_S)

@@ -9,13 +9,14 @@ the track on.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from uav_recon.localization.slam.gyro_alignment import GyroAlignment
 from uav_recon.localization.slam.landmarks import Landmarks, LandmarkTracker, project
-from uav_recon.localization.slam.motion_filter import MotionFilter
+from uav_recon.localization.slam.motion_filter import MeasuredStep, MotionFilter
 from uav_recon.localization.slam.rest_detection import RestDetector
 from uav_recon.localization.slam.rgbd_registration import MotionPrior, Registration, register, search
 from uav_recon.localization.slam.rgbd_view import RgbdView
@@ -47,6 +48,8 @@ _BETTER = 1.02  # share of inliers by which another place must be better
 #: reject: after doubt, a frame with fewer of its depth points on known surfaces and fewer known landmarks than below
 _PROOF_SHARE = 0.4
 _PROOF_LANDMARKS = 20  #: reject: after doubt, a frame with fewer of the landmarks from before, and less known depth than above
+_OUTSIDE_STEP_M = 0.003  # standard deviation of a step that another source measures
+_OUTSIDE_JITTER_S = 0.005  # the same of the time between its poses, against that between the frames
 _POSITION_SIGMA_M = 0.01
 _ROTATION_SIGMA_RAD = math.radians(0.3)
 
@@ -64,14 +67,21 @@ class TrackedState:
     turn_covariance: FloatArray
 
 
+OutsideMotion = Callable[[float, float], Pose | None]
+
+
 class SlamTracker:
     """Tracks the camera. Not thread-safe; about 8 ms a frame of 424x240 on one core.
 
     It starts at rest: the first poses come once the inertial samples have shown where down is. ``fault``: why the newest frame
     was not believed, None if it was.
+
+    outside(from_s, to_s): motion of the body between two instants, as the pose of the second in the first, that another source
+    has measured. It carries the track through views that do not determine it.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, outside: OutsideMotion = lambda from_s, to_s: None) -> None:
+        self._outside = outside
         self.volume = TsdfVolume()
         self.gyro = GyroAlignment()
         self.fault: TrackingFault | None = None
@@ -172,7 +182,10 @@ class SlamTracker:
     def _predict(self, state: TrackedState, stamp_s: float, body_from_depth: Pose) -> MotionPrior:
         """Return the predicted motion from the newest believed frame."""
         step_s = stamp_s - state.stamp_s
-        moved = self._motion.predict(step_s, state.odom_from_body, self.gyro.track(state.stamp_s, stamp_s))
+        outside = self._outside(state.stamp_s - self.delay_s, stamp_s - self.delay_s)
+        moved = self._motion.predict(
+            step_s, state.odom_from_body, self.gyro.track(state.stamp_s, stamp_s), _measured(state.odom_from_body, outside, step_s)
+        )
         self._predicted = moved
         turned, rate = self.gyro.turn(state.stamp_s, stamp_s), self.gyro.rate(stamp_s)
         turn_sigma = self.gyro.turn_sigma_rad(state.stamp_s, stamp_s) if turned is not None else _BLIND_TURN_RADPS * step_s
@@ -252,6 +265,15 @@ class SlamTracker:
         covariance = np.diag([place_m2] * 3 + [_ROTATION_SIGMA_RAD**2] * 3)
         state = self._state
         return StampedPose(stamp_s - self.delay_s, state.odom_from_body, state.velocity_mps, covariance)
+
+
+def _measured(odom_from_body: Pose, outside: Pose | None, step_s: float) -> MeasuredStep | None:
+    """Return the motion by another source, of a body with this attitude, in odom."""
+    if outside is None:
+        return None
+    way_m = odom_from_body.rotation() @ outside.translation_m
+    speed_mps = float(np.linalg.norm(way_m)) / step_s
+    return MeasuredStep(way_m, math.hypot(_OUTSIDE_STEP_M, _OUTSIDE_JITTER_S * speed_mps))
 
 
 def warm_up() -> None:
