@@ -187,6 +187,10 @@ class DepthConsistencyMonitor:
         """The filter of the camera's errors and of the drift."""
         return self._drift_rate.calibration
 
+    def confirms(self, drift_mps: FloatArray) -> bool:
+        """Return True if depth surely shows this drift (3,) of odom, too."""
+        return self._drift_rate.confirms(drift_mps)
+
     @property
     def at_rest(self) -> bool:
         """True if the camera has not moved for a while."""

@@ -17,23 +17,35 @@ import numpy as np
 
 from uav_recon.localization.offset_filter import OFFSET, RATE, YAW, OffsetFilter
 from uav_recon.localization.revisited_surfaces import RevisitedSurfaces, Wandered
-from uav_recon.localization.slam.slam_tracker import SlamTracker
+from uav_recon.localization.slam.slam_tracker import OutsideMotion, SlamTracker
 from uav_recon.types.camera import Frame, ImuSample
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.pose import Pose, StampedPose, WorldFromOdom
+from uav_recon.types.reason import Reason
+from uav_recon.types.reason_code import ReasonCode
 
 #: internal: an offset within this many standard deviations, which contain what tracker and camera may be off by, is left alone
 _EXPLAINED_SIGMAS = 3.0
+_CONFIRMED_SIGMAS = 1.5  #: internal: the same after depth has confirmed a drift: then the source is surely not honest
+_CONFIRMED_S = 20.0  #: internal: time for which that holds
 _SPEED_MPS = 0.3  #: brake: the correction of odom moves at most this fast: a vehicle follows it
 _TURN_RADPS = math.radians(5.0)  #: brake: the correction of the heading turns at most this fast
 _EVERY_S = 0.2  #: internal: interval between two comparisons of odom with the tracker
 _TIMELY_S = 1.0  #: land: a drift that depth shows is known to the correction if its newest comparison is not older
 _KEPT_S = 2.0  #: internal: past corrections are kept for this time, as odom is
+_TOLD_M = 0.02  #: internal: a smaller correction is not reported, unless it turns by more than _TOLD_RAD
+_TOLD_RAD = math.radians(0.5)  #: internal: see _TOLD_M
 _SPEED_OVER_S = 0.3  #: internal: time over which the speed of the correction is measured
 
 
 class OdometryCorrection(Protocol):
-    """Corrects odom, for any recent instant."""
+    """Corrects odom, for any recent instant.
+
+    ``reason``: how much is corrected, None for nothing.
+    """
+
+    @property
+    def reason(self) -> Reason | None: ...
 
     def add_imu(self, samples: list[ImuSample]) -> None:
         """Add inertial samples, oldest first. Does not block."""
@@ -43,8 +55,11 @@ class OdometryCorrection(Protocol):
         """Add a frame once odom knows its instant. May take 10 ms."""
         ...
 
-    def advance(self, now_s: float) -> None:
-        """Move the correction towards what it shall be; called every step."""
+    def advance(self, now_s: float, confirms: Callable[[FloatArray], bool]) -> None:
+        """Move the correction towards what it shall be; called every step.
+
+        confirms(drift_mps (3,)): whether depth surely shows this drift of odom, by another method.
+        """
         ...
 
     def corrected(self, estimate: StampedPose) -> StampedPose:
@@ -63,13 +78,15 @@ class OdometryCorrection(Protocol):
 class NoCorrection:
     """Odom as it is: of poses that come from the frames themselves."""
 
+    reason: Reason | None = None
+
     def add_imu(self, samples: list[ImuSample]) -> None:
         """Do nothing."""
 
     def add_frame(self, frame: Frame, body_from_depth: Pose) -> None:
         """Do nothing."""
 
-    def advance(self, now_s: float) -> None:
+    def advance(self, now_s: float, confirms: Callable[[FloatArray], bool]) -> None:
         """Do nothing."""
 
     def corrected(self, estimate: StampedPose) -> StampedPose:
@@ -83,6 +100,18 @@ class NoCorrection:
     def drift_mps(self, now_s: float) -> FloatArray:
         """Return zero: nothing is known."""
         return np.zeros(3)
+
+
+class FrameTracker(Protocol):
+    """Tracks frames against a map of its own, and of nothing else."""
+
+    def add_imu(self, samples: list[ImuSample]) -> None:
+        """Add inertial samples, oldest first."""
+        ...
+
+    def track(self, frame: Frame, body_from_depth: Pose) -> StampedPose | None:
+        """Return the body's pose at what the frame shows; None if it is not known."""
+        ...
 
 
 class _Knot(NamedTuple):
@@ -106,19 +135,32 @@ class _Knot(NamedTuple):
 class TrackedCorrection:
     """The tracker, the filter of the offset, and the correction that follows from it. Not thread-safe; about 9 ms a frame.
 
-    odom_at: odom without correction at an instant.
+    odom_at: odom without correction at an instant. make_tracker: of a tracker that asks for the motion by odom.
     """
 
-    def __init__(self, odom_at: Callable[[float], StampedPose | None]) -> None:
+    def __init__(
+        self,
+        odom_at: Callable[[float], StampedPose | None],
+        make_tracker: Callable[[OutsideMotion], FrameTracker] = SlamTracker,
+    ) -> None:
         self._odom_at = odom_at
-        self._tracker = SlamTracker(self._moved)
+        self._tracker = make_tracker(self)
         self._filter: OffsetFilter | None = None
         self._surfaces = RevisitedSurfaces()
         self._odom_from_tracker = Pose.identity()
         self._reset_counter = 0
-        self._compared_s = -math.inf
+        self._compared_s = self._confirmed_s = -math.inf
         self._knots: deque[_Knot] = deque([_Knot(-math.inf, np.zeros(3), 0.0, np.zeros(3))])
-        self.log: list = []
+
+    @property
+    def reason(self) -> Reason | None:
+        """How much is corrected, None for nothing."""
+        knot = self._knots[-1]
+        shift_m = float(np.linalg.norm(knot.shift_m))
+        if self._filter is None or (shift_m < _TOLD_M and abs(knot.yaw_rad) < _TOLD_RAD):
+            return None
+        sigma_m = math.sqrt(float(np.trace(self._filter.covariance[OFFSET, OFFSET])))
+        return Reason(ReasonCode.ODOMETRY_CORRECTED, (shift_m, math.degrees(knot.yaw_rad), sigma_m))
 
     def add_imu(self, samples: list[ImuSample]) -> None:
         """Add inertial samples, oldest first."""
@@ -144,7 +186,7 @@ class TrackedCorrection:
             self._filter.revisit(*then)
         self._compared_s = tracked.stamp_s
 
-    def advance(self, now_s: float) -> None:
+    def advance(self, now_s: float, confirms: Callable[[FloatArray], bool]) -> None:
         """Move the correction towards the offset, as far as tracker and camera do not explain it."""
         knot = self._knots[-1]
         odom = self._odom_at(now_s) if self._filter is not None else None
@@ -152,7 +194,9 @@ class TrackedCorrection:
             return
         step_s = min(now_s - knot.stamp_s, _EVERY_S)
         place_m = odom.odom_from_body.translation_m
-        shift_m, yaw_rad = self._wanted()
+        if confirms(self.drift_mps(now_s)):
+            self._confirmed_s = now_s
+        shift_m, yaw_rad = self._wanted(now_s)
         before_m = knot.at(place_m)
         way_m = shift_m - before_m
         share = min(1.0, _SPEED_MPS * step_s / max(float(np.linalg.norm(way_m)), 1e-9))
@@ -198,13 +242,14 @@ class TrackedCorrection:
     def _knot(self, stamp_s: float) -> _Knot:
         return next((knot for knot in reversed(self._knots) if knot.stamp_s <= stamp_s), self._knots[0])
 
-    def _wanted(self) -> tuple[FloatArray, float]:
+    def _wanted(self, now_s: float) -> tuple[FloatArray, float]:
         """Return shift (3,) and heading of the correction: the offset as far as it is sure."""
         assert self._filter is not None
+        sigmas = _CONFIRMED_SIGMAS if now_s - self._confirmed_s < _CONFIRMED_S else _EXPLAINED_SIGMAS
         shift_m, spread = self._filter.state[OFFSET], self._filter.covariance
         surprise = self._filter.surprise
         yaw_rad = float(self._filter.state[YAW])
-        return shift_m * _sure(surprise), yaw_rad * _sure(yaw_rad**2 / max(float(spread[YAW, YAW]), 1e-12))
+        return shift_m * _sure(surprise, sigmas), yaw_rad * _sure(yaw_rad**2 / max(float(spread[YAW, YAW]), 1e-12), sigmas)
 
     def _begin(self, odom: StampedPose, tracked: StampedPose) -> None:
         self._odom_from_tracker = odom.odom_from_body @ tracked.odom_from_body.inverse()
@@ -218,14 +263,21 @@ class TrackedCorrection:
         odom = self._odom_at(stamp_s)
         return None if odom is None or odom.quality == 0 else odom
 
-    def _moved(self, from_s: float, to_s: float) -> Pose | None:
-        """Return the motion of the body by odom, None if odom does not know it."""
+    def moved(self, from_s: float, to_s: float) -> Pose | None:
+        """Return the pose of the body at an instant in the body at an earlier one, by odom; None if it is not known."""
         before, after = self._believed(from_s), self._believed(to_s)
         if before is None or after is None or before.reset_counter != after.reset_counter:
             return None
         return before.odom_from_body.inverse() @ after.odom_from_body
 
+    def heading_rad(self, stamp_s: float) -> float | None:
+        """Return the heading of the body in the tracker's odom, by odom; None if it is not known."""
+        odom = self._believed(stamp_s) if self._filter is not None else None
+        if odom is None or odom.reset_counter != self._reset_counter:
+            return None
+        return (self._odom_from_tracker.inverse() @ odom.odom_from_body).yaw_rad()
 
-def _sure(surprise: float) -> float:
+
+def _sure(surprise: float, sigmas: float) -> float:
     """Return the share of an offset of a squared surprise that is corrected."""
-    return max(0.0, 1.0 - _EXPLAINED_SIGMAS**2 / max(surprise, 1e-9))
+    return max(0.0, 1.0 - sigmas**2 / max(surprise, 1e-9))

@@ -118,6 +118,11 @@ class DriftRateEstimator:
         """
         return self.calibration.drift_at_least_mps(_SURE_SIGMAS) / _VALID_DRIFT_MPS
 
+    def confirms(self, known_mps: FloatArray) -> bool:
+        """Return True if odom surely drifts, and by a velocity (3,) that is known from elsewhere."""
+        off_mps = float(np.linalg.norm(self.velocity_mps - known_mps))
+        return self.excess > 1.0 and off_mps < _CORRECTED_SHARE * float(np.linalg.norm(self.velocity_mps))
+
     def _excess(self, corrected_mps: FloatArray | None) -> float:
         """Return the drift rate that is sure beside what is corrected, as a multiple of its limit."""
         if corrected_mps is None or not corrected_mps.any():

@@ -114,7 +114,7 @@ class Perception:
         for pose in self._poses.poses():
             self._fusion.add_pose(pose, now_s)
             self._axes.add_pose(pose)
-        self._correction.advance(now_s)
+        self._correction.advance(now_s, self._depth_consistency.confirms)
         if self._rate.due(now_s):
             self._publish_odom(now_s)
         if self._status_rate.due(now_s):
@@ -214,8 +214,9 @@ class Perception:
         calibration = self._depth_consistency.calibration_filter.summary()
         kept = None if self._kept is None else self._kept.reason
         return PerceptionStatus(
-            now_s, self.published_frames, frames, samples, newest, newest_s, self._origin(), calibration, self._remarks(), kept
-        )
+            now_s, self.published_frames, frames, samples, newest, newest_s, self._origin(), calibration, self._remarks(), kept,
+            self._correction.reason,
+        )  # fmt: skip
 
     def _publish_frame(self, now_s: float) -> None:
         """Publish at most one frame per step.

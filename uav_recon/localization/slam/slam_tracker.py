@@ -9,8 +9,8 @@ the track on.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 
@@ -50,6 +50,9 @@ _PROOF_SHARE = 0.4
 _PROOF_LANDMARKS = 20  #: reject: after doubt, a frame with fewer of the landmarks from before, and less known depth than above
 _OUTSIDE_STEP_M = 0.003  # standard deviation of a step that another source measures
 _OUTSIDE_JITTER_S = 0.005  # the same of the time between its poses, against that between the frames
+_OUTSIDE_DRIFT_MPS = 0.05
+_OUTSIDE_HEADING_RAD = math.radians(3.0)  # of a heading: weak, so that the view decides where it can
+_HEADING_SURPRISE = 25.0  # squared innovation of a heading, in standard deviations, beyond which it is not used
 _POSITION_SIGMA_M = 0.01
 _ROTATION_SIGMA_RAD = math.radians(0.3)
 
@@ -67,7 +70,29 @@ class TrackedState:
     turn_covariance: FloatArray
 
 
-OutsideMotion = Callable[[float, float], Pose | None]
+
+class OutsideMotion(Protocol):
+    """Motion of the body by another source, which carries the track through views that do not determine it."""
+
+    def moved(self, from_s: float, to_s: float) -> Pose | None:
+        """Return the pose of the body at an instant in the body at an earlier one; None if it is not known."""
+        ...
+
+    def heading_rad(self, stamp_s: float) -> float | None:
+        """Return the heading of the body in the tracker's odom at an instant; None if it is not known."""
+        ...
+
+
+class NoOutsideMotion:
+    """No other source."""
+
+    def moved(self, from_s: float, to_s: float) -> Pose | None:
+        """Return None."""
+        return None
+
+    def heading_rad(self, stamp_s: float) -> float | None:
+        """Return None."""
+        return None
 
 
 class SlamTracker:
@@ -76,12 +101,11 @@ class SlamTracker:
     It starts at rest: the first poses come once the inertial samples have shown where down is. ``fault``: why the newest frame
     was not believed, None if it was.
 
-    outside(from_s, to_s): motion of the body between two instants, as the pose of the second in the first, that another source
-    has measured. It carries the track through views that do not determine it.
+    outside: another source of the body's motion, which the track follows where the view does not determine it.
     """
 
-    def __init__(self, outside: OutsideMotion = lambda from_s, to_s: None) -> None:
-        self._outside = outside
+    def __init__(self, outside: OutsideMotion | None = None) -> None:
+        self._outside = outside or NoOutsideMotion()
         self.volume = TsdfVolume()
         self.gyro = GyroAlignment()
         self.fault: TrackingFault | None = None
@@ -182,7 +206,7 @@ class SlamTracker:
     def _predict(self, state: TrackedState, stamp_s: float, body_from_depth: Pose) -> MotionPrior:
         """Return the predicted motion from the newest believed frame."""
         step_s = stamp_s - state.stamp_s
-        outside = self._outside(state.stamp_s - self.delay_s, stamp_s - self.delay_s)
+        outside = self._outside.moved(state.stamp_s - self.delay_s, stamp_s - self.delay_s)
         moved = self._motion.predict(
             step_s, state.odom_from_body, self.gyro.track(state.stamp_s, stamp_s), _measured(state.odom_from_body, outside, step_s)
         )
@@ -195,12 +219,26 @@ class SlamTracker:
         arm_m = odom_from_body.rotation() @ body_from_depth.translation_m
         covariance = np.zeros((6, 6))
         covariance[:3, :3] = state.turn_covariance + turn_sigma**2 * np.eye(3)
+        odom_from_body = self._take_heading(odom_from_body, covariance, stamp_s)
         covariance[3:, 3:] = moved.place_covariance
         velocity = moved.velocity_mps + np.cross(rate_odom, arm_m)
         return MotionPrior(
             odom_from_body @ body_from_depth, covariance, turn_sigma, rate_odom, velocity, self._slow,
             self._slow_covariance,
         )  # fmt: skip
+
+    def _take_heading(self, odom_from_body: Pose, covariance: FloatArray, stamp_s: float) -> Pose:
+        """Correct the predicted heading, and the covariance (6, 6), by that of the other source."""
+        heading_rad = self._outside.heading_rad(stamp_s - self.delay_s)
+        if heading_rad is None:
+            return odom_from_body
+        off_rad = math.remainder(heading_rad - odom_from_body.yaw_rad(), math.tau)
+        variance = float(covariance[2, 2]) + _OUTSIDE_HEADING_RAD**2
+        if off_rad**2 > _HEADING_SURPRISE * variance:
+            return odom_from_body
+        turned = Pose.from_rotation_vector(covariance[:3, 2] / variance * off_rad, np.zeros(3))
+        covariance[:3, :3] -= np.outer(covariance[:3, 2], covariance[2, :3]) / variance
+        return Pose((turned @ odom_from_body).quat_wxyz, odom_from_body.translation_m)
 
     def _follow(self, view: RgbdView, prior: MotionPrior) -> Landmarks:
         points = self._landmarks.points
@@ -273,7 +311,7 @@ def _measured(odom_from_body: Pose, outside: Pose | None, step_s: float) -> Meas
         return None
     way_m = odom_from_body.rotation() @ outside.translation_m
     speed_mps = float(np.linalg.norm(way_m)) / step_s
-    return MeasuredStep(way_m, math.hypot(_OUTSIDE_STEP_M, _OUTSIDE_JITTER_S * speed_mps))
+    return MeasuredStep(way_m, math.hypot(_OUTSIDE_STEP_M, _OUTSIDE_JITTER_S * speed_mps, _OUTSIDE_DRIFT_MPS * step_s))
 
 
 def warm_up() -> None:
