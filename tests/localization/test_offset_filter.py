@@ -45,7 +45,7 @@ class Flight:
             seen = map_turn @ Pose(true.quat_wxyz, (1.0 + scale) * true.translation_m)
             if self.filter is None:
                 self.filter = OffsetFilter(odom, stamp_s)
-            self.filter.update(odom, seen, 0.01, stamp_s)
+            self.filter.update(odom, seen, np.eye(3), stamp_s)
             self.most_surprising = max(self.most_surprising, self.filter.surprise)
         assert self.filter is not None
         return self.filter

@@ -103,7 +103,9 @@ class NoCorrection:
 
 
 class FrameTracker(Protocol):
-    """Tracks frames against a map of its own, and of nothing else."""
+    """Tracks frames against a map of its own. ``determined`` (3, 3): share of the newest place that the view has determined."""
+
+    determined: FloatArray
 
     def add_imu(self, samples: list[ImuSample]) -> None:
         """Add inertial samples, oldest first."""
@@ -177,9 +179,9 @@ class TrackedCorrection:
             return
         if tracked.stamp_s - self._compared_s < _EVERY_S:
             return
-        sigma_m = math.sqrt(max(float(tracked.covariance[0, 0]), 0.0))
         there = self._odom_from_tracker @ tracked.odom_from_body
-        self._filter.update(odom.odom_from_body, there, sigma_m, tracked.stamp_s)
+        turn = self._odom_from_tracker.rotation()
+        self._filter.update(odom.odom_from_body, there, turn @ self._tracker.determined @ turn.T, tracked.stamp_s)
         wandered = Wandered(*self._filter.wander)
         then = self._surfaces.look(frame, there @ body_from_depth, self._filter.way_m, wandered)
         if then is not None:
@@ -268,7 +270,14 @@ class TrackedCorrection:
         before, after = self._believed(from_s), self._believed(to_s)
         if before is None or after is None or before.reset_counter != after.reset_counter:
             return None
-        return before.odom_from_body.inverse() @ after.odom_from_body
+        moved = before.odom_from_body.inverse() @ after.odom_from_body
+        drifted_m = self.drift_mps(to_s) * (to_s - from_s) * self._acts
+        return Pose(moved.quat_wxyz, moved.translation_m - before.odom_from_body.rotation().T @ drifted_m)
+
+    @property
+    def _acts(self) -> bool:
+        """True if odom surely drifts."""
+        return self._filter is not None and self._filter.surprise > _EXPLAINED_SIGMAS**2
 
     def heading_rad(self, stamp_s: float) -> float | None:
         """Return the heading of the body in the tracker's odom, by odom; None if it is not known."""

@@ -47,7 +47,8 @@ _WAY_PER_RAD_M = 0.5  # a turn shows new surfaces as a way does
 _FIXED_WALK = 1e-4  # per root second: tilt, mount, scale
 _REVISIT_VARIANCE = np.array([0.03**2] * 3 + [math.radians(0.5) ** 2] * 3)  # of a registration to surfaces seen before
 # of one comparison; those within some seconds are alike
-_PLACE_M = 0.015
+_PLACE_M = 0.018
+_LEAST_SHARE = 0.01
 _ATTITUDE_RAD = math.radians(2.0)
 # the mean of the last squared innovations beyond which the source has begun to drift: then its rate may be anything
 _DRIFTING = 5.0
@@ -73,10 +74,10 @@ class OffsetFilter:
         sigma[MOUNT], sigma[SCALE], sigma[WANDER], sigma[RATE] = _MOUNT_RAD, _SCALE, _START_M, _RATE_MPS
         self.covariance = np.diag(sigma**2)
 
-    def update(self, odom_from_body: Pose, tracked: Pose, sigma_m: float, stamp_s: float) -> None:
+    def update(self, odom_from_body: Pose, tracked: Pose, determined: FloatArray, stamp_s: float) -> None:
         """Compare odom with the tracker's pose of the same instant.
 
-        sigma_m: standard deviation of the tracker's place.
+        determined (3, 3): share of the tracker's place that its view has determined, in odom axes.
         """
         self._predict(odom_from_body, stamp_s)
         away_m = odom_from_body.translation_m - self._pad_m
@@ -89,7 +90,8 @@ class OffsetFilter:
         rows[3:, MOUNT] = odom_from_body.rotation()
         turned = (tracked @ odom_from_body.inverse()).rotation_vector()
         off = np.concatenate((tracked.translation_m - odom_from_body.translation_m, turned)) - rows @ self.state
-        noise = np.diag([_PLACE_M**2 + sigma_m**2] * 3 + [_ATTITUDE_RAD**2] * 3)
+        noise = np.zeros((6, 6))
+        noise[:3, :3], noise[3:, 3:] = _place_noise(determined), _ATTITUDE_RAD**2 * np.eye(3)
         spread = rows @ self.covariance @ rows.T + noise
         if off[:3] @ np.linalg.solve(spread[:3, :3], off[:3]) > _SURPRISE:
             self.covariance[WANDER, WANDER] += np.outer(off[:3], off[:3])
@@ -148,6 +150,13 @@ class OffsetFilter:
         noise[TURN] = noise[MOUNT] = noise[SCALE] = _FIXED_WALK**2 * step_s
         self.state = transition @ self.state
         self.covariance = transition @ self.covariance @ transition.T + np.diag(noise)
+
+
+def _place_noise(determined: FloatArray) -> FloatArray:
+    """Return the covariance (3, 3) of a comparison of places: where the tracker follows odom, it says nothing of it."""
+    shares, axes = np.linalg.eigh(determined)
+    sigma_m = _PLACE_M / np.clip(shares, _LEAST_SHARE, 1.0)
+    return np.asarray(axes @ np.diag(sigma_m**2) @ axes.T)
 
 
 def _cross(v: FloatArray) -> FloatArray:

@@ -102,6 +102,7 @@ class SlamTracker:
     was not believed, None if it was.
 
     outside: another source of the body's motion, which the track follows where the view does not determine it.
+    ``determined`` (3, 3): share of the newest place, in odom axes, that the view has determined and not the prediction.
     """
 
     def __init__(self, outside: OutsideMotion | None = None) -> None:
@@ -109,6 +110,7 @@ class SlamTracker:
         self.volume = TsdfVolume()
         self.gyro = GyroAlignment()
         self.fault: TrackingFault | None = None
+        self.determined = np.eye(3)
         self._rest = RestDetector()
         self._landmarks = LandmarkTracker()
         self._monitor = TrackingMonitor()
@@ -264,6 +266,8 @@ class SlamTracker:
         step_s = stamp_s - state.stamp_s
         odom_from_body = found.odom_from_depth @ body_from_depth.inverse()
         self._motion.update(self._predicted, odom_from_body.translation_m, found.covariance[3:, 3:])
+        left = np.linalg.solve(prior.covariance[3:, 3:], found.covariance[3:, 3:])
+        self.determined = np.eye(3) - 0.5 * (left + left.T)
         velocity = self._motion.velocity_mps
         between = state.odom_from_body.inverse() @ odom_from_body
         self.gyro.update(state.stamp_s, stamp_s, between.rotation_vector())
