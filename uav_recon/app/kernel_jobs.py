@@ -20,7 +20,10 @@ SLAM = KernelJob("slam", f"{HERE}:slam", 15)
 
 
 def perception_jobs() -> list[KernelJob]:
-    """Return the jobs of the perception process: the embedded SLAM gives the poses, or corrects them."""
+    """Return the jobs of the perception process.
+
+    The embedded SLAM gives the poses, or corrects them.
+    """
     return [PERCEPTION, SLAM]
 
 

@@ -66,7 +66,10 @@ Seen = tuple[float, Float32Array, Intrinsics, Pose]  # stamp (s), depth (m), its
 
 
 class CorrectedDrift(NamedTuple):
-    """Motion of the depth imager in odom as the source gives it, and the drift (3,) of that odom that is corrected, in m/s."""
+    """Drift of odom that another method has found.
+
+    motion: of the depth imager in odom as the source gives it. drift_mps (3,): of that odom, in its axes.
+    """
 
     motion: CameraMotion
     drift_mps: FloatArray

@@ -45,7 +45,9 @@ class OdometryCorrection(Protocol):
     """
 
     @property
-    def reason(self) -> Reason | None: ...
+    def reason(self) -> Reason | None:
+        """The size of the correction, None for nothing."""
+        ...
 
     def add_imu(self, samples: list[ImuSample]) -> None:
         """Add inertial samples, oldest first. Does not block."""
@@ -103,7 +105,10 @@ class NoCorrection:
 
 
 class FrameTracker(Protocol):
-    """Tracks frames against a map of its own. ``determined`` (3, 3): share of the newest place that the view has determined."""
+    """Tracks frames against a map of its own.
+
+    ``determined`` (3, 3): share of the newest place that the view has determined, in the tracker's axes.
+    """
 
     determined: FloatArray
 
@@ -117,12 +122,20 @@ class FrameTracker(Protocol):
 
 
 class _Knot(NamedTuple):
-    """The correction at an instant: of the position of a body that is at pivot_m in odom, and of the heading."""
+    """The correction at an instant.
+
+    shift_m (3,): of a body that is at pivot_m (3,) in odom. yaw_rad: of its heading.
+    """
 
     stamp_s: float
     shift_m: FloatArray
     yaw_rad: float
     pivot_m: FloatArray
+
+    @property
+    def active(self) -> bool:
+        """True if anything is corrected."""
+        return bool(self.shift_m.any() or self.yaw_rad)
 
     def pose(self) -> Pose:
         """Return corrected_from_odom."""
@@ -135,9 +148,9 @@ class _Knot(NamedTuple):
 
 
 class TrackedCorrection:
-    """The tracker, the filter of the offset, and the correction that follows from it. Not thread-safe; about 9 ms a frame.
+    """A tracker, and the correction that follows from its difference to odom.
 
-    odom_at: odom without correction at an instant. make_tracker: of a tracker that asks for the motion by odom.
+    Not thread-safe; about 9 ms a frame. odom_at: odom without correction at an instant. make_tracker: of a tracker that asks for the motion by odom.
     """
 
     def __init__(
@@ -156,7 +169,7 @@ class TrackedCorrection:
 
     @property
     def reason(self) -> Reason | None:
-        """How much is corrected, None for nothing."""
+        """The size of the correction, None for nothing."""
         knot = self._knots[-1]
         shift_m = float(np.linalg.norm(knot.shift_m))
         if self._filter is None or (shift_m < _TOLD_M and abs(knot.yaw_rad) < _TOLD_RAD):
@@ -191,27 +204,35 @@ class TrackedCorrection:
     def advance(self, now_s: float, confirms: Callable[[FloatArray], bool]) -> None:
         """Move the correction towards the offset, as far as tracker and camera do not explain it."""
         knot = self._knots[-1]
-        odom = self._odom_at(now_s) if self._filter is not None else None
-        if odom is None or now_s <= knot.stamp_s:
+        if self._filter is None or now_s <= knot.stamp_s:
             return
-        step_s = min(now_s - knot.stamp_s, _EVERY_S)
-        place_m = odom.odom_from_body.translation_m
         if confirms(self.drift_mps(now_s)):
             self._confirmed_s = now_s
         shift_m, yaw_rad = self._wanted(now_s)
+        if not (shift_m.any() or yaw_rad or knot.active):
+            self._add_knot(_Knot(now_s, np.zeros(3), 0.0, np.zeros(3)))
+            return
+        odom = self._odom_at(now_s)
+        if odom is None:
+            return
+        step_s = min(now_s - knot.stamp_s, _EVERY_S)
+        place_m = odom.odom_from_body.translation_m
         before_m = knot.at(place_m)
         way_m = shift_m - before_m
         share = min(1.0, _SPEED_MPS * step_s / max(float(np.linalg.norm(way_m)), 1e-9))
         turn_rad = float(np.clip(yaw_rad - knot.yaw_rad, -_TURN_RADPS * step_s, _TURN_RADPS * step_s))
-        self._knots.append(_Knot(now_s, before_m + share * way_m, knot.yaw_rad + turn_rad, place_m))
-        while len(self._knots) > 2 and self._knots[1].stamp_s < now_s - _KEPT_S:
+        self._add_knot(_Knot(now_s, before_m + share * way_m, knot.yaw_rad + turn_rad, place_m))
+
+    def _add_knot(self, knot: _Knot) -> None:
+        self._knots.append(knot)
+        while len(self._knots) > 2 and self._knots[1].stamp_s < knot.stamp_s - _KEPT_S:
             self._knots.popleft()
 
     def corrected(self, estimate: StampedPose) -> StampedPose:
         """Return odom at its stamp with the correction of that instant."""
-        if self._filter is None:
-            return estimate
         knot = self._knot(estimate.stamp_s)
+        if self._filter is None or not (knot.active or self._knots[-1].active):
+            return estimate
         by = knot.pose()
         place_m, before = estimate.odom_from_body.translation_m, self._knot(estimate.stamp_s - _SPEED_OVER_S)
         speed_mps = np.zeros(3)
@@ -232,7 +253,8 @@ class TrackedCorrection:
         place_m, state = estimate.odom_from_body.translation_m, self._filter.state
         shift_m = state[OFFSET] - self.drift_mps(estimate.stamp_s) * (estimate.stamp_s - self._compared_s)
         return replace(
-            estimate, odom_from_body=_Knot(estimate.stamp_s, shift_m, float(state[YAW]), place_m).pose() @ estimate.odom_from_body
+            estimate,
+            odom_from_body=_Knot(estimate.stamp_s, shift_m, float(state[YAW]), place_m).pose() @ estimate.odom_from_body,
         )
 
     def drift_mps(self, now_s: float) -> FloatArray:
@@ -266,7 +288,10 @@ class TrackedCorrection:
         return None if odom is None or odom.quality == 0 else odom
 
     def moved(self, from_s: float, to_s: float) -> Pose | None:
-        """Return the pose of the body at an instant in the body at an earlier one, by odom; None if it is not known."""
+        """Return the pose of the body at an instant in the body at an earlier one.
+
+        None if odom does not know it. A drift that is sure is taken out.
+        """
         before, after = self._believed(from_s), self._believed(to_s)
         if before is None or after is None or before.reset_counter != after.reset_counter:
             return None
@@ -279,12 +304,12 @@ class TrackedCorrection:
         """True if odom surely drifts."""
         return self._filter is not None and self._filter.surprise > _EXPLAINED_SIGMAS**2
 
-    def heading_rad(self, stamp_s: float) -> float | None:
-        """Return the heading of the body in the tracker's odom, by odom; None if it is not known."""
+    def attitude(self, stamp_s: float) -> Pose | None:
+        """Return the attitude of the body in the tracker's odom, None if odom does not know it."""
         odom = self._believed(stamp_s) if self._filter is not None else None
         if odom is None or odom.reset_counter != self._reset_counter:
             return None
-        return (self._odom_from_tracker.inverse() @ odom.odom_from_body).yaw_rad()
+        return self._odom_from_tracker.inverse() @ odom.odom_from_body
 
 
 def _sure(surprise: float, sigmas: float) -> float:

@@ -3,11 +3,12 @@
 The tracker's pose of the body, in odom as both were on the pad, differs from odom's at the same instant by
 
     position:  c + s l + t x l + w        l: way from the pad
-    attitude:  y z + t + R m              R: attitude in odom
+    attitude:  y z + t + u + R m          R: attitude in odom
 
-with the offset of odom c and its heading y, and the errors of the other side: the map is too large by the share s (scale of
-depth), rotated by t (camera off its mount on the pad), the camera is rotated on the body by m, and the tracker has wandered by w.
-A Kalman filter keeps them apart: c changes with time, at a rate of its own; w with the way flown; the others hardly at all.
+c and y are the offset of odom and of its heading. The other side has errors, too: the map is too large by the share s (scale
+of depth) and rotated by t (camera off its mount on the pad), the camera is rotated on the body by m, and the tracker has
+wandered by w and u. A Kalman filter keeps them apart: c changes with time, at a rate of its own; w and u with the way flown; the
+others hardly at all. While c is surely not zero, the others are no longer estimated.
 """
 
 from __future__ import annotations
@@ -31,36 +32,39 @@ WANDER_TURN = slice(17, 20)  # rad
 WANDERED = np.arange(WANDER.start, WANDER_TURN.stop)
 SIZE = 20
 
-# standard deviations of honest cameras and poses
+# standard deviations of an honest camera, its tracker and the poses
 _MOUNT_RAD = math.radians(0.8)
 _SCALE = 0.012
-_START_M = 0.01
+_START_M = 0.01  # of both on the pad
 _LEVEL_RAD = math.radians(0.5)
 _RATE_MPS = 0.05  # of the drift, and the time in which it changes
 _RATE_S = 20.0
 _OFFSET_M_S = 0.003  # change of the offset and the heading, per root second
 _YAW_RAD_S = math.radians(0.1)
-_WANDER_M = 0.03  # of the tracker, per root metre
+_WANDER_M = 0.03  # of the tracker before new surfaces, per root metre
 _WANDER_RAD = math.radians(0.4)
-_LEVER_M = 3.0
+_LEVER_M = 3.0  # a tracker that is off in attitude, which gyro and gravity show, is off in place by this per radian
 _WAY_PER_RAD_M = 0.5  # a turn shows new surfaces as a way does
 _FIXED_WALK = 1e-4  # per root second: tilt, mount, scale
 _REVISIT_VARIANCE = np.array([0.03**2] * 3 + [math.radians(0.5) ** 2] * 3)  # of a registration to surfaces seen before
 # of one comparison; those within some seconds are alike
-_PLACE_M = 0.018
-_LEAST_SHARE = 0.01
+_PLACE_M = 0.018  # where the view determines the place
+_LEAST_SHARE = 0.03  # a smaller share of the view counts as this
 _ATTITUDE_RAD = math.radians(2.0)
 # the mean of the last squared innovations beyond which the source has begun to drift: then its rate may be anything
 _DRIFTING = 5.0
 _MEAN_OVER = 5
 _NEW_RATE_MPS = 0.05
 _SURE_SIGMAS = 3.0  # while the offset is surely not zero, the errors of the other side are not estimated by it
-_LEAST_M = 1e-3
+_LEAST_M = 1e-3  # of an offset, so that one on the pad is no surprise
 _SURPRISE = 25.0  # squared innovation of a place; a larger one is a step of the tracker, since odom makes none
 
 
 class OffsetFilter:
-    """State (17,) and covariance (17, 17), from the pose of the body on the pad on. Not thread-safe."""
+    """State (20,) and covariance (20, 20), from the pose of the body on the pad on. Not thread-safe.
+
+    ``way_m``: that the body has flown, with its turns.
+    """
 
     def __init__(self, odom_from_body: Pose, stamp_s: float) -> None:
         self._pad_m = odom_from_body.translation_m
@@ -92,14 +96,7 @@ class OffsetFilter:
         off = np.concatenate((tracked.translation_m - odom_from_body.translation_m, turned)) - rows @ self.state
         noise = np.zeros((6, 6))
         noise[:3, :3], noise[3:, 3:] = _place_noise(determined), _ATTITUDE_RAD**2 * np.eye(3)
-        spread = rows @ self.covariance @ rows.T + noise
-        if off[:3] @ np.linalg.solve(spread[:3, :3], off[:3]) > _SURPRISE:
-            self.covariance[WANDER, WANDER] += np.outer(off[:3], off[:3])
-            spread = rows @ self.covariance @ rows.T + noise
-        self._mean += (min(float(off[:3] @ np.linalg.solve(spread[:3, :3], off[:3])), _SURPRISE) - self._mean) / _MEAN_OVER
-        if self._mean > _DRIFTING:
-            self.covariance[RATE, RATE] += _NEW_RATE_MPS**2 * np.eye(3)
-            spread = rows @ self.covariance @ rows.T + noise
+        spread = self._spread(rows, noise, off)
         gain = np.linalg.solve(spread, rows @ self.covariance).T
         if self._mean > _DRIFTING or self.surprise > _SURE_SIGMAS**2:
             gain[TURN] = gain[MOUNT] = gain[SCALE] = 0.0
@@ -107,13 +104,28 @@ class OffsetFilter:
         kept = np.eye(SIZE) - gain @ rows
         self.covariance = kept @ self.covariance @ kept.T + gain @ noise @ gain.T
 
+    def _spread(self, rows: FloatArray, noise: FloatArray, off: FloatArray) -> FloatArray:
+        """Return the covariance (6, 6) of an innovation off (6,), after what it says of tracker and drift."""
+        spread = rows @ self.covariance @ rows.T + noise
+        if _square(off, spread) > _SURPRISE:
+            self.covariance[WANDER, WANDER] += np.outer(off[:3], off[:3])
+            spread = rows @ self.covariance @ rows.T + noise
+        self._mean += (min(_square(off, spread), _SURPRISE) - self._mean) / _MEAN_OVER
+        if self._mean > _DRIFTING:
+            self.covariance[RATE, RATE] += _NEW_RATE_MPS**2 * np.eye(3)
+            spread = rows @ self.covariance @ rows.T + noise
+        return np.asarray(spread)
+
     @property
     def wander(self) -> tuple[FloatArray, FloatArray]:
         """Return what the tracker has wandered (6,), place and turn, and the variances."""
         return self.state[WANDERED].copy(), np.diagonal(self.covariance)[WANDERED].copy()
 
     def revisit(self, wandered: FloatArray, variance: FloatArray) -> None:
-        """Take the tracker's wander (6,) from when it first saw what it sees again; see wander."""
+        """Take the tracker's wander (6,) from when it first saw what it sees again.
+
+        variance (6,): both as in wander.
+        """
         turned = self.state[WANDER_TURN]
         off = np.repeat((_LEVER_M**2, 1.0), 3) * float(turned @ turned)
         for k, value, sure in zip(WANDERED, wandered, np.maximum(variance + _REVISIT_VARIANCE, off), strict=True):
@@ -152,10 +164,18 @@ class OffsetFilter:
         self.covariance = transition @ self.covariance @ transition.T + np.diag(noise)
 
 
+def _square(off: FloatArray, spread: FloatArray) -> float:
+    """Return the squared innovation of the place, in standard deviations."""
+    return float(off[:3] @ np.linalg.solve(spread[:3, :3], off[:3]))
+
+
 def _place_noise(determined: FloatArray) -> FloatArray:
-    """Return the covariance (3, 3) of a comparison of places: where the tracker follows odom, it says nothing of it."""
+    """Return the covariance (3, 3) of a comparison of places.
+
+    Where the tracker follows odom, it says nothing of it.
+    """
     shares, axes = np.linalg.eigh(determined)
-    sigma_m = _PLACE_M / np.clip(shares, _LEAST_SHARE, 1.0)
+    sigma_m = _PLACE_M / np.clip(shares, _LEAST_SHARE, 1.0) ** 2
     return np.asarray(axes @ np.diag(sigma_m**2) @ axes.T)
 
 

@@ -243,7 +243,6 @@ class Perception:
         self._frames.publish(PosedFrame(calibration.corrected(frame), odom_from_depth, estimate.map_epoch))
         self.published_frames += 1
 
-
     def _register(self, frame: Frame) -> None:
         body_from_depth = self._mount.body_from_depth(frame.stamp_s)
         if body_from_depth is not None:

@@ -1,4 +1,7 @@
-"""Surfaces by when they were first seen: a tracker that sees old ones has wandered no more than it had then."""
+"""Surfaces by when they were first seen.
+
+A tracker that sees old ones has wandered no more than it had then.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +23,7 @@ _FEWEST = 20
 
 
 class Wandered(NamedTuple):
-    """What a tracker had wandered (6,), as OffsetFilter.wander, and the variances (6,)."""
+    """The wander (6,) of a tracker as in OffsetFilter.wander, and the variances (6,)."""
 
     mean: FloatArray
     variance: FloatArray
@@ -32,7 +35,10 @@ class _FirstSight(NamedTuple):
 
 
 class RevisitedSurfaces:
-    """Cells of 0.5 m with the way and the tracker's wander at their first sight. Not thread-safe; 0.2 ms a frame."""
+    """Cells of 0.5 m with the way and the tracker's wander at their first sight.
+
+    Not thread-safe; 0.2 ms a frame.
+    """
 
     def __init__(self) -> None:
         self._seen: dict[tuple[int, ...], _FirstSight] = {}
@@ -41,9 +47,9 @@ class RevisitedSurfaces:
         return len(self._seen)
 
     def look(self, frame: Frame, odom_from_depth: Pose, way_m: float, wandered: Wandered) -> Wandered | None:
-        """Remember what a frame shows; return the wander at first sight if most of it is old, None if it is not.
+        """Remember what a frame shows, and return the wander at its first sight.
 
-        way_m: that the tracker has flown.
+        None if too little of it is old. way_m: that the tracker has flown.
         """
         points = odom_from_depth.apply(_sampled(frame))
         rows, counts = np.unique(np.floor(points / _CELL_M).astype(np.int64), axis=0, return_counts=True)

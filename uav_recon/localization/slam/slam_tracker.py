@@ -51,6 +51,7 @@ _PROOF_LANDMARKS = 20  #: reject: after doubt, a frame with fewer of the landmar
 _OUTSIDE_STEP_M = 0.003  # standard deviation of a step that another source measures
 _OUTSIDE_JITTER_S = 0.005  # the same of the time between its poses, against that between the frames
 _OUTSIDE_DRIFT_MPS = 0.05
+_OUTSIDE_TURN_RAD = math.radians(0.3)
 _OUTSIDE_HEADING_RAD = math.radians(3.0)  # of a heading: weak, so that the view decides where it can
 _HEADING_SURPRISE = 25.0  # squared innovation of a heading, in standard deviations, beyond which it is not used
 _POSITION_SIGMA_M = 0.01
@@ -70,16 +71,21 @@ class TrackedState:
     turn_covariance: FloatArray
 
 
-
 class OutsideMotion(Protocol):
-    """Motion of the body by another source, which carries the track through views that do not determine it."""
+    """Motion of the body by another source.
+
+    It carries the track through views that do not determine it.
+    """
 
     def moved(self, from_s: float, to_s: float) -> Pose | None:
-        """Return the pose of the body at an instant in the body at an earlier one; None if it is not known."""
+        """Return the pose of the body at an instant in the body at an earlier one.
+
+        None if it is not known.
+        """
         ...
 
-    def heading_rad(self, stamp_s: float) -> float | None:
-        """Return the heading of the body in the tracker's odom at an instant; None if it is not known."""
+    def attitude(self, stamp_s: float) -> Pose | None:
+        """Return the attitude of the body in the tracker's odom, None if it is not known."""
         ...
 
 
@@ -90,7 +96,7 @@ class NoOutsideMotion:
         """Return None."""
         return None
 
-    def heading_rad(self, stamp_s: float) -> float | None:
+    def attitude(self, stamp_s: float) -> Pose | None:
         """Return None."""
         return None
 
@@ -210,11 +216,16 @@ class SlamTracker:
         step_s = stamp_s - state.stamp_s
         outside = self._outside.moved(state.stamp_s - self.delay_s, stamp_s - self.delay_s)
         moved = self._motion.predict(
-            step_s, state.odom_from_body, self.gyro.track(state.stamp_s, stamp_s), _measured(state.odom_from_body, outside, step_s)
+            step_s,
+            state.odom_from_body,
+            self.gyro.track(state.stamp_s, stamp_s),
+            _measured(state.odom_from_body, outside, step_s),
         )
         self._predicted = moved
         turned, rate = self.gyro.turn(state.stamp_s, stamp_s), self.gyro.rate(stamp_s)
         turn_sigma = self.gyro.turn_sigma_rad(state.stamp_s, stamp_s) if turned is not None else _BLIND_TURN_RADPS * step_s
+        if turned is None and outside is not None:
+            turned, turn_sigma = outside.rotation_vector(), _OUTSIDE_TURN_RAD
         turn = Pose.from_rotation_vector(np.zeros(3) if turned is None else turned, np.zeros(3))
         odom_from_body = Pose((state.odom_from_body @ turn).quat_wxyz, moved.place_m)
         rate_odom = np.zeros(3) if rate is None else odom_from_body.rotation() @ rate
@@ -231,10 +242,10 @@ class SlamTracker:
 
     def _take_heading(self, odom_from_body: Pose, covariance: FloatArray, stamp_s: float) -> Pose:
         """Correct the predicted heading, and the covariance (6, 6), by that of the other source."""
-        heading_rad = self._outside.heading_rad(stamp_s - self.delay_s)
-        if heading_rad is None:
+        attitude = self._outside.attitude(stamp_s - self.delay_s)
+        if attitude is None:
             return odom_from_body
-        off_rad = math.remainder(heading_rad - odom_from_body.yaw_rad(), math.tau)
+        off_rad = float((attitude @ odom_from_body.inverse()).rotation_vector()[2])
         variance = float(covariance[2, 2]) + _OUTSIDE_HEADING_RAD**2
         if off_rad**2 > _HEADING_SURPRISE * variance:
             return odom_from_body
