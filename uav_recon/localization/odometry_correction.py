@@ -150,7 +150,8 @@ class _Knot(NamedTuple):
 class TrackedCorrection:
     """A tracker, and the correction that follows from its difference to odom.
 
-    Not thread-safe; about 9 ms a frame. odom_at: odom without correction at an instant. make_tracker: of a tracker that asks for the motion by odom.
+    Not thread-safe; about 9 ms a frame. odom_at: odom without correction at an instant. make_tracker: of a tracker that asks
+    for the motion by odom.
     """
 
     def __init__(

@@ -7,8 +7,8 @@ The tracker's pose of the body, in odom as both were on the pad, differs from od
 
 c and y are the offset of odom and of its heading. The other side has errors, too: the map is too large by the share s (scale
 of depth) and rotated by t (camera off its mount on the pad), the camera is rotated on the body by m, and the tracker has
-wandered by w and u. A Kalman filter keeps them apart: c changes with time, at a rate of its own; w and u with the way flown; the
-others hardly at all. While c is surely not zero, the others are no longer estimated.
+wandered by w and u. A Kalman filter keeps them apart: c changes with time, at a rate of its own, w and u with the way
+flown, the others hardly at all. While c is surely not zero, the others are no longer estimated.
 """
 
 from __future__ import annotations
@@ -61,9 +61,9 @@ _SURPRISE = 25.0  # squared innovation of a place; a larger one is a step of the
 
 
 class OffsetFilter:
-    """State (20,) and covariance (20, 20), from the pose of the body on the pad on. Not thread-safe.
+    """State (20,) and covariance (20, 20), from the pose of the body on the pad on.
 
-    ``way_m``: that the body has flown, with its turns.
+    Not thread-safe. ``way_m``: that the body has flown, with its turns.
     """
 
     def __init__(self, odom_from_body: Pose, stamp_s: float) -> None:
@@ -105,7 +105,10 @@ class OffsetFilter:
         self.covariance = kept @ self.covariance @ kept.T + gain @ noise @ gain.T
 
     def _spread(self, rows: FloatArray, noise: FloatArray, off: FloatArray) -> FloatArray:
-        """Return the covariance (6, 6) of an innovation off (6,), after what it says of tracker and drift."""
+        """Return the covariance (6, 6) of an innovation off (6,).
+
+        A step of the tracker, or a new drift, is taken into the filter's covariance first.
+        """
         spread = rows @ self.covariance @ rows.T + noise
         if _square(off, spread) > _SURPRISE:
             self.covariance[WANDER, WANDER] += np.outer(off[:3], off[:3])

@@ -33,7 +33,8 @@ def pose_error_step(for_s: float = 3.0) -> Measure:
 def wrong_and_flown(beyond_m: float = 0.3) -> Measure:
     """Return a measure of the longest time (s) of flight by an ODOMETRY that is off.
 
-    That is by more than beyond_m. Off: against its error as the fault began. Flight: in the product's own mode, with the motors running.
+    Off: by more than beyond_m against its error as the fault began. Flight: in the product's own mode, with the motors
+    running.
     """
 
     def measure(e: FlightEvidence) -> float:
