@@ -40,6 +40,8 @@ _POINT_WEIGHT = 2.0  # weight of tracked points against patches: a point measure
 _VALID_DRIFT_MPS = 0.01
 #: land: share of a drift that is being corrected by which it may differ from the one that depth shows: it changes
 _CORRECTED_SHARE = 0.5
+#: internal: share of the drift that depth shows by which one that is known from elsewhere may differ, to be the same
+_CONFIRMED_SHARE = 0.7
 _SURE_S = 3.0  #: land: ... for this time: a hard manoeuvre shows more for a second
 _SURE_SIGMAS = 2.0  #: land: ... beyond this many standard deviations, which contain what the camera's errors may explain
 _YOUNGEST_S = 0.3  #: land: min. age of tracked points that count
@@ -121,7 +123,7 @@ class DriftRateEstimator:
     def confirms(self, known_mps: FloatArray) -> bool:
         """Return True if odom surely drifts, and by a velocity (3,) that is known from elsewhere."""
         off_mps = float(np.linalg.norm(self.velocity_mps - known_mps))
-        return self.excess > 1.0 and off_mps < _CORRECTED_SHARE * float(np.linalg.norm(self.velocity_mps))
+        return self.excess > 1.0 and off_mps < _CONFIRMED_SHARE * float(np.linalg.norm(self.velocity_mps))
 
     def _excess(self, corrected_mps: FloatArray | None) -> float:
         """Return the drift rate that is sure beside what is corrected, as a multiple of its limit."""
