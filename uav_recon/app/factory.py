@@ -306,6 +306,14 @@ def make_occupancy_map(config: Config) -> OccupancyMap:
     return OccupancyMap(grid, sensor, voxels.max_range_m, safety.fence_min_m, safety.fence_max_m, voxels.distance_cap_m)
 
 
+def with_preset(config: Config) -> Config:
+    """Return the config with the values of the planner's preset; applying it twice changes nothing."""
+    from uav_recon.planning.presets import derived
+
+    low_m, high_m = np.array(config.safety.fence_min_m), np.array(config.safety.fence_max_m)
+    return config.model_copy(update={"planner": derived(config.planner, low_m, high_m, camera_geometry(config))})
+
+
 def make_planner(config: Config, timer: Callable[[], float]) -> NarrowPassagePlanner:
     """Return the config's planner, with narrow passages for what it does not reach."""
     from uav_recon.planning.narrow_passages import NarrowPassagePlanner
@@ -398,6 +406,7 @@ def make_conductor(
     from uav_recon.mission.conductor import Conductor
     from uav_recon.mission.mission_setup import MissionChannels, MissionParameters, MissionStages
 
+    config = with_preset(config)
     mission, voxels, planner = config.mission, make_occupancy_map(config), make_planner(config, timer)
     retreat_m = min(config.safety.vehicle_radius_m + RETREAT_M, clearance_m := config.planner.clearance_m)
     orders = MissionParameters(
