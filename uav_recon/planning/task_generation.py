@@ -117,9 +117,9 @@ class ClusterTasks:
         return self._views.reasons(situation.voxels, situation.space, frontiers)
 
     def _explore(self, situation: PlanningContext, frontiers: Frontiers) -> tuple[list[CandidateView], int]:
-        """Return the tasks of the nearest frontiers, openings first, and the number of openings not searched yet.
+        """Return the tasks of the nearest frontiers, and the number of openings not searched yet.
 
-        The gain of a task is the unknown volume beyond all frontier cells that its view shows.
+        Openings come first. The gain of a task is the unknown volume beyond all frontier cells that its view shows.
         """
         if not self._explores:
             return [], 0

@@ -87,7 +87,10 @@ class Frontiers:
 
     @property
     def openings(self) -> int:
-        """Return the number of clusters with unknown space beyond them; the others are gaps in front of a wall."""
+        """Return the number of clusters with unknown space beyond them.
+
+        The others are gaps in front of a wall.
+        """
         return int(np.count_nonzero(self.table.beyond[self.rows()] >= OPENING))
 
     def rows(self) -> IntArray:
