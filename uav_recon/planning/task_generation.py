@@ -29,11 +29,15 @@ MAX_TASKS = 40
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GeneratedTasks:
-    """The tasks of one plan. widening: alpha once no opening can be viewed, else 1."""
+    """The tasks of one plan.
+
+    widening: alpha once no opening can be viewed, else 1. explored: no opening can be viewed.
+    """
 
     mode: PlanMode
     proposals: list[CandidateView]
     widening: float = 1.0
+    explored: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,7 +94,7 @@ class ClusterTasks:
             return GeneratedTasks(mode, explore)
         widening = 1.0 if opening.any() else self._end_factor
         surface = self._surfaces.propose(situation, question.surface, question.looks, widening)
-        return GeneratedTasks(mode, (explore + surface[:spare])[:MAX_TASKS], widening)
+        return GeneratedTasks(mode, (explore + surface[:spare])[:MAX_TASKS], widening, explored=not opening.any())
 
     def reasons(self, situation: PlanningContext, frontiers: Frontiers) -> Counter[ReasonCode]:
         """See TaskSource."""
