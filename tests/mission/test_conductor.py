@@ -49,6 +49,16 @@ def test_a_flight_from_pad_to_pad(desk: Desk) -> None:
     assert len(timeline.views) == 7
 
 
+def test_the_budget_is_told_when_nothing_is_left_to_explore(desk: Desk) -> None:
+    desk.planner.explored = True
+    desk.conductor.request_start()
+    desk.run(120.0, until=Phase.SURVEY)
+    desk.run(1.0)
+    assert desk.budget.asked_as_explored == {False}  # nothing is planned yet
+    desk.run(120.0, until=Phase.DONE)
+    assert desk.budget.asked_as_explored == {False, True}
+
+
 def test_the_view_budget_ends_the_survey(tmp_path: Path) -> None:
     desk = Desk(tmp_path, views=5)
     desk.conductor.request_start()

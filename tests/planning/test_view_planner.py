@@ -218,9 +218,17 @@ def test_surface_tasks_look_at_uncertain_surface_that_is_in_sight() -> None:
     assert isinstance(path, ViewPath)
     assert path.mode is PlanMode.MERGED
     assert all(task.kind is TaskKind.RECONSTRUCT for task in path.tasks)
+    assert path.explored
     assert_flyable(path, request)
     explore_only = planner_for(known, variant="explore").plan(request)
     assert isinstance(explore_only, NothingLeft)
+
+
+def test_a_room_with_an_open_door_is_not_explored() -> None:
+    world = looked_round(TWO_ROOMS)
+    path = planner_for(world.state).plan(dataclasses.replace(world.request(), surface=surface_of(TWO_ROOMS)))
+    assert isinstance(path, ViewPath)
+    assert not path.explored
 
 
 @pytest.mark.parametrize(("over", "left_to_surface"), [(-1, 0), (0, 0), (2, 2), (400, 10)])

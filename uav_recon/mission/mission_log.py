@@ -26,6 +26,7 @@ class MissionLog:
     tasks: int = 0
     failed_in_a_row: int = 0
     mode: str = ""
+    explored: bool = False
     note: Reason | None = None
     stop_reason: Reason | None = None
     aborted: Reason | None = None
@@ -53,6 +54,7 @@ class MissionLog:
             self.journal.plan(stamp_s, "", path.task_s, path.step_s, 0, 0, 0, waited_s)
             return
         self.mode = path.mode.value
+        self.explored = path.explored
         self.tasks = len(path.tasks)
         self.frontiers = path.frontiers
         explore, views = sum(task.kind is TaskKind.EXPLORE for task in path.tasks), len(path.viewpoints)

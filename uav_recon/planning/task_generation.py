@@ -32,13 +32,14 @@ class GeneratedTasks:
     """The tasks of one plan.
 
     frontiers: number of frontiers that can be viewed, and of openings that have not been searched for a view yet.
-    widening: alpha once no opening can be viewed, else 1.
+    widening: alpha once no opening can be viewed, else 1. explored: no opening can be viewed.
     """
 
     mode: PlanMode
     proposals: list[CandidateView]
     frontiers: int
     widening: float = 1.0
+    explored: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,16 +96,17 @@ class ClusterTasks:
         spare, frontiers = question.views_left - len(explore), len(found) + later
         if mode is PlanMode.EXPLORE or TaskKind.RECONSTRUCT not in self._variant.kinds or spare <= 0:
             return GeneratedTasks(mode, explore, frontiers)
-        surface, widening = self._surface(question, ended=self._explores and not opening.any(), only=not explore)
-        return GeneratedTasks(mode, (explore + surface[:spare])[:MAX_TASKS], frontiers, widening)
+        explored = self._explores and not opening.any()
+        surface, widening = self._surface(question, explored=explored, only=not explore)
+        return GeneratedTasks(mode, (explore + surface[:spare])[:MAX_TASKS], frontiers, widening, explored)
 
-    def _surface(self, question: TaskQuery, *, ended: bool, only: bool) -> tuple[list[CandidateView], float]:
+    def _surface(self, question: TaskQuery, *, explored: bool, only: bool) -> tuple[list[CandidateView], float]:
         """Return surface tasks near the vehicle, and the factor by which "near" was widened.
 
-        ended: exploration has ended, so that all tasks are sought far and wide. only: there is no other task, so that they are
+        explored: no opening can be viewed, so that all tasks are sought far and wide. only: there is no other task, so that they are
         if none is near.
         """
-        for widening in (self._end_factor,) if ended else (1.0, self._end_factor) if only else (1.0,):
+        for widening in (self._end_factor,) if explored else (1.0, self._end_factor) if only else (1.0,):
             tasks = self._surfaces.propose(question.situation, question.surface, question.looks, widening)
             if tasks:
                 break
