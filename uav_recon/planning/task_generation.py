@@ -103,8 +103,8 @@ class ClusterTasks:
     def _surface(self, question: TaskQuery, *, explored: bool, only: bool) -> tuple[list[CandidateView], float]:
         """Return surface tasks near the vehicle, and the factor by which "near" was widened.
 
-        explored: no opening can be viewed, so that all tasks are sought far and wide. only: there is no other task, so that they are
-        if none is near.
+        explored: no opening can be viewed, so tasks are sought in the whole room. only: there is no other task, so that they
+        are if none is near.
         """
         for widening in (self._end_factor,) if explored else (1.0, self._end_factor) if only else (1.0,):
             tasks = self._surfaces.propose(question.situation, question.surface, question.looks, widening)
