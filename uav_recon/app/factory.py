@@ -32,6 +32,7 @@ from uav_recon.types.vehicle import FlightPhase, VehicleState
 
 if TYPE_CHECKING:  # each process imports only the stages that it runs
     from uav_recon.autopilot.firmware.profile import FirmwareProfile
+    from uav_recon.autopilot.link.navigation import Navigation
     from uav_recon.autopilot.mavlink.allow_list import AllowListFilter
     from uav_recon.autopilot.mavlink.tlog import FrameLog
     from uav_recon.autopilot.parameters.preflight_check import ParameterCheck
@@ -105,14 +106,24 @@ def make_pilot(
 
     sight = recently_seen_space(config)
     guard = Guard(envelope(config), guard_bounds(config), sight)
-    channels = PilotChannels(wires.odom, wires.intent, wires.vehicle, wires.free, wires.nearby, wires.rates)
+    channels = PilotChannels(wires.odom, wires.intent, wires.vehicle, wires.free, wires.nearby, wires.rates, wires.reported)
     origin = Origin(config.link.origin_lat_deg, config.link.origin_lon_deg, config.link.origin_alt_m)
     (personality, _), rate_hz = firmware(config.link.autopilot), config.link.setpoint_rate_hz
     parameters = make_parameter_check(config)
     return wire_pilot(
         link, personality, guard, sight, failsafe_timeouts(config), channels, clock, origin, hull_geometry(config), rate_hz,
-        log, parameters, gate or make_allow_list_filter(config.link, clock),
+        log, parameters, gate or make_allow_list_filter(config.link, clock), make_navigation(config),
     )  # fmt: skip
+
+
+def make_navigation(config: Config) -> Navigation:
+    """Return who tells the autopilot where it is."""
+    from uav_recon.autopilot.link.navigation import AutopilotNavigation, CompanionNavigation
+    from uav_recon.autopilot.link.reported_poses import LocalPositionPoses, OdometryPoses
+
+    if config.localization.source != "autopilot":
+        return CompanionNavigation()
+    return AutopilotNavigation(OdometryPoses() if config.localization.autopilot_message == "odometry" else LocalPositionPoses())
 
 
 def failsafe_timeouts(config: Config) -> FailsafeTimeouts:
@@ -187,7 +198,8 @@ def make_parameter_check(config: Config) -> ParameterCheck:
     from uav_recon.autopilot.parameters.preflight_check import ParameterCheck
 
     try:
-        wanted = load(config.link.parameters or PARAMETER_FILES[config.link.autopilot])
+        file = config.link.parameters or PARAMETER_FILES[config.link.autopilot]
+        wanted = load(file, fed=config.localization.source != "autopilot")
     except ParameterFileError as error:
         raise UserError(f"link.parameters: {error}", EXIT_CONFIG) from None
     return ParameterCheck(wanted, firmware(config.link.autopilot)[1])
