@@ -57,8 +57,9 @@ if TYPE_CHECKING:  # each process imports only the stages that it runs
     from uav_recon.safety.recently_seen_space import RecentlySeenSpace
 
 PAD_FILE = "pad_origin.json"  # in the runtime folder
-#: reject: after a longer silence, a pose of the embedded SLAM until more agree with it; a camera loses up to five frames
-SLAM_BRIDGED_S = 0.7
+#: reject: after a longer silence, a pose of the embedded SLAM until more agree with it; a camera loses up to five frames, and
+#: two more must fit after a doubt
+SLAM_BRIDGED_S = 1.0
 NARROW_M = 0.15  #: plan: clearance of the hull on paths to where planner.clearance_m leads no more
 INSIDE_M = 0.03  #: plan: a motion stays this much farther inside the fence than the guard requires
 #: plan: clearance of the hull on the last possible paths home: the vehicle flew there, even if the map differs

@@ -37,7 +37,7 @@ class Flight:
     """A body along a path of sines, its inertial track by exact geometry, and its frames' places with noise."""
 
     def __init__(self, sensor: Sensor = _honest, inertial: bool = True, noise_mps2: float = 0.0) -> None:
-        self.filter = MotionFilter(self.place(0.0))
+        self.filter = MotionFilter(self.place(0.0), np.zeros(3))
         self.track = InertialTrack()
         self.worst_m = 0.0  # error of a predicted place
         self.used: list[bool] = []
@@ -93,7 +93,7 @@ class Flight:
 @pytest.mark.parametrize("acceleration", [0.0, 0.5, -1.5])
 def test_a_constant_acceleration_is_carried_exactly(acceleration: float) -> None:
     """From rest, s = a t² / 2 and v = a t; the body is turned by a quarter, so its own axis is another one."""
-    motion, track = MotionFilter(np.array([1.0, 2.0, 3.0])), InertialTrack()
+    motion, track = MotionFilter(np.array([1.0, 2.0, 3.0]), np.zeros(3)), InertialTrack()
     for n in range(101):
         track.push(n / 100, (0.0, 0.0, 0.0), (0.0, -acceleration, GRAVITY_MPS2))
     a, b = track.at(0.0), track.at(1.0)
