@@ -23,6 +23,10 @@ FlightOption = Annotated[
     ),
 ]
 FlightArgument = Annotated[Path, typer.Argument(metavar="FLIGHT", readable=False, help="A flight folder.")]
+TRACK_EXAMPLES = (
+    "uav-recon track orbslam3 --weights ORBvoc.txt",
+    "PYTHONPATH=DROID-SLAM/droid_slam uav-recon track droid --weights droid.pth",
+)
 REVIEW_EXAMPLES = ("uav-recon review flights/room-20260101-120000",)
 CALIBRATE_EXAMPLES = (
     "uav-recon calibrate --live                               # move the vehicle by hand until all is known",
@@ -92,6 +96,29 @@ def calibrate(
     from uav_recon.app import calibrate as calibration
 
     exit_with(lambda: calibration.calibrate(calibration.CalibrateOptions.of(recording, live, config, seconds, out, write)))
+
+
+def track(
+    engine: Annotated[str, typer.Argument(metavar="orbslam3|cuvslam|droid", help="The tracking engine.")],
+    weights: Annotated[
+        Path | None,
+        typer.Option("--weights", metavar="FILE", readable=False, help="orbslam3: ORBvoc.txt. droid: droid.pth."),
+    ] = None,
+    config: ConfigOption = CONFIG,
+) -> None:
+    """Track the camera stream with a SLAM engine of others, which is installed by you.
+
+    It reads frames of the camera stream and writes poses into it, in this process and outside the flight. The config has
+    camera.source and localization.source stream. docs/pose-sources/engines.md has the installation of each engine.
+    """
+    from uav_recon.app import processes
+    from uav_recon.app import track as tracking
+
+    def work() -> int:
+        stop = processes.Stop()
+        return tracking.track(tracking.TrackOptions(engine, config, weights), lambda: stop.asked)
+
+    exit_with(work)
 
 
 def review(flight: FlightArgument) -> None:
