@@ -188,7 +188,7 @@ class ViewPlanner:
         if proposal is None:
             return self._nothing(Reason(ReasonCode.NO_KNOWN_PATH), start_s, start_s)
         self._ways.update(situation.exit_cells, request.position_world, view_positions([proposal]))
-        return self._path(request, GeneratedTasks(PlanMode.EXPLORE, []), [proposal], [1], start_s, start_s)
+        return self._path(request, GeneratedTasks(PlanMode.EXPLORE, [], 0), [proposal], [1], start_s, start_s)
 
     def _look(self, request: PlanRequest) -> PlanningContext | Reason:
         """Update all caches with the map.
@@ -265,6 +265,7 @@ class ViewPlanner:
             tasks=chosen,
             task_s=tasks_made_s - start_s,
             step_s=self._timer() - start_s,
+            frontiers=harvest.frontiers,
             explored=harvest.explored,
         )
 
