@@ -32,7 +32,7 @@ class GeneratedTasks:
     """The tasks of one plan.
 
     frontiers: number of frontiers that can be viewed, and of openings that have not been searched for a view yet.
-    widening: alpha once no opening can be viewed, else 1. explored: no opening can be viewed.
+    widening: alpha once no opening can be viewed, else 1. explored: exploration has ended.
     """
 
     mode: PlanMode
@@ -96,17 +96,18 @@ class ClusterTasks:
         spare, frontiers = question.views_left - len(explore), len(found) + later
         if mode is PlanMode.EXPLORE or TaskKind.RECONSTRUCT not in self._variant.kinds or spare <= 0:
             return GeneratedTasks(mode, explore, frontiers)
-        explored = self._explores and not opening.any()
-        surface, widening = self._surface(question, explored=explored, only=not explore)
-        return GeneratedTasks(mode, (explore + surface[:spare])[:MAX_TASKS], frontiers, widening, explored)
+        ended = self._explores and not opening.any()
+        surface, widening = self._surface(question, ended=ended, only=not explore)
+        tasks = (explore + surface[:spare])[:MAX_TASKS]
+        return GeneratedTasks(mode, tasks, frontiers, widening, explored=ended and not later)
 
-    def _surface(self, question: TaskQuery, *, explored: bool, only: bool) -> tuple[list[CandidateView], float]:
+    def _surface(self, question: TaskQuery, *, ended: bool, only: bool) -> tuple[list[CandidateView], float]:
         """Return surface tasks near the vehicle, and the factor by which "near" was widened.
 
-        explored: no opening can be viewed, so tasks are sought in the whole room. only: there is no other task, so that they
+        ended: no opening can be viewed, so tasks are sought in the whole room. only: there is no other task, so that they
         are if none is near.
         """
-        for widening in (self._end_factor,) if explored else (1.0, self._end_factor) if only else (1.0,):
+        for widening in (self._end_factor,) if ended else (1.0, self._end_factor) if only else (1.0,):
             tasks = self._surfaces.propose(question.situation, question.surface, question.looks, widening)
             if tasks:
                 break

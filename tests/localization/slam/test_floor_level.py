@@ -56,7 +56,7 @@ def test_the_floor_corrects_the_accelerometer(roll: float, pitch: float, lean: f
     true = turned(lean, -lean)
     found = level_by_floor(seen_from(true), turned(roll, pitch) @ true, MOUNT)
     assert tilt_rad(found, true) < math.radians(0.1)
-    assert abs(found.yaw_rad() - (turned(roll, pitch) @ true).yaw_rad()) < math.radians(0.1)
+    assert found.yaw_rad() == pytest.approx(0.0, abs=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ import math
 
 import numpy as np
 
+from uav_recon.localization.slam.rest_detection import level_attitude
 from uav_recon.types.camera import Frame
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.pose import Pose
@@ -25,7 +26,7 @@ _MAX_SLOPE_RAD = math.radians(2.0)  #: internal: a plane farther off the acceler
 
 
 def level_by_floor(frame: Frame, odom_from_body: Pose, body_from_depth: Pose) -> Pose:
-    """Return odom_from_body turned so that the floor in view is level.
+    """Return odom_from_body with heading zero in which the floor in view is level.
 
     It is returned as it is if no floor is seen.
 
@@ -37,9 +38,7 @@ def level_by_floor(frame: Frame, odom_from_body: Pose, body_from_depth: Pose) ->
     slope = _slope(points) if len(points) >= _MIN_POINTS else None
     if slope is None or math.hypot(*slope) > math.tan(_MAX_SLOPE_RAD):
         return odom_from_body
-    up = np.array([-slope[0], -slope[1], 1.0])
-    axis = np.cross(up / np.linalg.norm(up), (0.0, 0.0, 1.0))  # its length is the sine of a small angle
-    return Pose.from_rotation_vector(axis, np.zeros(3)) @ odom_from_body
+    return level_attitude(odom_from_body.rotation().T @ np.array([-slope[0], -slope[1], 1.0]))
 
 
 def _points(frame: Frame) -> FloatArray:

@@ -70,10 +70,7 @@ class RestDetector:
         if not (still and abs(float(np.linalg.norm(force)) - GRAVITY_MPS2) <= _MAX_GRAVITY_ERROR_MPS2):  # nor for NaN
             return None
         self.gyro_bias_radps, self._force_mps2 = mean, force
-        roll_rad, pitch_rad = math.atan2(force[1], force[2]), math.atan2(-force[0], math.hypot(force[1], force[2]))
-        pitched = Pose(np.array([math.cos(pitch_rad / 2), 0.0, math.sin(pitch_rad / 2), 0.0]), np.zeros(3))
-        rolled = Pose(np.array([math.cos(roll_rad / 2), math.sin(roll_rad / 2), 0.0, 0.0]), np.zeros(3))
-        return pitched @ rolled
+        return level_attitude(force)
 
     def force_offset_mps2(self, odom_from_body: Pose) -> FloatArray:
         """Return what the accelerometer measures beside gravity (3,) at rest.
@@ -84,3 +81,12 @@ class RestDetector:
             return np.zeros(3)
         up: FloatArray = odom_from_body.rotation()[2]
         return self._force_mps2 - GRAVITY_MPS2 * up
+
+
+def level_attitude(up_body: FloatArray) -> Pose:
+    """Return odom_from_body with heading zero in which a vector (3,) of the body points up."""
+    x, y, z = up_body.tolist()
+    roll_rad, pitch_rad = math.atan2(y, z), math.atan2(-x, math.hypot(y, z))
+    pitched = Pose(np.array([math.cos(pitch_rad / 2), 0.0, math.sin(pitch_rad / 2), 0.0]), np.zeros(3))
+    rolled = Pose(np.array([math.cos(roll_rad / 2), math.sin(roll_rad / 2), 0.0, 0.0]), np.zeros(3))
+    return pitched @ rolled
