@@ -136,7 +136,8 @@ def _from_recording(options: CalibrateOptions, config: Config) -> Any:
 def _open_recording(path: Path, config: Config, clock: ManualClock) -> tuple[DepthCamera, PoseSource, float, float]:
     """Return camera and poses of a recording, and its first and last instant.
 
-    Raises StreamError and UserError. It is an .npz file, or a ROS 2 bag with the poses of a body that carries the camera, as `uav-recon record` writes.
+    It is an .npz file, or a ROS 2 bag with the poses of a body that carries the camera, as `uav-recon record` writes. Raises
+    StreamError and UserError.
     """
     span_m = config.camera.depth_min_m, config.camera.depth_max_m
     if path.suffix == ".npz":
