@@ -330,7 +330,10 @@ def test_a_plan_that_comes_too_late_is_not_flown(desk: Desk, monkeypatch: pytest
     desk.run(20.0, until=Phase.RETURN)
     timeline = read_timeline(desk.folder)
     assert len(desk.planner.accepted) > asked
-    assert all(plan.hover_wait_s > 0.0 for plan in timeline.plans)  # each was asked again at rest
+    flown = [plan for plan in timeline.plans if plan.views]
+    assert all(plan.hover_wait_s > 0.0 for plan in flown)  # each was asked again at rest
+    assert len(timeline.plans) > len(flown)
+    assert desk.conductor._log.planning_s == pytest.approx(sum(plan.step_s for plan in timeline.plans))
 
 
 def test_a_hold_stops_it_and_a_start_lets_it_go_on(desk: Desk) -> None:

@@ -40,10 +40,11 @@ if TYPE_CHECKING:  # each process imports only the stages that it runs
     from uav_recon.autopilot.pilot.pilot import HullGeometry, Pilot
     from uav_recon.localization.camera_mount import Mount
     from uav_recon.localization.perception import Perception
-    from uav_recon.mapping.keyframe_selection import KeyframeSelection
+    from uav_recon.mapping.keyframe_selection import KeyframeSelection, PlannedViewsOnly
     from uav_recon.mapping.neural.neural_mapper import NeuralMapper
     from uav_recon.mapping.occupancy.occupancy_map import OccupancyMap
     from uav_recon.mission.conductor import Conductor
+    from uav_recon.mission.mission_setup import MissionParameters
     from uav_recon.motion.speed_limited_planner import SpeedLimitedPlanner
     from uav_recon.planning.camera_frustum import CameraGeometry
     from uav_recon.planning.narrow_passages import NarrowPassagePlanner
@@ -318,6 +319,17 @@ def make_occupancy_map(config: Config) -> OccupancyMap:
     return OccupancyMap(grid, sensor, voxels.max_range_m, safety.fence_min_m, safety.fence_max_m, voxels.distance_cap_m)
 
 
+def with_preset(config: Config) -> Config:
+    """Return the config with the values of the planner's preset.
+
+    Applying it twice changes nothing.
+    """
+    from uav_recon.planning.presets import derived
+
+    low_m, high_m = np.array(config.safety.fence_min_m), np.array(config.safety.fence_max_m)
+    return config.model_copy(update={"planner": derived(config.planner, low_m, high_m, camera_geometry(config))})
+
+
 def make_planner(config: Config, timer: Callable[[], float]) -> NarrowPassagePlanner:
     """Return the config's planner, with narrow passages for what it does not reach."""
     from uav_recon.planning.narrow_passages import NarrowPassagePlanner
@@ -375,10 +387,12 @@ def make_motion(config: Config, clearance_m: float) -> SpeedLimitedPlanner:
     )
 
 
-def make_keyframe_selection(config: Config, voxels: OccupancyMap) -> KeyframeSelection:
-    """Return the selection of keyframes within the view budget."""
-    from uav_recon.mapping.keyframe_selection import KeyframeSelection
+def make_keyframe_selection(config: Config, voxels: OccupancyMap) -> KeyframeSelection | PlannedViewsOnly:
+    """Return the selection of keyframes beside the planned views, within the view budget."""
+    from uav_recon.mapping.keyframe_selection import KeyframeSelection, PlannedViewsOnly
 
+    if config.planner.view_spacing_m is not None:
+        return PlannedViewsOnly()
     safety, camera = config.safety, config.camera
     low, high = np.array(safety.fence_min_m), np.array(safety.fence_max_m)
     return KeyframeSelection(voxels.grid, low, high, camera.depth_noise_px, camera.baseline_m)
@@ -408,31 +422,38 @@ def make_conductor(
 ) -> Conductor:
     """Return the mission with every stage warm."""
     from uav_recon.mission.conductor import Conductor
-    from uav_recon.mission.mission_setup import MissionChannels, MissionParameters, MissionStages
+    from uav_recon.mission.mission_setup import MissionChannels, MissionStages
 
-    mission, voxels, planner = config.mission, make_occupancy_map(config), make_planner(config, timer)
-    retreat_m = min(config.safety.vehicle_radius_m + RETREAT_M, clearance_m := config.planner.clearance_m)
-    orders = MissionParameters(
+    config = with_preset(config)
+    voxels, planner, orders = make_occupancy_map(config), make_planner(config, timer), mission_parameters(config)
+    channels = MissionChannels(
+        wires.frames, wires.vehicle, wires.intent, wires.progress, wires.voxels, wires.surface, wires.plan,
+        wires.correction, wires.free, wires.perception,
+    )  # fmt: skip
+    motions = (make_motion(config, kept_m) for kept_m in (orders.clearance_m, orders.clear_radius_m))
+    stages = MissionStages(voxels, make_keyframe_selection(config, voxels), mapper, planner, *motions)
+    return Conductor(stages, channels, orders, executor, journal, clock)
+
+
+def mission_parameters(config: Config) -> MissionParameters:
+    """Return the numbers of the mission; the config must have the values of its preset."""
+    from uav_recon.mission.mission_setup import MissionParameters
+
+    mission, clearance_m = config.mission, config.planner.clearance_m
+    return MissionParameters(
         views=mission.views,
         survey_views=mission.survey_views,
         view_spacing_m=config.planner.view_spacing_m or math.inf,
         takeoff_height_m=mission.takeoff_height_m,
         takeoff_radius_m=config.voxels.takeoff_radius_m,
         vehicle_height_m=config.safety.vehicle_height_m,
-        clear_radius_m=retreat_m,
+        clear_radius_m=min(config.safety.vehicle_radius_m + RETREAT_M, clearance_m),
         camera_pitch_down_rad=math.radians(config.camera.pitch_down_deg),
         max_flight_s=mission.max_flight_s,
         plan_cost_s=mission.plan_cost_s,
         clearance_m=clearance_m,
         operator_timeout_s=mission.operator_timeout_s or math.inf,
     )
-    channels = MissionChannels(
-        wires.frames, wires.vehicle, wires.intent, wires.progress, wires.voxels, wires.surface, wires.plan,
-        wires.correction, wires.free, wires.perception,
-    )  # fmt: skip
-    motions = (make_motion(config, kept_m) for kept_m in (clearance_m, retreat_m))
-    stages = MissionStages(voxels, make_keyframe_selection(config, voxels), mapper, planner, *motions)
-    return Conductor(stages, channels, orders, executor, journal, clock)
 
 
 def warm_up(config: Config) -> None:

@@ -89,6 +89,20 @@ class KeyframeSelection:
         return gain
 
 
+class PlannedViewsOnly:
+    """Selects no frame beside the planned views: views at a set spacing need the whole budget."""
+
+    def worth(self, posed: PosedFrame, views_left: int) -> bool:
+        """Return False."""
+        return False
+
+    def keep(self, posed: PosedFrame) -> None:
+        """Do nothing."""
+
+    def warm_up(self) -> None:
+        """Do nothing: there is no kernel."""
+
+
 @kernel
 def _gain(
     depth_m: AnyArray, lens: AnyArray, rotation: AnyArray, origin: AnyArray, sigma: float,

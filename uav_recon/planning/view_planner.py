@@ -148,7 +148,7 @@ class ViewPlanner:
         if not order:
             return self._nothing(self._why(situation, dropped), start_s, tasks_made_s)
         nodes = self._within_horizon(order, harvest.widening)
-        path = self._path(request, harvest.mode, tasks, nodes, start_s, tasks_made_s)
+        path = self._path(request, harvest.mode, tasks, nodes, start_s, tasks_made_s, harvest.frontiers)
         self._offered = path, tuple(tasks[node - 1] for node in nodes)
         return path
 
@@ -254,6 +254,7 @@ class ViewPlanner:
         nodes: list[int],
         start_s: float,
         tasks_made_s: float,
+        frontiers: int = 0,
     ) -> ViewPath:
         chosen = tuple(tasks[node - 1].task for node in nodes)
         return ViewPath(
@@ -265,6 +266,7 @@ class ViewPlanner:
             tasks=chosen,
             task_s=tasks_made_s - start_s,
             step_s=self._timer() - start_s,
+            frontiers=frontiers,
         )
 
     def _why(self, situation: PlanningContext, not_worth: int) -> Reason:
