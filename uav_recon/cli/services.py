@@ -31,7 +31,7 @@ REVIEW_EXAMPLES = ("uav-recon review flights/room-20260101-120000",)
 CALIBRATE_EXAMPLES = (
     "uav-recon calibrate --live                               # move the vehicle by hand until all is known",
     "uav-recon calibrate --live --seconds 60 --write new.toml # the config with the calibrated camera",
-    "uav-recon calibrate hand.npz --config config.toml --out residuals/",
+    "uav-recon calibrate hand.mcap --config config.toml --out residuals/     # after `uav-recon record hand.mcap`",
 )
 REFINE_EXAMPLES = (
     "uav-recon refine flights/room-20260101-120000                 # 8000 steps, 1 cm triangles",
@@ -76,7 +76,10 @@ def recorder(config: ConfigOption = CONFIG, flight: FlightOption = None) -> None
 
 def calibrate(
     recording: Annotated[
-        Path | None, typer.Argument(metavar="RECORDING", readable=False, help="An .npz recording of camera and poses.")
+        Path | None,
+        typer.Argument(
+            metavar="RECORDING", readable=False, help="An .npz file, or a ROS 2 bag such as `uav-recon record` writes."
+        ),
     ] = None,
     live: Annotated[bool, typer.Option("--live", help="Read the running camera stream while you move the vehicle.")] = False,
     config: ConfigOption = CONFIG,
