@@ -46,14 +46,14 @@ def depth_only_mapper(_config_path: Path, _: str) -> None:
     depth_surfels.warm_up()
 
 
-def flight_jobs(variants: Sequence[str] = ("adaptive",), neural: bool = True, pose: str = "stream") -> list[KernelJob]:
+def flight_jobs(variants: Sequence[str] = ("adaptive",), neural: bool = True) -> list[KernelJob]:
     """Return the jobs of flights with these planner variants.
 
-    neural: with the neural mapper, else with the depth-only one. pose: source of the poses.
+    neural: with the neural mapper, else with the depth-only one.
     """
     jobs = [job for variant in variants for job in kernel_jobs.mission_jobs(cast(VariantName, variant))]
     mission = dict.fromkeys(job for job in jobs if neural or job.name != kernel_jobs.MAPPER)
-    last = [*kernel_jobs.perception_jobs(pose), *([] if neural else [DEPTH_ONLY_MAPPER])]
+    last = [*kernel_jobs.perception_jobs(), *([] if neural else [DEPTH_ONLY_MAPPER])]
     return [SIMULATOR, *mission, *last]  # the scene is loaded after the first job, beside the others
 
 
@@ -65,7 +65,7 @@ def compile_ahead(jobs: Sequence[KernelJob], console: Console) -> None:
 def compile_all() -> None:
     """Compile the kernels of a flight with default options, and report the time."""
     begun_s, console = time.monotonic(), Console()
-    compile_ahead(flight_jobs(pose="slam"), console)
+    compile_ahead(flight_jobs(), console)
     console.print(f"all kernels are compiled: {time.monotonic() - begun_s:.0f} s", highlight=False)
 
 

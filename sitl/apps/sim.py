@@ -114,7 +114,7 @@ def _fly_in_real_time(options: SimOptions, runtime: Path, console: Console) -> F
 
 
 def _jobs(options: SimOptions) -> list[KernelJob]:
-    return flight_jobs((options.variant,), options.mapper == "neural", options.pose)
+    return flight_jobs((options.variant,), options.mapper == "neural")
 
 
 def _save_config(options: SimOptions, scene: Scene, runtime: Path) -> Config:

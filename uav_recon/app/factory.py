@@ -39,6 +39,8 @@ if TYPE_CHECKING:  # each process imports only the stages that it runs
     from uav_recon.autopilot.parameters.reader import ParameterEncoding
     from uav_recon.autopilot.pilot.pilot import HullGeometry, Pilot
     from uav_recon.localization.camera_mount import Mount
+    from uav_recon.localization.fusion_filter import FusionFilter
+    from uav_recon.localization.odometry_correction import OdometryCorrection
     from uav_recon.localization.perception import Perception
     from uav_recon.mapping.keyframe_selection import KeyframeSelection, PlannedViewsOnly
     from uav_recon.mapping.neural.neural_mapper import NeuralMapper
@@ -287,6 +289,7 @@ def connect_perception(
     """
     from uav_recon.localization.fusion_filter import FusionFilter
     from uav_recon.localization.kept_calibration import KeptCalibration
+    from uav_recon.localization.odometry_correction import NoCorrection
     from uav_recon.localization.perception import Perception
 
     tracks = config.localization.source == "slam"  # the poses come from the frames themselves
@@ -298,7 +301,16 @@ def connect_perception(
     return Perception(
         camera, poses, fusion, mount, wires.odom, wires.frames, wires.nearby, wires.perception, clock, rate_hz, wait_s,
         origin=origin, remarks=remarks, rates=wires.rates, kept=kept, corrects=not tracks,
+        correction=NoCorrection() if tracks else _tracked_correction(fusion),
     )  # fmt: skip
+
+
+def _tracked_correction(fusion: FusionFilter) -> OdometryCorrection:
+    from uav_recon.localization.odometry_correction import TrackedCorrection
+    from uav_recon.localization.slam import slam_tracker
+
+    slam_tracker.warm_up()
+    return TrackedCorrection(fusion.odom_at)
 
 
 def _flight_is_near(vehicle: VehicleState | None) -> bool:

@@ -19,9 +19,12 @@ PERCEPTION = KernelJob("perception", f"{HERE}:perception", 21)
 SLAM = KernelJob("slam", f"{HERE}:slam", 15)
 
 
-def perception_jobs(source: str) -> list[KernelJob]:
-    """Return the jobs of the perception process with a source of poses (localization.source)."""
-    return [PERCEPTION, SLAM] if source == "slam" else [PERCEPTION]
+def perception_jobs() -> list[KernelJob]:
+    """Return the jobs of the perception process.
+
+    The embedded SLAM gives the poses, or corrects them.
+    """
+    return [PERCEPTION, SLAM]
 
 
 def mission_jobs(variant: VariantName) -> list[KernelJob]:

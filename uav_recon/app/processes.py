@@ -163,9 +163,7 @@ def perception(config_path: Path) -> int:
     wires = file_channels(config.runtime.folder, PERCEPTION_WRITES)
 
     def compile_ahead() -> None:
-        compile_kernels(
-            kernel_jobs.perception_jobs(config.localization.source), config_path, log_progress(LOG), lambda: stop.asked
-        )
+        compile_kernels(kernel_jobs.perception_jobs(), config_path, log_progress(LOG), lambda: stop.asked)
 
     writer = ThreadExecutor("calibration", WRITER_PATIENCE_S)
     the_perception = factory.make_perception(config, wires, clock, lambda: stop.asked, compile_ahead, writer)

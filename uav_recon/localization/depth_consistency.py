@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterator
-from typing import TypeGuard
+from typing import NamedTuple, TypeGuard
 
 import numpy as np
 
@@ -23,7 +23,7 @@ from uav_recon.localization.past_view_comparison import (
     ViewSelection,
 )
 from uav_recon.types.camera import Frame, Intrinsics
-from uav_recon.types.frames import AnyArray, Float32Array
+from uav_recon.types.frames import AnyArray, Float32Array, FloatArray
 from uav_recon.types.pose import Pose
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
@@ -65,6 +65,16 @@ _SAMPLED_PX = 64  #: internal: a smaller image is not sampled
 Seen = tuple[float, Float32Array, Intrinsics, Pose]  # stamp (s), depth (m), its lens, pose in odom
 
 
+class CorrectedDrift(NamedTuple):
+    """Drift of odom that another method has found.
+
+    motion: of the depth imager in odom as the source gives it. drift_mps (3,): of that odom, in its axes.
+    """
+
+    motion: CameraMotion
+    drift_mps: FloatArray
+
+
 class DepthConsistencyMonitor:
     """Rejects depth frames that are inconsistent or contradict earlier ones, and reports drift.
 
@@ -89,10 +99,13 @@ class DepthConsistencyMonitor:
         self._drift_s = -math.inf
         self._same: tuple[Float32Array, Pose] | None = None
 
-    def rejection(self, frame: Frame, motion: CameraMotion | None, reset_counter: int = 0) -> Reason | None:
+    def rejection(
+        self, frame: Frame, motion: CameraMotion | None, reset_counter: int = 0, drift: CorrectedDrift | None = None
+    ) -> Reason | None:
         """Return why the frame may not be used for mapping and flight, None if it may.
 
-        Without a pose only the number of returns is checked.
+        Without a pose only the number of returns is checked. motion: in corrected odom. drift: what is corrected, None for
+        nothing.
         """
         share = _returns_share(frame.depth_m)
         if share < _MIN_RETURNS_SHARE:
@@ -109,7 +122,7 @@ class DepthConsistencyMonitor:
             if self._doubt is not None:
                 self._doubt.interrupt()
             return fault
-        return self._against_views(frame, motion)
+        return self._against_views(frame, motion, drift or CorrectedDrift(motion, np.zeros(3)))
 
     def _fault_in_itself(self, depth_m: Float32Array, odom_from_depth: Pose) -> Reason | None:
         """Return why a frame is wrong whatever was seen before, None for nothing."""
@@ -118,7 +131,7 @@ class DepthConsistencyMonitor:
             return Reason(ReasonCode.DEPTH_FRAME_NOISE, (alone,))
         return Reason(ReasonCode.DEPTH_FRAME_FROZEN) if frozen else None
 
-    def _against_views(self, frame: Frame, motion: CameraMotion) -> Reason | None:
+    def _against_views(self, frame: Frame, motion: CameraMotion, drift: CorrectedDrift) -> Reason | None:
         """Compare a frame with earlier views; remember it if it is accepted."""
         odom_from_depth = self.calibration.pose(motion)
         depth_m = self.calibration.corrected(frame).depth_m
@@ -138,7 +151,7 @@ class DepthConsistencyMonitor:
             self._doubt = _Doubt(frame.stamp_s, witnesses, CameraPose.of(odom_from_depth), self._fits_elder(seen))
             return Reason(ReasonCode.DEPTH_FRAME_SHIFTED if aside else ReasonCode.DEPTH_FRAME_CONTRADICTS)
         self._doubt = None
-        self._drift_rate.update(frame, motion)
+        self._drift_rate.update(frame, drift.motion, drift.drift_mps)
         moved = (
             _moved(self._past_views.compare_oldest(*seen, ALIKE), _EXPLAINED_SHARE)
             or _moved(self._past_views.compare_oldest(*seen, ALIKE_LATELY), _EXPLAINED_SHARE)
@@ -176,6 +189,10 @@ class DepthConsistencyMonitor:
     def calibration_filter(self) -> CalibrationFilter:
         """The filter of the camera's errors and of the drift."""
         return self._drift_rate.calibration
+
+    def confirms(self, drift_mps: FloatArray) -> bool:
+        """Return True if depth surely shows this drift (3,) of odom, too."""
+        return self._drift_rate.confirms(drift_mps)
 
     @property
     def at_rest(self) -> bool:

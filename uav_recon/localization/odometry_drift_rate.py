@@ -38,6 +38,8 @@ _WITHIN_SHARE = 0.6  #: land: min. share of them within reach: beside a person i
 _POINT_WEIGHT = 2.0  # weight of tracked points against patches: a point measures both image directions
 #: land: odom surely drifts by more; honest flights with camera errors: at most 0.0022 m/s, a drift of 0.05 m/s: 0.027
 _VALID_DRIFT_MPS = 0.01
+#: land: share of a drift that is being corrected by which it may differ from the one that depth shows: it changes
+_CORRECTED_SHARE = 0.5
 _SURE_S = 3.0  #: land: ... for this time: a hard manoeuvre shows more for a second
 _SURE_SIGMAS = 2.0  #: land: ... beyond this many standard deviations, which contain what the camera's errors may explain
 _YOUNGEST_S = 0.3  #: land: min. age of tracked points that count
@@ -74,8 +76,11 @@ class DriftRateEstimator:
         self.calibration.forget_drift()
         self._since_s = self._valid_s = math.inf
 
-    def update(self, frame: Frame, motion: CameraMotion) -> None:
-        """Compare an accepted frame with the stored views. Once per frame, about 1 ms; never blocks."""
+    def update(self, frame: Frame, motion: CameraMotion, corrected_mps: FloatArray | None = None) -> None:
+        """Compare an accepted frame with the stored views. Once per frame, about 1 ms; never blocks.
+
+        motion: in odom as the source gives it. corrected_mps (3,): drift of odom that is corrected, None for none.
+        """
         step_s = min(max(frame.stamp_s - self._stamp_s, 0.0), _LONGEST_STEP_S)
         self._stamp_s = frame.stamp_s
         self._since_s = min(self._since_s, frame.stamp_s)
@@ -87,7 +92,7 @@ class DriftRateEstimator:
         if self._settled:
             self._add_points(self._flow.update(frame, motion), information, weighted)
         self.calibration.update(step_s * information, step_s * weighted)
-        if self.excess <= 1.0:
+        if self._excess(corrected_mps) <= 1.0:
             self._valid_s = frame.stamp_s
 
     @property
@@ -112,6 +117,22 @@ class DriftRateEstimator:
         Above 1 odom drifts.
         """
         return self.calibration.drift_at_least_mps(_SURE_SIGMAS) / _VALID_DRIFT_MPS
+
+    def confirms(self, known_mps: FloatArray) -> bool:
+        """Return True if odom surely drifts, and by a velocity (3,) that is known from elsewhere."""
+        off_mps = float(np.linalg.norm(self.velocity_mps - known_mps))
+        return self.excess > 1.0 and off_mps < _CORRECTED_SHARE * float(np.linalg.norm(self.velocity_mps))
+
+    def _excess(self, corrected_mps: FloatArray | None) -> float:
+        """Return the drift rate that is sure beside what is corrected, as a multiple of its limit."""
+        if corrected_mps is None or not corrected_mps.any():
+            return self.excess
+        left_mps = self.velocity_mps - corrected_mps
+        speed_mps = float(np.linalg.norm(left_mps))
+        spread = self.calibration.covariance[DRIFT, DRIFT]
+        sigma_mps = math.sqrt(float(left_mps @ spread @ left_mps)) / max(speed_mps, 1e-9)
+        limit_mps = _VALID_DRIFT_MPS + _CORRECTED_SHARE * float(np.linalg.norm(corrected_mps))
+        return max(speed_mps - _SURE_SIGMAS * sigma_mps, 0.0) / limit_mps
 
     @property
     def _settled(self) -> bool:

@@ -13,11 +13,12 @@ from uav_recon.localization import axis_monitor, error_propagation, min_range_bi
 from uav_recon.localization.axis_monitor import AxisMonitor
 from uav_recon.localization.camera_motion import CameraMotion
 from uav_recon.localization.camera_mount import Mount
-from uav_recon.localization.depth_consistency import DepthConsistencyMonitor
+from uav_recon.localization.depth_consistency import CorrectedDrift, DepthConsistencyMonitor
 from uav_recon.localization.fusion_filter import FusionFilter
 from uav_recon.localization.inertial_selection import InertialSelection
 from uav_recon.localization.kept_calibration import KeptCalibration
 from uav_recon.localization.min_range_binning import nearest_in_cells
+from uav_recon.localization.odometry_correction import NoCorrection, OdometryCorrection
 from uav_recon.types.camera import Frame, PosedFrame
 from uav_recon.types.min_range_grid import MinRangeGrid
 from uav_recon.types.perception_status import PerceptionStatus
@@ -73,6 +74,7 @@ class Perception:
         rates: Channel[TurnRates] | None = None,
         kept: KeptCalibration | None = None,
         corrects: bool = True,
+        correction: OdometryCorrection | None = None,
     ) -> None:
         self._camera = camera
         self._poses = poses
@@ -88,6 +90,7 @@ class Perception:
         self._remarks = remarks
         self._inertial = InertialSelection(camera.imu, rates)
         self._kept = kept
+        self._correction = correction or NoCorrection()
         self._depth_consistency = DepthConsistencyMonitor(corrects)
         self._axes = AxisMonitor()
         warm_up()
@@ -107,9 +110,11 @@ class Perception:
         samples = self._inertial.samples(self._clock.now_s)
         self._fusion.add_imu(samples, self._clock.now_s())
         self._axes.add_imu(samples)
+        self._correction.add_imu(samples)
         for pose in self._poses.poses():
             self._fusion.add_pose(pose, now_s)
             self._axes.add_pose(pose)
+        self._correction.advance(now_s, self._depth_consistency.confirms)
         if self._rate.due(now_s):
             self._publish_odom(now_s)
         if self._status_rate.due(now_s):
@@ -133,8 +138,18 @@ class Perception:
         """Return why nobody may fly by the odometry, None for nothing."""
         return self._axes.reason or self._depth_consistency.drift(now_s)
 
+    def _odom_at(self, stamp_s: float) -> StampedPose | None:
+        """Return corrected odometry at an instant."""
+        estimate = self._fusion.odom_at(stamp_s)
+        return None if estimate is None else self._correction.corrected(estimate)
+
+    def _registered_at(self, stamp_s: float) -> StampedPose | None:
+        """Return odometry as the tracker's map has it, at an instant."""
+        estimate = self._fusion.odom_at(stamp_s)
+        return None if estimate is None else self._correction.registered(estimate)
+
     def _publish_odom(self, now_s: float) -> None:
-        estimate = self._fusion.odom_at(now_s)
+        estimate = self._odom_at(now_s)
         if estimate is None or (estimate.quality == 0 and self._said_lost):
             return
         wrong = self._wrong(now_s)
@@ -173,14 +188,17 @@ class Perception:
         estimate = self._fusion.odom_at(frame.stamp_s)
         if estimate is None or estimate.quality == 0:
             return self._depth_consistency.rejection(frame, None)
-        return self._depth_consistency.rejection(
-            frame, self._motion(frame.stamp_s, estimate, body_from_depth), estimate.reset_counter
-        )
+        motion = self._motion(frame.stamp_s, self._correction.registered(estimate), body_from_depth, self._registered_at)
+        source = self._motion(frame.stamp_s, estimate, body_from_depth, self._fusion.odom_at)
+        drift = CorrectedDrift(source, self._correction.drift_mps(frame.stamp_s))
+        return self._depth_consistency.rejection(frame, motion, estimate.reset_counter, drift)
 
-    def _motion(self, stamp_s: float, estimate: StampedPose, body_from_depth: Pose) -> CameraMotion:
+    def _motion(
+        self, stamp_s: float, estimate: StampedPose, body_from_depth: Pose, odom_at: Callable[[float], StampedPose | None]
+    ) -> CameraMotion:
         """Return the motion of the depth imager at a stamp, from its pose there and a moment before."""
         here = estimate.odom_from_body @ body_from_depth
-        before, mount = self._fusion.odom_at(stamp_s - _MOMENT_S), self._mount.body_from_depth(stamp_s - _MOMENT_S)
+        before, mount = odom_at(stamp_s - _MOMENT_S), self._mount.body_from_depth(stamp_s - _MOMENT_S)
         if before is None or mount is None or before.reset_counter != estimate.reset_counter:
             return CameraMotion.at_rest(here)
         return CameraMotion.between(before.odom_from_body @ mount, here, _MOMENT_S)
@@ -196,8 +214,9 @@ class Perception:
         calibration = self._depth_consistency.calibration_filter.summary()
         kept = None if self._kept is None else self._kept.reason
         return PerceptionStatus(
-            now_s, self.published_frames, frames, samples, newest, newest_s, self._origin(), calibration, self._remarks(), kept
-        )
+            now_s, self.published_frames, frames, samples, newest, newest_s, self._origin(), calibration, self._remarks(), kept,
+            self._correction.reason,
+        )  # fmt: skip
 
     def _publish_frame(self, now_s: float) -> None:
         """Publish at most one frame per step.
@@ -210,9 +229,10 @@ class Perception:
         if self._fusion.newest_pose_s < frame.stamp_s and now_s - frame.stamp_s < self._frame_wait_s:
             return
         self._waiting.popleft()
+        self._register(frame)
         calibration = self._depth_consistency.calibration
         taken_s = frame.stamp_s - calibration.delay_s
-        estimate = self._fusion.odom_at(taken_s)
+        estimate = self._odom_at(taken_s)
         body_from_depth = self._mount.body_from_depth(taken_s)
         if estimate is None or estimate.quality == 0 or body_from_depth is None:
             self._drop(now_s, Reason(ReasonCode.DEPTH_FRAME_UNPLACED))
@@ -222,6 +242,11 @@ class Perception:
         odom_from_depth = estimate.odom_from_body @ body_from_depth @ calibration.nominal_from_true
         self._frames.publish(PosedFrame(calibration.corrected(frame), odom_from_depth, estimate.map_epoch))
         self.published_frames += 1
+
+    def _register(self, frame: Frame) -> None:
+        body_from_depth = self._mount.body_from_depth(frame.stamp_s)
+        if body_from_depth is not None:
+            self._correction.add_frame(frame, body_from_depth)
 
 
 def warm_up() -> None:

@@ -30,8 +30,10 @@ class PerceptionLog:
         counts, before = newest.counts(), {} if written is None else written.counts()
         moved = newest.origin is not None and (written is None or written.origin != newest.origin)
         moved |= newest.kept is not None and (written is None or written.kept is None)
+        moved |= newest.correction is not None and (written is None or written.correction is None)
         remarked = set(newest.camera) > (set() if written is None else set(written.camera))
-        if moved or remarked or counts.keys() - before.keys() or (counts != before and now_s - self._written_s >= PERIOD_S):
+        changed = counts != before or newest.correction != (None if written is None else written.correction)
+        if moved or remarked or counts.keys() - before.keys() or (changed and now_s - self._written_s >= PERIOD_S):
             self._write(newest)
             self._written_s = now_s
 

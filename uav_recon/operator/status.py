@@ -26,7 +26,7 @@ class Status:
     counts by reason; perception_newest, perception_newest_s: the newest rejected depth frame and its age. origin:
     where the take-off pad is, if not at the pose source's origin, or that it is awaited. camera: its streams, and what is wrong
     with it, as texts; camera_codes: their codes. calibration: whether the errors of the camera began from those of an earlier
-    flight.
+    flight. correction: of the odometry, for a drift of the pose source.
     """
 
     pilot: str
@@ -54,6 +54,7 @@ class Status:
     camera: tuple[str, ...] = ()
     camera_codes: tuple[str, ...] = ()
     calibration: str = ""
+    correction: str = ""
 
     @staticmethod
     def of(
@@ -99,6 +100,7 @@ class Status:
             camera=() if perception is None else tuple(text_of(reason) for reason in perception.camera),
             camera_codes=() if perception is None else tuple(reason.code.value for reason in perception.camera),
             calibration="" if perception is None else text_of(perception.kept),
+            correction="" if perception is None else text_of(perception.correction),
         )
 
     @staticmethod
@@ -129,6 +131,7 @@ class Status:
             "note": self.note or None,
             "origin": self.origin or None,
             "calibr.": self.calibration or None,
+            "corrected": self.correction or None,
             "rejected": self._rejected(),
         }
         lines = [f"{name:9} {value if value is not None else '-'}" for name, value in known.items()]

@@ -121,7 +121,7 @@ class PerceptionRecord:
 
     newest: the newest rejected depth frame as text. origin: where the take-off pad is, if not at the pose source's origin.
     calibration: errors of the camera: name with unit, value, standard deviation. camera: its streams, and what is wrong with
-    it. kept: whether the errors began from an earlier flight.
+    it. kept: whether the errors began from an earlier flight. correction: of the odometry, for a drift of the pose source.
     """
 
     stamp_s: Float
@@ -132,6 +132,7 @@ class PerceptionRecord:
     calibration: tuple[tuple[str, Float, Float], ...] = ()
     camera: tuple[str, ...] = ()
     kept: str = ""
+    correction: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -288,9 +289,9 @@ class FlightLog:
         """Add the counts of what perception has rejected."""
         counts = tuple(sorted(status.counts().items()))
         texts = text_of(status.newest), text_of(status.origin)
-        camera, kept = tuple(text_of(reason) for reason in status.camera), text_of(status.kept)
+        camera, last = tuple(text_of(reason) for reason in status.camera), (text_of(status.kept), text_of(status.correction))
         self._write(
-            "perception", PerceptionRecord(status.stamp_s, status.frames, counts, *texts, status.calibration, camera, kept)
+            "perception", PerceptionRecord(status.stamp_s, status.frames, counts, *texts, status.calibration, camera, *last)
         )
 
     def outcome(self, stamp_s: float, aborted: Reason | None, stop_reason: Reason | None) -> None:

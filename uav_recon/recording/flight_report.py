@@ -70,6 +70,7 @@ def build_report(folder: Path, card: FlightInfo, wall_s: float) -> Report:
         else None,
         camera=tuple(dict.fromkeys(text for record in timeline.perception for text in record.camera)),
         kept_calibration=timeline.perception[-1].kept if timeline.perception else "",
+        correction=timeline.perception[-1].correction if timeline.perception else "",
     )
 
 

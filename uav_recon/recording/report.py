@@ -115,7 +115,8 @@ class Report:
     knowledge of the scene needs to see 95 % of it well. refused_views: keyframes that the mapper rejected, by reason.
     reduced_speed_s: seconds of the flight at a reduced speed, by reason; null in reports from before it was logged.
     camera_calibration: errors of the camera at the end, by name with unit: value and standard deviation; None if not published.
-    kept_calibration: whether these began from an earlier flight, as text; '' for nothing.
+    kept_calibration: whether these began from an earlier flight, as text; '' for nothing. correction: of the odometry at the
+    end, for a drift of the pose source; '' for none.
     rejected_by_perception: depth frames, poses and inertial samples that perception rejected, by reason; None if it published
     no counts. camera: its streams, and what was wrong with it, as texts. odometry: against the true path; None without it.
     """
@@ -147,6 +148,7 @@ class Report:
     rejected_by_perception: Mapping[str, int] | None = None
     camera_calibration: Mapping[str, tuple[float, float]] | None = None
     kept_calibration: str = ""
+    correction: str = ""
     camera: tuple[str, ...] = ()
     odometry: ReportOdometry | None = None
 

@@ -75,6 +75,7 @@ def render_page(report: Report, pictures: Sequence[Picture], notes: Sequence[str
         _camera(report),
         _odometry(report),
         _camera_calibration(report),
+        _correction(report),
         _safety(report),
         _planning(report),
         _flight(report),
@@ -183,6 +184,10 @@ def _camera_calibration(report: Report) -> str:
     if report.kept_calibration:
         rows.append(("Begun from", report.kept_calibration))
     return _table("Errors of the camera, as estimated in flight", rows)
+
+
+def _correction(report: Report) -> str:
+    return _table("Correction of the odometry", [("At the end", report.correction)]) if report.correction else ""
 
 
 def _rejected_by_perception(report: Report) -> str:

@@ -128,6 +128,10 @@ class ReasonCode(str, Enum):
     REDUCED_SPEED = "reduced-speed", "slow", "reduced speed"  # details: why
     FULL_SPEED = "full-speed", "full speed again"
     ODOMETRY_DRIFT = "odometry-drift", "odometry drift {0:.3f} m/s", "", (1.234,)
+    ODOMETRY_CORRECTED = (
+        "odometry-corrected", "odometry corrected by {0:.2f} m",
+        "the pose source drifts: odometry is corrected by {0:.2f} ± {2:.2f} m and {1:.1f} degrees", (12.34, -180.0, 12.34),
+    )  # fmt: skip
     SURFACES_MOVED = (
         "surfaces-moved", "surfaces {0:.2f} m off those {1:.0f} s ago",
         "surfaces are {0:.2f} m off where they were {1:.0f} s ago",

@@ -75,14 +75,19 @@ def moved(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Change:
     return lambda record, _: dataclasses.replace(record, position_m=record.position_m + np.array([x, y, z]))
 
 
-def drifting(x: float, y: float, max_m: float = 3.0) -> Change:
+def drifting(x: float = 0.0, y: float = 0.0, z: float = 0.0, max_m: float = 3.0) -> Change:
     """Return a change that shifts the position by a growing distance, in m/s, up to max_m."""
 
     def change(record: PoseRecord, since_s: float) -> PoseRecord:
-        drift_s = min(since_s, max_m / math.hypot(x, y))
-        return dataclasses.replace(record, position_m=record.position_m + np.array([x, y, 0.0]) * drift_s)
+        drift_s = min(since_s, max_m / math.hypot(x, y, z))
+        return dataclasses.replace(record, position_m=record.position_m + np.array([x, y, z]) * drift_s)
 
     return change
+
+
+def scaled(factor: float) -> Change:
+    """Return a change to a source whose ways are too long by a factor."""
+    return lambda record, _: dataclasses.replace(record, position_m=record.position_m * factor)
 
 
 def turned(degrees: float) -> Change:

@@ -30,6 +30,32 @@ def pose_error_step(for_s: float = 3.0) -> Measure:
     return measure
 
 
+def wrong_and_flown(beyond_m: float = 0.3) -> Measure:
+    """Return a measure of the longest time (s) of flight by an ODOMETRY that is off.
+
+    Off: by more than beyond_m against its error as the fault began. Flight: in the product's own mode, with the motors
+    running.
+    """
+
+    def measure(e: FlightEvidence) -> float:
+        w = e.wire
+        k = np.flatnonzero(w.odometry_s >= e.onset_s - 0.1)
+        if len(k) < 2:
+            return math.inf
+        stamps = w.odometry_s[k]
+        truth = np.stack([np.interp(stamps, e.stamp_s, e.position_m[:, axis]) for axis in range(3)], axis=1)
+        error = w.odometry_m[k] - truth
+        flown = np.interp(stamps, e.stamp_s, e.ours.astype(np.float64)) > 0.5
+        wrong = flown & (np.linalg.norm(error - error[0], axis=1) > beyond_m)
+        longest, since = 0.0, math.inf
+        for stamp_s, is_wrong in zip(stamps.tolist(), wrong.tolist(), strict=True):
+            since = min(since, stamp_s) if is_wrong else math.inf
+            longest = max(longest, stamp_s - since)
+        return longest
+
+    return measure
+
+
 def heading_error_step(for_s: float = 3.0) -> Measure:
     """Return a measure of the greatest change of ODOMETRY's heading error (degrees).
 

@@ -32,6 +32,7 @@ from sitl.faults.injectors.pose_stream import (
     map_turned,
     moved,
     other_origin,
+    scaled,
     stamped,
     turned,
 )  # fmt: skip
@@ -56,7 +57,7 @@ from sitl.faults.injectors.wrong_axes import (
 from sitl.faults.judges import odometry_metrics
 from sitl.faults.judges import reaction_metrics as m
 from sitl.faults.judges.invariants import Room
-from sitl.faults.judges.statustext_checks import statustext_after_arm_command, statustext_delay
+from sitl.faults.judges.statustext_checks import statustext_after_arm_command
 from sitl.faults.table.acceptance_limits import (
     COMPLETES,
     NEVER_ARMED,
@@ -113,6 +114,9 @@ NEVER_REPEATS = (
     Limit("ODOMETRY ends", odometry_metrics.poses_until, 0.5, "s"),
     Limit("change of the pose error", odometry_metrics.pose_error_step(), 0.05, "m"),
 )
+# A drift that depth can see is corrected, or it ends the flight.
+NEVER_ASTRAY = (clear(0.10), Limit("flown while off by 0.3 m", odometry_metrics.wrong_and_flown(), 0.5, "s"))
+DRIFTS = tuple(((v, 0.0), (0.0, v), (-v, 0.0), (0.0, -v)) for v in (0.01, 0.02, 0.05, 0.1, 0.2))
 # Where the poses are honest, no fault of the inertial sensor ends a flight.
 HONEST_POSES = (
     Limit("change of the pose error", odometry_metrics.pose_error_step(), 0.25, "m"),
@@ -350,13 +354,31 @@ TABLE_B = (
     Scenario(
         "B5",
         "pose drifts",
-        "0.05 m/s for a minute along either axis",
-        lambda n: [AlteredPoses(drifting(*((0.05, 0.0), (0.0, 0.05), (-0.05, 0.0), (0.0, -0.05))[n % 4]))],
-        (clear(0.10), Limit("alarm", statustext_delay(*codes.DRIFT), 10.0, "s")),
+        "0.01, 0.02, 0.05, 0.1, 0.2 m/s for a minute along either axis, up to 3 m",
+        lambda n: [AlteredPoses(drifting(*DRIFTS[n % 5][n % 4]))],
+        NEVER_ASTRAY,
         observe_s=80.0,
         camera="small",
     ),
-    Scenario("B6", "height drift, wrong scale", "z ramp, scales 0.9 and 1.1", why="perception does not detect it yet"),
+    Scenario(
+        "B6",
+        "height drifts",
+        "0.05, 0.02 m/s for a minute, up or down, up to 3 m",
+        lambda n: [AlteredPoses(drifting(z=(0.05, -0.05, 0.02, -0.02)[n % 4]))],
+        NEVER_ASTRAY,
+        observe_s=80.0,
+        camera="small",
+    ),
+    Scenario(
+        "B6s",
+        "wrong scale of the poses",
+        "ways too long or too short by 10, 5 %, from boot",
+        lambda n: [AlteredPoses(scaled((0.9, 1.1, 0.95, 1.05)[n % 4]))],
+        NEVER_ASTRAY,
+        onset=FROM_BOOT,
+        observe_s=120.0,
+        camera="small",
+    ),
     Scenario(
         "B7",
         "invalid poses",

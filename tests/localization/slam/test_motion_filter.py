@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from uav_recon.localization.imu_integration import GRAVITY_MPS2, InertialTrack
-from uav_recon.localization.slam.motion_filter import MotionFilter, PredictedMotion
+from uav_recon.localization.slam.motion_filter import MeasuredStep, MotionFilter, PredictedMotion
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.pose import Pose
 
@@ -166,3 +167,19 @@ def test_without_inertial_samples_the_velocity_comes_from_the_frames() -> None:
     blind, carried = flight.predict(1.0), Flight()
     carried.fly(6.0)
     assert np.trace(blind.place_covariance) > 10.0 * np.trace(carried.predict(1.0).place_covariance)
+
+
+def test_a_measured_step_carries_the_place_without_an_accelerometer() -> None:
+    motion = MotionFilter(np.zeros(3))
+    for _ in range(30):
+        moved = motion.predict(0.1, Pose.identity(), None, MeasuredStep(np.array([0.05, 0.0, 0.0]), 0.003))
+        motion.coast(moved)
+    np.testing.assert_allclose(moved.place_m, (1.5, 0.0, 0.0), atol=0.02)
+    assert math.sqrt(moved.place_covariance[0, 0]) < 0.05
+    assert np.linalg.eigvalsh(moved.covariance).min() > -1e-12
+
+
+def test_a_step_that_the_prediction_contradicts_is_left_out() -> None:
+    motion = MotionFilter(np.zeros(3))
+    moved = motion.predict(0.1, Pose.identity(), None, MeasuredStep(np.array([0.5, 0.0, 0.0]), 0.003))
+    assert abs(moved.place_m[0]) < 1e-9

@@ -26,6 +26,7 @@ _OFFSET_WALK = 0.02  # m/s² per root second
 _BLIND_MPS2 = 2.0  # white acceleration of a body without an accelerometer, over one frame
 _STEP_M = 0.004  # what the images themselves are off by, from frame to frame
 _SURPRISE = 25.0  # squared innovation of a place, in standard deviations; a larger one counts as this
+_STEP_SURPRISE = 25.0  # squared innovation of a measured step, in standard deviations, beyond which it is not used
 _MEAN_SURPRISE = 5.0  # mean over _MEAN_FRAMES that contradicts the accelerometer: after four large ones, or more small ones
 _MEAN_FRAMES = 15
 _TRUSTED_AGAIN = 45  # frames without a surprise until it is used again
@@ -58,6 +59,14 @@ class PredictedMotion:
         return self.covariance[PLACE, PLACE]
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class MeasuredStep:
+    """Way (3,) of the body between two frames, in odom axes, that another source has measured."""
+
+    way_m: FloatArray
+    sigma_m: float
+
+
 class MotionFilter:
     """State (9,): place (m), velocity (m/s), offset (m/s², body axes). Not thread-safe."""
 
@@ -87,11 +96,16 @@ class MotionFilter:
         )
 
     def predict(
-        self, step_s: float, odom_from_body: Pose, track: tuple[InertialState, InertialState] | None
+        self,
+        step_s: float,
+        odom_from_body: Pose,
+        track: tuple[InertialState, InertialState] | None,
+        measured: MeasuredStep | None = None,
     ) -> PredictedMotion:
         """Return the motion step_s later.
 
-        odom_from_body: attitude now. track: the inertial track now and then, None without an accelerometer.
+        odom_from_body: attitude now. track: the inertial track now and then, None without an accelerometer. measured: the same
+        step by another source; it is left out where the prediction contradicts it.
         """
         state, transition = self._now.state.copy(), np.eye(9)
         transition[PLACE, VELOCITY] = step_s * np.eye(3)
@@ -115,7 +129,13 @@ class MotionFilter:
             _add_white_acceleration(noise, _FORCE_DENSITY**2, step_s)
         noise[PLACE, PLACE] += _STEP_M**2 * np.eye(3)
         noise[OFFSET, OFFSET] += _OFFSET_WALK**2 * step_s * np.eye(3)
-        return PredictedMotion(state, transition @ self._now.covariance @ transition.T + noise)
+        covariance = transition @ self._now.covariance @ transition.T + noise
+        if measured is not None:
+            stepped = transition[PLACE] - np.eye(9)[PLACE]
+            of_step = stepped @ self._now.covariance @ stepped.T + noise[PLACE, PLACE]
+            cross = transition @ self._now.covariance @ stepped.T + noise[:, PLACE]
+            _take_step(state, covariance, measured.way_m - (state[PLACE] - self._now.place_m), of_step, cross, measured.sigma_m)
+        return PredictedMotion(state, covariance)
 
     def coast(self, predicted: PredictedMotion) -> None:
         """Take the predicted motion: the frame was not believed."""
@@ -140,6 +160,21 @@ class MotionFilter:
             self._calm, self._mean_surprise = 0, 0.0
         else:
             self._calm += 1
+
+
+def _take_step(
+    state: FloatArray, covariance: FloatArray, off_m: FloatArray, of_step: FloatArray, cross: FloatArray, sigma_m: float
+) -> None:
+    """Correct state (9,) and covariance (9, 9) by a measured step.
+
+    off_m (3,): measured less predicted. of_step (3, 3): covariance of the predicted step. cross (9, 3): of state and step.
+    """
+    spread = of_step + sigma_m**2 * np.eye(3)
+    if off_m @ np.linalg.solve(spread, off_m) > _STEP_SURPRISE:
+        return
+    gain = np.linalg.solve(spread, cross.T).T
+    state += gain @ off_m
+    covariance -= gain @ cross.T
 
 
 def _add_white_acceleration(noise: FloatArray, density2: float, step_s: float) -> None:

@@ -10,13 +10,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 
 from uav_recon.localization.slam.floor_level import level_by_floor
 from uav_recon.localization.slam.gyro_alignment import GyroAlignment
 from uav_recon.localization.slam.landmarks import Landmarks, LandmarkTracker, project
-from uav_recon.localization.slam.motion_filter import MotionFilter
+from uav_recon.localization.slam.motion_filter import MeasuredStep, MotionFilter
 from uav_recon.localization.slam.rest_detection import RestDetector
 from uav_recon.localization.slam.rgbd_registration import MotionPrior, Registration, register, search
 from uav_recon.localization.slam.rgbd_view import RgbdView
@@ -48,6 +49,12 @@ _BETTER = 1.02  # share of inliers by which another place must be better
 #: reject: after doubt, a frame with fewer of its depth points on known surfaces and fewer known landmarks than below
 _PROOF_SHARE = 0.4
 _PROOF_LANDMARKS = 20  #: reject: after doubt, a frame with fewer of the landmarks from before, and less known depth than above
+_OUTSIDE_STEP_M = 0.003  # standard deviation of a step that another source measures
+_OUTSIDE_JITTER_S = 0.005  # the same of the time between its poses, against that between the frames
+_OUTSIDE_DRIFT_MPS = 0.05
+_OUTSIDE_TURN_RAD = math.radians(0.3)
+_OUTSIDE_HEADING_RAD = math.radians(3.0)  # of a heading: weak, so that the view decides where it can
+_HEADING_SURPRISE = 25.0  # squared innovation of a heading, in standard deviations, beyond which it is not used
 _POSITION_SIGMA_M = 0.01
 _ROTATION_SIGMA_RAD = math.radians(0.3)
 
@@ -65,17 +72,52 @@ class TrackedState:
     turn_covariance: FloatArray
 
 
+class OutsideMotion(Protocol):
+    """Motion of the body by another source.
+
+    It carries the track through views that do not determine it.
+    """
+
+    def moved(self, from_s: float, to_s: float) -> Pose | None:
+        """Return the pose of the body at an instant in the body at an earlier one.
+
+        None if it is not known.
+        """
+        ...
+
+    def attitude(self, stamp_s: float) -> Pose | None:
+        """Return the attitude of the body in the tracker's odom, None if it is not known."""
+        ...
+
+
+class NoOutsideMotion:
+    """No other source."""
+
+    def moved(self, from_s: float, to_s: float) -> Pose | None:
+        """Return None."""
+        return None
+
+    def attitude(self, stamp_s: float) -> Pose | None:
+        """Return None."""
+        return None
+
+
 class SlamTracker:
     """Tracks the camera. Not thread-safe; about 8 ms a frame of 424x240 on one core.
 
     It starts at rest: the first poses come once the inertial samples have shown where down is. ``fault``: why the newest frame
     was not believed, None if it was.
+
+    outside: another source of the body's motion, which the track follows where the view does not determine it.
+    ``determined`` (3, 3): share of the newest place, in odom axes, that the view has determined and not the prediction.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, outside: OutsideMotion | None = None) -> None:
+        self._outside = outside or NoOutsideMotion()
         self.volume = TsdfVolume()
         self.gyro = GyroAlignment()
         self.fault: TrackingFault | None = None
+        self.determined = np.eye(3)
         self._rest = RestDetector()
         self._landmarks = LandmarkTracker()
         self._monitor = TrackingMonitor()
@@ -174,22 +216,44 @@ class SlamTracker:
     def _predict(self, state: TrackedState, stamp_s: float, body_from_depth: Pose) -> MotionPrior:
         """Return the predicted motion from the newest believed frame."""
         step_s = stamp_s - state.stamp_s
-        moved = self._motion.predict(step_s, state.odom_from_body, self.gyro.track(state.stamp_s, stamp_s))
+        outside = self._outside.moved(state.stamp_s - self.delay_s, stamp_s - self.delay_s)
+        moved = self._motion.predict(
+            step_s,
+            state.odom_from_body,
+            self.gyro.track(state.stamp_s, stamp_s),
+            _measured(state.odom_from_body, outside, step_s),
+        )
         self._predicted = moved
         turned, rate = self.gyro.turn(state.stamp_s, stamp_s), self.gyro.rate(stamp_s)
         turn_sigma = self.gyro.turn_sigma_rad(state.stamp_s, stamp_s) if turned is not None else _BLIND_TURN_RADPS * step_s
+        if turned is None and outside is not None:
+            turned, turn_sigma = outside.rotation_vector(), _OUTSIDE_TURN_RAD
         turn = Pose.from_rotation_vector(np.zeros(3) if turned is None else turned, np.zeros(3))
         odom_from_body = Pose((state.odom_from_body @ turn).quat_wxyz, moved.place_m)
         rate_odom = np.zeros(3) if rate is None else odom_from_body.rotation() @ rate
         arm_m = odom_from_body.rotation() @ body_from_depth.translation_m
         covariance = np.zeros((6, 6))
         covariance[:3, :3] = state.turn_covariance + turn_sigma**2 * np.eye(3)
+        odom_from_body = self._take_heading(odom_from_body, covariance, stamp_s)
         covariance[3:, 3:] = moved.place_covariance
         velocity = moved.velocity_mps + np.cross(rate_odom, arm_m)
         return MotionPrior(
             odom_from_body @ body_from_depth, covariance, turn_sigma, rate_odom, velocity, self._slow,
             self._slow_covariance,
         )  # fmt: skip
+
+    def _take_heading(self, odom_from_body: Pose, covariance: FloatArray, stamp_s: float) -> Pose:
+        """Correct the predicted heading, and the covariance (6, 6), by that of the other source."""
+        attitude = self._outside.attitude(stamp_s - self.delay_s)
+        if attitude is None:
+            return odom_from_body
+        off_rad = float((attitude @ odom_from_body.inverse()).rotation_vector()[2])
+        variance = float(covariance[2, 2]) + _OUTSIDE_HEADING_RAD**2
+        if off_rad**2 > _HEADING_SURPRISE * variance:
+            return odom_from_body
+        turned = Pose.from_rotation_vector(covariance[:3, 2] / variance * off_rad, np.zeros(3))
+        covariance[:3, :3] -= np.outer(covariance[:3, 2], covariance[2, :3]) / variance
+        return Pose((turned @ odom_from_body).quat_wxyz, odom_from_body.translation_m)
 
     def _follow(self, view: RgbdView, prior: MotionPrior) -> Landmarks:
         points = self._landmarks.points
@@ -215,6 +279,8 @@ class SlamTracker:
         step_s = stamp_s - state.stamp_s
         odom_from_body = found.odom_from_depth @ body_from_depth.inverse()
         self._motion.update(self._predicted, odom_from_body.translation_m, found.covariance[3:, 3:])
+        left = np.linalg.solve(prior.covariance[3:, 3:], found.covariance[3:, 3:])
+        self.determined = np.eye(3) - 0.5 * (left + left.T)
         velocity = self._motion.velocity_mps
         between = state.odom_from_body.inverse() @ odom_from_body
         self.gyro.update(state.stamp_s, stamp_s, between.rotation_vector())
@@ -254,6 +320,15 @@ class SlamTracker:
         covariance = np.diag([place_m2] * 3 + [_ROTATION_SIGMA_RAD**2] * 3)
         state = self._state
         return StampedPose(stamp_s - self.delay_s, state.odom_from_body, state.velocity_mps, covariance)
+
+
+def _measured(odom_from_body: Pose, outside: Pose | None, step_s: float) -> MeasuredStep | None:
+    """Return the motion by another source, of a body with this attitude, in odom."""
+    if outside is None:
+        return None
+    way_m = odom_from_body.rotation() @ outside.translation_m
+    speed_mps = float(np.linalg.norm(way_m)) / step_s
+    return MeasuredStep(way_m, math.hypot(_OUTSIDE_STEP_M, _OUTSIDE_JITTER_S * speed_mps, _OUTSIDE_DRIFT_MPS * step_s))
 
 
 def warm_up() -> None:

@@ -109,7 +109,7 @@ def test_seeds_can_begin_later_so_that_one_that_missed_is_flown_again(tmp_path: 
 @pytest.mark.parametrize(
     ("scenario", "reason"),
     [
-        ("B6", r"no flight: B6 cannot be flown \(perception does not detect it yet\)"),
+        ("B11", r"no flight: B11 cannot be flown \(needs visual tracking, which is not included\)"),
         ("A5", r"A5 cannot run in lockstep\. Run it with --real-time\."),
         ("G9", r"G9-2h cannot run in lockstep\. Run it with --real-time\."),
         ("A4,A5", r"A4, A5 cannot run in lockstep\. Run them with --real-time\."),
