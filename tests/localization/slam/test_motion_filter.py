@@ -170,7 +170,7 @@ def test_without_inertial_samples_the_velocity_comes_from_the_frames() -> None:
 
 
 def test_a_measured_step_carries_the_place_without_an_accelerometer() -> None:
-    motion = MotionFilter(np.zeros(3))
+    motion = MotionFilter(np.zeros(3), np.zeros(3))
     for _ in range(30):
         moved = motion.predict(0.1, Pose.identity(), None, MeasuredStep(np.array([0.05, 0.0, 0.0]), 0.003))
         motion.coast(moved)
@@ -180,6 +180,6 @@ def test_a_measured_step_carries_the_place_without_an_accelerometer() -> None:
 
 
 def test_a_step_that_the_prediction_contradicts_is_left_out() -> None:
-    motion = MotionFilter(np.zeros(3))
+    motion = MotionFilter(np.zeros(3), np.zeros(3))
     moved = motion.predict(0.1, Pose.identity(), None, MeasuredStep(np.array([0.5, 0.0, 0.0]), 0.003))
     assert abs(moved.place_m[0]) < 1e-9
