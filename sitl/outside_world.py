@@ -79,7 +79,17 @@ class Flyer(Protocol):
         ...
 
 
-class CameraStreamOutput(Protocol):
+class PoseOutput(Protocol):
+    """Output of the poses: the camera stream, or a tracker beside the autopilot."""
+
+    def write_pose(
+        self, stamp_s: float, position_m: F64, quat_wxyz: F64, variance: F64, quality: int, reset_counter: int
+    ) -> None:
+        """Write a pose odom_from_body at its delivery; arguments as PoseRecord."""
+        ...
+
+
+class CameraStreamOutput(PoseOutput, Protocol):
     """Output of the camera stream: the stream file's writer, or a fault injector before it."""
 
     def write_frame(self, stamp_s: float, depth_mm: NDArray[np.uint16], rgb: NDArray[np.uint8]) -> None:
@@ -88,12 +98,6 @@ class CameraStreamOutput(Protocol):
 
     def write_imu(self, stamp_s: float, gyro_radps: F64, specific_force_mps2: F64) -> None:
         """Write an IMU sample: gyro (3,), rad/s; specific force (3,), m/s^2; FLU."""
-        ...
-
-    def write_pose(
-        self, stamp_s: float, position_m: F64, quat_wxyz: F64, variance: F64, quality: int, reset_counter: int
-    ) -> None:
-        """Write a pose odom_from_body at its delivery; arguments as PoseRecord."""
         ...
 
 
@@ -144,10 +148,12 @@ class OutsideWorld:
         mount_pitch_down_rad: float | None,
         pace: StepSizes = FINE_STEPS,
         errors: CameraErrors = EXACT,
+        onboard: PoseOutput | None = None,
     ) -> None:
         """Set up the simulator at start_s.
 
         mount_pitch_down_rad: tilt of a fixed camera; None: a gimbal controlled by the flyer. errors: of the camera and its IMU.
+        onboard: takes the poses in place of the stream.
         """
         self.camera_errors = errors
         self._imu = CameraImu(errors, pace.imu_hz)
@@ -163,6 +169,7 @@ class OutsideWorld:
         self._poses = poses
         self.clearance = clearance
         self.stream = stream
+        self.onboard = onboard
         self._start_s = start_s
         self._mount_pitch_down_rad = mount_pitch_down_rad
         self._imu_count = self._truth_count = self._frame_count = 0
@@ -203,7 +210,7 @@ class OutsideWorld:
             return
         truth = self.flyer.truth()
         for record in self._poses.step(now_s, truth.position, truth.quat_wxyz):
-            self.stream.write_pose(
+            (self.onboard or self.stream).write_pose(
                 record.stamp_s, record.position_m, record.quat_wxyz, record.variance, record.quality, record.reset_counter
             )
 

@@ -87,7 +87,7 @@ def test_a_shell_with_one_end_from_the_preset_is_not_checked() -> None:
         ("link", "signing_key", "/etc/key", "link.signing_key: signs with link.autopilot ardupilot; PX4 has no signing before"),
         ("link", "url", "udp:10.41.1.1:14540", "link.peer_host: must name who may speak where link.url listens on a network"),
         ("camera", "source", "recorded", "camera.recording: must name a flight folder where camera.source is recorded"),
-        ("localization", "source", "ros2", "localization.source: must be stream where camera.source is recorded"),
+        ("localization", "source", "ros2", r"localization.source: must be stream \(the poses of the recording\) or slam"),
         ("recording", "live", True, "recording.live: true wants recording.rerun true"),
     ],
 )

@@ -27,7 +27,8 @@ ALLOWED = {
     "mission": {"types", "interfaces", "clock"},
     "operator": {"types", "interfaces", "json_codec"},
     "evaluation": {"types", "geometry"},
-    "app": {*BASE, *STAGES, "safety", "autopilot", "mission", "operator", "errors"},
+    "trackers": {"types", "interfaces", "sensors"},
+    "app": {*BASE, *STAGES, "safety", "autopilot", "mission", "operator", "trackers", "errors"},
     "bench": {*BASE, *STAGES, "evaluation", "app", "errors"},
     "cli": {"app", "bench", "operator", "errors"},
 }

@@ -183,7 +183,9 @@ class CameraConfig(Section):
 class LocalizationConfig(Section):
     """Fusion of delayed poses into continuous odometry."""
 
-    source: Literal["stream", "slam", "ros2"] = "stream"  # stream = with the camera; slam = embedded SLAM; ros2: see [ros2]
+    # stream = through the camera stream; slam = embedded SLAM; ros2: see [ros2]; autopilot = it navigates by itself
+    source: Literal["stream", "slam", "ros2", "autopilot"] = "stream"
+    autopilot_message: Literal["local_position", "odometry"] = "local_position"  # source autopilot: the message with its poses
     rate_hz: Annotated[float, Field(ge=20.0, le=200.0)] = 30.0  # rate of the odometry output
     origin: Literal["pad", "source"] = "pad"  # of the world: the body on the take-off pad, or the pose source's own origin
     pose_lost_s: Annotated[float, Field(gt=0.0, le=2.0)] = 0.5  # no pose for longer: quality 0

@@ -118,8 +118,8 @@ REQUIREMENTS = (
         "camera.recording: must name a flight folder where camera.source is recorded",
     ),
     Requirement(
-        lambda c: c.camera.source == "recorded" and c.localization.source != "stream",
-        "localization.source: must be stream where camera.source is recorded: the poses are in the recording",
+        lambda c: c.camera.source == "recorded" and c.localization.source not in ("stream", "slam"),
+        "localization.source: must be stream (the poses of the recording) or slam where camera.source is recorded",
     ),
     Requirement(
         lambda c: c.recording.live and not c.recording.rerun,

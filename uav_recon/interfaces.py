@@ -159,8 +159,11 @@ class ViewBudget(Protocol):
     No call blocks.
     """
 
-    def worth(self, posed: PosedFrame, views_left: int) -> bool:
-        """Return True if the frame should use one of the remaining views."""
+    def worth(self, posed: PosedFrame, views_left: int, *, explored: bool) -> bool:
+        """Return True if the frame should use one of the remaining views.
+
+        explored: the newest plan leads to no opening into unknown space.
+        """
         ...
 
     def keep(self, posed: PosedFrame) -> None:

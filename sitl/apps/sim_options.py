@@ -27,7 +27,7 @@ MAPPERS = ("neural", "depth-only")
 OLD_NAMES = {"stand-in": "depth-only"}  # of a mapper: still accepted
 VARIANTS = get_args(VariantName)
 UNCERTAINTIES = get_args(UncertaintyName)
-POSES = ("stream", "slam")
+POSES = ("stream", "slam", "autopilot")
 AUTOPILOTS = ("px4", "ardupilot")
 BUILT_IN_VIEWS = 60
 SCENE_VIEWS = 120
@@ -105,7 +105,7 @@ class SimOptions:
         if not SLOWEST_MPS <= blind_speed <= MAX_MPS:
             raise UsageError(f"--blind-speed {blind_speed}: want {SLOWEST_MPS} to {MAX_MPS} m/s")
         if firmware is not None:
-            _check_firmware(firmware, autopilot, mount, port, lockstep)
+            _check_firmware(firmware, autopilot, mount, port, lockstep, pose)
         s = _numbers("start", "X,Y,Z,YAW", start, 4)
         f = _numbers("fence", "X0,Y0,Z0,X1,Y1,Z1", fence, 6)
         if s is not None and not abs(s[3]) <= MAX_YAW_DEG:
@@ -181,7 +181,7 @@ class SimOptions:
             depth_noise=cast("Noise", self.depth_noise), camera=cast("Model", self.camera), port=self.port,
             stream=str(runtime / "camera.stream"),
             truth=str(self.out / "truth.npz"), firmware=None if self.firmware is None else str(self.firmware),
-            camera_errors=self.camera_errors,
+            camera_errors=self.camera_errors, onboard_poses=self.pose == "autopilot",
         )  # fmt: skip
 
     def config(self, scene: Scene, runtime: Path) -> Config:
@@ -271,11 +271,13 @@ def check_program(firmware: Path) -> None:
         raise UsageError(f"--firmware {firmware}: not executable")
 
 
-def _check_firmware(firmware: Path, autopilot: str, mount: str, port: int, lockstep: bool) -> None:
+def _check_firmware(firmware: Path, autopilot: str, mount: str, port: int, lockstep: bool, pose: str) -> None:
     """Check a firmware with the other options. Raises UsageError if it cannot fly with them."""
     check_program(firmware)
     if lockstep:
         raise UsageError("--firmware: flies in real time only; leave out --lockstep")
+    if pose == "autopilot":
+        raise UsageError("--pose autopilot: needs the simulated autopilot; leave out --firmware")
     if mount == "gimbal":
         raise UsageError("--firmware: needs --mount fixed:DEG; the firmware's simulation has no gimbal")
     if autopilot == "px4" and port != PX4_PORT:

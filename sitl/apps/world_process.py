@@ -35,6 +35,7 @@ from sitl.scene.mesh_simplification import simplified
 from sitl.scene.rasterizer import Renderer
 from sitl.scene.scene import Scene, load_scene
 from sitl.truth.hull_clearance import HullClearance
+from sitl.world.onboard_tracker import OnboardTracker
 from sitl.world.pose_tracker import SimulatedTracker
 from sitl.world.quadrotor import AirframeDynamics, Quadrotor
 from sitl.world.step_sizes import FINE_STEPS, StepSizes
@@ -65,6 +66,7 @@ class WorldOptions:
     stream: str
     truth: str
     firmware: str | None = None  # path of a real firmware, which flies in real time
+    onboard_poses: bool = False  # the poses go to the autopilot in place of the stream
     camera_errors: float = 0.0  # scale of the errors of the camera, which the seed draws; 0: the exact camera
 
     def save(self, path: Path) -> None:
@@ -119,7 +121,9 @@ def _assemble(
     flyer = boot(clearance)
     pitch_rad = None if options.mount_pitch_down_deg is None else math.radians(options.mount_pitch_down_deg)
     stream = StreamWriter(Path(options.stream), camera.header)
-    return OutsideWorld(flyer, camera, SimulatedTracker(options.seed), clearance, stream, now_s(), pitch_rad, pace, errors)
+    tracker = SimulatedTracker(options.seed)
+    onboard = OnboardTracker(options.seed, flyer.fuse_own) if options.onboard_poses and isinstance(flyer, Autopilot) else None
+    return OutsideWorld(flyer, camera, tracker, clearance, stream, now_s(), pitch_rad, pace, errors, onboard)
 
 
 def _autopilot(options: WorldOptions, scene: Scene, room: HullClearance, link: ByteEnd, pace: StepSizes) -> Autopilot:

@@ -10,13 +10,14 @@ from typing import Protocol
 
 from sitl.autopilots.autopilot_state import AutopilotState
 from sitl.autopilots.base_commands import BaseCommands
-from sitl.autopilots.ekf import Estimator
+from sitl.autopilots.ekf import Estimator, ExternalPose
 from sitl.autopilots.mavlink_server import MavlinkServer
 from sitl.autopilots.parameter_table import ParameterTable
 from sitl.autopilots.pilot_view import PilotView
-from sitl.geometry.ned_frd import frd_from_flu
+from sitl.geometry.ned_frd import frd_from_flu, ned_frd_from_enu_flu, ned_from_enu
 from sitl.geometry.quaternion import Quat, Vec3, conjugate, rotate
 from sitl.world.imu import Imu
+from sitl.world.pose_tracker import PoseRecord
 from sitl.world.quadrotor import Quadrotor
 
 _SLOW_S = 0.02  # period of commander and barometer (50 Hz)
@@ -175,6 +176,23 @@ class Autopilot(ABC):
     def set_battery(self, fraction: float) -> None:
         """Set the state of charge, 0 to 1."""
         self._board.battery.fraction = fraction
+
+    def fuse_own(self, pose: PoseRecord) -> None:
+        """Fuse a pose of the autopilot's own tracking system: z up, stamp on the world clock."""
+        b = self._board
+        x, y, z = pose.position_m.tolist()
+        qw, qx, qy, qz = pose.quat_wxyz.tolist()
+        b.estimator.take(
+            ExternalPose(
+                pose.stamp_s - b.boot_s,
+                ned_from_enu((x, y, z)),
+                ned_frd_from_enu_flu((qw, qx, qy, qz)),
+                float(pose.variance[:3].max()),
+                float(pose.variance[5]),
+                pose.quality,
+                pose.reset_counter,
+            )
+        )
 
     # -- time -----------------------------------------------------------------------------------------------------
 

@@ -8,14 +8,19 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
 from uav_recon.app import camera_sources
 from uav_recon.app.calibrate import PLOT, CalibrateOptions, calibrate, config_lines
+from uav_recon.clock import ManualClock
 from uav_recon.config import Config, load, save
 from uav_recon.errors import UserError
 from uav_recon.localization.calibration_filter import CameraCalibration
+from uav_recon.sensors.recordings.mcap_writer import McapWriter
+from uav_recon.sensors.recordings.recording import LEVEL_MOUNT
+from uav_recon.sensors.stream_format import CameraSpec, StreamHeader, StreamWriter
 from uav_recon.types.pose import Pose
 
 sys.path.append(str(Path(__file__).parents[1] / "localization"))
@@ -96,6 +101,89 @@ def test_a_camera_at_rest_is_not_calibrated_and_the_missing_motion_is_named(
     said = capsys.readouterr().out
     assert "turn left and right" in said
     assert "delay_s = 0.0\n" in said
+
+
+def _as_mcap(npz: Path, body_from_depth: Pose) -> Path:
+    """The same recording as `uav-recon record` writes it."""
+    path = npz.with_suffix(".mcap")
+    with np.load(npz) as data:
+        fx, fy, cx, cy, width, height = data["depth_intrinsics"].tolist()
+        lens, (h, w) = CameraSpec(int(width), int(height), fx, fy, cx, cy), data["rgb"].shape[1:3]
+        header = StreamHeader(lens, CameraSpec(w, h, fx, fy, cx, cy), (1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+        writer = McapWriter(path, header, body_from_depth, 10**9)
+        for stamp_s, place, quat in zip(data["pose_stamp_s"], data["pose_position_m"], data["pose_quat_wxyz"], strict=True):
+            writer.write_pose(float(stamp_s), Pose(quat, place), np.full(6, 1e-4))
+        for stamp_s, depth_mm, rgb in zip(data["frame_stamp_s"], data["depth_mm"], data["rgb"], strict=True):
+            writer.write_frame(float(stamp_s), depth_mm, rgb)
+    writer.close()
+    return path
+
+
+def test_a_bag_of_a_flight_gives_what_the_npz_file_gives(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    npz = _recording(tmp_path, 12.0)
+    said = []
+    for recording in (npz, _as_mcap(npz, camera_sources.tilted_camera(load(FLOWN)))):
+        calibrate(_options(tmp_path, recording, _config(tmp_path)))
+        said.append(capsys.readouterr().out)
+    values = [[float(row.split("│")[2]) for row in text.splitlines() if row.count("│") == 5] for text in said]
+    assert len(values[0]) >= 12
+    np.testing.assert_allclose(values[1], values[0], atol=0.003)
+    assert abs(values[0][0]) > 0.005  # the delay has been seen
+
+
+class FeedingClock(ManualClock):
+    """Time passes only while somebody sleeps, and a camera writes its stream meanwhile."""
+
+    def __init__(self, npz: Path, writer: StreamWriter) -> None:
+        super().__init__(100.0)
+        self._writer = writer
+        with np.load(npz) as data:
+            self._data = dict(data)
+        self._frame = self._pose = 0
+
+    def sleep_until(self, instant_s: float) -> None:
+        self.advance_to(instant_s)
+        data = self._data
+        while self._pose < len(data["pose_stamp_s"]) and 100.0 + data["pose_stamp_s"][self._pose] <= instant_s:
+            k, self._pose = self._pose, self._pose + 1
+            place, quat = data["pose_position_m"][k], data["pose_quat_wxyz"][k]
+            self._writer.write_pose(100.0 + data["pose_stamp_s"][k], place, quat, np.full(6, 1e-5))
+        while self._frame < len(data["frame_stamp_s"]) and 100.0 + data["frame_stamp_s"][self._frame] <= instant_s:
+            k, self._frame = self._frame, self._frame + 1
+            self._writer.write_frame(100.0 + data["frame_stamp_s"][k], data["depth_mm"][k], data["rgb"][k])
+
+
+def test_a_camera_that_runs_is_calibrated_until_it_is_known_well(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    npz = _recording(tmp_path, 40.0)
+    with np.load(npz) as data:
+        fx, fy, cx, cy, width, height = data["depth_intrinsics"].tolist()
+    lens = CameraSpec(int(width), int(height), fx, fy, cx, cy)
+    header = StreamHeader(lens, CameraSpec(4, 2, fx, fy, cx, cy), (1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+    clock = FeedingClock(npz, StreamWriter(tmp_path / "camera.stream", header))
+    monkeypatch.setattr("uav_recon.app.calibrate.MonotonicClock", lambda: clock)
+    config = load(_config(tmp_path, source="stream"))
+    save(config.model_copy(update={"runtime": config.runtime.model_copy(update={"folder": tmp_path})}), tmp_path / "live.toml")
+    code = calibrate(CalibrateOptions.of(None, True, tmp_path / "live.toml", 38.0, tmp_path / "out", tmp_path / "new.toml"))
+    said = capsys.readouterr().out
+    assert "turn left and right" in said  # what to do
+    assert clock.now_s() == pytest.approx(138.0)  # everything was seen after 33 s, but not well
+    assert code == 1
+    assert "not known yet" in said
+    assert load(tmp_path / "new.toml").camera.delay_s == pytest.approx(DELAY_S, abs=0.01)
+
+
+def test_a_bag_whose_poses_are_of_the_camera_is_one_line(tmp_path: Path) -> None:
+    bag = _as_mcap(_recording(tmp_path, 1.0, poses=False), LEVEL_MOUNT)
+    with pytest.raises(UserError, match="no frame with a pose"):
+        calibrate(_options(tmp_path, bag, _config(tmp_path)))
+    (tmp_path / "scenes").mkdir()
+    for name, image in (("depth", np.full((4, 6), 1000, np.uint16)), ("color", np.zeros((4, 6, 3), np.uint8))):
+        cv2.imwrite(str(tmp_path / f"scenes/frame-000000.{name}.png"), image)
+    np.savetxt(tmp_path / "scenes/frame-000000.pose.txt", np.eye(4))
+    with pytest.raises(UserError, match="7-Scenes folder with poses of the camera: want those of the vehicle"):
+        calibrate(_options(tmp_path, tmp_path / "scenes", _config(tmp_path)))
 
 
 @pytest.mark.parametrize("content", [b"", b"text", b"PK\x03\x04"])

@@ -97,7 +97,7 @@ def test_without_poses_in_the_stream_there_is_no_odometry(tmp_path: Path) -> Non
 
 
 def test_an_unknown_source_is_one_line_that_names_the_known_ones(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"localization\.source.*'stream', 'slam' or 'ros2'") as failure:
+    with pytest.raises(ConfigError, match=r"localization\.source.*'stream', 'slam', 'ros2' or 'autopilot'") as failure:
         _config(tmp_path, "gps")
     assert "\n" not in str(failure.value)
 

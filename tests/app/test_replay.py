@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from rich.console import Console
 
 from uav_recon.app.recording_survey import floor_normal, survey_recording
-from uav_recon.app.replay import ReplayOptions, replay
+from uav_recon.app.replay import POSES, ReplayOptions, replay, replay_config
 from uav_recon.errors import UserError
 from uav_recon.sensors.recordings.detection import ReadOptions, open_recording
 from uav_recon.types.camera import body_from_camera
@@ -110,6 +110,15 @@ def test_recording_without_poses_names_slam(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="7-Scenes folder without poses; --pose slam") as error:
         replay(ReplayOptions(tmp_path / "r", tmp_path / "out"), Console(quiet=True))
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("pose", POSES)
+def test_each_source_of_poses_gives_a_config_that_can_be_used(tmp_path: Path, pose: str) -> None:
+    write_recording(tmp_path / "r", SOURCE_FROM_WORLD)
+    recording = open_recording(tmp_path / "r", ReadOptions())
+    survey = survey_recording(recording, "auto", use_poses=pose == "recording")
+    config = replay_config(ReplayOptions(tmp_path / "r", tmp_path / "out", pose=pose), recording, survey)
+    assert config.localization.source == {"recording": "stream"}.get(pose, pose)
 
 
 @pytest.mark.parametrize(("name", "value"), [("pose", "gps"), ("mapper", "magic"), ("up", "down")])

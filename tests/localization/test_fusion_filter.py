@@ -238,6 +238,25 @@ def test_a_short_gap_is_bridged_by_the_imu() -> None:
     assert np.linalg.norm(odom.odom_from_body.translation_m - MOTION.position(gap_end_s)) < 0.06
 
 
+@pytest.mark.parametrize(
+    ("bridged_s", "silent_s", "offset_m", "fused"),
+    [(1.0, 0.9, 0.0, True), (1.0, 0.9, 0.12, True), (1.0, 0.9, 0.4, False), (1.0, 1.1, 0.0, False), (0.0, 0.6, 0.0, False)],
+)
+def test_after_a_silence_that_is_bridged_a_pose_is_fused_if_it_fits_the_track(
+    bridged_s: float, silent_s: float, offset_m: float, fused: bool
+) -> None:
+    fusion, rng = FusionFilter(bridged_s=bridged_s), np.random.default_rng(1)
+    for n in range(int((5.0 + silent_s) * 200) + 1):
+        t = n / 200
+        fusion.add_imu([_hovering(t, rng)])
+        if n % 20 == 0 and t <= 5.0:
+            fusion.add_pose(StampedPose(t, Pose.from_yaw(0.0, rng.normal(0.0, 0.002, 3)), np.zeros(3)), t)
+    back_s = 5.0 + silent_s
+    assert (
+        fusion.add_pose(StampedPose(back_s, Pose.from_yaw(0.0, np.array([offset_m, 0.0, 0.0])), np.zeros(3)), back_s) is fused
+    )
+
+
 @pytest.mark.parametrize("offset_m", [0.0, 3.0])
 @pytest.mark.parametrize(("imu_hz", "silent_s"), [(200, 12.0), (200, 25.0), (400, 5.0), (400, 60.0), (1000, 5.0)])
 def test_a_source_that_was_silent_longer_than_the_track_is_kept_is_believed_again(

@@ -70,7 +70,7 @@ class ThreeViews:
 
     def __init__(self) -> None:
         self.left = [np.array([1.5, 0.0, 1.1]), np.array([1.5, 1.5, 1.1]), np.array([0.0, 1.5, 1.1])]
-        self.no_way_home = self.settled = False
+        self.no_way_home = self.settled = self.explored = False
         self.accepted: list[ViewPath] = []
 
     def plan(self, request: PlanRequest) -> ViewPath | NothingLeft:
@@ -90,12 +90,12 @@ class ThreeViews:
     def next_view_has_gain(self, voxels: VoxelMap, position_world: FloatArray, yaw_rad: float) -> bool:
         return not self.settled
 
-    @staticmethod
-    def _to(request: PlanRequest, *views: Viewpoint) -> ViewPath:
+    def _to(self, request: PlanRequest, *views: Viewpoint) -> ViewPath:
         places = [request.position_world, *(view.position_world for view in views)]
         ways = tuple(np.array(leg) for leg in itertools.pairwise(places))
         tasks = tuple(Task(TaskKind.EXPLORE, view.position_world, view, 9.0) for view in views)
-        return ViewPath(views, ways, PlanMode.EXPLORE, request.voxels.revision, request.voxels.map_epoch, tasks, 0.01, 0.02)
+        of_map = request.voxels.revision, request.voxels.map_epoch
+        return ViewPath(views, ways, PlanMode.EXPLORE, *of_map, tasks, 0.01, 0.02, explored=self.explored)
 
 
 class Sketchbook:
@@ -124,7 +124,11 @@ class Sketchbook:
 
 
 class NoExtraViews:
-    def worth(self, posed: PosedFrame, views_left: int) -> bool:
+    def __init__(self) -> None:
+        self.asked_as_explored: set[bool] = set()
+
+    def worth(self, posed: PosedFrame, views_left: int, *, explored: bool) -> bool:
+        self.asked_as_explored.add(explored)
         return False
 
     def keep(self, posed: PosedFrame) -> None:
@@ -156,11 +160,12 @@ class Desk:
         self.voxels = OpenSpace()
         self.planner = ThreeViews()
         self.mapper = Sketchbook()
+        self.budget = NoExtraViews()
         motion = MotionPlanner(MotionConfig(), 0.35)
         orders = MissionParameters(views, 4, np.inf, 1.1, 0.6, 0.2, 0.3, 0.26, 300.0, 0.1, 0.35, operator_timeout_s)
         self.retreat = Asked(MotionConfig(), 0.30)
         stages = MissionStages(
-            self.voxels, NoExtraViews(), self.mapper, self.planner, self.paced(motion), self.paced(self.retreat)
+            self.voxels, self.budget, self.mapper, self.planner, self.paced(motion), self.paced(self.retreat)
         )
         self.folder = folder
         self.journal = FlightLog(folder)

@@ -49,6 +49,16 @@ def test_a_flight_from_pad_to_pad(desk: Desk) -> None:
     assert len(timeline.views) == 7
 
 
+def test_the_budget_is_told_when_nothing_is_left_to_explore(desk: Desk) -> None:
+    desk.planner.explored = True
+    desk.conductor.request_start()
+    desk.run(120.0, until=Phase.SURVEY)
+    desk.run(1.0)
+    assert desk.budget.asked_as_explored == {False}  # nothing is planned yet
+    desk.run(120.0, until=Phase.DONE)
+    assert desk.budget.asked_as_explored == {False, True}
+
+
 def test_the_view_budget_ends_the_survey(tmp_path: Path) -> None:
     desk = Desk(tmp_path, views=5)
     desk.conductor.request_start()
@@ -330,7 +340,10 @@ def test_a_plan_that_comes_too_late_is_not_flown(desk: Desk, monkeypatch: pytest
     desk.run(20.0, until=Phase.RETURN)
     timeline = read_timeline(desk.folder)
     assert len(desk.planner.accepted) > asked
-    assert all(plan.hover_wait_s > 0.0 for plan in timeline.plans)  # each was asked again at rest
+    flown = [plan for plan in timeline.plans if plan.views]
+    assert all(plan.hover_wait_s > 0.0 for plan in flown)  # each was asked again at rest
+    assert len(timeline.plans) > len(flown)
+    assert desk.conductor._log.planning_s == pytest.approx(sum(plan.step_s for plan in timeline.plans))
 
 
 def test_a_hold_stops_it_and_a_start_lets_it_go_on(desk: Desk) -> None:

@@ -6,9 +6,9 @@ from uav_recon.planning.mode_rules import Adaptive, AlwaysMerged, ExploreOnly, E
 from uav_recon.types.tasks import PlanMode
 
 
-def chosen(rule: ModeRule, *distance_m: float, gaps_m: tuple[float, ...] = ()) -> PlanMode:
+def chosen(rule: ModeRule, *distance_m: float, gaps_m: tuple[float, ...] = (), farther: int = 0) -> PlanMode:
     opening = np.array([True] * len(distance_m) + [False] * len(gaps_m), dtype=np.bool_)
-    return rule.choose(np.array([*distance_m, *gaps_m], dtype=np.float64), opening)
+    return rule.choose(np.array([*distance_m, *gaps_m], dtype=np.float64), opening, farther)
 
 
 def test_explores_only_with_more_than_enough_near_frontiers_and_more_than_their_share() -> None:
@@ -19,6 +19,12 @@ def test_explores_only_with_more_than_enough_near_frontiers_and_more_than_their_
     assert chosen(rule, *[1.0] * 4, *[5.0] * 16) is PlanMode.MERGED
     assert chosen(rule, *[1.6] * 9) is PlanMode.MERGED
     assert chosen(rule) is PlanMode.MERGED
+
+
+def test_the_share_is_that_of_all_openings() -> None:
+    rule = Adaptive(near_distance_m=1.5, near_count=3, near_share=0.2)
+    assert chosen(rule, *[1.0] * 5, farther=19) is PlanMode.EXPLORE
+    assert chosen(rule, *[1.0] * 5, farther=20) is PlanMode.MERGED
 
 
 def test_gaps_in_front_of_walls_are_not_counted() -> None:

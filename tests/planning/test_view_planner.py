@@ -56,6 +56,12 @@ def harvest_of(
     planner: ViewPlanner, request: PlanRequest, surface: SurfaceElements, views_left: int
 ) -> dict[TaskKind, list[Task]]:
     """Return all tasks of one plan, including those that its tour leaves out."""
+    tasks = [proposal.task for proposal in generated(planner, request, surface, views_left).proposals]
+    return {kind: [task for task in tasks if task.kind is kind] for kind in TaskKind}
+
+
+def generated(planner: ViewPlanner, request: PlanRequest, surface: SurfaceElements, views_left: int) -> GeneratedTasks:
+    """Return what the source of tasks gives for one plan."""
     propose, found = planner._source.propose, []
 
     def remember(question: TaskQuery) -> GeneratedTasks:
@@ -65,8 +71,7 @@ def harvest_of(
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(planner._source, "propose", remember)
         planner.plan(dataclasses.replace(request, surface=surface, views_left=views_left))
-    tasks = [proposal.task for proposal in found[0].proposals]
-    return {kind: [task for task in tasks if task.kind is kind] for kind in TaskKind}
+    return found[0]
 
 
 def assert_flyable(path: ViewPath, request: PlanRequest, start_is_flyable: bool = True) -> None:
@@ -213,9 +218,17 @@ def test_surface_tasks_look_at_uncertain_surface_that_is_in_sight() -> None:
     assert isinstance(path, ViewPath)
     assert path.mode is PlanMode.MERGED
     assert all(task.kind is TaskKind.RECONSTRUCT for task in path.tasks)
+    assert path.explored
     assert_flyable(path, request)
     explore_only = planner_for(known, variant="explore").plan(request)
     assert isinstance(explore_only, NothingLeft)
+
+
+def test_a_room_with_an_open_door_is_not_explored() -> None:
+    world = looked_round(TWO_ROOMS)
+    path = planner_for(world.state).plan(dataclasses.replace(world.request(), surface=surface_of(TWO_ROOMS)))
+    assert isinstance(path, ViewPath)
+    assert not path.explored
 
 
 @pytest.mark.parametrize(("over", "left_to_surface"), [(-1, 0), (0, 0), (2, 2), (400, 10)])
@@ -228,6 +241,27 @@ def test_surface_gets_the_views_that_frontiers_do_not_need(over: int, left_to_su
     found = harvest_of(planner_for(world.state, variant="merged"), world.request(), surface, frontiers + over)
     assert len(found[TaskKind.EXPLORE]) == frontiers
     assert len(found[TaskKind.RECONSTRUCT]) == left_to_surface
+
+
+def test_without_exploration_surface_is_sought_near_the_vehicle_first() -> None:
+    world = looked_round(TWO_ROOMS)
+    everywhere = surface_of(TWO_ROOMS)
+    far = np.linalg.norm(everywhere.position_world - world.position, axis=1) > 3.0
+    planner = planner_for(world.state, variant="reconstruct")
+    assert generated(planner, world.request(), everywhere, 50).widening == 1.0
+    elsewhere = dataclasses.replace(everywhere, uncertainty=np.where(far, 1.0, 0.0))
+    found = generated(planner, world.request(), elsewhere, 50)
+    assert found.proposals
+    assert found.widening == planner.config.end_factor
+
+
+def test_a_path_counts_the_frontiers_beyond_its_end() -> None:
+    world = looked_round(TWO_ROOMS)
+    planner = planner_for(world.state, variant="explore")
+    path = planner.plan(world.request())
+    assert isinstance(path, ViewPath)
+    assert path.frontiers >= len(harvest_of(planner, world.request(), surface_of(TWO_ROOMS), 400)[TaskKind.EXPLORE])
+    assert path.frontiers > len(path.tasks)
 
 
 def test_surface_tasks_run_out() -> None:

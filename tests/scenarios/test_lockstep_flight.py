@@ -158,3 +158,16 @@ def test_flights_with_camera_errors_repeat_byte_for_byte_and_keep_the_errors(tmp
         flown.append((folder / "flight.tlog").read_bytes())
         assert CameraErrors.load(folder / FILE_NAME) == CameraErrors.drawn(3, options.camera_errors)
     assert flown[0] == flown[1] != flown[2]
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
+def test_a_mission_by_the_autopilots_own_navigation_is_completed(tmp_path: Path, autopilot: str) -> None:
+    options = SimOptions.parse(
+        scene="random:7", views=VIEWS, seed=3, radius=0.15, mapper="depth-only", lockstep=True, out=tmp_path / "f",
+        autopilot=autopilot, pose="autopilot",
+    )  # fmt: skip
+    assert simulate(options) == 0
+    report = Report.load(tmp_path / "f" / "report.json")
+    assert report.outcome == "completed"
+    assert (report.safety.contacts, report.safety.failsafes) == (0, 0)

@@ -18,7 +18,10 @@ from uav_recon.app.option_validation import UsageError, require_writable_file, r
 from uav_recon.clock import ManualClock, MonotonicClock
 from uav_recon.config import Config
 from uav_recon.errors import EXIT_CONFIG, UserError
+from uav_recon.interfaces import DepthCamera, PoseSource
 from uav_recon.sensors.npz_recording import NpzRecording
+from uav_recon.sensors.recordings.detection import ReadOptions, open_recording
+from uav_recon.sensors.recordings.recording import LEVEL_MOUNT, PlaybackCamera, PlaybackPoses
 from uav_recon.sensors.stream_format import StreamError
 from uav_recon.types.camera import BODY_FROM_OPTICAL
 from uav_recon.types.pose import Pose
@@ -116,17 +119,42 @@ def _from_recording(options: CalibrateOptions, config: Config) -> Any:
     from uav_recon.sensors.corrected_camera import CorrectedCamera
 
     assert options.recording is not None
-    clock, camera = ManualClock(-math.inf), config.camera
+    clock, mount = ManualClock(-math.inf), FixedMount(camera_sources.tilted_camera(config))
     try:
-        source = NpzRecording(options.recording, clock, camera.depth_min_m, camera.depth_max_m)
+        camera, poses, begin_s, end_s = _open_recording(options.recording, config, clock)
+        calibrator = CameraCalibrator(
+            CorrectedCamera(camera, config.camera.delay_s, config.camera.depth_scale), poses, mount, clock
+        )
+        for step in range(math.ceil((end_s - begin_s) / _STEP_S) + 2):
+            clock.advance_to(begin_s + step * _STEP_S)
+            calibrator.step()
     except StreamError as error:
         raise UserError(str(error)) from None
-    corrected = CorrectedCamera(source, camera.delay_s, camera.depth_scale)
-    calibrator = CameraCalibrator(corrected, source, FixedMount(camera_sources.tilted_camera(config)), clock)
-    for step in range(math.ceil((source.end_s - source.begin_s) / _STEP_S) + 2):
-        clock.advance_to(source.begin_s + step * _STEP_S)
-        calibrator.step()
     return calibrator
+
+
+def _open_recording(path: Path, config: Config, clock: ManualClock) -> tuple[DepthCamera, PoseSource, float, float]:
+    """Return camera and poses of a recording, and its first and last instant.
+
+    It is an .npz file, or a ROS 2 bag with the poses of a body that carries the camera, as `uav-recon record` writes. Raises
+    StreamError and UserError.
+    """
+    span_m = config.camera.depth_min_m, config.camera.depth_max_m
+    if path.suffix == ".npz":
+        source = NpzRecording(path, clock, *span_m)
+        return source, source, source.begin_s, source.end_s
+    recording = open_recording(path, ReadOptions(*span_m))
+    info, poses = recording.info, recording.poses()
+    if not poses:
+        raise UserError(f"{path}: {info.kind} without poses: the camera is calibrated against the poses of the vehicle")
+    if info.body_from_depth is LEVEL_MOUNT:
+        raise UserError(
+            f"{path}: {info.kind} with poses of the camera: want those of the vehicle, as `uav-recon record` writes"
+        )
+    clock.advance_to(info.first_s)
+    camera = PlaybackCamera(recording, clock)
+    playback = PlaybackPoses(recording, clock, camera.shift_s, Pose.identity())
+    return camera, playback, info.first_s, max(info.last_s, poses[-1].stamp_s)
 
 
 def _live(options: CalibrateOptions, config: Config, console: Console) -> Any:

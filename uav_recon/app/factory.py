@@ -32,6 +32,7 @@ from uav_recon.types.vehicle import FlightPhase, VehicleState
 
 if TYPE_CHECKING:  # each process imports only the stages that it runs
     from uav_recon.autopilot.firmware.profile import FirmwareProfile
+    from uav_recon.autopilot.link.navigation import Navigation
     from uav_recon.autopilot.mavlink.allow_list import AllowListFilter
     from uav_recon.autopilot.mavlink.tlog import FrameLog
     from uav_recon.autopilot.parameters.preflight_check import ParameterCheck
@@ -41,10 +42,11 @@ if TYPE_CHECKING:  # each process imports only the stages that it runs
     from uav_recon.localization.fusion_filter import FusionFilter
     from uav_recon.localization.odometry_correction import OdometryCorrection
     from uav_recon.localization.perception import Perception
-    from uav_recon.mapping.keyframe_selection import KeyframeSelection
+    from uav_recon.mapping.keyframe_selection import KeyframeSelection, PlannedViewsOnly
     from uav_recon.mapping.neural.neural_mapper import NeuralMapper
     from uav_recon.mapping.occupancy.occupancy_map import OccupancyMap
     from uav_recon.mission.conductor import Conductor
+    from uav_recon.mission.mission_setup import MissionParameters
     from uav_recon.motion.speed_limited_planner import SpeedLimitedPlanner
     from uav_recon.planning.camera_frustum import CameraGeometry
     from uav_recon.planning.narrow_passages import NarrowPassagePlanner
@@ -57,8 +59,9 @@ if TYPE_CHECKING:  # each process imports only the stages that it runs
     from uav_recon.safety.recently_seen_space import RecentlySeenSpace
 
 PAD_FILE = "pad_origin.json"  # in the runtime folder
-#: reject: after a longer silence, a pose of the embedded SLAM until more agree with it; a camera loses up to five frames
-SLAM_BRIDGED_S = 0.7
+#: reject: after a longer silence, a pose of the embedded SLAM until more agree with it; a camera loses up to five frames, and
+#: two more must fit after a doubt
+SLAM_BRIDGED_S = 1.0
 NARROW_M = 0.15  #: plan: clearance of the hull on paths to where planner.clearance_m leads no more
 INSIDE_M = 0.03  #: plan: a motion stays this much farther inside the fence than the guard requires
 #: plan: clearance of the hull on the last possible paths home: the vehicle flew there, even if the map differs
@@ -106,14 +109,24 @@ def make_pilot(
 
     sight = recently_seen_space(config)
     guard = Guard(envelope(config), guard_bounds(config), sight)
-    channels = PilotChannels(wires.odom, wires.intent, wires.vehicle, wires.free, wires.nearby, wires.rates)
+    channels = PilotChannels(wires.odom, wires.intent, wires.vehicle, wires.free, wires.nearby, wires.rates, wires.reported)
     origin = Origin(config.link.origin_lat_deg, config.link.origin_lon_deg, config.link.origin_alt_m)
     (personality, _), rate_hz = firmware(config.link.autopilot), config.link.setpoint_rate_hz
     parameters = make_parameter_check(config)
     return wire_pilot(
         link, personality, guard, sight, failsafe_timeouts(config), channels, clock, origin, hull_geometry(config), rate_hz,
-        log, parameters, gate or make_allow_list_filter(config.link, clock),
+        log, parameters, gate or make_allow_list_filter(config.link, clock), make_navigation(config),
     )  # fmt: skip
+
+
+def make_navigation(config: Config) -> Navigation:
+    """Return who tells the autopilot where it is."""
+    from uav_recon.autopilot.link.navigation import AutopilotNavigation, CompanionNavigation
+    from uav_recon.autopilot.link.reported_poses import LocalPositionPoses, OdometryPoses
+
+    if config.localization.source != "autopilot":
+        return CompanionNavigation()
+    return AutopilotNavigation(OdometryPoses() if config.localization.autopilot_message == "odometry" else LocalPositionPoses())
 
 
 def failsafe_timeouts(config: Config) -> FailsafeTimeouts:
@@ -188,7 +201,8 @@ def make_parameter_check(config: Config) -> ParameterCheck:
     from uav_recon.autopilot.parameters.preflight_check import ParameterCheck
 
     try:
-        wanted = load(config.link.parameters or PARAMETER_FILES[config.link.autopilot])
+        file = config.link.parameters or PARAMETER_FILES[config.link.autopilot]
+        wanted = load(file, fed=config.localization.source != "autopilot")
     except ParameterFileError as error:
         raise UserError(f"link.parameters: {error}", EXIT_CONFIG) from None
     return ParameterCheck(wanted, firmware(config.link.autopilot)[1])
@@ -318,6 +332,17 @@ def make_occupancy_map(config: Config) -> OccupancyMap:
     return OccupancyMap(grid, sensor, voxels.max_range_m, safety.fence_min_m, safety.fence_max_m, voxels.distance_cap_m)
 
 
+def with_preset(config: Config) -> Config:
+    """Return the config with the values of the planner's preset.
+
+    Applying it twice changes nothing.
+    """
+    from uav_recon.planning.presets import derived
+
+    low_m, high_m = np.array(config.safety.fence_min_m), np.array(config.safety.fence_max_m)
+    return config.model_copy(update={"planner": derived(config.planner, low_m, high_m, camera_geometry(config))})
+
+
 def make_planner(config: Config, timer: Callable[[], float]) -> NarrowPassagePlanner:
     """Return the config's planner, with narrow passages for what it does not reach."""
     from uav_recon.planning.narrow_passages import NarrowPassagePlanner
@@ -375,10 +400,12 @@ def make_motion(config: Config, clearance_m: float) -> SpeedLimitedPlanner:
     )
 
 
-def make_keyframe_selection(config: Config, voxels: OccupancyMap) -> KeyframeSelection:
-    """Return the selection of keyframes within the view budget."""
-    from uav_recon.mapping.keyframe_selection import KeyframeSelection
+def make_keyframe_selection(config: Config, voxels: OccupancyMap) -> KeyframeSelection | PlannedViewsOnly:
+    """Return the selection of keyframes beside the planned views, within the view budget."""
+    from uav_recon.mapping.keyframe_selection import KeyframeSelection, PlannedViewsOnly
 
+    if config.planner.view_spacing_m is not None:
+        return PlannedViewsOnly()
     safety, camera = config.safety, config.camera
     low, high = np.array(safety.fence_min_m), np.array(safety.fence_max_m)
     return KeyframeSelection(voxels.grid, low, high, camera.depth_noise_px, camera.baseline_m)
@@ -408,31 +435,38 @@ def make_conductor(
 ) -> Conductor:
     """Return the mission with every stage warm."""
     from uav_recon.mission.conductor import Conductor
-    from uav_recon.mission.mission_setup import MissionChannels, MissionParameters, MissionStages
+    from uav_recon.mission.mission_setup import MissionChannels, MissionStages
 
-    mission, voxels, planner = config.mission, make_occupancy_map(config), make_planner(config, timer)
-    retreat_m = min(config.safety.vehicle_radius_m + RETREAT_M, clearance_m := config.planner.clearance_m)
-    orders = MissionParameters(
+    config = with_preset(config)
+    voxels, planner, orders = make_occupancy_map(config), make_planner(config, timer), mission_parameters(config)
+    channels = MissionChannels(
+        wires.frames, wires.vehicle, wires.intent, wires.progress, wires.voxels, wires.surface, wires.plan,
+        wires.correction, wires.free, wires.perception,
+    )  # fmt: skip
+    motions = (make_motion(config, kept_m) for kept_m in (orders.clearance_m, orders.clear_radius_m))
+    stages = MissionStages(voxels, make_keyframe_selection(config, voxels), mapper, planner, *motions)
+    return Conductor(stages, channels, orders, executor, journal, clock)
+
+
+def mission_parameters(config: Config) -> MissionParameters:
+    """Return the numbers of the mission; the config must have the values of its preset."""
+    from uav_recon.mission.mission_setup import MissionParameters
+
+    mission, clearance_m = config.mission, config.planner.clearance_m
+    return MissionParameters(
         views=mission.views,
         survey_views=mission.survey_views,
         view_spacing_m=config.planner.view_spacing_m or math.inf,
         takeoff_height_m=mission.takeoff_height_m,
         takeoff_radius_m=config.voxels.takeoff_radius_m,
         vehicle_height_m=config.safety.vehicle_height_m,
-        clear_radius_m=retreat_m,
+        clear_radius_m=min(config.safety.vehicle_radius_m + RETREAT_M, clearance_m),
         camera_pitch_down_rad=math.radians(config.camera.pitch_down_deg),
         max_flight_s=mission.max_flight_s,
         plan_cost_s=mission.plan_cost_s,
         clearance_m=clearance_m,
         operator_timeout_s=mission.operator_timeout_s or math.inf,
     )
-    channels = MissionChannels(
-        wires.frames, wires.vehicle, wires.intent, wires.progress, wires.voxels, wires.surface, wires.plan,
-        wires.correction, wires.free, wires.perception,
-    )  # fmt: skip
-    motions = (make_motion(config, kept_m) for kept_m in (clearance_m, retreat_m))
-    stages = MissionStages(voxels, make_keyframe_selection(config, voxels), mapper, planner, *motions)
-    return Conductor(stages, channels, orders, executor, journal, clock)
 
 
 def warm_up(config: Config) -> None:

@@ -18,7 +18,7 @@ from uav_recon.types.perception_status import PerceptionStatus
 from uav_recon.types.pose import MapCorrection, StampedPose
 from uav_recon.types.tasks import ViewPath
 from uav_recon.types.trajectory import Intent
-from uav_recon.types.vehicle import MissionProgress, TurnRates, VehicleState
+from uav_recon.types.vehicle import MissionProgress, ReportedPoses, TurnRates, VehicleState
 
 
 @dataclass(frozen=True)
@@ -38,10 +38,11 @@ class FlightChannels:
     nearby: Channel[MinRangeGrid]
     perception: Channel[PerceptionStatus]
     rates: Channel[TurnRates]
+    reported: Channel[ReportedPoses]
 
 
 PERCEPTION_WRITES = frozenset({"odom", "frames", "correction", "nearby", "perception"})
-PILOT_WRITES = frozenset({"vehicle", "rates"})
+PILOT_WRITES = frozenset({"vehicle", "rates", "reported"})
 MISSION_WRITES = frozenset({"intent", "progress", "voxels", "surface", "plan", "free"})
 _KIBIBYTE = 1 << 10
 _MEBIBYTE = 1 << 20
@@ -59,6 +60,7 @@ _FILES: dict[str, tuple[Any, int]] = {  # type of the value and capacity in byte
     "nearby": (MinRangeGrid, 64 * _KIBIBYTE),
     "perception": (PerceptionStatus, 64 * _KIBIBYTE),
     "rates": (TurnRates, 64 * _KIBIBYTE),
+    "reported": (ReportedPoses, 64 * _KIBIBYTE),
 }
 
 
@@ -68,7 +70,7 @@ def memory_channels() -> FlightChannels:
         MemoryChannel(StampedPose), MemoryChannel(PosedFrame), MemoryChannel(VehicleState), MemoryChannel(Intent),
         MemoryChannel(MissionProgress), MemoryChannel(VoxelMap), MemoryChannel(SurfaceElements), MemoryChannel(ViewPath),
         MemoryChannel(MapCorrection), MemoryChannel(FreeSpace), MemoryChannel(MinRangeGrid),
-        MemoryChannel(PerceptionStatus), MemoryChannel(TurnRates),
+        MemoryChannel(PerceptionStatus), MemoryChannel(TurnRates), MemoryChannel(ReportedPoses),
     )  # fmt: skip
 
 

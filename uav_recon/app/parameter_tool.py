@@ -46,16 +46,20 @@ _FAMILY_OF = {"px4": 12, "ardupilot": 3}
 class ParamsOptions:
     """Options of the command line.
 
-    file None: the file of this package. says: the config's link section, which defines the other end.
+    file None: the file of this package. says: the config's link section, which defines the other end. fed: False leaves out the
+    parameters of the pose feed.
     """
 
     autopilot: str
     link: str
     file: Path | None
     says: LinkConfig = field(default_factory=LinkConfig)
+    fed: bool = True
 
     @staticmethod
-    def of(autopilot: str | None, link: str | None, file: Path | None, config: Path) -> ParamsOptions:
+    def of(
+        autopilot: str | None, link: str | None, file: Path | None, config: Path, own_navigation: bool = False
+    ) -> ParamsOptions:
         """Return the options; missing ones are those of the config, which is read only then.
 
         Raises UserError.
@@ -63,13 +67,14 @@ class ParamsOptions:
         if autopilot is not None and autopilot not in _FAMILY_OF:
             raise UserError(f"--autopilot {autopilot}: want one of {', '.join(_FAMILY_OF)}", EXIT_CONFIG)
         if autopilot is not None and link is not None:
-            return ParamsOptions(autopilot, link, file)
+            return ParamsOptions(autopilot, link, file, fed=not own_navigation)
         with readable(str(config), EXIT_CONFIG):
             there = config.exists()
         if not there:
             raise UserError(f"give --autopilot and --link, or a --config with both ({config}: no such file)", EXIT_CONFIG)
-        says = factory.load_config(config).link
-        return ParamsOptions(autopilot or says.autopilot, link or says.url, file or says.parameters, says)
+        loaded = factory.load_config(config)
+        says, fed = loaded.link, loaded.localization.source != "autopilot" and not own_navigation
+        return ParamsOptions(autopilot or says.autopilot, link or says.url, file or says.parameters, says, fed)
 
 
 @dataclass(frozen=True)
@@ -230,7 +235,7 @@ def write_to(vehicle: Vehicle, wanted: tuple[RequiredParameter, ...], confirm: C
 
 def _wanted(options: ParamsOptions) -> tuple[RequiredParameter, ...]:
     try:
-        return load(options.file or PARAMETER_FILES[options.autopilot])
+        return load(options.file or PARAMETER_FILES[options.autopilot], fed=options.fed)
     except ParameterFileError as error:
         raise UserError(str(error), EXIT_CONFIG) from None
 

@@ -70,8 +70,15 @@ def _open_ros2_poses(context: SourceContext) -> tuple[DepthCamera, PoseSource]:
     return context.camera, Ros2Poses(context.config.ros2, context.clock)
 
 
+def _open_autopilot_poses(context: SourceContext) -> tuple[DepthCamera, PoseSource]:
+    from uav_recon.sensors.autopilot_poses import AutopilotPoses
+
+    return context.camera, AutopilotPoses(context.wires.reported)
+
+
 _OPENERS: dict[str, Callable[[SourceContext], tuple[DepthCamera, PoseSource]]] = {
     "stream": _open_stream_poses,
     "slam": _open_slam,
     "ros2": _open_ros2_poses,
+    "autopilot": _open_autopilot_poses,
 }

@@ -13,7 +13,6 @@ import time
 from collections import Counter
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import get_args
 
 import numpy as np
 from rich.console import Console
@@ -26,7 +25,7 @@ from uav_recon.app.option_validation import UsageError, require_writable_folder
 from uav_recon.app.recording_survey import UPS, RecordingSurvey, survey_recording
 from uav_recon.app.step_display import Report, StepDisplay
 from uav_recon.clock import ManualClock, RateKeeper
-from uav_recon.config import Config, ConfigError, LocalizationConfig, parse
+from uav_recon.config import Config, ConfigError, parse
 from uav_recon.errors import EXIT_CONFIG, UserError
 from uav_recon.interfaces import Mapper, PoseSource
 from uav_recon.localization.camera_mount import FixedMount
@@ -44,7 +43,7 @@ from uav_recon.types.tasks import PlanRequest
 
 MAPPERS = ("neural", "none")
 FROM_RECORDING = "recording"
-POSES = (FROM_RECORDING, *(name for name in get_args(LocalizationConfig.model_fields["source"].annotation) if name != "stream"))
+POSES = (FROM_RECORDING, "slam")
 TRAJECTORY = "trajectory.txt"
 SUMMARY = "replay.json"
 START_S = 1000.0
@@ -202,7 +201,7 @@ class _Mapping:
             self._voxels.declare_free(here, _BODY_RADIUS_M, float(here[2]) - _BODY_HALF_M, float(here[2]) + _BODY_HALF_M)
         self._voxels.integrate(posed)
         due = self.log.views < _FIRST_VIEWS + self._share * (self.log.views_budget - _FIRST_VIEWS)
-        if due and self._budget.worth(posed, _ANY_GAIN) and self.mapper.add(posed):
+        if due and self._budget.worth(posed, _ANY_GAIN, explored=False) and self.mapper.add(posed):
             self._budget.keep(posed)
             self.log.view(posed)
 

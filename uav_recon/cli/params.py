@@ -38,11 +38,23 @@ FileOption = Annotated[
         help="Parameter file: .params (QGroundControl) or .param (Mission Planner). Default: the file in firmware_params/.",
     ),
 ]  # fmt: skip
+OwnNavigationOption = Annotated[
+    bool,
+    typer.Option(
+        "--own-navigation",
+        help="The autopilot navigates by itself: leave out the parameters of the pose feed. Default: as in the config, "
+        "localization.source.",
+    ),
+]
 FLOWN = Path("/etc/uav_recon/config.toml")
 
 
 def check(
-    autopilot: AutopilotOption = None, link: LinkOption = None, file: FileOption = None, config: ConfigOption = FLOWN
+    autopilot: AutopilotOption = None,
+    link: LinkOption = None,
+    file: FileOption = None,
+    config: ConfigOption = FLOWN,
+    own_navigation: OwnNavigationOption = False,
 ) -> None:
     """Show every required parameter beside the vehicle's value.
 
@@ -52,11 +64,15 @@ def check(
     """
     from uav_recon.app import parameter_tool as parameters
 
-    exit_with(lambda: parameters.check(parameters.ParamsOptions.of(autopilot, link, file, config), every_row=True))
+    exit_with(lambda: parameters.check(parameters.ParamsOptions.of(autopilot, link, file, config, own_navigation), True))
 
 
 def diff(
-    autopilot: AutopilotOption = None, link: LinkOption = None, file: FileOption = None, config: ConfigOption = FLOWN
+    autopilot: AutopilotOption = None,
+    link: LinkOption = None,
+    file: FileOption = None,
+    config: ConfigOption = FLOWN,
+    own_navigation: OwnNavigationOption = False,
 ) -> None:
     """Show only differing parameters.
 
@@ -64,7 +80,7 @@ def diff(
     """
     from uav_recon.app import parameter_tool as parameters
 
-    exit_with(lambda: parameters.check(parameters.ParamsOptions.of(autopilot, link, file, config), every_row=False))
+    exit_with(lambda: parameters.check(parameters.ParamsOptions.of(autopilot, link, file, config, own_navigation), False))
 
 
 def write(
@@ -72,6 +88,7 @@ def write(
     link: LinkOption = None,
     file: FileOption = None,
     config: ConfigOption = FLOWN,
+    own_navigation: OwnNavigationOption = False,
     yes: Annotated[bool, typer.Option("--yes", help="Write without asking.")] = False,
 ) -> None:
     """Write the differing parameters after a confirmation, and read them back.
@@ -86,7 +103,7 @@ def write(
             return False
         return yes or typer.confirm(question)
 
-    exit_with(lambda: parameters.write(parameters.ParamsOptions.of(autopilot, link, file, config), confirm))
+    exit_with(lambda: parameters.write(parameters.ParamsOptions.of(autopilot, link, file, config, own_navigation), confirm))
 
 
 params = new_group("Compare the vehicle's parameters with the required ones, and write them.")

@@ -30,7 +30,7 @@ def replay(
         Path | None, typer.Option(metavar="DIR", readable=False, help="Folder of the results. Default: replay/NAME-DATE.")
     ] = None,
     pose: Annotated[
-        str, typer.Option(metavar="recording|SOURCE", help="Poses: of the recording, or a value of localization.source.")
+        str, typer.Option(metavar="recording|slam", help="Poses: of the recording, or the embedded SLAM.")
     ] = "recording",
     mapper: Annotated[str, typer.Option(metavar="neural|none", help="none: no model is learned, much faster.")] = "neural",
     up: Annotated[
@@ -62,9 +62,10 @@ def replay(
 ) -> None:  # fmt: skip
     """Run perception, maps and planner of a flight over a recording.
 
-    SOURCE is a flight folder, a TUM RGB-D folder, a 7-Scenes folder, a ROS 2 bag (.mcap, .db3) or a recording of
-    `uav-recon record`; the format is detected. It prints which frames were refused and why, alarms, and the camera's errors,
-    and writes mesh.ply, report.html, replay.json and trajectory.txt (TUM format). Nothing is flown.
+    SOURCE is a flight folder, a TUM RGB-D folder, a 7-Scenes folder, a ROS 2 bag (.mcap, .db3), a recording of
+    `uav-recon record` or of librealsense (.db3, .bag); the format is detected. It prints which frames were refused and why,
+    alarms, and the camera's errors, and writes mesh.ply, report.html, replay.json and trajectory.txt (TUM format). Nothing is
+    flown.
     """
     from rich.console import Console
 

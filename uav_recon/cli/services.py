@@ -23,11 +23,15 @@ FlightOption = Annotated[
     ),
 ]
 FlightArgument = Annotated[Path, typer.Argument(metavar="FLIGHT", readable=False, help="A flight folder.")]
+TRACK_EXAMPLES = (
+    "uav-recon track orbslam3 --weights ORBvoc.txt",
+    "PYTHONPATH=DROID-SLAM/droid_slam uav-recon track droid --weights droid.pth",
+)
 REVIEW_EXAMPLES = ("uav-recon review flights/room-20260101-120000",)
 CALIBRATE_EXAMPLES = (
     "uav-recon calibrate --live                               # move the vehicle by hand until all is known",
     "uav-recon calibrate --live --seconds 60 --write new.toml # the config with the calibrated camera",
-    "uav-recon calibrate hand.npz --config config.toml --out residuals/",
+    "uav-recon calibrate hand.mcap --config config.toml --out residuals/     # after `uav-recon record hand.mcap`",
 )
 REFINE_EXAMPLES = (
     "uav-recon refine flights/room-20260101-120000                 # 8000 steps, 1 cm triangles",
@@ -72,7 +76,10 @@ def recorder(config: ConfigOption = CONFIG, flight: FlightOption = None) -> None
 
 def calibrate(
     recording: Annotated[
-        Path | None, typer.Argument(metavar="RECORDING", readable=False, help="An .npz recording of camera and poses.")
+        Path | None,
+        typer.Argument(
+            metavar="RECORDING", readable=False, help="An .npz file, or a ROS 2 bag such as `uav-recon record` writes."
+        ),
     ] = None,
     live: Annotated[bool, typer.Option("--live", help="Read the running camera stream while you move the vehicle.")] = False,
     config: ConfigOption = CONFIG,
@@ -92,6 +99,29 @@ def calibrate(
     from uav_recon.app import calibrate as calibration
 
     exit_with(lambda: calibration.calibrate(calibration.CalibrateOptions.of(recording, live, config, seconds, out, write)))
+
+
+def track(
+    engine: Annotated[str, typer.Argument(metavar="orbslam3|cuvslam|droid", help="The tracking engine.")],
+    weights: Annotated[
+        Path | None,
+        typer.Option("--weights", metavar="FILE", readable=False, help="orbslam3: ORBvoc.txt. droid: droid.pth."),
+    ] = None,
+    config: ConfigOption = CONFIG,
+) -> None:
+    """Track the camera stream with a SLAM engine of others, which is installed by you.
+
+    It reads frames of the camera stream and writes poses into it, in this process and outside the flight. The config has
+    camera.source and localization.source stream. docs/pose-sources/engines.md has the installation of each engine.
+    """
+    from uav_recon.app import processes
+    from uav_recon.app import track as tracking
+
+    def work() -> int:
+        stop = processes.Stop()
+        return tracking.track(tracking.TrackOptions(engine, config, weights), lambda: stop.asked)
+
+    exit_with(work)
 
 
 def review(flight: FlightArgument) -> None:

@@ -123,7 +123,7 @@ def sim(
         typer.Option(
             metavar=choices.listed(choices.POSES), autocompletion=choices.one_of(choices.POSES), rich_help_panel=CAMERA,
             help="Source of the poses. stream: a simulated tracking system beside the camera. slam: the embedded RGB-D SLAM, "
-            "which has nothing but the images and the IMU of the camera.",
+            "which has nothing but the images and the IMU of the camera. autopilot: a tracking system of the autopilot.",
         ),
     ] = "stream",
     depth_noise: Annotated[

@@ -193,6 +193,11 @@ def observed(elements: Iterable[tuple[str, float, float]]) -> Elements:
     return tuple(each for each in elements if each[2] <= _UNOBSERVED * _PRIOR[NAMES[each[0]]])
 
 
+def prior_sigma(name: str) -> float:
+    """Return the standard deviation of an error before anything has shown it."""
+    return float(_PRIOR[NAMES[name]])
+
+
 def kept_fault(elements: Elements) -> str:
     """Return what is wrong with kept errors, '' for nothing.
 

@@ -10,7 +10,14 @@ from typing import NamedTuple
 import numpy as np
 
 from uav_recon.interfaces import Clock, DepthCamera, PoseSource
-from uav_recon.localization.calibration_filter import NAMES, CalibrationFilter, CameraCalibration, Elements, observed
+from uav_recon.localization.calibration_filter import (
+    NAMES,
+    CalibrationFilter,
+    CameraCalibration,
+    Elements,
+    observed,
+    prior_sigma,
+)
 from uav_recon.localization.camera_motion import CameraMotion
 from uav_recon.localization.camera_mount import Mount
 from uav_recon.localization.fusion_filter import FusionFilter
@@ -20,12 +27,14 @@ from uav_recon.types.camera import Frame
 from uav_recon.types.frames import AnyArray, FloatArray
 from uav_recon.types.pose import Pose
 
-_MEMORY_S = 600.0  # a mount in a hand does not change
+_MEMORY_S = 120.0  # a mount in a hand does not change, but comparisons are not independent: with 600 s sigma was a third
 _MOMENT_S = 0.03  # time over which the velocity of the camera is measured
 _KEPT_EVERY_S = 0.5
 _MOST_FRAMES = 400  # frames that are kept for the residuals: the first minutes
 _AGE_S = 3.0  # age of the views that residuals compare
 _WAITING = 8  # frames that wait for a pose
+#: warn: share of its prior deviation above which a motion is still asked for: a hand can show more than a flight does
+_KNOWN_SHARE = 0.5
 _OUTLIER_M = 0.15  # a larger distance is another surface
 # elements that a fixed mount's calibration needs, each with the motion that shows it
 MOTIONS = {
@@ -99,8 +108,8 @@ class CameraCalibrator:
         return self.filter.summary()
 
     def missing(self) -> tuple[str, ...]:
-        """Return the motions that would show what is not observed yet."""
-        known = {name for name, _, _ in observed(self.elements())}
+        """Return the motions that would show what is not known well yet."""
+        known = {name for name, _, sigma in self.elements() if sigma <= _KNOWN_SHARE * prior_sigma(name)}
         return tuple(motion for name, motion in MOTIONS.items() if name not in known)
 
     def residuals(self, calibration: CameraCalibration) -> Residuals:

@@ -52,7 +52,7 @@ class FusionFilter:
     Costs 0.03 ms per inertial sample, 0.4 ms per pose and 0.1 ms per answer on one core.
 
     pose_lost_s: an answer later than this after the newest pose has quality 0. bridged_s: after a silence of up to this, a pose
-    that lies where a credible inertial track has come is fused at once; 0: never. ``rejected`` counts rejected poses by reason:
+    that fits a credible inertial track is fused at once; 0: never. ``rejected`` counts rejected poses by reason:
     not finite, out of range, stamp, duplicate, quality, jump, turn, speed, reset, unproven (the first after a loss), and "imu
     ..." for inertial samples.
     """
@@ -160,10 +160,12 @@ class FusionFilter:
         return self._gates.leap(met.residual, met.covariance) or self._gates.speed_fault(before.sighting, said)
 
     def _bridges(self, met: Arrival, before: FusedPose) -> bool:
-        """Return True if a pose after a short silence lies where the inertial track has come."""
+        """Return True if the inertial track is credible after a short silence.
+
+        The gates decide whether the pose fits it.
+        """
         credible = met.carried.model.accelerometer and max(np.diagonal(met.carried.covariance)[:3]) <= _CREDIBLE_M**2
-        near = math.hypot(*met.residual[:3].tolist()) <= self._gates.jump_m
-        return bool(credible and near and met.said.stamp_s - before.stamp_s <= self._bridged_s)
+        return bool(credible and met.said.stamp_s - before.stamp_s <= self._bridged_s)
 
     def _accept_run(self, met: Arrival) -> bool:
         """Return True if a doubtful pose completes an accepted run of such poses.

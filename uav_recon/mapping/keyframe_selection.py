@@ -3,7 +3,8 @@
 Each surface voxel needs OBSERVATIONS_PER_VOXEL good observations. An observation has a lower weight if its depth noise is
 larger. The gain of a frame is the sum, over its voxels, of the observation weight it adds where observations are still
 missing. A frame is selected if its gain reaches the share that each remaining view must contribute to cover the whole
-room. So the view budget lasts for the room and is spent on new surface.
+room. So the view budget lasts for the room and is spent on new surface. While there are openings to explore, a multiple of that
+share is asked for: the views of tasks that nobody knows yet must be left.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ FIXED_POINT_SCALE = (
     10_000  # fixed-point counts per observation; FIXED_POINT_SCALE * OBSERVATIONS_PER_VOXEL stays below COUNTED_FLAG
 )
 COUNTED_FLAG = 1 << 15  # flag bit of a voxel that was already counted in the current frame
-BUDGET_RESERVE_FACTOR = 2.5  # factor on the share of a view: leaves budget for the views that planned tasks will need
+BUDGET_RESERVE_FACTOR = 2.5  # factor on the share of a view while the room is explored: leaves budget for the tasks to come
 # a frame closer than both to the last keyframe adds nothing new
 BASELINE_M = 0.25
 BASELINE_RAD = 0.25
@@ -47,12 +48,16 @@ class KeyframeSelection:
         self._wanted = OBSERVATIONS_PER_VOXEL * FURNISHED_AREA_RATIO * 2.0 * (a * b + b * c + c * a) / grid.resolution_m**2
         self._last: Pose | None = None
 
-    def worth(self, posed: PosedFrame, views_left: int) -> bool:
-        """Return True if the frame should use one of the remaining views. Takes about 1 ms."""
+    def worth(self, posed: PosedFrame, views_left: int, *, explored: bool) -> bool:
+        """Return True if the frame should use one of the remaining views. Takes about 1 ms.
+
+        explored: no opening into unknown space is left, so that no task is to come that nobody knows yet.
+        """
         if views_left <= 0 or not self._moved(posed.world_from_depth):
             return False
         missing = max(self._wanted - self.total_observation_weight(), 0.0)
-        return bool(self._read(posed, keep=False) >= max(BUDGET_RESERVE_FACTOR * missing / views_left, SMALLEST_GAIN))
+        share = (1.0 if explored else BUDGET_RESERVE_FACTOR) * missing / views_left
+        return bool(self._read(posed, keep=False) >= max(share, SMALLEST_GAIN))
 
     def keep(self, posed: PosedFrame) -> None:
         """Record that the frame became a keyframe."""
@@ -87,6 +92,20 @@ class KeyframeSelection:
         gain: float = _gain(frame.depth_m, lens, rotation, origin, sigma, shape, looks, self._met, keep)
         self._given += gain if keep else 0.0
         return gain
+
+
+class PlannedViewsOnly:
+    """Selects no frame beside the planned views: views at a set spacing need the whole budget."""
+
+    def worth(self, posed: PosedFrame, views_left: int, *, explored: bool) -> bool:
+        """Return False."""
+        return False
+
+    def keep(self, posed: PosedFrame) -> None:
+        """Do nothing."""
+
+    def warm_up(self) -> None:
+        """Do nothing: there is no kernel."""
 
 
 @kernel

@@ -190,7 +190,9 @@ class Conductor:
 
         Views of the look round and of the tasks are taken in any case.
         """
-        return self.phase is Phase.SURVEY and self._stages.budget.worth(posed, self._log.views_left)
+        return self.phase is Phase.SURVEY and self._stages.budget.worth(
+            posed, self._log.views_left, explored=self._log.explored
+        )
 
     # -- respond ------------------------------------------------------------------------------------------------------
 

@@ -26,6 +26,7 @@ class MissionLog:
     tasks: int = 0
     failed_in_a_row: int = 0
     mode: str = ""
+    explored: bool = False
     note: Reason | None = None
     stop_reason: Reason | None = None
     aborted: Reason | None = None
@@ -53,10 +54,18 @@ class MissionLog:
             self.journal.plan(stamp_s, "", path.task_s, path.step_s, 0, 0, 0, waited_s)
             return
         self.mode = path.mode.value
+        self.explored = path.explored
         self.tasks = len(path.tasks)
-        self.frontiers = sum(task.kind is TaskKind.EXPLORE for task in path.tasks)
-        views = len(path.viewpoints)
-        self.journal.plan(stamp_s, self.mode, path.task_s, path.step_s, self.frontiers, self.tasks, views, waited_s)
+        self.frontiers = path.frontiers
+        explore, views = sum(task.kind is TaskKind.EXPLORE for task in path.tasks), len(path.viewpoints)
+        self.journal.plan(stamp_s, self.mode, path.task_s, path.step_s, explore, self.tasks, views, waited_s)
+
+    def discarded_plan(self, stamp_s: float, path: ViewPath | NothingLeft) -> None:
+        """Log the computation time of a plan made in motion that is not flown."""
+        self.plans += 1
+        self.planning_s += path.step_s
+        mode = "" if isinstance(path, NothingLeft) else path.mode.value
+        self.journal.plan(stamp_s, mode, path.task_s, path.step_s, 0, 0, 0, 0.0)
 
     def refusal(self, stamp_s: float, reason: Reason) -> None:
         """Log a plan or a motion that is not flown."""

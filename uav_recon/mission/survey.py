@@ -128,9 +128,11 @@ class Survey:
         flying, leave_s = self._departure.flying, self._departure.leave_s
         if flying is not None:
             if flying is not self._helm.course.trajectory or now_s > leave_s:
+                self._account.discarded_plan(now_s, decision.path)
                 return  # braked meanwhile, or too late to leave there: plan again
             if isinstance(decision.motion, Reason) or self._ends_as_before(decision.motion, flying):
                 self._think_again_s = now_s + self._helm.course.remaining_s(now_s)  # plan again at rest
+                self._account.discarded_plan(now_s, decision.path)
                 return
             self._think_again_s = now_s + RETHINK_S
         self._account.plan(now_s, decision.path, 0.0 if flying is not None else now_s - self._resting_since_s)

@@ -129,6 +129,7 @@ class NarrowPassagePlanner:
             task_s=tasks_made_s - start_s,
             step_s=self._timer() - start_s,
             clearance_m=clearance_m,
+            frontiers=len(proposals),
         )
         return path, proposals[nearest]
 

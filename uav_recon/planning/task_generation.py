@@ -29,11 +29,17 @@ MAX_TASKS = 40
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GeneratedTasks:
-    """The tasks of one plan. widening: alpha once no opening can be viewed, else 1."""
+    """The tasks of one plan.
+
+    frontiers: number of frontiers that can be viewed, and of openings that have not been searched for a view yet.
+    widening: alpha once no opening can be viewed, else 1. explored: exploration has ended.
+    """
 
     mode: PlanMode
     proposals: list[CandidateView]
+    frontiers: int
     widening: float = 1.0
+    explored: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,6 +80,7 @@ class ClusterTasks:
 
     def __init__(self, config: PlannerConfig, variant: Variant, views: FrontierViews, surfaces: SurfaceViews) -> None:
         self._variant = variant
+        self._explores = TaskKind.EXPLORE in variant.kinds
         self._end_factor = config.end_factor
         self._views = views
         self._surfaces = surfaces
@@ -81,34 +88,52 @@ class ClusterTasks:
     def propose(self, question: TaskQuery) -> GeneratedTasks:
         """See TaskSource."""
         situation, ways = question.situation, question.ways
-        explore = self._explore(situation, question.frontiers)
+        found, later = self._explore(situation, question.frontiers)
+        explore, farther = found[:MAX_FRONTIERS], found[MAX_FRONTIERS:]
         ways.update(situation.exit_cells, situation.position_world, view_positions(explore))
-        opening = np.array([one.task.gain >= OPENING for one in explore], dtype=np.bool_)
-        mode = self._variant.mode.choose(ways.lengths_m[0, 1:], opening)
-        spare = question.views_left - len(explore)
+        opening = np.array([_is_opening(one) for one in explore], dtype=np.bool_)
+        mode = self._variant.mode.choose(ways.lengths_m[0, 1:], opening, later + sum(map(_is_opening, farther)))
+        spare, frontiers = question.views_left - len(explore), len(found) + later
         if mode is PlanMode.EXPLORE or TaskKind.RECONSTRUCT not in self._variant.kinds or spare <= 0:
-            return GeneratedTasks(mode, explore)
-        widening = 1.0 if opening.any() else self._end_factor
-        surface = self._surfaces.propose(situation, question.surface, question.looks, widening)
-        return GeneratedTasks(mode, (explore + surface[:spare])[:MAX_TASKS], widening)
+            return GeneratedTasks(mode, explore, frontiers)
+        ended = self._explores and not opening.any()
+        surface, widening = self._surface(question, ended=ended, only=not explore)
+        tasks = (explore + surface[:spare])[:MAX_TASKS]
+        return GeneratedTasks(mode, tasks, frontiers, widening, explored=ended and not later)
+
+    def _surface(self, question: TaskQuery, *, ended: bool, only: bool) -> tuple[list[CandidateView], float]:
+        """Return surface tasks near the vehicle, and the factor by which "near" was widened.
+
+        ended: no opening can be viewed, so tasks are sought in the whole room. only: there is no other task, so that they
+        are if none is near.
+        """
+        for widening in (self._end_factor,) if ended else (1.0, self._end_factor) if only else (1.0,):
+            tasks = self._surfaces.propose(question.situation, question.surface, question.looks, widening)
+            if tasks:
+                break
+        return tasks, widening
 
     def reasons(self, situation: PlanningContext, frontiers: Frontiers) -> Counter[ReasonCode]:
         """See TaskSource."""
-        if TaskKind.EXPLORE not in self._variant.kinds:
+        if not self._explores:
             return Counter()
         return self._views.reasons(situation.voxels, situation.space, frontiers)
 
-    def _explore(self, situation: PlanningContext, frontiers: Frontiers) -> list[CandidateView]:
-        """Return the tasks of the nearest frontiers, openings first.
+    def _explore(self, situation: PlanningContext, frontiers: Frontiers) -> tuple[list[CandidateView], int]:
+        """Return the tasks of the nearest frontiers, and the number of openings not searched yet.
 
-        The gain of a task is the unknown volume beyond all frontier cells that its view shows.
+        Openings come first. The gain of a task is the unknown volume beyond all frontier cells that its view shows.
         """
-        if TaskKind.EXPLORE not in self._variant.kinds:
-            return []
+        if not self._explores:
+            return [], 0
         found = self._views.update(situation.voxels, situation.space, frontiers, situation.position_world)
-        nearest = found.proposals[:MAX_FRONTIERS]
-        gains = frontiers.beyond(situation.voxels, [one.promised for one in nearest])
-        return [one.with_gain(gain) for one, gain in zip(nearest, gains.tolist(), strict=True)]
+        gains = frontiers.beyond(situation.voxels, [one.promised for one in found.proposals])
+        tasks = [one.with_gain(gain) for one, gain in zip(found.proposals, gains.tolist(), strict=True)]
+        return tasks, found.openings_later
+
+
+def _is_opening(proposal: CandidateView) -> bool:
+    return proposal.task.gain >= OPENING
 
 
 def view_positions(proposals: list[CandidateView]) -> FloatArray:
@@ -127,7 +152,9 @@ class GainField:
         """See TaskSource."""
         frontiers = question.frontiers.clusters()
         return GeneratedTasks(
-            PlanMode.MERGED, self._views.propose(question.situation, frontiers, question.surface, question.looks)
+            PlanMode.MERGED,
+            self._views.propose(question.situation, frontiers, question.surface, question.looks),
+            len(frontiers),
         )
 
     def reasons(self, situation: PlanningContext, frontiers: Frontiers) -> Counter[ReasonCode]:

@@ -33,7 +33,7 @@ from uav_recon.planning.reconstruction import gain_field
 from uav_recon.planning.reconstruction.gain_field import FieldViews
 from uav_recon.planning.reconstruction.surface_views import SurfaceViews
 from uav_recon.planning.route_planning import route_to
-from uav_recon.planning.task_generation import ClusterTasks, GainField, TaskQuery, TaskSource, view_positions
+from uav_recon.planning.task_generation import ClusterTasks, GainField, GeneratedTasks, TaskQuery, TaskSource, view_positions
 from uav_recon.planning.tour import atsp, travel_time
 from uav_recon.planning.tour.travel_time import TravelTimeModel, YawWhileFlying, time_costs
 from uav_recon.planning.variants import Variant, variant
@@ -148,7 +148,7 @@ class ViewPlanner:
         if not order:
             return self._nothing(self._why(situation, dropped), start_s, tasks_made_s)
         nodes = self._within_horizon(order, harvest.widening)
-        path = self._path(request, harvest.mode, tasks, nodes, start_s, tasks_made_s)
+        path = self._path(request, harvest, tasks, nodes, start_s, tasks_made_s)
         self._offered = path, tuple(tasks[node - 1] for node in nodes)
         return path
 
@@ -188,7 +188,7 @@ class ViewPlanner:
         if proposal is None:
             return self._nothing(Reason(ReasonCode.NO_KNOWN_PATH), start_s, start_s)
         self._ways.update(situation.exit_cells, request.position_world, view_positions([proposal]))
-        return self._path(request, PlanMode.EXPLORE, [proposal], [1], start_s, start_s)
+        return self._path(request, GeneratedTasks(PlanMode.EXPLORE, [], 0), [proposal], [1], start_s, start_s)
 
     def _look(self, request: PlanRequest) -> PlanningContext | Reason:
         """Update all caches with the map.
@@ -249,7 +249,7 @@ class ViewPlanner:
     def _path(
         self,
         request: PlanRequest,
-        mode: PlanMode,
+        harvest: GeneratedTasks,
         tasks: Sequence[CandidateView],
         nodes: list[int],
         start_s: float,
@@ -259,12 +259,14 @@ class ViewPlanner:
         return ViewPath(
             viewpoints=tuple(task.viewpoint for task in chosen),
             waypoints_world=tuple(self._ways.path_world(i, j) for i, j in zip([0, *nodes[:-1]], nodes, strict=True)),
-            mode=mode,
+            mode=harvest.mode,
             map_revision=request.voxels.revision,
             map_epoch=request.voxels.map_epoch,
             tasks=chosen,
             task_s=tasks_made_s - start_s,
             step_s=self._timer() - start_s,
+            frontiers=harvest.frontiers,
+            explored=harvest.explored,
         )
 
     def _why(self, situation: PlanningContext, not_worth: int) -> Reason:

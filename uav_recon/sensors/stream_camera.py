@@ -18,7 +18,7 @@ from uav_recon.types.camera import Frame, ImuSample, Intrinsics
 from uav_recon.types.frames import Float32Array
 from uav_recon.types.pose import Pose, StampedPose
 
-__all__ = ["StreamCamera", "StreamError", "StreamPoses", "depth_lookup_table", "open_stream"]
+__all__ = ["StreamCamera", "StreamError", "StreamPoses", "depth_lookup_table", "open_stream", "read_intrinsics"]
 
 _log = logging.getLogger(__name__)
 _REPEAT_S = 15.0  # between two messages of the same wait
@@ -111,7 +111,7 @@ class StreamCamera(_Stream):
     def __init__(self, path: Path, depth_min_m: float = 0.3, depth_max_m: float = 6.0) -> None:
         super().__init__(path)
         self._table = depth_lookup_table(depth_min_m, depth_max_m)
-        self._read_intrinsics = _read_intrinsics(self._reader, path)
+        self._read_intrinsics = read_intrinsics(self._reader, path)
         self._imu_read = 0
         self._before_s = -math.inf
         self.dropped_frames = 0
@@ -122,7 +122,7 @@ class StreamCamera(_Stream):
         if raw is None:
             if self._follow():
                 self._imu_read = 0
-                self._read_intrinsics = _read_intrinsics(self._reader, self._path)
+                self._read_intrinsics = read_intrinsics(self._reader, self._path)
             return None
         self._read = raw.sequence
         self._empty = 0
@@ -177,7 +177,8 @@ class StreamPoses(_Stream):
         return out
 
 
-def _read_intrinsics(reader: StreamReader, path: Path) -> tuple[Intrinsics, Intrinsics, Pose]:
+def read_intrinsics(reader: StreamReader, path: Path) -> tuple[Intrinsics, Intrinsics, Pose]:
+    """Return the cameras of depth and colour, and rgb_from_depth. Raises StreamError."""
     header = reader.header
     for name, spec in (("depth", header.depth), ("rgb", header.rgb)):
         if not all(map(math.isfinite, (spec.fx, spec.fy, spec.cx, spec.cy))) or min(spec.fx, spec.fy) <= 0:

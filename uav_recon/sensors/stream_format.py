@@ -123,6 +123,12 @@ class _Stream:
         offset += IMU_SLOTS * IMU.itemsize
         self.poses: Any = np.frombuffer(buffer, POSE, POSE_SLOTS, offset)
 
+    def append_pose(self, record: tuple[Any, ...]) -> None:
+        """Write a record of dtype POSE, and count it. One process writes the poses."""
+        count = int(self.header["poses"][0])
+        self.poses[count % POSE_SLOTS] = record
+        self.header["poses"][0] = count + 1
+
     def _map(self, path: Path, size: int) -> None:
         descriptor = os.open(path, os.O_RDWR | os.O_NOFOLLOW)
         try:
@@ -174,10 +180,33 @@ class StreamWriter:
         reset_counter: int = 0,
     ) -> None:
         """Publish odom_from_body captured at stamp_s; call it when the pose ARRIVES."""
-        count = int(self._stream.header["poses"][0])
-        record = (stamp_s, position_m, quat_wxyz, variance, quality, reset_counter)
-        self._stream.poses[count % POSE_SLOTS] = record
-        self._stream.header["poses"][0] = count + 1
+        self._stream.append_pose((stamp_s, position_m, quat_wxyz, variance, quality, reset_counter))
+
+
+class StreamPoseWriter:
+    """Writer of the poses alone, for a tracker beside the camera.
+
+    The process of the camera writes everything else. The constructor raises StreamError. A restarted camera makes a new file:
+    open it again.
+    """
+
+    def __init__(self, path: Path) -> None:
+        try:
+            self._stream = _Stream(path, StreamReader(path).header, create=False)
+        except OSError as error:
+            raise StreamError(f"{path}: cannot be mapped ({error.strerror})") from None
+
+    def write_pose(
+        self,
+        stamp_s: float,
+        position_m: NDArray[np.float64],
+        quat_wxyz: NDArray[np.float64],
+        variance: NDArray[np.float64],
+        quality: int = 100,
+        reset_counter: int = 0,
+    ) -> None:
+        """Publish odom_from_body captured at stamp_s; call it when the pose ARRIVES."""
+        self._stream.append_pose((stamp_s, position_m, quat_wxyz, variance, quality, reset_counter))
 
 
 class StreamReader:

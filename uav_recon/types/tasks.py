@@ -65,6 +65,8 @@ class ViewPath:
 
     mode: of the planner. task_s: seconds spent on making tasks; step_s: on the whole plan (compute time, for the report).
     clearance_m: what the path keeps, body centre to anything not known free; None = the usual clearance.
+    frontiers: number of frontiers that are left to view, those beyond the end of this path included.
+    explored: no opening into unknown space can be viewed any more.
     """
 
     viewpoints: tuple[Viewpoint, ...]
@@ -76,6 +78,8 @@ class ViewPath:
     task_s: float
     step_s: float
     clearance_m: float | None = None
+    frontiers: int = 0
+    explored: bool = False
 
 
 @dataclass(frozen=True, slots=True)

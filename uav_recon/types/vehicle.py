@@ -9,7 +9,7 @@ from enum import Enum
 import numpy as np
 
 from uav_recon.types.frames import FloatArray, frozen
-from uav_recon.types.pose import Pose
+from uav_recon.types.pose import Pose, StampedPose
 from uav_recon.types.reason import Reason
 
 
@@ -72,6 +72,16 @@ class TurnRates:
     def __post_init__(self) -> None:
         for name in ("stamps_s", "rates_radps"):
             object.__setattr__(self, name, frozen(np.asarray(getattr(self, name), dtype=np.float64)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ReportedPoses:
+    """The newest poses of an autopilot that navigates by itself, oldest first.
+
+    On the companion's clock, body in a frame of the autopilot with z up.
+    """
+
+    poses: tuple[StampedPose, ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -19,6 +19,7 @@ from sitl.autopilots.mavlink_server import MavlinkServer
 from sitl.autopilots.pilot_view import PilotView
 from sitl.geometry.quaternion import Vec3
 from sitl.world.gimbal import Gimbal
+from sitl.world.pose_tracker import PoseRecord
 from sitl.world.quadrotor import Quadrotor
 from sitl.world.step_sizes import FINE_STEPS
 
@@ -50,6 +51,11 @@ class ArduCopter(Autopilot):
         for message_id, (build, rate_hz) in ArduPilotMessages(self._state).rates().items():
             server.add_stream(message_id, build, rate_hz)
         super().__init__(vehicle, parameters, server, self._state, commander, commands, BOOTED_BEFORE_S, seed, step_s)
+
+    def fuse_own(self, pose: PoseRecord) -> None:
+        """Fuse a pose of its own tracking system, once the estimator is active."""
+        if self._state.ekf_active:
+            super().fuse_own(pose)
 
     def pilot_takes_over(self, mode: str = "LOITER") -> None:
         """Change the mode by a switch on the transmitter. Raises KeyError for an unknown mode."""

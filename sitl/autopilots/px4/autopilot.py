@@ -19,6 +19,7 @@ from sitl.autopilots.px4.timesync import Px4Timesync
 from sitl.autopilots.px4.tuning import estimator_tuning
 from sitl.geometry.quaternion import Vec3
 from sitl.world.gimbal import Gimbal
+from sitl.world.pose_tracker import PoseRecord
 from sitl.world.quadrotor import Quadrotor
 from sitl.world.step_sizes import FINE_STEPS
 
@@ -51,6 +52,11 @@ class Px4(Autopilot):
     def timesync_converged(self) -> bool:
         """True if the companion's stamps are used."""
         return self._state.timesync.converged
+
+    def fuse_own(self, pose: PoseRecord) -> None:
+        """Fuse a pose of its own tracking system, whose heading counts as known."""
+        self._state.commander.heading_known = True
+        super().fuse_own(pose)
 
     def pilot_takes_over(self, mode: str = "POSCTL") -> None:
         """Change the mode by a switch on the transmitter. Raises KeyError for an unknown mode."""

@@ -124,3 +124,11 @@ def test_no_line_is_longer_than_ardupilots_own_reader_takes() -> None:
     """What is over becomes a line of its own there, and its first word a parameter."""
     lines = PARAMETER_FILES["ardupilot"].read_text(encoding="ascii").splitlines(keepends=True)
     assert max(map(len, lines)) <= 98
+
+
+@pytest.mark.parametrize("path", PARAMETER_FILES.values(), ids=lambda p: p.name)
+def test_an_autopilot_that_navigates_by_itself_keeps_the_parameters_of_its_navigation(path: Path) -> None:
+    every, own = {one.name for one in load(path)}, {one.name for one in load(path, fed=False)}
+    left_out = every - own
+    assert left_out >= {"EKF2_EV_CTRL", "EKF2_EV_DELAY", "EKF2_EV_POS_X"} or left_out >= {"EK3_SRC1_POSXY", "VISO_TYPE"}
+    assert not left_out & {"EKF2_GPS_CTRL", "GPS1_TYPE", "COM_OBL_RC_ACT", "FS_GCS_ENABLE", "MPC_XY_VEL_MAX", "WP_SPD"}

@@ -18,6 +18,7 @@ from sitl.autopilots.px4.parameters import Px4Parameters
 from sitl.world.quadrotor import Quadrotor
 from uav_recon.autopilot.firmware.profile import FirmwareProfile
 from uav_recon.autopilot.firmware.px4 import PX4
+from uav_recon.autopilot.link.navigation import Navigation
 from uav_recon.autopilot.mavlink.allow_list import AllowListFilter
 from uav_recon.autopilot.mavlink.tlog import FrameLog
 from uav_recon.autopilot.parameters.preflight_check import ParameterCheck
@@ -40,7 +41,7 @@ from uav_recon.types.pose import Pose, PoseHealth, StampedPose
 from uav_recon.types.reason import Reason, codes_in, codes_of
 from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.trajectory import Goal, Intent, Trajectory
-from uav_recon.types.vehicle import FlightPhase, TurnRates, VehicleState
+from uav_recon.types.vehicle import FlightPhase, ReportedPoses, TurnRates, VehicleState
 
 copyreg.pickle(struct.Struct, lambda layout: (struct.Struct, (layout.format,)))  # lets a flight be copied in mid-air
 
@@ -132,7 +133,7 @@ class Rig:
         self.autopilot = self._make_autopilot(theirs, seed)
         self.channels = PilotChannels(
             MemoryChannel(StampedPose), MemoryChannel(Intent), MemoryChannel(VehicleState), MemoryChannel(FreeSpace),
-            MemoryChannel(MinRangeGrid), MemoryChannel(TurnRates),
+            MemoryChannel(MinRangeGrid), MemoryChannel(TurnRates), MemoryChannel(ReportedPoses),
         )  # fmt: skip
         self.free = np.ones(GRID.shape, dtype=np.bool_)
         self.publish_free()
@@ -160,13 +161,17 @@ class Rig:
         """Whom the pilot hears."""
         return AllowListFilter()
 
+    def navigation(self) -> Navigation | None:
+        """Who tells the autopilot where it is; None: the poses are fed to it."""
+        return None
+
     def new_pilot(self, log: FrameLog | None = None) -> Pilot:
         """As a process that starts now."""
         sight = RecentlySeenSpace(blind_memory_s=10.0, vehicle_radius_m=AIRFRAME.vehicle_radius_m)
         self.guard = Guard(ENVELOPE, BOUNDS, sight)
         return make_pilot(
             self.tap, self.firmware, self.guard, sight, PATIENCE, self.channels, self.clock, ORIGIN, AIRFRAME, log=log,
-            parameters=self.parameters, gate=self.gate(),
+            parameters=self.parameters, gate=self.gate(), navigation=self.navigation(),
         )  # fmt: skip
 
     def publish_free(self) -> None:

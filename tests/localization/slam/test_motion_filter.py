@@ -38,7 +38,7 @@ class Flight:
     """A body along a path of sines, its inertial track by exact geometry, and its frames' places with noise."""
 
     def __init__(self, sensor: Sensor = _honest, inertial: bool = True, noise_mps2: float = 0.0) -> None:
-        self.filter = MotionFilter(self.place(0.0))
+        self.filter = MotionFilter(self.place(0.0), np.zeros(3))
         self.track = InertialTrack()
         self.worst_m = 0.0  # error of a predicted place
         self.used: list[bool] = []
@@ -94,7 +94,7 @@ class Flight:
 @pytest.mark.parametrize("acceleration", [0.0, 0.5, -1.5])
 def test_a_constant_acceleration_is_carried_exactly(acceleration: float) -> None:
     """From rest, s = a t² / 2 and v = a t; the body is turned by a quarter, so its own axis is another one."""
-    motion, track = MotionFilter(np.array([1.0, 2.0, 3.0])), InertialTrack()
+    motion, track = MotionFilter(np.array([1.0, 2.0, 3.0]), np.zeros(3)), InertialTrack()
     for n in range(101):
         track.push(n / 100, (0.0, 0.0, 0.0), (0.0, -acceleration, GRAVITY_MPS2))
     a, b = track.at(0.0), track.at(1.0)
@@ -170,7 +170,7 @@ def test_without_inertial_samples_the_velocity_comes_from_the_frames() -> None:
 
 
 def test_a_measured_step_carries_the_place_without_an_accelerometer() -> None:
-    motion = MotionFilter(np.zeros(3))
+    motion = MotionFilter(np.zeros(3), np.zeros(3))
     for _ in range(30):
         moved = motion.predict(0.1, Pose.identity(), None, MeasuredStep(np.array([0.05, 0.0, 0.0]), 0.003))
         motion.coast(moved)
@@ -180,6 +180,6 @@ def test_a_measured_step_carries_the_place_without_an_accelerometer() -> None:
 
 
 def test_a_step_that_the_prediction_contradicts_is_left_out() -> None:
-    motion = MotionFilter(np.zeros(3))
+    motion = MotionFilter(np.zeros(3), np.zeros(3))
     moved = motion.predict(0.1, Pose.identity(), None, MeasuredStep(np.array([0.5, 0.0, 0.0]), 0.003))
     assert abs(moved.place_m[0]) < 1e-9

@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from uav_recon.localization.slam.rest_detection import RestDetector
 from uav_recon.types.camera import ImuSample
 from uav_recon.types.frames import FloatArray
+from uav_recon.types.pose import Pose
 
 G_MPS2 = 9.80665
 LEVEL_MPS2 = np.array([0.0, 0.0, G_MPS2])
@@ -101,3 +102,11 @@ def test_motors_that_run_or_a_turn_end_the_rest(rate: float, rate_noise: float, 
 
 def test_nothing_is_still_without_inertial_samples() -> None:
     assert not RestDetector().still(1.0)
+
+
+def test_what_the_accelerometer_measures_beside_gravity_at_rest() -> None:
+    bias = np.array([0.1, -0.05, 0.02])
+    rest = _fed(np.zeros(3), LEVEL_MPS2 + bias)
+    assert rest.level(0.8) is not None
+    np.testing.assert_allclose(rest.force_offset_mps2(Pose.identity()), bias, atol=0.005)
+    np.testing.assert_array_equal(RestDetector().force_offset_mps2(Pose.identity()), np.zeros(3))

@@ -51,7 +51,8 @@ def test_a_good_frame_has_no_fault() -> None:
         (_found(points=150, known=100, inliers=90), _found(points=149, known=100, inliers=90), TrackingFault.FEW_POINTS),
         (_found(inliers=496), _found(inliers=494), TrackingFault.FIT),
         (_found(known=149, inliers=10), _found(known=151, inliers=10), TrackingFault.FIT),
-        (_found(turn_rad=math.radians(0.79)), _found(turn_rad=math.radians(0.81)), TrackingFault.TURN),
+        (_found(known=890, turn_rad=math.radians(0.79)), _found(known=890, turn_rad=math.radians(0.81)), TrackingFault.TURN),
+        (_found(turn_rad=math.radians(2.9)), _found(turn_rad=math.radians(3.1)), TrackingFault.TURN),  # all of it fits
         (_found(step_m=0.059), _found(step_m=0.061), TrackingFault.STEP),
         (_found(covariance=_loose(4, 0.079)), _found(covariance=_loose(4, 0.081)), TrackingFault.LOOSE),
         (_found(covariance=_loose(1, math.radians(1.9))), _found(covariance=_loose(1, math.radians(2.1))), TrackingFault.LOOSE),
@@ -66,6 +67,13 @@ def test_an_uncertain_turn_allows_a_larger_one() -> None:
     wide = _prior(turn_sigma_rad=math.radians(1.0))
     assert _fault(_found(turn_rad=math.radians(5.9)), wide) is None
     assert _fault(_found(turn_rad=math.radians(6.1)), wide) is TrackingFault.TURN
+
+
+def test_an_uncertain_attitude_allows_a_larger_turn() -> None:
+    prior = _prior()
+    prior.covariance[1, 1] = math.radians(0.5) ** 2
+    assert _fault(_found(known=890, turn_rad=math.radians(1.4)), prior) is None
+    assert _fault(_found(known=890, turn_rad=math.radians(1.6)), prior) is TrackingFault.TURN
 
 
 def test_an_uncertain_place_allows_a_larger_step() -> None:

@@ -18,6 +18,7 @@ from uav_recon.planning.camera_frustum import EDGE_MARGIN, CameraGeometry
 from uav_recon.planning.candidate_view import MIN_SEEN, PlanningContext
 from uav_recon.planning.free_space.flyable_space import FlyableSpace
 from uav_recon.planning.frontier import frontier_views as views_module
+from uav_recon.planning.frontier.cluster_table import OPENING
 from uav_recon.planning.frontier.frontier_views import BATCH, COVERED_SHARE, FrontierProposals, FrontierViews
 from uav_recon.planning.frontier.frontiers import Frontiers
 from uav_recon.planning.frontier.view_cache import ViewCache
@@ -182,6 +183,17 @@ def test_a_view_does_not_depend_on_the_position_of_the_vehicle() -> None:
     common = seen[0].keys() & seen[1].keys()
     assert len(common) > 10
     assert all(seen[0][key] == seen[1][key] for key in common)
+
+
+def test_openings_that_no_plan_has_looked_at_are_counted() -> None:
+    world = explored(TWO_ROOMS, GIMBAL, 4)
+    follower, voxels = Follower(world.grid), world.picture()
+    found = follower.follow(voxels, START)
+    table = follower.frontiers.table
+    asked = set(table.nearest(START * 10 + 1, BATCH).tolist())
+    rest = [row for row in follower.frontiers.rows().tolist() if row not in asked]
+    assert found.openings_later == int(np.count_nonzero(table.beyond[rest] >= OPENING))
+    assert follower.frontiers.openings >= found.openings_later > 0
 
 
 def test_postponed_searches_are_completed_in_later_plans() -> None:

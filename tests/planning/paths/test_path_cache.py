@@ -329,3 +329,20 @@ def test_any_number_of_tasks_is_accepted() -> None:
         ways.update(exit_cells, start, centres(open_cells[rng.integers(len(open_cells), size=count)]))
         assert ways.lengths_m.shape == (count + 1, count + 1)
         assert np.isfinite(ways.lengths_m).all()
+
+
+@pytest.mark.parametrize("tasks", [33, 40, 80])
+def test_a_plan_with_one_more_task_forgets_no_path(tasks: int) -> None:
+    world = walled()
+    space = world.space(0.14)
+    start = world.grid.centre(np.array([6, 6, 6]))
+    exit_cells = space.stand(start)
+    assert exit_cells is not None
+    places = centres(largest_component(space.mask)[: tasks + 1])
+    ways = PathCache(space)
+    ways.update(exit_cells, start, places[:-1])
+    kept = ways._known.kept.copy()
+    ways.update(exit_cells, start, places)
+    assert kept.sum() == tasks * (tasks - 1) // 2
+    assert ways._known.kept.shape == kept.shape
+    assert ways._known.kept[kept].all()

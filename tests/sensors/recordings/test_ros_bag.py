@@ -228,7 +228,7 @@ def test_wrong_bags_are_one_line(tmp_path: Path) -> None:
         assert "\n" not in str(error.value)
 
 
-def test_sqlite_that_is_no_bag_names_librealsense(tmp_path: Path) -> None:
+def test_sqlite_that_is_no_bag_is_one_line(tmp_path: Path) -> None:
     import sqlite3
 
     with sqlite3.connect(tmp_path / "x.db3") as database:

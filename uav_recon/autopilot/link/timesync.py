@@ -98,6 +98,13 @@ class TimeSyncFilter:
         """
         return max(int(ours_s * _NS) + self._offset_ns, 0)
 
+    def ours_from_us(self, boot_us: int, now_s: float) -> float:
+        """Return our instant of the autopilot's microseconds since boot.
+
+        It has no meaning before convergence.
+        """
+        return now_s + (boot_us * 1000 - self.autopilot_ns(now_s)) / _NS
+
     def ours_s(self, boot_ms: int, now_s: float) -> float:
         """Return our instant of the autopilot's milliseconds since boot, near now.
 

@@ -13,6 +13,8 @@ from uav_recon.autopilot.link.autopilot_identity import AutopilotIdentity
 from uav_recon.autopilot.link.duplicate_autopilot import DuplicateAutopilotDetector
 from uav_recon.autopilot.link.link_alerts import TWO, LinkAlerts
 from uav_recon.autopilot.link.link_status import LinkStatus
+from uav_recon.autopilot.link.local_frame import moved
+from uav_recon.autopilot.link.navigation import CompanionNavigation, Navigation
 from uav_recon.autopilot.link.other_program import OtherProgramFilter
 from uav_recon.autopilot.link.stale_frame_filter import StaleFrameFilter
 from uav_recon.autopilot.link.timesync import TimeSyncFilter
@@ -24,7 +26,9 @@ from uav_recon.autopilot.mavlink.messages import (
     Firmware,
     GimbalAttitude,
     Heartbeat,
+    LocalPosition,
     Message,
+    Odometry,
     ParameterValue,
     Received,
     TimesyncMessage,
@@ -34,11 +38,11 @@ from uav_recon.autopilot.mavlink.tlog import FrameLog
 from uav_recon.clock import RateKeeper
 from uav_recon.interfaces import ByteLink
 from uav_recon.safety.guard import ClearedSetpoint
-from uav_recon.types.frames import FloatArray
-from uav_recon.types.pose import StampedPose
+from uav_recon.types.frames import FloatArray, frozen
+from uav_recon.types.pose import Pose, StampedPose
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
-from uav_recon.types.vehicle import TurnRates
+from uav_recon.types.vehicle import ReportedPoses, TurnRates
 
 SYSTEM = 233  # our system id: no common program uses it by default; MAV_GCS_SYSID of ArduPilot has to name it
 COMPONENT = 191  # our component id: MAV_COMP_ID_ONBOARD_COMPUTER; the parameter UVR_COMP_ID of our script names it
@@ -56,6 +60,7 @@ _CHATTER_HZ = (5.0, 10.0, 50.0, 10.0)
 _AUTOPILOT_VERSION = 148.0
 _RATES = 32  #: internal: turn rates that are published together: a second
 _OLD_RATE_S = 1.0  #: reject: a turn rate of the autopilot that is older
+_OLD_POSE_S = 1.0  #: reject: a pose of the autopilot whose stamp is farther from now, past or future
 
 
 class VehicleLink:
@@ -63,8 +68,9 @@ class VehicleLink:
 
     Methods never block and never raise on received data.
 
-    firmware: profile of the firmware on the other end. gate: filter for senders. ``telemetry`` and ``status`` are the values
-    of this moment: what the autopilot reported, and what the link itself observed.
+    firmware: profile of the firmware on the other end. gate: filter for senders. navigation: who tells the autopilot where it
+    is. ``telemetry`` and ``status`` are the values of this moment: what the autopilot reported, its positions in odom if its
+    local frame is known, and what the link itself observed.
     """
 
     def __init__(
@@ -76,10 +82,12 @@ class VehicleLink:
         gate: AllowListFilter,
         system: int = SYSTEM,
         component: int = COMPONENT,
+        navigation: Navigation | None = None,
     ) -> None:
         self._bytes = bytes_link
         self._log = log
         self._gate = gate
+        self._navigation = navigation or CompanionNavigation()
         self.firmware = firmware
         self.mute = False  # True: send no heartbeats any more
         self._own = (system, component)
@@ -164,14 +172,19 @@ class VehicleLink:
         self.mute = True
 
     def feed_pose(self, pose: StampedPose, now_s: float) -> None:
-        """Send ODOMETRY on the autopilot's clock.
+        """Send ODOMETRY on the autopilot's clock, unless it navigates by itself.
 
+        Its own pose must not come back to it.
         Nothing is sent before that clock is known, while it is doubtful, or to another autopilot.
         """
         if not self.status.time_known or self.status.identity_fault:
             return
-        time_us = self._timesync.autopilot_ns(pose.stamp_s) // 1000
-        self._send(self._encoder.odometry(pose, time_us, self.firmware.pose_frame), now_s)
+        self._navigation.add_odometry(pose)
+        if self._navigation.local_from_odom is None:
+            return
+        if self._navigation.feeds:
+            time_us = self._timesync.autopilot_ns(pose.stamp_s) // 1000
+            self._send(self._encoder.odometry(pose, time_us, self.firmware.pose_frame), now_s)
         self.status = replace(self.status, pose_fed_s=now_s)
 
     def estimate_s(self, now_s: float) -> float:
@@ -192,10 +205,21 @@ class VehicleLink:
         self._rates_s = self._rates[-1][0]
         return TurnRates(np.array([stamp_s for stamp_s, _ in self._rates]), np.array([rate for _, rate in self._rates]))
 
+    def reported_poses(self) -> ReportedPoses | None:
+        """Return the newest poses of an autopilot that navigates by itself, None if nothing is new."""
+        return self._navigation.reported()
+
     def stream(self, cleared: ClearedSetpoint, now_s: float, gimbal: bool) -> None:
-        """Send a cleared setpoint, and at most ten times a second its camera pitch."""
+        """Send a cleared setpoint in the autopilot's local frame, and its camera pitch.
+
+        The pitch is sent at most ten times a second. Nothing is sent while that frame is not known.
+        """
+        local_from_odom = self._navigation.local_from_odom
+        if local_from_odom is None:
+            return
         boot_ms = self._timesync.autopilot_ns(now_s) // 1_000_000
-        self._send(self._encoder.setpoint(self.telemetry.system, cleared.setpoint, boot_ms, self.firmware.setpoint_mask), now_s)
+        setpoint = moved(cleared.setpoint, local_from_odom)
+        self._send(self._encoder.setpoint(self.telemetry.system, setpoint, boot_ms, self.firmware.setpoint_mask), now_s)
         if gimbal and self._gimbal.due(now_s):
             pitch_rad = min(max(cleared.setpoint.camera_pitch_down_rad, -math.pi / 2), math.pi / 2)
             self._send(self._encoder.gimbal_pitch(self.telemetry.system, pitch_rad), now_s)
@@ -210,7 +234,7 @@ class VehicleLink:
 
     def request_streams(self, now_s: float, rates_hz: tuple[tuple[int, float], ...], once: tuple[int, ...]) -> None:
         """Request messages (id, rate) at a rate, and others once."""
-        for identifier, rate_hz in rates_hz:
+        for identifier, rate_hz in (*rates_hz, *self._navigation.streams_hz):
             self.command(now_s, _SET_MESSAGE_INTERVAL, float(identifier), 1e6 / rate_hz)
         for identifier in once:
             self.command(now_s, _REQUEST_MESSAGE, float(identifier))
@@ -317,12 +341,33 @@ class VehicleLink:
                 self._synchronise(message, now_s)
             case Attitude():
                 self._keep_rate(message, now_s)
+                self._navigate(message, message.boot_ms, now_s)
+            case LocalPosition():
+                self._navigate(message, message.boot_ms, now_s)
+                message = self._in_odom(message)
+            case Odometry() if self.status.time_known:
+                self._add_own(message, self._timesync.ours_from_us(message.boot_us, now_s), now_s)
             case Firmware():
                 self._identity.told(message.uid)
                 self.status = replace(self.status, identity_fault=self._identity.fault)
             case ParameterValue() if message.name not in self._asked_parameters:
                 return
         self.telemetry = updated(self.telemetry, message, now_s)
+
+    def _navigate(self, message: Message, boot_ms: int, now_s: float) -> None:
+        """Give the navigation a message with a stamp in milliseconds, if that clock is known."""
+        if boot_ms >= 0 and self.status.time_known:
+            self._add_own(message, self._timesync.ours_s(boot_ms, now_s), now_s)
+
+    def _add_own(self, message: Message, stamp_s: float, now_s: float) -> None:
+        if abs(now_s - stamp_s) <= _OLD_POSE_S and not self.status.duplicate_autopilot:
+            self._navigation.add_message(message, min(stamp_s, now_s))
+
+    def _in_odom(self, message: LocalPosition) -> LocalPosition:
+        """Return a position of the local frame in odom, as far as that is known."""
+        odom_from_local = (self._navigation.local_from_odom or Pose.identity()).inverse()
+        position_m, velocity_mps = odom_from_local.apply(message.position_m), odom_from_local.rotation() @ message.velocity_mps
+        return replace(message, position_m=frozen(position_m), velocity_mps=frozen(velocity_mps))
 
     def _keep_rate(self, message: Attitude, now_s: float) -> None:
         """Keep a turn rate with its stamp on our clock, if that clock is known."""

@@ -34,6 +34,7 @@ from uav_recon.autopilot.mavlink.messages import (
     LandedState,
     LocalPosition,
     Message,
+    Odometry,
     OriginSet,
     ParameterValue,
     Received,
@@ -41,8 +42,8 @@ from uav_recon.autopilot.mavlink.messages import (
     SystemStatus,
     TimesyncMessage,
 )
-from uav_recon.types.frames import frozen
-from uav_recon.types.pose import StampedPose
+from uav_recon.types.frames import FloatArray, frozen
+from uav_recon.types.pose import Pose, StampedPose
 from uav_recon.types.trajectory import Setpoint
 
 _BUFFER_LIMIT = 1 << 16
@@ -256,6 +257,35 @@ def _attitude(boot_ms: int, *numbers: float) -> Message | None:
     return Attitude(frozen(np.array(swap_attitude(quat))), boot_ms, turning) if good else None
 
 
+def _odometry(
+    boot_us: int, frame: int, child_frame: int, estimator: int, quality: int, reset_counter: int, covariance: tuple[float, ...],
+    *numbers: float | tuple[float, ...],
+) -> Message | None:  # fmt: skip
+    """Convert ODOMETRY. A quality of 0 is unknown, a negative one a failure."""
+    quat: Any = numbers[3]
+    place, speed = numbers[:3], numbers[4:]
+    good = abs(math.hypot(*quat) - 1.0) < 1e-2 and all(map(math.isfinite, place))  # type: ignore[arg-type]
+    if not good or frame not in _LOCAL_FRAMES or estimator in _GLOBAL_ESTIMATORS:
+        return None
+    attitude, variance = Pose(np.array(swap_attitude(quat)), np.zeros(3)), np.array([covariance[k] for k in _DIAGONAL])
+    known = bool(np.isfinite(variance).all() and (variance > 0.0).all())
+    return Odometry(
+        boot_us, frozen(np.array(swap_world(place))), attitude.quat_wxyz,  # type: ignore[arg-type]
+        frozen(_velocity(child_frame, speed, attitude)),  # type: ignore[arg-type]
+        frozen(np.diagonal(swap_covariance(np.diag(variance)))) if known else None,
+        100 if quality == 0 else min(max(quality, 0), 100), reset_counter,
+    )  # fmt: skip
+
+
+def _velocity(child_frame: int, numbers: tuple[float, ...], attitude: Pose) -> FloatArray:
+    """Return the velocity of an ODOMETRY in the frame of its pose, zero if it is not known."""
+    if not all(map(math.isfinite, numbers)):
+        return np.zeros(3)
+    if child_frame in _LOCAL_FRAMES:
+        return np.array(swap_world(numbers))
+    return attitude.rotation() @ np.array(swap_body(numbers)) if child_frame == wire.MAV_FRAME_BODY_FRD else np.zeros(3)
+
+
 def _firmware(number: int, uid: int, uid2: tuple[int, ...]) -> Message:
     told = bytes(uid2).hex() if any(uid2) else f"{uid:016x}" if uid else ""
     return Firmware((number >> 24 & 0xFF, number >> 16 & 0xFF, number >> 8 & 0xFF), told)
@@ -289,6 +319,9 @@ def _origin() -> Message:
 
 _EKF_FOLLOWS = 0x33F  # attitude, velocities, positions and their predictions (measured)
 _EKF_DOES_NOT = wire.EKF_CONST_POS_MODE | wire.EKF_UNINITIALIZED
+_LOCAL_FRAMES = (wire.MAV_FRAME_LOCAL_NED, wire.MAV_FRAME_LOCAL_FRD)
+_GLOBAL_ESTIMATORS = (wire.MAV_ESTIMATOR_TYPE_GPS, wire.MAV_ESTIMATOR_TYPE_GPS_INS)  # no local pose
+_DIAGONAL = (0, 6, 11, 15, 18, 20)  # of the upper right triangle of a 6x6 matrix, row by row
 _ODOMETRY = wire.MAVLink_odometry_message
 _SETPOINT = wire.MAVLink_set_position_target_local_ned_message
 _HEARTBEAT = wire.MAVLink_heartbeat_message
@@ -318,6 +351,26 @@ _READ: tuple[tuple[Any, tuple[str, ...], Callable[..., Message | None]], ...] = 
         wire.MAVLink_attitude_quaternion_message,
         ("time_boot_ms", "q1", "q2", "q3", "q4", "rollspeed", "pitchspeed", "yawspeed"),
         _attitude,
+    ),
+    (
+        wire.MAVLink_odometry_message,
+        (
+            "time_usec",
+            "frame_id",
+            "child_frame_id",
+            "estimator_type",
+            "quality",
+            "reset_counter",
+            "pose_covariance",
+            "x",
+            "y",
+            "z",
+            "q",
+            "vx",
+            "vy",
+            "vz",
+        ),
+        _odometry,
     ),
     (wire.MAVLink_gps_global_origin_message, (), _origin),
     (wire.MAVLink_home_position_message, (), _origin),

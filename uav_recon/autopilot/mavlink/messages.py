@@ -108,6 +108,23 @@ class Attitude:
     rate_radps: FloatArray | None = None
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Odometry:
+    """ODOMETRY: a pose of the body (FLU) in a frame of the sender with z up.
+
+    boot_us: microseconds since the autopilot's boot. position_m (3,), quat_wxyz (4,), velocity_mps (3,) in that frame, zero if
+    unknown. variance (6,): position m², rotation vector rad²; None if unknown. quality: 0 (lost) to 100.
+    """
+
+    boot_us: int
+    position_m: FloatArray
+    quat_wxyz: FloatArray
+    velocity_mps: FloatArray
+    variance: FloatArray | None
+    quality: int
+    reset_counter: int
+
+
 @dataclass(frozen=True, slots=True)
 class OriginSet:
     """The autopilot has a geographic origin (GPS_GLOBAL_ORIGIN) or a home (HOME_POSITION)."""
@@ -164,6 +181,7 @@ Message = (
     | SystemStatus
     | LocalPosition
     | Attitude
+    | Odometry
     | OriginSet
     | Firmware
     | StatusText

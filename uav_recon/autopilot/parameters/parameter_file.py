@@ -20,6 +20,7 @@ PARAMETER_FILES = {"px4": FOLDER / "px4_indoor.params", "ardupilot": FOLDER / "a
 _NAME = re.compile(r"[A-Z][A-Z0-9_]{0,15}")
 _REAL32 = 9
 _INTEGERS = range(1, 7)  # MAV_PARAM_TYPE
+_POSE_FEED = ("pose feed", "pose feed, map", "pose jump gate")
 _COLUMNS = ("parameter", "value", "default", "unit", "why", "who relies on it", "arming", "a change needs")
 
 
@@ -31,7 +32,8 @@ class ParameterFileError(Exception):
 class ParameterReason:
     """An entry of the README's table.
 
-    refused: arming is refused while the vehicle has another value. reboot: a change needs one.
+    refused: arming is refused while the vehicle has another value. reboot: a change needs one. fed: only a vehicle that is fed
+    the companion's poses needs it.
     """
 
     value: str
@@ -39,6 +41,7 @@ class ParameterReason:
     why: str
     refused: bool
     reboot: bool
+    fed: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,17 +53,19 @@ class RequiredParameter:
     reason: ParameterReason
 
 
-def load(path: Path) -> tuple[RequiredParameter, ...]:
+def load(path: Path, *, fed: bool = True) -> tuple[RequiredParameter, ...]:
     """Return every parameter of a file, in its order. Raises ParameterFileError.
 
-    A name without an entry in the README is user-defined: it must be met before arming too.
+    fed: False leaves out those of the pose feed, for an autopilot that navigates by itself. A name without an entry in the
+    README is user-defined: it must be met before arming too.
     """
     read_line = {".params": _qgroundcontrol, ".param": _mission_planner}.get(path.suffix)
     if read_line is None:
         raise ParameterFileError(f"{path}: a parameter file ends in .params (QGroundControl) or .param (Mission Planner)")
     values = _values(path, read_line)
     reasons, own = load_reasons(), ParameterReason("", "", "", refused=True, reboot=False)
-    return tuple(RequiredParameter(name, value, reasons.get(name, own)) for name, value in values.items())
+    required = (RequiredParameter(name, value, reasons.get(name, own)) for name, value in values.items())
+    return tuple(one for one in required if fed or not one.reason.fed)
 
 
 def load_reasons(path: Path = REASONS) -> dict[str, ParameterReason]:
@@ -72,8 +77,9 @@ def load_reasons(path: Path = REASONS) -> dict[str, ParameterReason]:
             continue
         if len(cells) != len(_COLUMNS) or cells[6] not in ("refused", "-") or cells[7] not in ("reboot", "-"):
             raise ParameterFileError(f"{path}:{number}: a row is {' | '.join(_COLUMNS)}")
-        name, value, _, unit, why, _, arming, change = cells
-        rows[name] = ParameterReason(value, unit.strip("-"), why, arming == "refused", change == "reboot")
+        name, value, _, unit, why, relies, arming, change = cells
+        refused, reboot, fed = arming == "refused", change == "reboot", relies in _POSE_FEED
+        rows[name] = ParameterReason(value, unit.strip("-"), why, refused, reboot, fed)
     return rows
 
 

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 
 from uav_recon.autopilot.firmware.profile import FirmwareProfile, Outcome
+from uav_recon.autopilot.link.navigation import Navigation
 from uav_recon.autopilot.link.vehicle_link import VehicleLink
 from uav_recon.autopilot.mavlink.allow_list import AllowListFilter
 from uav_recon.autopilot.mavlink.tlog import FrameLog, NoLog
@@ -35,7 +36,7 @@ from uav_recon.types.pose import StampedPose
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.trajectory import Goal, Intent
-from uav_recon.types.vehicle import FlightPhase, TurnRates, VehicleState
+from uav_recon.types.vehicle import FlightPhase, ReportedPoses, TurnRates, VehicleState
 
 _LINK_HOLD_S = 0.5  #: hold: autopilot silent for longer: it may no longer follow the setpoints
 _TICK_S = 0.01  # max. wait for a frame within a control step
@@ -54,6 +55,7 @@ class PilotChannels:
     free: Channel[FreeSpace]
     nearby: Channel[MinRangeGrid]
     rates: Channel[TurnRates]
+    reported: Channel[ReportedPoses]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -97,6 +99,7 @@ class Pilot:
         self._airframe = airframe
         self._vehicle = channels.vehicle
         self._rates = channels.rates
+        self._reported = channels.reported
         parameters = parameters or NoParameterCheck()
         self._preflight = PreflightSetup(link, origin, airframe.gimbal, parameters)
         self._tick = RateKeeper(setpoint_rate_hz, clock.now_s())
@@ -128,7 +131,7 @@ class Pilot:
         """Run one step: receive, feed poses, check, act, send a setpoint, report."""
         now_s = self._clock.now_s()
         self._link.receive(now_s)
-        self._publish_rates()
+        self._publish_measurements()
         self._feed_poses(now_s)
         self._read_mission(now_s)
         self._check_authority(now_s)
@@ -371,11 +374,16 @@ class Pilot:
             self._note = news[-1]
         self._reporter.step(self._note, now_s)
 
-    def _publish_rates(self) -> None:
-        """Publish the autopilot's turn rates at once: they are worth less with each millisecond."""
-        rates = self._link.turn_rates()
+    def _publish_measurements(self) -> None:
+        """Publish the autopilot's turn rates and poses at once.
+
+        They are worth less with each millisecond.
+        """
+        rates, poses = self._link.turn_rates(), self._link.reported_poses()
         if rates is not None:
             self._rates.publish(rates)
+        if poses is not None:
+            self._reported.publish(poses)
 
     def _publish(self, now_s: float) -> None:
         gimbal = self._airframe.gimbal
@@ -400,10 +408,11 @@ def make_pilot(
     log: FrameLog | None = None,
     parameters: ParameterCheck | None = None,
     gate: AllowListFilter | None = None,
+    navigation: Navigation | None = None,
 ) -> Pilot:
     """Build a pilot for a firmware on the given byte link.
 
-    gate: filter for senders; None: system 1.
+    gate: filter for senders; None: system 1. navigation: who tells the autopilot where it is; None: the poses are fed to it.
     """
-    link = VehicleLink(bytes_link, log or NoLog(), clock.now_s(), firmware, gate or AllowListFilter())
+    link = VehicleLink(bytes_link, log or NoLog(), clock.now_s(), firmware, gate or AllowListFilter(), navigation=navigation)
     return Pilot(link, guard, sight, patience, channels, clock, origin, airframe, setpoint_rate_hz, parameters)

@@ -70,9 +70,9 @@ class MeasuredStep:
 class MotionFilter:
     """State (9,): place (m), velocity (m/s), offset (m/s², body axes). Not thread-safe."""
 
-    def __init__(self, place_m: FloatArray) -> None:
+    def __init__(self, place_m: FloatArray, offset_mps2: FloatArray) -> None:
         self._now = PredictedMotion(
-            np.concatenate((place_m, np.zeros(6))),
+            np.concatenate((place_m, np.zeros(3), offset_mps2)),
             np.diag([_PLACE_M**2] * 3 + [_VELOCITY_MPS**2] * 3 + [_OFFSET_MPS2**2] * 3),
         )
         self._mean_surprise = 0.0

@@ -32,6 +32,7 @@ class RestDetector:
         self._samples: deque[ImuSample] = deque()
         self._since_s = math.inf
         self.gyro_bias_radps: FloatArray = np.zeros(3)
+        self._force_mps2: FloatArray | None = None
 
     def add(self, samples: list[ImuSample]) -> None:
         """Add inertial samples; the oldest are dropped."""
@@ -68,8 +69,24 @@ class RestDetector:
         still = spread.max() <= _MAX_SPREAD_RADPS and np.abs(mean).max() <= _MAX_RATE_RADPS
         if not (still and abs(float(np.linalg.norm(force)) - GRAVITY_MPS2) <= _MAX_GRAVITY_ERROR_MPS2):  # nor for NaN
             return None
-        self.gyro_bias_radps = mean
-        roll_rad, pitch_rad = math.atan2(force[1], force[2]), math.atan2(-force[0], math.hypot(force[1], force[2]))
-        pitched = Pose(np.array([math.cos(pitch_rad / 2), 0.0, math.sin(pitch_rad / 2), 0.0]), np.zeros(3))
-        rolled = Pose(np.array([math.cos(roll_rad / 2), math.sin(roll_rad / 2), 0.0, 0.0]), np.zeros(3))
-        return pitched @ rolled
+        self.gyro_bias_radps, self._force_mps2 = mean, force
+        return level_attitude(force)
+
+    def force_offset_mps2(self, odom_from_body: Pose) -> FloatArray:
+        """Return what the accelerometer measures beside gravity (3,) at rest.
+
+        odom_from_body: attitude at rest. Body axes; zero without inertial samples.
+        """
+        if self._force_mps2 is None:
+            return np.zeros(3)
+        up: FloatArray = odom_from_body.rotation()[2]
+        return self._force_mps2 - GRAVITY_MPS2 * up
+
+
+def level_attitude(up_body: FloatArray) -> Pose:
+    """Return odom_from_body with heading zero in which a vector (3,) of the body points up."""
+    x, y, z = up_body.tolist()
+    roll_rad, pitch_rad = math.atan2(y, z), math.atan2(-x, math.hypot(y, z))
+    pitched = Pose(np.array([math.cos(pitch_rad / 2), 0.0, math.sin(pitch_rad / 2), 0.0]), np.zeros(3))
+    rolled = Pose(np.array([math.cos(roll_rad / 2), math.sin(roll_rad / 2), 0.0, 0.0]), np.zeros(3))
+    return pitched @ rolled

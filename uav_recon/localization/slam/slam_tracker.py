@@ -14,6 +14,7 @@ from typing import Protocol
 
 import numpy as np
 
+from uav_recon.localization.slam.floor_level import level_by_floor
 from uav_recon.localization.slam.gyro_alignment import GyroAlignment
 from uav_recon.localization.slam.landmarks import Landmarks, LandmarkTracker, project
 from uav_recon.localization.slam.motion_filter import MeasuredStep, MotionFilter
@@ -121,7 +122,7 @@ class SlamTracker:
         self._landmarks = LandmarkTracker()
         self._monitor = TrackingMonitor()
         self._state: TrackedState | None = None
-        self._motion = MotionFilter(np.zeros(3))
+        self._motion = MotionFilter(np.zeros(3), np.zeros(3))
         self._predicted = self._motion.predict(0.0, Pose.identity(), None)
         self._fused: Pose | None = None
         self._believed = 0
@@ -188,9 +189,10 @@ class SlamTracker:
         level = self._rest.level(view.frame.stamp_s)
         if level is None:
             return None
+        level = level_by_floor(view.frame, level, body_from_depth)
         self.gyro.rest(self._rest.gyro_bias_radps)
         self._state = TrackedState(view.frame.stamp_s, level, np.zeros(3), _AT_REST)
-        self._motion = MotionFilter(level.translation_m)
+        self._motion = MotionFilter(level.translation_m, self._rest.force_offset_mps2(level))
         self._believed = _FUSION_FRAMES
         self._add_to_map(view, level @ body_from_depth, np.zeros(3), np.zeros(3))
         return self._stamped(view.frame.stamp_s)

@@ -16,6 +16,10 @@ _MIN_FIT_SHARE = 0.55  #: reject: a frame with fewer of its known points on a kn
 _MIN_COVERAGE_SHARE = 0.15  #: reject: the same holds only if at least this share of its points is in known space
 _MAX_TURN_SIGMAS = 6.0  #: reject: a frame that turns by more of the predicted standard deviations against the gyro
 _MAX_TURN_RAD = math.radians(0.8)  #: reject: the same, but never for less
+#: reject: nor for less than this many standard deviations of the predicted attitude: it may have been off before
+_MAX_ATTITUDE_SIGMAS = 3.0
+_WHOLE_SHARE = 0.9  #: reject: nor, where this share of the points is in known space and fits there, for less than below
+_MAX_WHOLE_TURN_RAD = math.radians(3.0)  #: reject: ... an attitude that had drifted comes back at once after a gap of frames
 _MAX_STEP_SIGMAS = 5.0  #: reject: a frame that moves by more of the predicted standard deviations
 _MAX_STEP_M = 0.06  #: reject: the same, but never for less
 _LOOSE_M = 0.08  #: reject: a frame that leaves the place in a direction as uncertain as this
@@ -49,11 +53,23 @@ class TrackingMonitor:
             np.sqrt(np.linalg.eigvalsh(found.covariance[:3, :3])[-1]),
         )
         place_sigma_m = math.sqrt(float(np.linalg.eigvalsh(prior.covariance[3:, 3:])[-1]))
+        max_turn_rad = _max_turn_rad(found, prior)
         checks = (
             (found.points < _MIN_POINTS, TrackingFault.FEW_POINTS),
             (found.coverage >= _MIN_COVERAGE_SHARE and found.fit < _MIN_FIT_SHARE, TrackingFault.FIT),
-            (turn_rad > max(_MAX_TURN_RAD, _MAX_TURN_SIGMAS * prior.turn_sigma_rad), TrackingFault.TURN),
+            (turn_rad > max_turn_rad, TrackingFault.TURN),
             (step_m > max(_MAX_STEP_M, _MAX_STEP_SIGMAS * place_sigma_m), TrackingFault.STEP),
             (loose[0] > _LOOSE_M or loose[1] > _LOOSE_RAD, TrackingFault.LOOSE),
         )
         return next((fault for fails, fault in checks if fails), None)
+
+
+def _max_turn_rad(found: Registration, prior: MotionPrior) -> float:
+    """Return by how much a frame may turn against the gyro."""
+    whole = found.coverage >= _WHOLE_SHARE and found.fit >= _WHOLE_SHARE
+    attitude_sigma_rad = math.sqrt(float(np.linalg.eigvalsh(prior.covariance[:3, :3])[-1]))
+    return max(
+        _MAX_WHOLE_TURN_RAD if whole else _MAX_TURN_RAD,
+        _MAX_TURN_SIGMAS * prior.turn_sigma_rad,
+        _MAX_ATTITUDE_SIGMAS * attitude_sigma_rad,
+    )

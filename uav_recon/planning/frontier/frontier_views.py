@@ -11,6 +11,7 @@ import numpy as np
 from uav_recon.config import PlannerConfig
 from uav_recon.planning.camera_frustum import CameraGeometry
 from uav_recon.planning.candidate_view import MIN_SEEN, CandidateView
+from uav_recon.planning.frontier.cluster_table import OPENING
 from uav_recon.planning.frontier.frontiers import Frontiers
 from uav_recon.planning.frontier.reachable_tiles import Reach, ReachableTiles
 from uav_recon.planning.frontier.view_cache import ViewCache
@@ -43,12 +44,13 @@ class FrontierProposals:
     """Tasks for frontiers, nearest cluster first.
 
     without_view: number of clusters without a view.
-    later: number of clusters left for later plans.
+    later: number of clusters left for later plans; openings_later: those of them that are openings.
     """
 
     proposals: list[CandidateView]
     without_view: int
     later: int
+    openings_later: int
 
 
 class FrontierViews:
@@ -106,7 +108,8 @@ class FrontierViews:
                     self._tiles.update(space)
                     nearest = frontiers.table.nearest(here, total)
                 wanted = min(2 * wanted, wanted + MAX_MORE, total)
-        return FrontierProposals(self._proposals(voxels, space, found, lens), without, total - asked + later)
+        openings_later = frontiers.openings - int(np.count_nonzero(frontiers.table.beyond[nearest[:asked]] >= OPENING))
+        return FrontierProposals(self._proposals(voxels, space, found, lens), without, total - asked + later, openings_later)
 
     def reasons(self, voxels: VoxelMap, space: Flyable, frontiers: Frontiers) -> Counter[ReasonCode]:
         """Count the clusters without a view, by reason.

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from uav_recon.planning.frontier.cluster_table import ClusterTable
+from uav_recon.planning.frontier.cluster_table import OPENING, ClusterTable
 from uav_recon.planning.frontier.clustering import BLOCK, MAX_EXTENT_M, scan
 from uav_recon.planning.frontier.unknown_volume import around, unknown_volume_of_each
 from uav_recon.types.frames import ByteArray, FloatArray, IntArray
@@ -84,6 +84,14 @@ class Frontiers:
 
     def __len__(self) -> int:
         return int(self.table.size)
+
+    @property
+    def openings(self) -> int:
+        """Return the number of clusters with unknown space beyond them.
+
+        The others are gaps in front of a wall.
+        """
+        return int(np.count_nonzero(self.table.beyond[self.rows()] >= OPENING))
 
     def rows(self) -> IntArray:
         """Return the rows of the table that hold a cluster, in no particular order."""

@@ -16,7 +16,7 @@ from uav_recon.planning.paths.theta_star import Memory, memory_for, search_polyl
 from uav_recon.types.frames import BoolArray, ByteArray, FloatArray, IntArray
 from uav_recon.types.maps import TILE
 
-PLACES = 32  # number of tasks whose paths are cached
+PLACES = 64  # number of tasks whose paths are cached: those of a plan, and those that the next plans ask for again
 MAX_POINTS = 24  # max. points of a cached path; a longer one is searched again when it is requested
 _ROOM = 1024  # max. points of a path before string pulling
 
@@ -86,7 +86,7 @@ class PathCache:
         places: (N, 3) positions of the tasks' views, padded voxel units, each in a flyable voxel.
         """
         if self._space.regions is not self._regions or len(places) > len(self._known.place):
-            self._start(max(len(places), PLACES))
+            self._start(max(2 * len(places), PLACES))
         space, blocks = self._space, self._regions.blocks
         self._plan += 1
         if space.revision != self._seen:

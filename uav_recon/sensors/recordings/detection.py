@@ -7,6 +7,7 @@ from pathlib import Path
 
 from uav_recon.sensors.recordings.bag_messages import BagTopics
 from uav_recon.sensors.recordings.flight_folder import FlightFolder, is_flight_folder
+from uav_recon.sensors.recordings.realsense_file import RealSenseFile, is_realsense_file
 from uav_recon.sensors.recordings.recording import Pinhole, Recording, RecordingError
 from uav_recon.sensors.recordings.ros_bag import RosBag, bag_file
 from uav_recon.sensors.recordings.seven_scenes_folder import SevenScenesFolder, is_seven_scenes_folder
@@ -14,7 +15,7 @@ from uav_recon.sensors.recordings.tum_folder import TumFolder, is_tum_folder
 
 WANTED = (
     "want a flight folder (keyframes/poses.json), a TUM RGB-D folder (rgb.txt, depth.txt), a 7-Scenes folder "
-    "(frame-NNNNNN.depth.png), or a ROS 2 bag (.mcap, .db3 or a folder with one)"
+    "(frame-NNNNNN.depth.png), a ROS 2 bag (.mcap, .db3 or a folder with one), or a librealsense recording (.db3, .bag)"
 )
 
 
@@ -48,6 +49,8 @@ def open_recording(path: Path, options: ReadOptions) -> Recording:
     file = bag_file(path)
     if file is None:
         raise RecordingError(f"{path}: {_found(path)}; {WANTED}")
+    if is_realsense_file(file):
+        return RealSenseFile(file, *span_m)
     return RosBag(file, *span_m, options.topics)
 
 
@@ -57,6 +60,4 @@ def _found(path: Path) -> str:
         return f"a folder with {', '.join(names[:3])}{' ...' if len(names) > 3 else ''}" if names else "an empty folder"
     with path.open("rb") as file:
         head = file.read(13)
-    if head.startswith(b"#ROSBAG V"):
-        return 'a ROS 1 bag (also librealsense\'s .bag): play it with camera.source = "realsense", or convert it to ROS 2'
     return f"a file that begins with {head[:8]!r}"

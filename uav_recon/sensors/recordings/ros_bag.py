@@ -3,7 +3,7 @@
 Recordings of `uav-recon record` are such bags.
 
 A file that was cut, for example by a loss of power, is read up to the cut. Needs the packages mcap and rosbags (`pip install
-uav-recon[recordings]`), not ROS. librealsense's own .db3 holds no ROS 2 messages and is refused.
+uav-recon[recordings]`), not ROS.
 """
 
 from __future__ import annotations
@@ -34,6 +34,8 @@ from uav_recon.sensors.recordings.bag_messages import (
     rgb_image,
     stamped_pose_of,
 )
+from uav_recon.sensors.recordings.frame_pairing import paired
+from uav_recon.sensors.recordings.realsense_file import ROS1_MAGIC
 from uav_recon.sensors.recordings.recording import LEVEL_MOUNT, DepthUnit, RecordingError, RecordingInfo, require_increasing
 from uav_recon.types.camera import Frame, ImuSample
 from uav_recon.types.frames import AnyArray
@@ -41,8 +43,6 @@ from uav_recon.types.pose import Pose, StampedPose
 
 MCAP_MAGIC = b"\x89MCAP0\r\n"
 SQLITE_MAGIC = b"SQLite format 3\x00"
-PAIR_S = 0.05  #: reject: a depth image whose nearest colour image is farther away gets no colour (black)
-_KEPT_COLOURS = 4
 
 
 @dataclass(frozen=True)
@@ -110,20 +110,10 @@ class RosBag:
 
     def frames(self, step: int = 1) -> Iterator[Frame]:
         """Yield every step-th depth image with its nearest colour image. Raises RecordingError."""
-        waiting: list[tuple[int, RawMessage]] = []
-        colours: list[RawMessage] = []
-        number = -1
-        for message in self._messages():
-            if message.topic == self._colour:
-                colours = [*colours[-_KEPT_COLOURS:], message]
-            elif message.topic == self._depth:
-                number += 1
-                if number % step == 0:
-                    waiting.append((number, message))
-            while waiting and (self._colour is None or self._met(waiting[0][1], colours, len(waiting))):
-                yield self._frame(*waiting.pop(0), colours)
-        for one in waiting:
-            yield self._frame(*one, colours)
+        is_depth, is_colour = (lambda one: one.topic == self._depth), (lambda one: one.topic == self._colour)
+        pairs = paired(self._messages(), is_depth, is_colour, RawMessage.stamp_s, step, colour=self._colour is not None)
+        for number, depth, colour in pairs:
+            yield self._frame(number, depth, colour)
 
     def poses(self) -> list[StampedPose]:
         """Return the poses of the body."""
@@ -144,19 +134,13 @@ class RosBag:
             out.append(ImuSample(_stamp_s(message), turn @ (rate.x, rate.y, rate.z), turn @ (force.x, force.y, force.z)))
         return sorted(out, key=lambda sample: sample.stamp_s)
 
-    def _met(self, depth: RawMessage, colours: list[RawMessage], waiting: int) -> bool:
-        """Return True if no later colour image can be nearer."""
-        return waiting > _KEPT_COLOURS or (bool(colours) and colours[-1].stamp_s() >= depth.stamp_s())
-
-    def _frame(self, number: int, message: RawMessage, colours: list[RawMessage]) -> Frame:
+    def _frame(self, number: int, message: RawMessage, colour: RawMessage | None) -> Frame:
         stamp_s, where = message.stamp_s(), f"{self._file}: {self._depth}"
         raw = self._depth_lens.undistorted(depth_image(self._decode(message), where), where)
-        near = min(colours, key=lambda one: abs(one.stamp_s() - stamp_s), default=None)
-        if near is None or abs(near.stamp_s() - stamp_s) > PAIR_S:
-            rgb: AnyArray = np.zeros((self._rgb_lens.intrinsics.height, self._rgb_lens.intrinsics.width, 3), np.uint8)
-        else:
+        rgb: AnyArray = np.zeros((self._rgb_lens.intrinsics.height, self._rgb_lens.intrinsics.width, 3), np.uint8)
+        if colour is not None:
             where = f"{self._file}: {self._colour}"
-            rgb = self._rgb_lens.undistorted(rgb_image(self._decode(near), where), where)
+            rgb = self._rgb_lens.undistorted(rgb_image(self._decode(colour), where), where)
         lens, rgb_lens = self._depth_lens.intrinsics, self._rgb_lens.intrinsics
         return Frame(stamp_s, number, self._unit.metres(raw), lens, rgb, rgb_lens, self._rgb_from_depth)
 
@@ -237,14 +221,14 @@ def bag_file(path: Path) -> Path | None:
     Raises RecordingError for several.
     """
     if path.is_dir():
-        files = [entry for entry in sorted(path.iterdir()) if entry.suffix in (".mcap", ".db3")]
+        files = [entry for entry in sorted(path.iterdir()) if entry.suffix in (".mcap", ".db3", ".bag")]
         if len(files) > 1:
             names = ", ".join(file.name for file in files[:3])
             raise RecordingError(f"{path}: a bag of several files ({names}); name one of them, or merge them: ros2 bag convert")
         return files[0] if files else None
     with path.open("rb") as file:
         head = file.read(len(SQLITE_MAGIC))
-    return path if head == SQLITE_MAGIC or head.startswith(MCAP_MAGIC) else None
+    return path if head == SQLITE_MAGIC or head.startswith((MCAP_MAGIC, ROS1_MAGIC)) else None
 
 
 def _mcap_messages(file: Path) -> Iterator[RawMessage]:
@@ -277,8 +261,7 @@ def _sqlite_messages(file: Path) -> Iterator[RawMessage]:
             for topic, kind, data in rows:
                 yield RawMessage(topic, kind, data)
         except sqlite3.OperationalError as error:
-            raise RecordingError(f"{file}: an SQLite file, but no ROS 2 bag ({error}); a librealsense recording is played "
-                                 "with camera.source = \"realsense\"") from None  # fmt: skip
+            raise RecordingError(f"{file}: an SQLite file, but no ROS 2 bag ({error})") from None
         except sqlite3.DatabaseError:
             return  # the file was cut here
 

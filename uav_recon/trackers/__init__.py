@@ -1,0 +1,1 @@
+"""Tracking engines of others beside the camera stream, each in a process of its own."""
