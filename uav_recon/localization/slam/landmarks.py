@@ -30,8 +30,8 @@ _NEAREST_M = 0.25
 _SIGMA_PX = 1.0
 _ROBUST_PX = 2.0
 # eigenvalue of a corner's weaker direction against the stronger one, up to which it is an edge, and from which on a corner
-_EDGE_SHARE = 0.08
-_CORNER_SHARE = 0.25
+_EDGE_SHARE = 0.15
+_CORNER_SHARE = 0.5
 _FITS_PX = 3.0  # a landmark farther from where the pose expects it is dropped
 _MOST_SEEN = 15.0  # depths in a mean; more would keep the landmark where it was first seen
 

@@ -18,11 +18,15 @@ from uav_recon.types.pose import Pose
 PLACE = slice(0, 3)
 VELOCITY = slice(3, 6)
 OFFSET = slice(6, 9)
+TILT = slice(9, 12)
+_SIZE = 12
 _VELOCITY_MPS = 0.05  # standard deviations at the start
-_OFFSET_MPS2 = 0.1  # the rest on the pad shows bias and tilt together: only their share that turns is unknown
+_OFFSET_MPS2 = np.array([0.15, 0.15, 0.1])  # a bias, and a mount that is off by 0.6 degrees
+_REST_MPS2 = 0.03  # what the rest on the pad leaves unknown of offset and tilt together
 _PLACE_M = 1e-3
 _FORCE_DENSITY = 0.15  # m/s² per root Hz: twice that of a flying camera, for stamps that are off by milliseconds
-_OFFSET_WALK = 0.02  # m/s² per root second
+_OFFSET_WALK = 0.015  # m/s² per root second
+_TILT_WALK = 0.005
 _BLIND_MPS2 = 2.0  # white acceleration of a body without an accelerometer, over one frame
 _STEP_M = 0.004  # what the images themselves are off by, from frame to frame
 _SURPRISE = 25.0  # squared innovation of a place, in standard deviations; a larger one counts as this
@@ -36,7 +40,7 @@ _GRAVITY = np.array([0.0, 0.0, -GRAVITY_MPS2])
 class PredictedMotion:
     """Place and velocity in odom at a later frame.
 
-    state (9,): of MotionFilter; covariance (9, 9).
+    state (12,): of MotionFilter; covariance (12, 12).
     """
 
     state: FloatArray
@@ -59,12 +63,11 @@ class PredictedMotion:
 
 
 class MotionFilter:
-    """State (9,): place (m), velocity (m/s), offset (m/s², body axes). Not thread-safe."""
+    """State (12,): place (m), velocity (m/s), offset (m/s², body axes), tilt (m/s², odom axes). Not thread-safe."""
 
     def __init__(self, place_m: FloatArray) -> None:
         self._now = PredictedMotion(
-            np.concatenate((place_m, np.zeros(6))),
-            np.diag([_PLACE_M**2] * 3 + [_VELOCITY_MPS**2] * 3 + [_OFFSET_MPS2**2] * 3),
+            np.concatenate((place_m, np.zeros(_SIZE - 3))), _covariance_at_rest(),
         )
         self._mean_surprise = 0.0
         self._calm = _TRUSTED_AGAIN
@@ -82,8 +85,7 @@ class MotionFilter:
     def rest(self) -> None:
         """Set the velocity to zero: the body rests."""
         self._now = PredictedMotion(
-            np.concatenate((self._now.place_m, np.zeros(3), self._now.state[OFFSET])),
-            np.diag([_PLACE_M**2] * 3 + [_VELOCITY_MPS**2] * 3 + [_OFFSET_MPS2**2] * 3),
+            np.concatenate((self._now.place_m, np.zeros(3), self._now.state[6:])), _covariance_at_rest(),
         )
 
     def predict(
@@ -93,9 +95,9 @@ class MotionFilter:
 
         odom_from_body: attitude now. track: the inertial track now and then, None without an accelerometer.
         """
-        state, transition = self._now.state.copy(), np.eye(9)
+        state, transition = self._now.state.copy(), np.eye(_SIZE)
         transition[PLACE, VELOCITY] = step_s * np.eye(3)
-        noise = np.zeros((9, 9))
+        noise = np.zeros((_SIZE, _SIZE))
         if track is None or not self.accelerometer_used:
             state[PLACE] += step_s * state[VELOCITY]
             _add_white_acceleration(noise, _BLIND_MPS2**2 * step_s, step_s)
@@ -107,14 +109,17 @@ class MotionFilter:
             swept = turn @ (
                 np.array(b.position_integral) - np.array(a.position_integral) - np.array(a.velocity_integral) * step_s
             )
-            off = body @ state[OFFSET]
+            off = body @ state[OFFSET] + state[TILT]
             state[PLACE] += step_s * state[VELOCITY] + swept + 0.5 * step_s**2 * (_GRAVITY - off)
             state[VELOCITY] += gained + step_s * (_GRAVITY - off)
             transition[PLACE, OFFSET] = -0.5 * step_s**2 * body
             transition[VELOCITY, OFFSET] = -step_s * body
+            transition[PLACE, TILT] = -0.5 * step_s**2 * np.eye(3)
+            transition[VELOCITY, TILT] = -step_s * np.eye(3)
             _add_white_acceleration(noise, _FORCE_DENSITY**2, step_s)
         noise[PLACE, PLACE] += _STEP_M**2 * np.eye(3)
         noise[OFFSET, OFFSET] += _OFFSET_WALK**2 * step_s * np.eye(3)
+        noise[TILT, TILT] += _TILT_WALK**2 * step_s * np.eye(3)
         return PredictedMotion(state, transition @ self._now.covariance @ transition.T + noise)
 
     def coast(self, predicted: PredictedMotion) -> None:
@@ -140,6 +145,15 @@ class MotionFilter:
             self._calm, self._mean_surprise = 0, 0.0
         else:
             self._calm += 1
+
+
+def _covariance_at_rest() -> FloatArray:
+    """Return the covariance of a body at rest: it shows offset and tilt together, and not each alone."""
+    out = np.diag([_PLACE_M**2] * 3 + [_VELOCITY_MPS**2] * 3 + [0.0] * 6)
+    apart = np.diag(_OFFSET_MPS2**2)
+    out[OFFSET, OFFSET], out[TILT, TILT], out[OFFSET, TILT], out[TILT, OFFSET] = apart, apart, -apart, -apart
+    out[OFFSET, OFFSET] += _REST_MPS2**2 * np.eye(3)
+    return out
 
 
 def _add_white_acceleration(noise: FloatArray, density2: float, step_s: float) -> None:

@@ -202,6 +202,8 @@ def fuse_blocks(
                     if off_m < -TRUNCATION_M:
                         continue
                     new = _UNIT_M2 * min(along, 1.0) / max(seen_m * seen_m, 0.25)
+                    if off_m < -VOXEL_M:  # behind the surface: less, for another surface may be there
+                        new *= (off_m + TRUNCATION_M) / (TRUNCATION_M - VOXEL_M)
                     old = weight[block, i, j, k]
                     distance[block, i, j, k] = (old * distance[block, i, j, k] + new * min(off_m, TRUNCATION_M)) / (old + new)
                     weight[block, i, j, k] = min(old + new, MAX_WEIGHT)
