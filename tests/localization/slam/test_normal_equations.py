@@ -51,7 +51,7 @@ def _equations(
     information, gradient = np.zeros((SIZE, SIZE)), np.zeros(SIZE)
     fitting = add_landmark_equations(
         places, slope, texture, at_px.astype(np.float32), CAMERA, TURN.rotation(), EYE_M, TURN.translation_m, MOTION, slow,
-        change, information, gradient,
+        change, information, gradient, np.zeros((3, 3)),
     )  # fmt: skip
     return information, gradient, fitting
 
@@ -279,7 +279,7 @@ def test_corners_are_followed_to_where_the_room_shows_them() -> None:
     poses = [truth(n / 15) @ BODY_FROM_DEPTH for n in (60, 61)]
     first, second = RgbdView(frame(60)), RgbdView(frame(61))
     assert len(tracker.follow(first, np.empty((0, 2))).place_m) == 0
-    tracker.settle(first, poses[0], motion, slow)
+    tracker.settle(first, poses[0], motion, slow, 0.0)
     points = tracker.points
     assert len(points.place_m) > 25
     expected = project(points.place_m, second.camera, *second.rgb_pose(poses[1]), poses[1].translation_m, motion, slow)
@@ -296,7 +296,7 @@ def test_corners_that_the_image_no_longer_shows_are_dropped() -> None:
     """The right half of the next image shows something else."""
     tracker, first = LandmarkTracker(), RgbdView(frame(90))
     tracker.follow(first, np.empty((0, 2)))
-    tracker.settle(first, truth(6.0) @ BODY_FROM_DEPTH, np.zeros(6), np.zeros(2))
+    tracker.settle(first, truth(6.0) @ BODY_FROM_DEPTH, np.zeros(6), np.zeros(2), 0.0)
     before = tracker.points.at_px
     rgb = frame(90).rgb.copy()
     rgb[:, 106:] = np.kron(np.random.default_rng(0).integers(0, 255, (24, 22, 1)), np.ones((5, 5, 3)))[:120, :106]
@@ -310,9 +310,9 @@ def test_corners_that_the_image_no_longer_shows_are_dropped() -> None:
 def test_recalled_landmarks_are_those_of_the_newest_settled_image() -> None:
     tracker, view = LandmarkTracker(), RgbdView(frame(60))
 
-    tracker.settle(view, truth(4.0) @ BODY_FROM_DEPTH, np.zeros(6), np.zeros(2))
+    tracker.settle(view, truth(4.0) @ BODY_FROM_DEPTH, np.zeros(6), np.zeros(2), 0.0)
     tracker.follow(view, np.empty((0, 2)))
-    tracker.settle(view, truth(4.0) @ BODY_FROM_DEPTH, np.zeros(6), np.zeros(2))
+    tracker.settle(view, truth(4.0) @ BODY_FROM_DEPTH, np.zeros(6), np.zeros(2), 0.0)
     before = tracker.points
     dark = RgbdView(Frame(4.1, 61, frame(61).depth_m, LENS, np.zeros((120, 212, 3), np.uint8), RGB_LENS, Pose.identity()))
     assert len(tracker.follow(dark, before.at_px.astype(np.float64)).place_m) == 0

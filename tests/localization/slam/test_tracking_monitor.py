@@ -26,7 +26,7 @@ def _found(step_m: float = 0.0, turn_rad: float = 0.0, **values: Any) -> Registr
     pose = Pose.from_rotation_vector(np.array([0.0, turn_rad, 0.0]), np.zeros(3)) @ HERE
     good = Registration(
         Pose(pose.quat_wxyz, HERE.translation_m + np.array([step_m, 0.0, 0.0])), 1e-6 * np.eye(6), 1000, 900, 850, 60,
-        np.zeros(2), np.eye(2),
+        np.zeros(2), np.eye(2), 0.01, 1e5,
     )  # fmt: skip
     return dataclasses.replace(good, **values)
 

@@ -24,12 +24,14 @@ _VELOCITY_MPS = 0.05  # standard deviations at the start
 _OFFSET_MPS2 = np.array([0.15, 0.15, 0.1])  # a bias, and a mount that is off by 0.6 degrees
 _REST_MPS2 = 0.03  # what the rest on the pad leaves unknown of offset and tilt together
 _PLACE_M = 1e-3
+_RELOCATED_M = 0.01
 _FORCE_DENSITY = 0.15  # m/s² per root Hz: twice that of a flying camera, for stamps that are off by milliseconds
 _OFFSET_WALK = 0.015  # m/s² per root second
 _TILT_WALK = 0.005
 _BLIND_MPS2 = 2.0  # white acceleration of a body without an accelerometer, over one frame
 _STEP_M = 0.004  # what the images themselves are off by, from frame to frame
 _SURPRISE = 25.0  # squared innovation of a place, in standard deviations; a larger one counts as this
+_REACHED = 9.0  # squared standard deviations that the motion may be off
 _MEAN_SURPRISE = 5.0  # mean over _MEAN_FRAMES that contradicts the accelerometer: after four large ones, or more small ones
 _MEAN_FRAMES = 15
 _TRUSTED_AGAIN = 45  # frames without a surprise until it is used again
@@ -66,9 +68,7 @@ class MotionFilter:
     """State (12,): place (m), velocity (m/s), offset (m/s², body axes), tilt (m/s², odom axes). Not thread-safe."""
 
     def __init__(self, place_m: FloatArray) -> None:
-        self._now = PredictedMotion(
-            np.concatenate((place_m, np.zeros(_SIZE - 3))), _covariance_at_rest(),
-        )
+        self._now = PredictedMotion(np.concatenate((place_m, np.zeros(_SIZE - 3))), _covariance_at_rest())
         self._mean_surprise = 0.0
         self._calm = _TRUSTED_AGAIN
 
@@ -85,7 +85,8 @@ class MotionFilter:
     def rest(self) -> None:
         """Set the velocity to zero: the body rests."""
         self._now = PredictedMotion(
-            np.concatenate((self._now.place_m, np.zeros(3), self._now.state[6:])), _covariance_at_rest(),
+            np.concatenate((self._now.place_m, np.zeros(3), self._now.state[6:])),
+            _covariance_at_rest(),
         )
 
     def predict(
@@ -120,11 +121,26 @@ class MotionFilter:
         noise[PLACE, PLACE] += _STEP_M**2 * np.eye(3)
         noise[OFFSET, OFFSET] += _OFFSET_WALK**2 * step_s * np.eye(3)
         noise[TILT, TILT] += _TILT_WALK**2 * step_s * np.eye(3)
-        return PredictedMotion(state, transition @ self._now.covariance @ transition.T + noise)
+        covariance = transition @ self._now.covariance @ transition.T + noise
+        return PredictedMotion(state, covariance)
 
     def coast(self, predicted: PredictedMotion) -> None:
         """Take the predicted motion: the frame was not believed."""
         self._now = predicted
+
+    def relocate(self, predicted: PredictedMotion, place_m: FloatArray) -> None:
+        """Take a place (3,) that a search has found.
+
+        If it lies where the motion may have come to, it corrects the motion, too; else the map was off, and not the motion.
+        """
+        covariance, shift = _RELOCATED_M**2 * np.eye(3), place_m - predicted.place_m
+        if float(shift @ np.linalg.solve(predicted.place_covariance, shift)) < _REACHED:
+            self.update(predicted, place_m, covariance)
+            return
+        whole = predicted.covariance.copy()
+        whole[PLACE, :], whole[:, PLACE] = 0.0, 0.0
+        whole[PLACE, PLACE] = covariance
+        self._now = PredictedMotion(np.concatenate((place_m, predicted.state[3:])), whole)
 
     def update(self, predicted: PredictedMotion, place_m: FloatArray, place_covariance: FloatArray) -> None:
         """Take the place (3,) of a believed frame, with its covariance (3, 3).
@@ -135,7 +151,8 @@ class MotionFilter:
         gain = np.linalg.solve(before, predicted.covariance[PLACE, :]).T
         shift = place_m - predicted.place_m
         covariance = predicted.covariance - gain @ (before - place_covariance) @ gain.T
-        self._now = PredictedMotion(predicted.state + gain @ shift, 0.5 * (covariance + covariance.T))
+        covariance = 0.5 * (covariance + covariance.T)
+        self._now = PredictedMotion(predicted.state + gain @ shift, covariance)
         self._judge(float(shift @ np.linalg.solve(before, shift)))
 
     def _judge(self, surprise: float) -> None:

@@ -18,6 +18,9 @@ _ROUNDS = 10
 _FAR_ROUNDS = 8  # before them, from a far start
 _STEPS = (-1.0, -0.5, 0.0, 0.5, 1.0)  # of a search along an axis, in shares of its reach
 _SHIFTS = np.array([(x, y, z) for x in _STEPS for y in _STEPS for z in _STEPS])
+_SEARCH_STARTS = 4  # of a search, those that fit best
+_APART_M = 0.1  # between places that are not the same
+_ALIKE_SHARE = 0.95  # of the best match, from which on another place fits alike
 _STILL_M = 2e-4
 _STILL_RAD = 1e-4
 _WIDER = (4.0, 2.0, 1.0)  # scale of the robust weight of depth in the first rounds: a far start must be pulled, too
@@ -32,6 +35,12 @@ _POSE = slice(0, 6)
 # Depth tells nothing of a direction in which it has less than this share of its information: along a plane the noise of the
 # field would hold the camera to where it was.
 _WEAK_SHARE = 0.005
+# Landmarks tell nothing of a direction in which they have less than this share of the information of perfect corners: all of
+# them are on edges then, and follow the prediction along these.
+_EDGES_SHARE = 0.05
+_TINY = 1e-9
+_TINY = 1e-9
+_LEAST_SHOWN = 1.0  # keeps the shares finite in directions that no landmark could show
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,7 +67,8 @@ class Registration:
 
     covariance (6, 6): of a rotation in odom axes about the camera, and of its place. points, known, inliers: depth points,
     those in known space, those on a known surface. landmarks: number that fit. slow, slow_covariance: as in MotionPrior, after
-    this frame.
+    this frame. depth_sigma_m: of the place by depth alone, in its worst direction; infinite if depth does not determine it.
+    match: sum of the weights of depth, larger for a better fit.
     """
 
     odom_from_depth: Pose
@@ -69,6 +79,8 @@ class Registration:
     landmarks: int
     slow: FloatArray
     slow_covariance: FloatArray
+    depth_sigma_m: float
+    match: float
 
     @property
     def coverage(self) -> float:
@@ -81,15 +93,26 @@ class Registration:
         return self.inliers / max(self.known, 1)
 
 
-def search(view: RgbdView, volume: TsdfVolume, prior: MotionPrior, reach_m: float) -> Registration:
-    """Return the pose at which depth alone fits the map, near the predicted one. About 20 ms.
+def search(view: RgbdView, volume: TsdfVolume, prior: MotionPrior, reach_m: float) -> tuple[Registration, bool]:
+    """Return the pose at which depth alone fits the map best, near the predicted one, and if no other fits alike. About 20 ms.
 
     reach_m: of the search along each axis. From a far start most points lie off their surfaces: this says nothing against
     depth there.
     """
     place_m, rotation = prior.odom_from_depth.translation_m, prior.odom_from_depth.rotation()
-    fitting = [_inliers(view, volume, rotation, place_m + reach_m * shift) for shift in _SHIFTS]
-    return _converge(view, volume, Landmarks.none(), prior, reach_m * _SHIFTS[int(np.argmax(fitting))])
+    shifts_m = reach_m * _SHIFTS
+    fitting = np.array([_inliers(view, volume, rotation, place_m + shift_m) for shift_m in shifts_m])
+    starts: list[FloatArray] = []
+    for number in np.argsort(-fitting, kind="stable"):
+        if all(np.linalg.norm(shifts_m[number] - start_m) > _APART_M for start_m in starts):
+            starts.append(shifts_m[number])
+        if len(starts) == _SEARCH_STARTS:
+            break
+    ends = [_converge(view, volume, Landmarks.none(), prior, start_m) for start_m in starts]
+    best = max(ends, key=lambda end: end.match)
+    there_m = best.odom_from_depth.translation_m
+    others = [end for end in ends if np.linalg.norm(end.odom_from_depth.translation_m - there_m) > _APART_M]
+    return best, all(end.match < _ALIKE_SHARE * best.match for end in others)
 
 
 def register(view: RgbdView, volume: TsdfVolume, landmarks: Landmarks, prior: MotionPrior) -> Registration:
@@ -119,7 +142,7 @@ def _converge(
     slow_information = np.linalg.inv(prior.slow_covariance)
     motion = np.concatenate((prior.rate_radps, prior.velocity_mps))
     known = inliers = fitting = 0
-    information = np.zeros((SIZE, SIZE))
+    information, match, depth_sigma_m = np.zeros((SIZE, SIZE)), 0.0, math.inf
     rounds = _ROUNDS + _FAR_ROUNDS if far else _ROUNDS
     for number in range(rounds):
         wide = _WIDER[0] if number < rounds - _ROUNDS else _WIDER[min(number - rounds + _ROUNDS, len(_WIDER) - 1)]
@@ -128,15 +151,20 @@ def _converge(
             view.points, rotation, place_m, volume.index, volume.distance, volume.weight, _DEPTH_SHARE, wide,
             information, gradient,
         )  # fmt: skip
+        match = float(np.trace(information[3:6, 3:6]))
         support = 1.0 if far and number < _FAR_ROUNDS else _support(known, inliers)
         information *= support
         gradient *= support
-        _leave_weak_directions(information, gradient, prior.turn_sigma_rad)
+        depth_sigma_m = _leave_weak_directions(information, gradient, prior.turn_sigma_rad)
         eye = rotation @ view.depth_from_rgb.rotation(), rotation @ view.depth_from_rgb.translation_m + place_m
+        landmark_information, landmark_gradient, shown = np.zeros((SIZE, SIZE)), np.zeros(SIZE), np.zeros((3, 3))
         fitting = add_landmark_equations(
             landmarks.place_m, landmarks.slope, landmarks.texture, landmarks.at_px, view.camera, *eye, place_m, motion, slow,
-            slow - prior.slow, information, gradient,
+            slow - prior.slow, landmark_information, landmark_gradient, shown,
         )  # fmt: skip
+        _leave_edges(landmark_information, landmark_gradient, shown)
+        information += landmark_information
+        gradient += landmark_gradient
         whole = information.copy()
         whole[_POSE, _POSE] += predicted
         whole[6:, 6:] += slow_information
@@ -158,6 +186,7 @@ def _converge(
     matrix[:3, :3], matrix[:3, 3] = rotation, place_m
     return Registration(
         Pose.from_matrix(matrix), covariance[_POSE, _POSE], len(view.points), known, inliers, fitting, slow, covariance[6:, 6:],
+        depth_sigma_m, match,
     )  # fmt: skip
 
 
@@ -178,9 +207,10 @@ def _support(known: int, inliers: int) -> float:
     return max(fitting**2 * min(inliers / _ENOUGH_POINTS, 1.0) ** 2, 1e-6)
 
 
-def _leave_weak_directions(information: FloatArray, gradient: FloatArray, turn_sigma_rad: float) -> None:
+def _leave_weak_directions(information: FloatArray, gradient: FloatArray, turn_sigma_rad: float) -> float:
     """Remove from the equations of depth the translations that it does not determine.
 
+    Returns the standard deviation of the worst translation, infinite if one is removed.
     Zhang, Kaess and Singh 2016, On Degeneracy of Optimization-based State Estimation Problems.
     """
     turn = information[:3, :3] + np.eye(3) * turn_sigma_rad**-2
@@ -188,8 +218,26 @@ def _leave_weak_directions(information: FloatArray, gradient: FloatArray, turn_s
     values, directions = np.linalg.eigh(0.5 * (alone + alone.T))
     weak = directions[:, values < _WEAK_SHARE * values[-1]]
     if not weak.size:
-        return
+        return 1.0 / math.sqrt(max(float(values[0]), _TINY))
     kept = np.eye(SIZE)
     kept[3:6, 3:6] -= weak @ weak.T
     information[:] = kept @ information @ kept
     gradient[:] = kept @ gradient
+    return math.inf
+
+
+def _leave_edges(information: FloatArray, gradient: FloatArray, shown: FloatArray) -> None:
+    """Remove from the equations of landmarks the translations along which all of them lie on edges.
+
+    shown (3, 3): of add_landmark_equations().
+    """
+    perfect = shown + _LEAST_SHOWN * np.eye(3)
+    root = np.linalg.inv(np.linalg.cholesky(perfect))
+    values, vectors = np.linalg.eigh(root @ information[3:6, 3:6] @ root.T)
+    along = root.T @ vectors[:, values < _EDGES_SHARE]
+    if not along.size:
+        return
+    kept = np.eye(SIZE)
+    kept[3:6, 3:6] -= along @ along.T @ perfect
+    information[:] = kept.T @ information @ kept
+    gradient[:] = kept.T @ gradient

@@ -15,6 +15,7 @@ import numpy as np
 
 from uav_recon.localization.slam.gyro_alignment import GyroAlignment
 from uav_recon.localization.slam.landmarks import Landmarks, LandmarkTracker, project
+from uav_recon.localization.slam.map_anchor import SURE_M, MapAnchor, determined
 from uav_recon.localization.slam.motion_filter import MotionFilter
 from uav_recon.localization.slam.rest_detection import RestDetector
 from uav_recon.localization.slam.rgbd_registration import MotionPrior, Registration, register, search
@@ -43,12 +44,29 @@ _SEARCHED = (TrackingFault.FIT, TrackingFault.STEP, TrackingFault.TURN)
 _SEARCH_SIGMAS = 3.0  # reach of the search, in standard deviations of the predicted place
 _LEAST_SEARCH_M = 0.05
 _MOST_SEARCH_M = 0.5
+_SEARCH_EVERY = 3  # frames between searches of the map while the place is not sure
+_AGREEING_SEARCHES = 3
+_SAME_M = 0.04  # between two registrations of the same place
+_UNSURE_M = 0.06  # a frame of a known view is fused if the place is at least as certain as this
+_NEW_SHARE = 0.25  # of the depth points in known space; with fewer, the view is a new one
 _BETTER = 1.02  # share of inliers by which another place must be better
 #: reject: after doubt, a frame with fewer of its depth points on known surfaces and fewer known landmarks than below
 _PROOF_SHARE = 0.4
 _PROOF_LANDMARKS = 20  #: reject: after doubt, a frame with fewer of the landmarks from before, and less known depth than above
 _POSITION_SIGMA_M = 0.01
 _ROTATION_SIGMA_RAD = math.radians(0.3)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Relocation:
+    """A registration against the map from before.
+
+    proven: a search found no other place that fits. moved: it is not where the surroundings said.
+    """
+
+    found: Registration
+    proven: bool
+    moved: bool
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,6 +98,11 @@ class SlamTracker:
         self._monitor = TrackingMonitor()
         self._state: TrackedState | None = None
         self._motion = MotionFilter(np.zeros(3))
+        self._anchor = MapAnchor()
+        self._moved_m: FloatArray | None = None
+        self._resets = 0
+        self._agreeing = 0
+        self._frames = 0
         self._predicted = self._motion.predict(0.0, Pose.identity(), None)
         self._fused: Pose | None = None
         self._believed = 0
@@ -113,25 +136,51 @@ class SlamTracker:
         found = register(view, self.volume, landmarks, prior)
         if self._rests(frame.stamp_s, found, prior):
             return self._stay(view, self._state, body_from_depth)
+        proven = False
         self.fault = TrackingFault.FROZEN if repeats else self._monitor.fault(found, prior)
         if self.fault in _SEARCHED or (self._unproven and not repeats):
-            found = self._search(view, found, prior)
+            found, proven = self._search(view, found, prior)
             self.fault = self._monitor.fault(found, prior)
         if self.fault is None and self._unproven and not _proves(found):
             self.fault = TrackingFault.UNPROVEN
         if self.fault not in (None, TrackingFault.LOOSE):
             self._coast(self._state, prior, frame.stamp_s, body_from_depth)
             return None
-        self._settle(view, found, prior, self._state, body_from_depth)
-        return self._pose(frame.stamp_s, found)
+        before_m = self._anchor.total_m(prior.covariance[3:, 3:])
+        place = Relocation(found, proven, False)
+        self._frames += 1
+        if before_m > SURE_M and not proven and self._frames % _SEARCH_EVERY == 0:
+            place = self._search_map(view, found, prior, before_m)
+        self._anchor.settle(place.found, landmarks, prior.covariance[3:, 3:], place.proven)
+        self._settle(view, place, prior, self._state, body_from_depth)
+        return self._pose(frame.stamp_s, place.found)
 
-    def _search(self, view: RgbdView, found: Registration, prior: MotionPrior) -> Registration:
-        """Return the best registration from places around the predicted one, by depth alone."""
+    def _search_map(self, view: RgbdView, found: Registration, prior: MotionPrior, sigma_m: float) -> Relocation:
+        """Search the map from before. Another place is taken if two searches find it."""
+        wide = prior.covariance.copy()
+        wide[3:, 3:] += self._anchor.sigma_m**2 * np.eye(3)
+        other, alone = search(view, self.volume, replace(prior, covariance=wide), min(_SEARCH_SIGMAS * sigma_m, _MOST_SEARCH_M))
+        moved_m, before_m = other.odom_from_depth.translation_m - found.odom_from_depth.translation_m, self._moved_m
+        self._moved_m = None
+        if not (alone and determined(other)):
+            return Relocation(found, False, False)
+        if np.linalg.norm(moved_m) < _SAME_M:
+            return Relocation(found, True, False)
+        self._agreeing = self._agreeing + 1 if before_m is not None and np.linalg.norm(moved_m - before_m) < _SAME_M else 1
+        if self._agreeing < _AGREEING_SEARCHES:
+            self._moved_m = moved_m
+            return Relocation(found, False, False)
+        self._landmarks.forget()
+        self._resets += 1
+        return Relocation(other, True, True)
+
+    def _search(self, view: RgbdView, found: Registration, prior: MotionPrior) -> tuple[Registration, bool]:
+        """Return the best registration from places around the predicted one, by depth alone, and if no other fits."""
         reach_m = min(_SEARCH_SIGMAS * math.sqrt(float(np.diagonal(prior.covariance)[3:].max())), _MOST_SEARCH_M)
         if reach_m < _LEAST_SEARCH_M:
-            return found
-        other = search(view, self.volume, prior, reach_m)
-        return other if other.inliers > found.inliers * _BETTER else found
+            return found, False
+        other, alone = search(view, self.volume, prior, reach_m)
+        return (other, alone and determined(other)) if other.inliers > found.inliers * _BETTER else (found, False)
 
     def _coast(self, state: TrackedState, prior: MotionPrior, stamp_s: float, body_from_depth: Pose) -> None:
         """Go on by the inertial samples alone: the frame is not believed."""
@@ -150,7 +199,7 @@ class SlamTracker:
         self._state = TrackedState(view.frame.stamp_s, level, np.zeros(3), _AT_REST)
         self._motion = MotionFilter(level.translation_m)
         self._believed = _FUSION_FRAMES
-        self._add_to_map(view, level @ body_from_depth, np.zeros(3), np.zeros(3))
+        self._add_to_map(view, level @ body_from_depth, np.zeros(6))
         return self._stamped(view.frame.stamp_s)
 
     def _rests(self, stamp_s: float, found: Registration, prior: MotionPrior) -> bool:
@@ -166,7 +215,7 @@ class SlamTracker:
         self._motion.rest()
         odom_from_depth = state.odom_from_body @ body_from_depth
         self._fused = None
-        self._add_to_map(view, odom_from_depth, np.zeros(3), np.zeros(3))
+        self._add_to_map(view, odom_from_depth, np.zeros(6))
         return self._stamped(view.frame.stamp_s)
 
     def _predict(self, state: TrackedState, stamp_s: float, body_from_depth: Pose) -> MotionPrior:
@@ -206,13 +255,16 @@ class SlamTracker:
         return out
 
     def _settle(
-        self, view: RgbdView, found: Registration, prior: MotionPrior, state: TrackedState, body_from_depth: Pose
+        self, view: RgbdView, place: Relocation, prior: MotionPrior, state: TrackedState, body_from_depth: Pose
     ) -> None:
         """Take a believed frame into motion, gyro, landmarks and map."""
-        stamp_s = view.frame.stamp_s
+        stamp_s, found = view.frame.stamp_s, place.found
         step_s = stamp_s - state.stamp_s
         odom_from_body = found.odom_from_depth @ body_from_depth.inverse()
-        self._motion.update(self._predicted, odom_from_body.translation_m, found.covariance[3:, 3:])
+        if place.moved:
+            self._motion.relocate(self._predicted, odom_from_body.translation_m)
+        else:
+            self._motion.update(self._predicted, odom_from_body.translation_m, found.covariance[3:, 3:])
         velocity = self._motion.velocity_mps
         between = state.odom_from_body.inverse() @ odom_from_body
         self.gyro.update(state.stamp_s, stamp_s, between.rotation_vector())
@@ -225,11 +277,15 @@ class SlamTracker:
         if self._unproven:  # new landmarks would confirm a wrong place in the next frame
             self._landmarks.recall()
         else:
-            self._add_to_map(view, found.odom_from_depth, prior.rate_radps, velocity)
+            sigma_m = self._anchor.total_m(found.covariance[3:, 3:])
+            sure = sigma_m < (_UNSURE_M if found.coverage > _NEW_SHARE else _MOST_SIGMA_M)
+            self._add_to_map(view, found.odom_from_depth, np.concatenate((prior.rate_radps, velocity)), sigma_m, sure)
 
-    def _add_to_map(self, view: RgbdView, odom_from_depth: Pose, rate: FloatArray, velocity: FloatArray) -> None:
-        self._landmarks.settle(view, odom_from_depth, np.concatenate((rate, velocity)), self._slow)
-        if self._believed >= _FUSION_FRAMES and self._has_moved(odom_from_depth):
+    def _add_to_map(
+        self, view: RgbdView, odom_from_depth: Pose, motion: FloatArray, sigma_m: float = 0.0, sure: bool = True
+    ) -> None:
+        self._landmarks.settle(view, odom_from_depth, motion, self._slow, sigma_m)
+        if sure and self._believed >= _FUSION_FRAMES and self._has_moved(odom_from_depth):
             self.volume.integrate(view.frame, odom_from_depth)
             self._fused = odom_from_depth
 
@@ -241,7 +297,7 @@ class SlamTracker:
 
     def _pose(self, stamp_s: float, found: Registration) -> StampedPose | None:
         """Return the pose of a frame; None while it is not sure, or not yet again."""
-        sigma_m = math.sqrt(float(np.linalg.eigvalsh(found.covariance[3:, 3:])[-1]))
+        sigma_m = self._anchor.total_m(found.covariance[3:, 3:])
         if sigma_m > _MOST_SIGMA_M or self._unproven:
             return None
         return replace(self._stamped(stamp_s, sigma_m), quality=_quality(found))
@@ -251,7 +307,9 @@ class SlamTracker:
         place_m2 = _POSITION_SIGMA_M**2 + sigma_m**2
         covariance = np.diag([place_m2] * 3 + [_ROTATION_SIGMA_RAD**2] * 3)
         state = self._state
-        return StampedPose(stamp_s - self.delay_s, state.odom_from_body, state.velocity_mps, covariance)
+        return StampedPose(
+            stamp_s - self.delay_s, state.odom_from_body, state.velocity_mps, covariance, reset_counter=self._resets % 256
+        )
 
 
 def warm_up() -> None:
