@@ -184,8 +184,8 @@ def test_the_gradient_of_depth_is_that_of_its_squared_residuals() -> None:
 
     information, gradient = np.zeros((SIZE, SIZE)), np.zeros(SIZE)
     known, inliers = add_depth_equations(
-        points, camera.rotation(), camera.translation_m, volume.index, volume.distance, volume.weight, 1.0, 1e6, information,
-        gradient,
+        points, camera.rotation(), camera.translation_m, volume.index, volume.distance, volume.weight, 1.0, 1e6,
+        np.empty((0, 3)), information, gradient,
     )  # fmt: skip
     sigma = 0.012 + 0.004 * points[:, 2] ** 2
     off, valid = cost(np.zeros(6))
@@ -213,7 +213,7 @@ def test_depth_pulls_back_what_was_moved() -> None:
         information, gradient = np.zeros((SIZE, SIZE)), np.zeros(SIZE)
         add_depth_equations(
             points, camera.rotation(), camera.translation_m + moved, volume.index, volume.distance, volume.weight, 1.0, 1.0,
-            information, gradient,
+            np.empty((0, 3)), information, gradient,
         )  # fmt: skip
         step = np.linalg.solve(information[:6, :6], gradient[:6])
         np.testing.assert_allclose(step[3:], -moved, atol=0.012)

@@ -157,7 +157,7 @@ def test_a_search_finds_what_registration_does_not_reach(moved: tuple[float, flo
     volume, view = _map()
     start = _off(HERE, np.array(moved), np.zeros(3))
     prior = _prior(start, place_m=0.25, turn_rad=math.radians(0.5))
-    lost, found = register(view, volume, Landmarks.none(), prior), search(view, volume, prior, 0.5)[0]
+    lost, found = register(view, volume, Landmarks.none(), prior), search(view, volume, prior, 0.5)[0][0]
     assert _error(lost)[0] > 0.1
     assert _error(found)[0] < 0.02
     assert found.fit > 0.9
@@ -167,5 +167,5 @@ def test_a_search_along_a_bare_wall_keeps_the_prediction() -> None:
     volume, view, pose = _bare_wall()
     moved = np.array([0.05, 0.03, 0.25])
     prior = _prior(_off(pose, moved, np.zeros(3)), place_m=0.15, turn_rad=math.radians(0.2))
-    found = search(view, volume, prior, 0.3)[0]
+    found = search(view, volume, prior, 0.3)[0][0]
     np.testing.assert_allclose(found.odom_from_depth.translation_m, [0.05, 0.03, 0.0], atol=0.02)

@@ -5,17 +5,19 @@ from __future__ import annotations
 import numpy as np
 
 from uav_recon.geometry.jit import kernel
-from uav_recon.localization.slam.tsdf_volume import REACH_M, TRUNCATION_M, sample
+from uav_recon.localization.slam.tsdf_volume import TRUNCATION_M, sample
 from uav_recon.types.frames import AnyArray
 
 ROWS = 30
 COLUMNS = 48
+REACH_M = 6.0  # farther than what is fused: the end of a corridor is in the map from nearer views
 # standard deviation of a depth: _FLOOR_M, and _PER_M2 times the square of the range (a D435i's is 3.5 mm at 1 m)
 _FLOOR_M = 0.012
 _PER_M2 = 0.004
 _ROBUST_SIGMAS = 2.0  # scale of the robust weight
 _ROBUST_M = 0.03  # its minimum
-_INLIER_SHARE = 0.5  # of the truncation: a residual below it is that of the same surface
+_INLIER_SHARE = 0.5  # of the truncation: a residual below it, or below one standard deviation, is that of the same surface
+_FACING_COS = 0.5  # a surface faces a direction if its normal is within 60 degrees of it
 # length of the gradient of a field that is a distance; elsewhere it is the average of two surfaces
 _MIN_SLOPE = 0.35
 _MAX_SLOPE = 1.5
@@ -49,6 +51,7 @@ def add_depth_equations(
     weight: AnyArray,
     share: float,
     wider: float,
+    facing: AnyArray,
     information: AnyArray,
     gradient: AnyArray,
 ) -> tuple[int, int]:
@@ -58,7 +61,7 @@ def add_depth_equations(
 
     information (>= 6, >= 6) and gradient (>= 6): of a small rotation in odom axes about the camera and of its translation, in
     units of standard deviations. share: weight of one point, since the errors of neighbours are alike. wider: factor on the
-    scale of the robust weight.
+    scale of the robust weight. facing (K, 3): only points of surfaces that face one of these directions count, all if K is 0.
     Returns the number of points in known space, and of those that lie on a known surface.
     """
     known, inliers = 0, 0
@@ -77,14 +80,16 @@ def add_depth_equations(
         slope = np.sqrt(found[1] * found[1] + found[2] * found[2] + found[3] * found[3])
         if not _MIN_SLOPE < slope < _MAX_SLOPE:
             continue
+        nx, ny, nz = found[1] / slope, found[2] / slope, found[3] / slope
+        if facing.shape[0] and not _faces(nx, ny, nz, facing):
+            continue
         off_m = found[0] / slope
-        inliers += int(abs(off_m) < _INLIER_SHARE * TRUNCATION_M)
         z = points[n, 2]
         sigma_m = _FLOOR_M + _PER_M2 * z * z
+        inliers += int(abs(off_m) < max(_INLIER_SHARE * TRUNCATION_M, sigma_m))
         scale = wider * max(_ROBUST_M, _ROBUST_SIGMAS * sigma_m)
         shrink = 1.0 / (1.0 + (off_m / scale) ** 2)
         w = share * shrink * shrink / (sigma_m * sigma_m)
-        nx, ny, nz = found[1] / slope, found[2] / slope, found[3] / slope
         x, y, z = point[0] - place_m[0], point[1] - place_m[1], point[2] - place_m[2]
         row[0], row[1], row[2] = y * nz - z * ny, z * nx - x * nz, x * ny - y * nx
         row[3], row[4], row[5] = nx, ny, nz
@@ -93,3 +98,12 @@ def add_depth_equations(
             for b in range(6):
                 information[a, b] += w * row[a] * row[b]
     return known, inliers
+
+
+@kernel
+def _faces(nx: float, ny: float, nz: float, facing: AnyArray) -> bool:
+    """Return True if a normal points along one of the directions (K, 3), or against it."""
+    most = 0.0
+    for k in range(facing.shape[0]):
+        most = max(most, abs(nx * facing[k, 0] + ny * facing[k, 1] + nz * facing[k, 2]))
+    return bool(most >= _FACING_COS)

@@ -25,8 +25,9 @@ _BIAS_RADPS = 0.01  # the same of the bias, before the rest is seen
 _REST_BIAS_RADPS = 0.001  # after a rest
 _BIAS_WALK = 0.0003  # rad/s per root second
 _DELAY_WALK = 0.0005  # s per root second
+_DRIFT_RAD = math.radians(0.04)  # standard deviation of a turn by the gyro alone
 _TURN_RAD = math.radians(0.1)  # standard deviation of the turn that two frames show
-_JITTER_S = 0.007  # the same of the time between them
+JITTER_S = 0.007  # the same of the time between them
 
 
 class GyroAlignment:
@@ -90,11 +91,15 @@ class GyroAlignment:
         turned = self._turn(instant_s - _RATE_SPAN_S, instant_s)
         return None if turned is None else turned / _RATE_SPAN_S
 
+    def drift_sigma_rad(self, from_s: float, to_s: float) -> float:
+        """Return the standard deviation per axis of turn() against the turn of the body."""
+        return math.hypot(_DRIFT_RAD, (to_s - from_s) * math.sqrt(self._covariance[0, 0]))
+
     def turn_sigma_rad(self, from_s: float, to_s: float) -> float:
         """Return the standard deviation per axis of turn() against what the images show."""
         rate = self.rate(to_s)
         speed = 0.0 if rate is None else float(np.linalg.norm(rate))
-        return math.hypot(_TURN_RAD, _JITTER_S * speed, (to_s - from_s) * math.sqrt(self._covariance[0, 0]))
+        return math.hypot(_TURN_RAD, JITTER_S * speed, (to_s - from_s) * math.sqrt(self._covariance[0, 0]))
 
     def update(self, from_s: float, to_s: float, turned_rad: FloatArray) -> None:
         """Compare the gyro with the turn (3,) that the images show between two frames."""
@@ -105,7 +110,7 @@ class GyroAlignment:
             return
         rows = np.column_stack((-step_s * np.eye(3), before - after))
         speed = max(float(np.linalg.norm(before)), float(np.linalg.norm(after)))
-        noise = (_TURN_RAD**2 + (_JITTER_S * speed) ** 2) * np.eye(3)
+        noise = (_TURN_RAD**2 + (JITTER_S * speed) ** 2) * np.eye(3)
         innovation, spread = turned_rad - expected, rows @ self._covariance @ rows.T + noise
         if innovation @ np.linalg.solve(spread, innovation) > _SURPRISE:
             return

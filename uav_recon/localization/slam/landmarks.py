@@ -25,6 +25,7 @@ _MIN_TEXTURE = 3e-5  # smallest eigenvalue of a corner, as in feature_tracking; 
 _BLOCK_PX = 3
 _WINDOW_PX = 15
 _LEVELS = 2
+_FAR_LEVELS = 4
 _RETURNS_PX = 0.7  # a corner followed there and back again must return to this distance
 _NEAREST_M = 0.25
 _SIGMA_PX = 1.0
@@ -46,8 +47,8 @@ class Landmarks(NamedTuple):
     place_m (N, 3) in odom. slope (N, 3, 2): its derivatives by delay and width of the colour image. at_px (N, 2) float32:
     where the newest image shows them. off_px (N, 2): difference from where the pose expected them. seen (N,): weight of the
     depths in the place. texture (N, 2, 2): share of a displacement that the image shows: along an edge it
-    shows none (aperture problem). born_m (N,): standard deviation of the camera's place when its
-    depths were measured.
+    shows none (aperture problem). born_m (N,): standard deviation of the camera's place when the depths in the place were
+    measured.
     """
 
     place_m: FloatArray
@@ -82,10 +83,10 @@ class LandmarkTracker:
         """Return to the image and the landmarks of the newest believed frame: this one is not."""
         self._grey, self.points = self._believed
 
-    def follow(self, view: RgbdView, predicted: FloatArray) -> Landmarks:
+    def follow(self, view: RgbdView, predicted: FloatArray, far: bool = False) -> Landmarks:
         """Return the landmarks that the image shows.
 
-        predicted (N, 2): where the predicted pose expects each of ``points``.
+        predicted (N, 2): where the predicted pose expects each of ``points``; far: they may be farther from there.
         """
         points, grey = self.points, view.grey
         self.points = Landmarks.none()
@@ -98,7 +99,13 @@ class LandmarkTracker:
         if not len(guess_px):
             return self.points
         at_px, found = followed(
-            before, grey, points.at_px, guess_px, window_px=_WINDOW_PX, levels=_LEVELS, returns_px=_RETURNS_PX
+            before,
+            grey,
+            points.at_px,
+            guess_px,
+            window_px=_WINDOW_PX,
+            levels=_FAR_LEVELS if far else _LEVELS,
+            returns_px=_RETURNS_PX,
         )
         self.points = points._replace(at_px=at_px).only(found)
         return self.points

@@ -46,10 +46,10 @@ class MapAnchor:
         if determined(found) and (proven or before_m <= SURE_M):
             self.sigma_m = _ANCHORED_M
             return
-        oldest_m = before_m
-        if found.landmarks >= _FEWEST_LANDMARKS and len(followed.born_m) >= _FEWEST_LANDMARKS:
-            born_m = np.sort(followed.born_m)
-            self.sigma_m = oldest_m = float(born_m[max(int(_OLDEST_SHARE * len(born_m)), _FEWEST_LANDMARKS - 1)])
+        known = found.landmarks >= _FEWEST_LANDMARKS
+        oldest_m = float(np.quantile(followed.born_m, _OLDEST_SHARE)) if known else before_m
+        if known:
+            self.sigma_m = max(self.sigma_m, oldest_m)
         if step_m > SURE_M:  # what is not known to be the map from before may not make the place more certain
             needed_m2 = min(oldest_m, before_m) ** 2 - _worst_m(found.covariance[3:, 3:]) ** 2
             self.sigma_m = max(self.sigma_m, math.sqrt(max(needed_m2, 0.0)))

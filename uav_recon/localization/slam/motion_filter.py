@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from uav_recon.localization.imu_integration import GRAVITY_MPS2, InertialState, conjugate
+from uav_recon.localization.slam.gyro_alignment import JITTER_S
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.pose import Pose
 
@@ -25,11 +26,12 @@ _OFFSET_MPS2 = np.array([0.15, 0.15, 0.1])  # a bias, and a mount that is off by
 _REST_MPS2 = 0.03  # what the rest on the pad leaves unknown of offset and tilt together
 _PLACE_M = 1e-3
 _RELOCATED_M = 0.01
-_FORCE_DENSITY = 0.15  # m/s² per root Hz: twice that of a flying camera, for stamps that are off by milliseconds
+_FORCE_DENSITY = 0.12  # m/s² per root Hz: more than that of a flying camera (0.07 to 0.09)
 _OFFSET_WALK = 0.015  # m/s² per root second
 _TILT_WALK = 0.005
 _BLIND_MPS2 = 2.0  # white acceleration of a body without an accelerometer, over one frame
-_STEP_M = 0.004  # what the images themselves are off by, from frame to frame
+_STEP_M = 0.001  # drift of the map from frame to frame
+_SHOWN_M = 0.002  # what the images are off by, each on its own
 _SURPRISE = 25.0  # squared innovation of a place, in standard deviations; a larger one counts as this
 _REACHED = 9.0  # squared standard deviations that the motion may be off
 _MEAN_SURPRISE = 5.0  # mean over _MEAN_FRAMES that contradicts the accelerometer: after four large ones, or more small ones
@@ -42,11 +44,13 @@ _GRAVITY = np.array([0.0, 0.0, -GRAVITY_MPS2])
 class PredictedMotion:
     """Place and velocity in odom at a later frame.
 
-    state (12,): of MotionFilter; covariance (12, 12).
+    state (12,): of MotionFilter; covariance (12, 12). shown_covariance (3, 3): of the place that the frame shows, with the
+    error of its stamp.
     """
 
     state: FloatArray
     covariance: FloatArray
+    shown_covariance: FloatArray
 
     @property
     def place_m(self) -> FloatArray:
@@ -58,17 +62,14 @@ class PredictedMotion:
         """The velocity (3,)."""
         return self.state[VELOCITY]
 
-    @property
-    def place_covariance(self) -> FloatArray:
-        """The covariance (3, 3) of the place."""
-        return self.covariance[PLACE, PLACE]
-
 
 class MotionFilter:
     """State (12,): place (m), velocity (m/s), offset (m/s², body axes), tilt (m/s², odom axes). Not thread-safe."""
 
     def __init__(self, place_m: FloatArray) -> None:
-        self._now = PredictedMotion(np.concatenate((place_m, np.zeros(_SIZE - 3))), _covariance_at_rest())
+        self._now = PredictedMotion(
+            np.concatenate((place_m, np.zeros(_SIZE - 3))), _covariance_at_rest(), _PLACE_M**2 * np.eye(3)
+        )
         self._mean_surprise = 0.0
         self._calm = _TRUSTED_AGAIN
 
@@ -87,6 +88,7 @@ class MotionFilter:
         self._now = PredictedMotion(
             np.concatenate((self._now.place_m, np.zeros(3), self._now.state[6:])),
             _covariance_at_rest(),
+            _PLACE_M**2 * np.eye(3),
         )
 
     def predict(
@@ -121,8 +123,9 @@ class MotionFilter:
         noise[PLACE, PLACE] += _STEP_M**2 * np.eye(3)
         noise[OFFSET, OFFSET] += _OFFSET_WALK**2 * step_s * np.eye(3)
         noise[TILT, TILT] += _TILT_WALK**2 * step_s * np.eye(3)
-        covariance = transition @ self._now.covariance @ transition.T + noise
-        return PredictedMotion(state, covariance)
+        covariance, velocity = transition @ self._now.covariance @ transition.T + noise, state[VELOCITY]
+        shown = covariance[PLACE, PLACE] + _SHOWN_M**2 * np.eye(3) + JITTER_S**2 * np.outer(velocity, velocity)
+        return PredictedMotion(state, covariance, shown)
 
     def coast(self, predicted: PredictedMotion) -> None:
         """Take the predicted motion: the frame was not believed."""
@@ -134,25 +137,25 @@ class MotionFilter:
         If it lies where the motion may have come to, it corrects the motion, too; else the map was off, and not the motion.
         """
         covariance, shift = _RELOCATED_M**2 * np.eye(3), place_m - predicted.place_m
-        if float(shift @ np.linalg.solve(predicted.place_covariance, shift)) < _REACHED:
+        if float(shift @ np.linalg.solve(predicted.shown_covariance, shift)) < _REACHED:
             self.update(predicted, place_m, covariance)
             return
         whole = predicted.covariance.copy()
         whole[PLACE, :], whole[:, PLACE] = 0.0, 0.0
         whole[PLACE, PLACE] = covariance
-        self._now = PredictedMotion(np.concatenate((place_m, predicted.state[3:])), whole)
+        self._now = PredictedMotion(np.concatenate((place_m, predicted.state[3:])), whole, covariance)
 
     def update(self, predicted: PredictedMotion, place_m: FloatArray, place_covariance: FloatArray) -> None:
         """Take the place (3,) of a believed frame, with its covariance (3, 3).
 
         Both contain the prediction already.
         """
-        before = predicted.place_covariance
+        before = predicted.shown_covariance
         gain = np.linalg.solve(before, predicted.covariance[PLACE, :]).T
         shift = place_m - predicted.place_m
         covariance = predicted.covariance - gain @ (before - place_covariance) @ gain.T
         covariance = 0.5 * (covariance + covariance.T)
-        self._now = PredictedMotion(predicted.state + gain @ shift, covariance)
+        self._now = PredictedMotion(predicted.state + gain @ shift, covariance, covariance[PLACE, PLACE])
         self._judge(float(shift @ np.linalg.solve(before, shift)))
 
     def _judge(self, surprise: float) -> None:

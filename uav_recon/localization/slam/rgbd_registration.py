@@ -20,7 +20,6 @@ _STEPS = (-1.0, -0.5, 0.0, 0.5, 1.0)  # of a search along an axis, in shares of 
 _SHIFTS = np.array([(x, y, z) for x in _STEPS for y in _STEPS for z in _STEPS])
 _SEARCH_STARTS = 4  # of a search, those that fit best
 _APART_M = 0.1  # between places that are not the same
-_ALIKE_SHARE = 0.95  # of the best match, from which on another place fits alike
 _STILL_M = 2e-4
 _STILL_RAD = 1e-4
 _WIDER = (4.0, 2.0, 1.0)  # scale of the robust weight of depth in the first rounds: a far start must be pulled, too
@@ -29,17 +28,21 @@ _DEPTH_SHARE = 0.3  # weight of a depth point: the errors of neighbours are alik
 _UNFIT = 0.55
 _FITTING = 0.85
 _ENOUGH_POINTS = 250  # points on known surfaces from which on depth counts in full
-_FEWEST_LANDMARKS = 12
+_FEWEST_LANDMARKS = 4
 _AGREEING_SHARE = 0.5
 _POSE = slice(0, 6)
+_ALL = np.empty((0, 3))
+_FEWEST_FACING = 25  # points on surfaces that face a weak direction, from which on they count in it
 # Depth tells nothing of a direction in which it has less than this share of its information: along a plane the noise of the
 # field would hold the camera to where it was.
 _WEAK_SHARE = 0.005
 # Landmarks tell nothing of a direction in which they have less than this share of the information of perfect corners: all of
 # them are on edges then, and follow the prediction along these.
-_EDGES_SHARE = 0.05
+_EDGES_SHARE = 0.12
 _TINY = 1e-9
-_TINY = 1e-9
+# Variances of an error that all landmarks of an image share: rows are read one after the other, and colour is not exactly where
+# the calibration says. Small as it is, it would say much where the images show a translation at a flat angle only.
+_SHARED_ERROR = np.diag([0.0005**2] * 3 + [0.003**2] * 3 + [0.0] * 2)
 _LEAST_SHOWN = 1.0  # keeps the shares finite in directions that no landmark could show
 
 
@@ -93,11 +96,11 @@ class Registration:
         return self.inliers / max(self.known, 1)
 
 
-def search(view: RgbdView, volume: TsdfVolume, prior: MotionPrior, reach_m: float) -> tuple[Registration, bool]:
-    """Return the pose at which depth alone fits the map best, near the predicted one, and if no other fits alike. About 20 ms.
+def search(view: RgbdView, volume: TsdfVolume, prior: MotionPrior, reach_m: float) -> tuple[list[Registration], float]:
+    """Return poses at which depth alone fits the map, near the predicted one, the best first. About 25 ms.
 
-    reach_m: of the search along each axis. From a far start most points lie off their surfaces: this says nothing against
-    depth there.
+    The second value is the match of the best other place, as a share of the best one's. reach_m: of the search along each axis.
+    From a far start most points lie off their surfaces: this says nothing against depth there.
     """
     place_m, rotation = prior.odom_from_depth.translation_m, prior.odom_from_depth.rotation()
     shifts_m = reach_m * _SHIFTS
@@ -109,10 +112,19 @@ def search(view: RgbdView, volume: TsdfVolume, prior: MotionPrior, reach_m: floa
         if len(starts) == _SEARCH_STARTS:
             break
     ends = [_converge(view, volume, Landmarks.none(), prior, start_m) for start_m in starts]
-    best = max(ends, key=lambda end: end.match)
+    ends.sort(key=lambda end: -end.match)
+    best = ends[0]
     there_m = best.odom_from_depth.translation_m
-    others = [end for end in ends if np.linalg.norm(end.odom_from_depth.translation_m - there_m) > _APART_M]
-    return best, all(end.match < _ALIKE_SHARE * best.match for end in others)
+    others = [end.match for end in ends if np.linalg.norm(end.odom_from_depth.translation_m - there_m) > _APART_M]
+    return ends, max(others, default=0.0) / max(best.match, _TINY)
+
+
+def confirm(
+    view: RgbdView, volume: TsdfVolume, landmarks: Landmarks, prior: MotionPrior, there: Registration
+) -> Registration | None:
+    """Return the pose near a place that a search has found, if enough landmarks agree."""
+    found = _converge(view, volume, landmarks, prior, there.odom_from_depth.translation_m - prior.odom_from_depth.translation_m)
+    return found if _agree(found, landmarks) else None
 
 
 def register(view: RgbdView, volume: TsdfVolume, landmarks: Landmarks, prior: MotionPrior) -> Registration:
@@ -121,10 +133,13 @@ def register(view: RgbdView, volume: TsdfVolume, landmarks: Landmarks, prior: Mo
     Landmarks of which too few agree are those of a view without texture, and left out.
     """
     found = _converge(view, volume, landmarks, prior)
-    followed = len(landmarks.place_m)
-    if followed and found.landmarks < max(_FEWEST_LANDMARKS, _AGREEING_SHARE * followed):
+    if len(landmarks.place_m) and not _agree(found, landmarks):
         return _converge(view, volume, Landmarks.none(), prior)
     return found
+
+
+def _agree(found: Registration, landmarks: Landmarks) -> bool:
+    return found.landmarks >= max(_FEWEST_LANDMARKS, _AGREEING_SHARE * len(landmarks.place_m))
 
 
 def _converge(
@@ -147,15 +162,23 @@ def _converge(
     for number in range(rounds):
         wide = _WIDER[0] if number < rounds - _ROUNDS else _WIDER[min(number - rounds + _ROUNDS, len(_WIDER) - 1)]
         information, gradient = np.zeros((SIZE, SIZE)), np.zeros(SIZE)
-        known, inliers = add_depth_equations(
+        depth = (
             view.points, rotation, place_m, volume.index, volume.distance, volume.weight, _DEPTH_SHARE, wide,
-            information, gradient,
         )  # fmt: skip
+        known, inliers = add_depth_equations(*depth, _ALL, information, gradient)
         match = float(np.trace(information[3:6, 3:6]))
         support = 1.0 if far and number < _FAR_ROUNDS else _support(known, inliers)
         information *= support
         gradient *= support
-        depth_sigma_m = _leave_weak_directions(information, gradient, prior.turn_sigma_rad)
+        weak, depth_sigma_m = _weak_directions(information, prior.turn_sigma_rad)
+        if weak.size:
+            facing_information, facing_gradient = np.zeros((SIZE, SIZE)), np.zeros(SIZE)
+            _, facing = add_depth_equations(*depth, np.ascontiguousarray(weak.T), facing_information, facing_gradient)
+            if facing < _FEWEST_FACING:
+                facing_information[:], facing_gradient[:] = 0.0, 0.0
+            facing_information *= support
+            facing_gradient *= support
+            depth_sigma_m = _leave_directions(weak, information, gradient, facing_information, facing_gradient)
         eye = rotation @ view.depth_from_rgb.rotation(), rotation @ view.depth_from_rgb.translation_m + place_m
         landmark_information, landmark_gradient, shown = np.zeros((SIZE, SIZE)), np.zeros(SIZE), np.zeros((3, 3))
         fitting = add_landmark_equations(
@@ -163,8 +186,9 @@ def _converge(
             slow - prior.slow, landmark_information, landmark_gradient, shown,
         )  # fmt: skip
         _leave_edges(landmark_information, landmark_gradient, shown)
-        information += landmark_information
-        gradient += landmark_gradient
+        shared = np.eye(SIZE) + landmark_information @ _SHARED_ERROR
+        information += np.linalg.solve(shared, landmark_information)
+        gradient += np.linalg.solve(shared, landmark_gradient)
         whole = information.copy()
         whole[_POSE, _POSE] += predicted
         whole[6:, 6:] += slow_information
@@ -194,7 +218,7 @@ def _inliers(view: RgbdView, volume: TsdfVolume, rotation: FloatArray, place_m: 
     """Return the number of depth points on a known surface from a pose."""
     unused = np.zeros((SIZE, SIZE)), np.zeros(SIZE)
     seen = view.points, rotation, place_m, volume.index, volume.distance, volume.weight
-    return int(add_depth_equations(*seen, _DEPTH_SHARE, _WIDER[0], *unused)[1])
+    return int(add_depth_equations(*seen, _DEPTH_SHARE, _WIDER[0], _ALL, *unused)[1])
 
 
 def _support(known: int, inliers: int) -> float:
@@ -207,23 +231,31 @@ def _support(known: int, inliers: int) -> float:
     return max(fitting**2 * min(inliers / _ENOUGH_POINTS, 1.0) ** 2, 1e-6)
 
 
-def _leave_weak_directions(information: FloatArray, gradient: FloatArray, turn_sigma_rad: float) -> float:
-    """Remove from the equations of depth the translations that it does not determine.
+def _weak_directions(information: FloatArray, turn_sigma_rad: float) -> tuple[FloatArray, float]:
+    """Return the translations (3, K) that depth does not determine, and the standard deviation of the worst other one.
 
-    Returns the standard deviation of the worst translation, infinite if one is removed.
     Zhang, Kaess and Singh 2016, On Degeneracy of Optimization-based State Estimation Problems.
     """
     turn = information[:3, :3] + np.eye(3) * turn_sigma_rad**-2
     alone = information[3:6, 3:6] - information[3:6, :3] @ np.linalg.solve(turn, information[:3, 3:6])
     values, directions = np.linalg.eigh(0.5 * (alone + alone.T))
-    weak = directions[:, values < _WEAK_SHARE * values[-1]]
-    if not weak.size:
-        return 1.0 / math.sqrt(max(float(values[0]), _TINY))
+    weak = values < _WEAK_SHARE * values[-1]
+    return directions[:, weak], float(max(values[~weak].min(initial=values[-1]), _TINY)) ** -0.5
+
+
+def _leave_directions(
+    weak: FloatArray, information: FloatArray, gradient: FloatArray, facing: FloatArray, facing_gradient: FloatArray
+) -> float:
+    """Remove weak translations (3, K) from the equations of depth, but for the surfaces that face them.
+
+    facing, facing_gradient: the share of those surfaces. Returns the standard deviation of the worst of the translations.
+    """
     kept = np.eye(SIZE)
     kept[3:6, 3:6] -= weak @ weak.T
-    information[:] = kept @ information @ kept
-    gradient[:] = kept @ gradient
-    return math.inf
+    information[:] = kept @ (information - facing) @ kept + facing
+    gradient[:] = kept @ (gradient - facing_gradient) + facing_gradient
+    least = float(np.linalg.eigvalsh(weak.T @ facing[3:6, 3:6] @ weak)[0])
+    return 1.0 / math.sqrt(max(least, _TINY))
 
 
 def _leave_edges(information: FloatArray, gradient: FloatArray, shown: FloatArray) -> None:

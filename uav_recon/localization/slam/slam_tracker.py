@@ -13,12 +13,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from uav_recon.localization.slam.gyro_alignment import GyroAlignment
+from uav_recon.localization.slam.attitude_filter import AttitudeFilter
+from uav_recon.localization.slam.gyro_alignment import JITTER_S, GyroAlignment
 from uav_recon.localization.slam.landmarks import Landmarks, LandmarkTracker, project
 from uav_recon.localization.slam.map_anchor import SURE_M, MapAnchor, determined
 from uav_recon.localization.slam.motion_filter import MotionFilter
 from uav_recon.localization.slam.rest_detection import RestDetector
-from uav_recon.localization.slam.rgbd_registration import MotionPrior, Registration, register, search
+from uav_recon.localization.slam.rgbd_registration import MotionPrior, Registration, confirm, register, search
 from uav_recon.localization.slam.rgbd_view import RgbdView
 from uav_recon.localization.slam.tracking_monitor import TrackingFault, TrackingMonitor
 from uav_recon.localization.slam.tsdf_volume import TsdfVolume
@@ -45,8 +46,13 @@ _SEARCH_SIGMAS = 3.0  # reach of the search, in standard deviations of the predi
 _LEAST_SEARCH_M = 0.05
 _MOST_SEARCH_M = 0.5
 _SEARCH_EVERY = 3  # frames between searches of the map while the place is not sure
+# searches in a row that must find the same place: the first number if every other place matches by less than this share, the
+# second one if by less than this other share
+_ALIKE_SHARE = 0.95
 _AGREEING_SEARCHES = 3
-_SAME_M = 0.04  # between two registrations of the same place
+_VERY_ALIKE_SHARE = 0.99
+_AGREEING_IF_ALIKE = 6
+_SAME_M = 0.06  # between two registrations of the same place
 _UNSURE_M = 0.06  # a frame of a known view is fused if the place is at least as certain as this
 _NEW_SHARE = 0.25  # of the depth points in known space; with fewer, the view is a new one
 _BETTER = 1.02  # share of inliers by which another place must be better
@@ -73,13 +79,12 @@ class Relocation:
 class TrackedState:
     """The newest believed frame.
 
-    stamp_s: of the frame. odom_from_body. velocity_mps (3,) in odom. turn_covariance (3, 3): of the attitude against the map.
+    stamp_s: of the frame. odom_from_body. velocity_mps (3,) in odom.
     """
 
     stamp_s: float
     odom_from_body: Pose
     velocity_mps: FloatArray
-    turn_covariance: FloatArray
 
 
 class SlamTracker:
@@ -98,6 +103,8 @@ class SlamTracker:
         self._monitor = TrackingMonitor()
         self._state: TrackedState | None = None
         self._motion = MotionFilter(np.zeros(3))
+        self._attitude = AttitudeFilter(Pose.identity(), _AT_REST)
+        self._turned = self._attitude.predict(np.zeros(3), 0.0, np.zeros(3))
         self._anchor = MapAnchor()
         self._moved_m: FloatArray | None = None
         self._resets = 0
@@ -136,22 +143,21 @@ class SlamTracker:
         found = register(view, self.volume, landmarks, prior)
         if self._rests(frame.stamp_s, found, prior):
             return self._stay(view, self._state, body_from_depth)
-        proven = False
         self.fault = TrackingFault.FROZEN if repeats else self._monitor.fault(found, prior)
         if self.fault in _SEARCHED or (self._unproven and not repeats):
-            found, proven = self._search(view, found, prior)
+            found = self._search(view, found, prior)
             self.fault = self._monitor.fault(found, prior)
-        if self.fault is None and self._unproven and not _proves(found):
+        before_m = self._anchor.total_m(prior.covariance[3:, 3:])
+        if self.fault is None and self._unproven and before_m <= SURE_M and not _proves(found):
             self.fault = TrackingFault.UNPROVEN
         if self.fault not in (None, TrackingFault.LOOSE):
             self._coast(self._state, prior, frame.stamp_s, body_from_depth)
             return None
-        before_m = self._anchor.total_m(prior.covariance[3:, 3:])
-        place = Relocation(found, proven, False)
+        place = Relocation(found, False, False)
         self._frames += 1
-        if before_m > SURE_M and not proven and self._frames % _SEARCH_EVERY == 0:
+        if before_m > SURE_M and self._frames % _SEARCH_EVERY == 0:
             place = self._search_map(view, found, prior, before_m)
-        self._anchor.settle(place.found, landmarks, prior.covariance[3:, 3:], place.proven)
+        self._anchor.settle(place.found, self._landmarks.points, prior.covariance[3:, 3:], place.proven)
         self._settle(view, place, prior, self._state, body_from_depth)
         return self._pose(frame.stamp_s, place.found)
 
@@ -159,35 +165,46 @@ class SlamTracker:
         """Search the map from before. Another place is taken if two searches find it."""
         wide = prior.covariance.copy()
         wide[3:, 3:] += self._anchor.sigma_m**2 * np.eye(3)
-        other, alone = search(view, self.volume, replace(prior, covariance=wide), min(_SEARCH_SIGMAS * sigma_m, _MOST_SEARCH_M))
+        (other, *_), rival = search(
+            view, self.volume, replace(prior, covariance=wide), min(_SEARCH_SIGMAS * sigma_m, _MOST_SEARCH_M)
+        )
         moved_m, before_m = other.odom_from_depth.translation_m - found.odom_from_depth.translation_m, self._moved_m
         self._moved_m = None
-        if not (alone and determined(other)):
+        if rival > _VERY_ALIKE_SHARE or not determined(other):
+            return Relocation(found, False, False)
+        self._agreeing = self._agreeing + 1 if before_m is not None and np.linalg.norm(moved_m - before_m) < _SAME_M else 1
+        self._moved_m = moved_m
+        if self._agreeing < (_AGREEING_SEARCHES if rival < _ALIKE_SHARE else _AGREEING_IF_ALIKE):
             return Relocation(found, False, False)
         if np.linalg.norm(moved_m) < _SAME_M:
             return Relocation(found, True, False)
-        self._agreeing = self._agreeing + 1 if before_m is not None and np.linalg.norm(moved_m - before_m) < _SAME_M else 1
-        if self._agreeing < _AGREEING_SEARCHES:
-            self._moved_m = moved_m
-            return Relocation(found, False, False)
+        self._moved_m = None
         self._landmarks.forget()
         self._resets += 1
         return Relocation(other, True, True)
 
-    def _search(self, view: RgbdView, found: Registration, prior: MotionPrior) -> tuple[Registration, bool]:
-        """Return the best registration from places around the predicted one, by depth alone, and if no other fits."""
+    def _search(self, view: RgbdView, found: Registration, prior: MotionPrior) -> Registration:
+        """Return the best registration from places around the predicted one: by depth, and by landmarks if they agree."""
         reach_m = min(_SEARCH_SIGMAS * math.sqrt(float(np.diagonal(prior.covariance)[3:].max())), _MOST_SEARCH_M)
         if reach_m < _LEAST_SEARCH_M:
-            return found, False
-        other, alone = search(view, self.volume, prior, reach_m)
-        return (other, alone and determined(other)) if other.inliers > found.inliers * _BETTER else (found, False)
+            return found
+        others, _ = search(view, self.volume, prior, reach_m)
+        for other in others:
+            self._landmarks.recall()
+            points, there = self._landmarks.points, other.odom_from_depth
+            shown = self._projected(view, points, there, prior.rate_radps, prior.velocity_mps)
+            confirmed = confirm(view, self.volume, self._landmarks.follow(view, shown, far=True), prior, other)
+            if confirmed is not None:
+                return confirmed
+        return others[0] if others[0].inliers > found.inliers * _BETTER else found
 
     def _coast(self, state: TrackedState, prior: MotionPrior, stamp_s: float, body_from_depth: Pose) -> None:
         """Go on by the inertial samples alone: the frame is not believed."""
         odom_from_body = prior.odom_from_depth @ body_from_depth.inverse()
         self._motion.coast(self._predicted)
         self._landmarks.recall()
-        self._state = TrackedState(stamp_s, odom_from_body, self._motion.velocity_mps, prior.covariance[:3, :3])
+        self._attitude.coast(self._turned)
+        self._state = TrackedState(stamp_s, odom_from_body, self._motion.velocity_mps)
         self._believed = 0
         self._unproven = _PROOF_FRAMES
 
@@ -196,7 +213,8 @@ class SlamTracker:
         if level is None:
             return None
         self.gyro.rest(self._rest.gyro_bias_radps)
-        self._state = TrackedState(view.frame.stamp_s, level, np.zeros(3), _AT_REST)
+        self._state = TrackedState(view.frame.stamp_s, level, np.zeros(3))
+        self._attitude = AttitudeFilter(level, _AT_REST)
         self._motion = MotionFilter(level.translation_m)
         self._believed = _FUSION_FRAMES
         self._add_to_map(view, level @ body_from_depth, np.zeros(6))
@@ -221,17 +239,23 @@ class SlamTracker:
     def _predict(self, state: TrackedState, stamp_s: float, body_from_depth: Pose) -> MotionPrior:
         """Return the predicted motion from the newest believed frame."""
         step_s = stamp_s - state.stamp_s
-        moved = self._motion.predict(step_s, state.odom_from_body, self.gyro.track(state.stamp_s, stamp_s))
-        self._predicted = moved
+        moved = self._motion.predict(step_s, self._attitude.odom_from_body, self.gyro.track(state.stamp_s, stamp_s))
         turned, rate = self.gyro.turn(state.stamp_s, stamp_s), self.gyro.rate(stamp_s)
-        turn_sigma = self.gyro.turn_sigma_rad(state.stamp_s, stamp_s) if turned is not None else _BLIND_TURN_RADPS * step_s
-        turn = Pose.from_rotation_vector(np.zeros(3) if turned is None else turned, np.zeros(3))
-        odom_from_body = Pose((state.odom_from_body @ turn).quat_wxyz, moved.place_m)
+        turn_sigma = drift_sigma = _BLIND_TURN_RADPS * step_s
+        if turned is not None:
+            turn_sigma = self.gyro.turn_sigma_rad(state.stamp_s, stamp_s)
+            drift_sigma = self.gyro.drift_sigma_rad(state.stamp_s, stamp_s)
+        attitude = self._attitude.predict(
+            np.zeros(3) if turned is None else turned, drift_sigma, np.zeros(3) if rate is None else rate
+        )
+        self._predicted, self._turned = moved, attitude
+        odom_from_body = Pose(attitude.odom_from_body.quat_wxyz, moved.place_m)
         rate_odom = np.zeros(3) if rate is None else odom_from_body.rotation() @ rate
         arm_m = odom_from_body.rotation() @ body_from_depth.translation_m
         covariance = np.zeros((6, 6))
-        covariance[:3, :3] = state.turn_covariance + turn_sigma**2 * np.eye(3)
-        covariance[3:, 3:] = moved.place_covariance
+        covariance[:3, :3], covariance[3:, 3:] = attitude.shown_covariance, moved.shown_covariance
+        covariance[:3, 3:] = JITTER_S**2 * np.outer(rate_odom, moved.velocity_mps)  # one stamp, one error
+        covariance[3:, :3] = covariance[:3, 3:].T
         velocity = moved.velocity_mps + np.cross(rate_odom, arm_m)
         return MotionPrior(
             odom_from_body @ body_from_depth, covariance, turn_sigma, rate_odom, velocity, self._slow,
@@ -265,19 +289,21 @@ class SlamTracker:
             self._motion.relocate(self._predicted, odom_from_body.translation_m)
         else:
             self._motion.update(self._predicted, odom_from_body.translation_m, found.covariance[3:, 3:])
+        self._attitude.update(self._turned, odom_from_body, found.covariance[:3, :3])
         velocity = self._motion.velocity_mps
         between = state.odom_from_body.inverse() @ odom_from_body
         self.gyro.update(state.stamp_s, stamp_s, between.rotation_vector())
         self._slow = found.slow
         grown = found.slow_covariance + np.diag(_SLOW_WALK**2 * step_s)
         self._slow_covariance = grown + np.diag(np.maximum(_SLOW_FLOOR**2 - np.diagonal(grown), 0.0))
-        self._state = TrackedState(stamp_s, odom_from_body, velocity, found.covariance[:3, :3])
+        self._state = TrackedState(stamp_s, odom_from_body, velocity)
         self._believed = self._believed + 1 if self.fault is None else 0
-        self._unproven = max(self._unproven - 1, 0) if self.fault is None else self._unproven
-        if self._unproven:  # new landmarks would confirm a wrong place in the next frame
+        sigma_m = self._anchor.total_m(found.covariance[3:, 3:])
+        if self.fault is None and _proves(found):
+            self._unproven = max(self._unproven - 1, 0)
+        if self._unproven and sigma_m <= SURE_M:  # new landmarks would confirm a wrong place in the next frame
             self._landmarks.recall()
         else:
-            sigma_m = self._anchor.total_m(found.covariance[3:, 3:])
             sure = sigma_m < (_UNSURE_M if found.coverage > _NEW_SHARE else _MOST_SIGMA_M)
             self._add_to_map(view, found.odom_from_depth, np.concatenate((prior.rate_radps, velocity)), sigma_m, sure)
 
