@@ -172,6 +172,7 @@ def test_status_reads_like_an_instrument_panel() -> None:
         "note      refused: pose is stale",
         "origin    -",
         "calibr.   -",
+        "corrected -",
         "rejected  -",
     ]
 
