@@ -77,6 +77,7 @@ def test_writes_a_watertight_ply_a_textured_glb_and_images(flight: Path) -> None
     assert f"{folder / 'mesh.ply'}, mesh.glb:" in said.replace("\n", "")
 
 
+@pytest.mark.nightly
 def test_observed_surface_has_the_colours_of_the_images(flight: Path) -> None:
     """A field needs minutes to learn colours.
 

@@ -97,6 +97,7 @@ def test_each_example_runs_and_writes_its_file(name: str, tmp_path: Path) -> Non
     assert [path.name for path in tmp_path.iterdir()] == [default]
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_the_planner_example_explores_the_hidden_half(tmp_path: Path) -> None:
     text = run("plan_next_views.py", tmp_path, "other.png")

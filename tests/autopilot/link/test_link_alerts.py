@@ -185,8 +185,8 @@ def test_a_forged_pilots_mode_leaves_no_vehicle_unattended(flying: tuple[Rig, Cr
     assert note.short() in texts(rig, begin_s)
 
 
-@pytest.mark.parametrize("mode", ["landing", "ours", "pilot's"])
-@pytest.mark.parametrize("armed", [True, False], ids=["armed", "disarmed"])
+@pytest.mark.parametrize("mode", ["landing", pytest.param("ours", marks=pytest.mark.nightly), "pilot's"])
+@pytest.mark.parametrize("armed", [True, pytest.param(False, marks=pytest.mark.nightly)], ids=["armed", "disarmed"])
 def test_nobody_is_talked_out_of_a_landing(flying: tuple[Rig, Crowd], mode: str, armed: bool) -> None:
     rig, crowd = flying
     speak_twice(rig, crowd, mode, 0.5, armed)

@@ -35,6 +35,7 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(training_run, "ROOM_RUNS", 2)
 
 
+@pytest.mark.nightly
 def test_measures_every_field_and_writes_json(tmp_path: Path) -> None:
     written = tmp_path / "result.json"
     exact = "--camera", "wide", "--depth-noise", "kinect", "--camera-errors", "none"

@@ -86,6 +86,7 @@ def test_a_row_for_each_sequence_and_a_summary(recordings: list[SequenceOptions]
         assert word in out
 
 
+@pytest.mark.nightly
 def test_a_fault_in_windows_is_timed(recordings: list[SequenceOptions], tmp_path: Path) -> None:
     written = tmp_path / "slam.json"
     code, out, errors = bench("--method", "joint", "--fault", "covered", "--json", str(written))
@@ -103,6 +104,7 @@ def test_a_fault_in_windows_is_timed(recordings: list[SequenceOptions], tmp_path
     assert "0%" in out, "this tracker does not notice a false wall"
 
 
+@pytest.mark.nightly
 def test_faults_of_the_recording_reach_it(recordings: list[SequenceOptions]) -> None:
     assert bench("--method", "joint", "--fault", "glass")[0] == 0
     assert bench("--method", "joint", "--fault", "fast-yaw")[0] == 0
@@ -173,6 +175,7 @@ def test_the_command_line_offers_every_tracker() -> None:
     assert tuple(METHODS) == TRACKERS
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_the_baseline_follows_a_short_path(tmp_path: Path) -> None:
     written = tmp_path / "slam.json"

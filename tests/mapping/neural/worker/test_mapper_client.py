@@ -49,6 +49,7 @@ def _revision(mapper: ProcessMapper) -> int:
     return 0 if surface is None else surface.revision
 
 
+@pytest.mark.nightly
 def test_a_child_that_hangs_is_replaced_while_views_keep_coming(mapper: ProcessMapper) -> None:
     for view in tour(3):
         assert mapper.add(view)
