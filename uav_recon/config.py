@@ -190,6 +190,7 @@ class LocalizationConfig(Section):
     origin: Literal["pad", "source"] = "pad"  # of the world: the body on the take-off pad, or the pose source's own origin
     pose_lost_s: Annotated[float, Field(gt=0.0, le=2.0)] = 0.5  # no pose for longer: quality 0
     frame_wait_s: Annotated[float, Field(ge=0.0, le=0.5)] = 0.2  # max. time a frame waits for the next pose
+    correct_drift: bool = False  # source not slam: correct a drift of the poses by a tracker beside them (docs/pose-sources)
     calibration: Path | None = None  # file of the camera's errors: written in flight, read by the next; unset: none is kept
 
 

@@ -27,7 +27,7 @@ MAPPERS = ("neural", "depth-only")
 OLD_NAMES = {"stand-in": "depth-only"}  # of a mapper: still accepted
 VARIANTS = get_args(VariantName)
 UNCERTAINTIES = get_args(UncertaintyName)
-POSES = ("stream", "slam", "autopilot")
+POSES = ("stream", "corrected", "slam", "autopilot")
 AUTOPILOTS = ("px4", "ardupilot")
 BUILT_IN_VIEWS = 60
 SCENE_VIEWS = 120
@@ -222,7 +222,8 @@ class SimOptions:
                 "depth_noise_px": noise_px,
             },
             "localization": {
-                "source": self.pose,
+                "source": "stream" if self.pose == "corrected" else self.pose,
+                "correct_drift": self.pose == "corrected",
                 **({} if self.calibration is None else {"calibration": str(self.calibration)}),
             },
             "mapper": {"seed": self.seed, "uncertainty": self.uncertainty},

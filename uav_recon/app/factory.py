@@ -301,8 +301,16 @@ def connect_perception(
     return Perception(
         camera, poses, fusion, mount, wires.odom, wires.frames, wires.nearby, wires.perception, clock, rate_hz, wait_s,
         origin=origin, remarks=remarks, rates=wires.rates, kept=kept, corrects=not tracks,
-        correction=NoCorrection() if tracks else _tracked_correction(fusion),
+        correction=_tracked_correction(fusion) if corrects_drift(config) else NoCorrection(),
     )  # fmt: skip
+
+
+def corrects_drift(config: Config) -> bool:
+    """Return whether a tracker runs beside the pose source.
+
+    The poses of the embedded SLAM are those of the tracker.
+    """
+    return config.localization.correct_drift and config.localization.source != "slam"
 
 
 def _tracked_correction(fusion: FusionFilter) -> OdometryCorrection:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-POSES = ("stream", "slam", "autopilot")
+POSES = ("stream", "corrected", "slam", "autopilot")
 AUTOPILOTS = ("px4", "ardupilot")
 VARIANTS = ("adaptive", "merged", "reconstruct", "explore", "explore-yaw", "explore-then-refine", "evpp", "vpp")
 DEPTH_NOISES = ("d435i", "paper", "kinect", "none")

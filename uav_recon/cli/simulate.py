@@ -122,7 +122,8 @@ def sim(
         str,
         typer.Option(
             metavar=choices.listed(choices.POSES), autocompletion=choices.one_of(choices.POSES), rich_help_panel=CAMERA,
-            help="Source of the poses. stream: a simulated tracking system beside the camera. slam: the embedded RGB-D SLAM, "
+            help="Source of the poses. stream: a simulated tracking system beside the camera. corrected: the same, "
+            "its drift corrected by a tracker (localization.correct_drift). slam: the embedded RGB-D SLAM, "
             "which has nothing but the images and the IMU of the camera. autopilot: a tracking system of the autopilot.",
         ),
     ] = "stream",

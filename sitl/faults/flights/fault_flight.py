@@ -44,6 +44,7 @@ class Stage:
     variant: str = "adaptive"
     camera: Model = "fast"
     camera_errors: float = DEFAULT_SCALE
+    poses: str = "stream"
 
 
 @dataclass(frozen=True)
@@ -86,6 +87,7 @@ class FaultCase:
             scenario.variant,
             scenario.camera,
             self.camera_errors,
+            scenario.poses,
         )
 
 
@@ -202,6 +204,7 @@ def flight(
         lockstep=True,
         out=folder / "flight",
         camera_errors=str(stage.camera_errors),
+        pose=stage.poses,
     )
     scene = arena(stage.arena, options.radius_m, painted=stage.camera != "fast")
     options.make_folder()

@@ -68,6 +68,7 @@ class Scenario:
     times: factor of the number of flights in lockstep.
     variant: of the planner.
     camera: fast, or small where colour matters.
+    poses: source of the poses, as in `sim --pose`.
     radii_m: radii of the hull; they are cycled.
     room: limits on the surroundings.
 
@@ -89,6 +90,7 @@ class Scenario:
     times: int = 1
     variant: str = "adaptive"
     camera: Model = "fast"
+    poses: str = "stream"
     radii_m: tuple[float, ...] = (HULL_RADIUS_M,)
     room: Room = USUAL
     observe_after_disarm_s: float = AFTER_DISARM_S

@@ -57,7 +57,7 @@ from sitl.faults.injectors.wrong_axes import (
 from sitl.faults.judges import odometry_metrics
 from sitl.faults.judges import reaction_metrics as m
 from sitl.faults.judges.invariants import Room
-from sitl.faults.judges.statustext_checks import statustext_after_arm_command
+from sitl.faults.judges.statustext_checks import statustext_after_arm_command, statustext_delay
 from sitl.faults.table.acceptance_limits import (
     COMPLETES,
     NEVER_ARMED,
@@ -354,11 +354,21 @@ TABLE_B = (
     Scenario(
         "B5",
         "pose drifts",
+        "0.05 m/s for a minute along either axis",
+        lambda n: [AlteredPoses(drifting(*((0.05, 0.0), (0.0, 0.05), (-0.05, 0.0), (0.0, -0.05))[n % 4]))],
+        (clear(0.10), Limit("alarm", statustext_delay(*codes.DRIFT), 10.0, "s")),
+        observe_s=80.0,
+        camera="small",
+    ),
+    Scenario(
+        "B5c",
+        "pose drifts, and the tracker beside it corrects",
         "0.01, 0.02, 0.05, 0.1, 0.2 m/s for a minute along either axis, up to 3 m",
         lambda n: [AlteredPoses(drifting(*DRIFTS[n % 5][n % 4]))],
         NEVER_ASTRAY,
         observe_s=80.0,
         camera="small",
+        poses="corrected",
     ),
     Scenario(
         "B6",
@@ -368,6 +378,7 @@ TABLE_B = (
         NEVER_ASTRAY,
         observe_s=80.0,
         camera="small",
+        poses="corrected",
     ),
     Scenario(
         "B6s",
@@ -378,6 +389,7 @@ TABLE_B = (
         onset=FROM_BOOT,
         observe_s=120.0,
         camera="small",
+        poses="corrected",
     ),
     Scenario(
         "B7",

@@ -48,7 +48,7 @@ def test_the_defaults_are_the_built_in_room_with_a_tilted_d435i() -> None:
         ({"radius": 0.01}, "0.05 to 0.6"),
         ({"blind_speed": 2.0}, "--blind-speed 2.0: want 0.1 to 1.2 m/s"),
         ({"camera": "d415"}, "d435i, wide"),
-        ({"pose": "gps"}, "--pose gps: want one of stream, slam"),
+        ({"pose": "gps"}, "--pose gps: want one of stream, corrected, slam"),
         ({"camera_errors": "some"}, "--camera-errors some: want none, default or a factor of 0 to 2"),
         ({"camera_errors": "2.5"}, "none, default or a factor of 0 to 2"),
         ({"autopilot": "inav"}, "px4, ardupilot"),

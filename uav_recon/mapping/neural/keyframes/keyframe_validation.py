@@ -16,9 +16,7 @@ from uav_recon.types.pose import Pose
 
 LOG = logging.getLogger(__name__)
 
-PADDING_M = (
-    0.3  # walls lie on the border of the room's box; a pose source turned by 2 degrees puts them 0.28 m beyond it at 8 m
-)
+PADDING_M = 0.15  # walls lie on the border of the room's box, and noise moves points outside; more adds debris behind them
 FEWEST_SHARE = 0.01  # minimum share of pixels with depth
 FEWEST_RAYS = 32  # minimum number of rays from them
 INSIDE_SHARE = 0.2  # minimum share of end points in the box
