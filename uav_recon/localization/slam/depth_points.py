@@ -70,13 +70,14 @@ def add_depth_equations(
             )
         if not sample(point, index, distance, weight, found):
             continue
+        slope = np.sqrt(found[1] * found[1] + found[2] * found[2] + found[3] * found[3])
+        if not _MIN_SLOPE < slope < _MAX_SLOPE:  # free space: no surface is there
+            known += 1
+            continue
         towards = (place_m[0] - point[0]) * found[1] + (place_m[1] - point[1]) * found[2] + (place_m[2] - point[2]) * found[3]
         if towards < 0.0:  # the other side of a thin wall
             continue
         known += 1
-        slope = np.sqrt(found[1] * found[1] + found[2] * found[2] + found[3] * found[3])
-        if not _MIN_SLOPE < slope < _MAX_SLOPE:
-            continue
         off_m = found[0] / slope
         inliers += int(abs(off_m) < _INLIER_SHARE * TRUNCATION_M)
         z = points[n, 2]
