@@ -39,9 +39,11 @@ if TYPE_CHECKING:  # each process imports only the stages that it runs
     from uav_recon.autopilot.parameters.reader import ParameterEncoding
     from uav_recon.autopilot.pilot.pilot import HullGeometry, Pilot
     from uav_recon.localization.camera_mount import Mount
+    from uav_recon.localization.depth_consistency import DepthConsistencyMonitor
     from uav_recon.localization.fusion_filter import FusionFilter
     from uav_recon.localization.odometry_correction import OdometryCorrection
     from uav_recon.localization.perception import Perception
+    from uav_recon.localization.reconciled_consistency import ReconciledConsistency
     from uav_recon.mapping.keyframe_selection import KeyframeSelection, PlannedViewsOnly
     from uav_recon.mapping.neural.neural_mapper import NeuralMapper
     from uav_recon.mapping.occupancy.occupancy_map import OccupancyMap
@@ -300,9 +302,22 @@ def connect_perception(
     kept = KeptCalibration(file, camera_sources.mount_text(config), writer or InlineExecutor(clock)) if file else None
     return Perception(
         camera, poses, fusion, mount, wires.odom, wires.frames, wires.nearby, wires.perception, clock, rate_hz, wait_s,
-        origin=origin, remarks=remarks, rates=wires.rates, kept=kept, corrects=not tracks,
+        origin=origin, remarks=remarks, rates=wires.rates, kept=kept, consistency=_consistency(config),
         correction=_tracked_correction(fusion) if corrects_drift(config) else NoCorrection(),
     )  # fmt: skip
+
+
+def _consistency(config: Config) -> DepthConsistencyMonitor | ReconciledConsistency:
+    """Return the comparison of depth with earlier views.
+
+    Poses that come from the frames themselves contain the errors of their mount.
+    """
+    from uav_recon.localization.depth_consistency import DepthConsistencyMonitor
+    from uav_recon.localization.reconciled_consistency import ReconciledConsistency
+
+    if corrects_drift(config):
+        return ReconciledConsistency()
+    return DepthConsistencyMonitor(corrects=config.localization.source != "slam")
 
 
 def corrects_drift(config: Config) -> bool:

@@ -19,6 +19,7 @@ from uav_recon.localization.inertial_selection import InertialSelection
 from uav_recon.localization.kept_calibration import KeptCalibration
 from uav_recon.localization.min_range_binning import nearest_in_cells
 from uav_recon.localization.odometry_correction import NoCorrection, OdometryCorrection
+from uav_recon.localization.reconciled_consistency import ReconciledConsistency
 from uav_recon.types.camera import Frame, PosedFrame
 from uav_recon.types.min_range_grid import MinRangeGrid
 from uav_recon.types.perception_status import PerceptionStatus
@@ -48,7 +49,7 @@ class Perception:
     minimum range grid of a frame is published at once, with or without a pose, valid or not.
 
     Odometry that depth contradicts has health WRONG; its quality stays, because it is better than none for landing.
-    corrects: False if the poses come from the frames themselves, which then have no error against them.
+    consistency: compares depth with earlier views; None: with poses that do not come from the frames.
     ``published_odom`` and ``published_frames`` are counters, ``dropped_frames`` counts by reason; all of them are published
     once a second, with the origin of the poses, the camera's errors, and remarks(), what the camera says of itself.
 
@@ -73,7 +74,7 @@ class Perception:
         remarks: Callable[[], tuple[Reason, ...]] = tuple,
         rates: Channel[TurnRates] | None = None,
         kept: KeptCalibration | None = None,
-        corrects: bool = True,
+        consistency: DepthConsistencyMonitor | ReconciledConsistency | None = None,
         correction: OdometryCorrection | None = None,
     ) -> None:
         self._camera = camera
@@ -91,7 +92,7 @@ class Perception:
         self._inertial = InertialSelection(camera.imu, rates)
         self._kept = kept
         self._correction = correction or NoCorrection()
-        self._depth_consistency = DepthConsistencyMonitor(corrects)
+        self._depth_consistency = consistency or DepthConsistencyMonitor()
         self._axes = AxisMonitor()
         warm_up()
         self._rate = RateKeeper(rate_hz, clock.now_s())
