@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pyrealsense2 as rs
 import pytest
+from librealsense_writer import motion_stream, video_stream
 from scipy.spatial.transform import Rotation
 from software_realsense import GLOBAL, HARDWARE, SYSTEM, Rig, SoftwareRealSense
 
@@ -30,25 +31,6 @@ TRANSLATION = [0.015, 0.001, -0.002]
 SCALE = 0.0005
 LEVEL = Pose.from_matrix(BODY_FROM_OPTICAL)
 NOT_CONNECTED = "RealSense camera 146322070000 is not connected (seen: none)"
-
-
-def _stream(kind: Any, uid: int, fmt: Any, bpp: int, numbers: tuple[float, ...]) -> Any:
-    intrinsics = rs.intrinsics()
-    intrinsics.width, intrinsics.height = int(numbers[0]), int(numbers[1])
-    intrinsics.fx, intrinsics.fy, intrinsics.ppx, intrinsics.ppy = numbers[2:]
-    intrinsics.model, intrinsics.coeffs = rs.distortion.none, [0.0] * 5
-    stream = rs.video_stream()
-    stream.type, stream.index, stream.uid, stream.fmt, stream.bpp, stream.fps = kind, 0, uid, fmt, bpp, 30
-    stream.width, stream.height, stream.intrinsics = intrinsics.width, intrinsics.height, intrinsics
-    return stream
-
-
-def _motion(kind: Any, uid: int, fps: int) -> Any:
-    stream = rs.motion_stream()
-    stream.type, stream.index, stream.uid, stream.fmt, stream.fps = kind, 0, uid, rs.format.motion_xyz32f, fps
-    intrinsics = rs.motion_device_intrinsic()
-    stream.intrinsics = intrinsics
-    return stream
 
 
 def _image(pixels: Any, profile: Any, number: int) -> Any:
@@ -78,10 +60,10 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     device = rs.software_device()
     device.create_matcher(rs.matchers.dlr_c)
     stereo, colour, motion = (device.add_sensor(name) for name in ("Stereo Module", "RGB Camera", "Motion Module"))
-    depth = stereo.add_video_stream(_stream(rs.stream.depth, 0, rs.format.z16, 2, DEPTH))
-    rgb = colour.add_video_stream(_stream(rs.stream.color, 1, rs.format.rgb8, 3, RGB))
-    gyro = motion.add_motion_stream(_motion(rs.stream.gyro, 2, 200))
-    accel = motion.add_motion_stream(_motion(rs.stream.accel, 3, 200))
+    depth = stereo.add_video_stream(video_stream(rs.stream.depth, 0, rs.format.z16, 2, DEPTH))
+    rgb = colour.add_video_stream(video_stream(rs.stream.color, 1, rs.format.rgb8, 3, RGB))
+    gyro = motion.add_motion_stream(motion_stream(rs.stream.gyro, 2))
+    accel = motion.add_motion_stream(motion_stream(rs.stream.accel, 3))
     stereo.add_read_only_option(rs.option.depth_units, SCALE)
     rgb_from_depth, same = rs.extrinsics(), rs.extrinsics()
     rgb_from_depth.rotation, rgb_from_depth.translation = ROTATION.T.ravel().tolist(), TRANSLATION  # column-major

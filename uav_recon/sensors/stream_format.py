@@ -137,7 +137,25 @@ class _Stream:
             os.close(descriptor)
 
 
-class StreamWriter:
+class _PoseWriting:
+    """The poses of a stream, which the camera's program or another one writes."""
+
+    _stream: _Stream
+
+    def write_pose(
+        self,
+        stamp_s: float,
+        position_m: NDArray[np.float64],
+        quat_wxyz: NDArray[np.float64],
+        variance: NDArray[np.float64],
+        quality: int = 100,
+        reset_counter: int = 0,
+    ) -> None:
+        """Publish odom_from_body captured at stamp_s; call it when the pose ARRIVES."""
+        self._stream.append_pose((stamp_s, position_m, quat_wxyz, variance, quality, reset_counter))
+
+
+class StreamWriter(_PoseWriting):
     """Writer for the camera. The file appears under its name only when it is complete."""
 
     def __init__(self, path: Path, header: StreamHeader) -> None:
@@ -170,20 +188,8 @@ class StreamWriter:
         self._stream.imu[count % IMU_SLOTS] = (stamp_s, gyro_radps, specific_force_mps2)
         self._stream.header["imu"][0] = count + 1
 
-    def write_pose(
-        self,
-        stamp_s: float,
-        position_m: NDArray[np.float64],
-        quat_wxyz: NDArray[np.float64],
-        variance: NDArray[np.float64],
-        quality: int = 100,
-        reset_counter: int = 0,
-    ) -> None:
-        """Publish odom_from_body captured at stamp_s; call it when the pose ARRIVES."""
-        self._stream.append_pose((stamp_s, position_m, quat_wxyz, variance, quality, reset_counter))
 
-
-class StreamPoseWriter:
+class StreamPoseWriter(_PoseWriting):
     """Writer of the poses alone, for a tracker beside the camera.
 
     The process of the camera writes everything else. The constructor raises StreamError. A restarted camera makes a new file:
@@ -195,18 +201,6 @@ class StreamPoseWriter:
             self._stream = _Stream(path, StreamReader(path).header, create=False)
         except OSError as error:
             raise StreamError(f"{path}: cannot be mapped ({error.strerror})") from None
-
-    def write_pose(
-        self,
-        stamp_s: float,
-        position_m: NDArray[np.float64],
-        quat_wxyz: NDArray[np.float64],
-        variance: NDArray[np.float64],
-        quality: int = 100,
-        reset_counter: int = 0,
-    ) -> None:
-        """Publish odom_from_body captured at stamp_s; call it when the pose ARRIVES."""
-        self._stream.append_pose((stamp_s, position_m, quat_wxyz, variance, quality, reset_counter))
 
 
 class StreamReader:

@@ -8,8 +8,9 @@ from sitl.faults.soak import SOAKS
 from sitl.faults.table.authority_geometry_host import TABLE_E, TABLE_F, TABLE_G
 from sitl.faults.table.camera_and_link import TABLE_C, TABLE_D
 from sitl.faults.table.pairs import PAIRED, pair
+from sitl.faults.table.pose_source import TABLE_B
 from sitl.faults.table.scenario import Scenario
-from sitl.faults.table.software_and_pose import TABLE_A, TABLE_B
+from sitl.faults.table.software import TABLE_A
 
 TABLE: tuple[Scenario, ...] = (*TABLE_A, *TABLE_B, *TABLE_C, *TABLE_D, *TABLE_E, *TABLE_F, *TABLE_G)
 _PAIRED = [scenario for scenario in TABLE if scenario.id in PAIRED]

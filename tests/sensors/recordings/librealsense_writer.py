@@ -41,10 +41,10 @@ def write(path: Path) -> None:
     device = rs.software_device()
     device.create_matcher(rs.matchers.dlr_c)
     stereo, colour, motion = (device.add_sensor(name) for name in ("Stereo Module", "RGB Camera", "Motion Module"))
-    depth = stereo.add_video_stream(_video(rs.stream.depth, 0, rs.format.z16, 2, DEPTH))
-    rgb = colour.add_video_stream(_video(rs.stream.color, 1, rs.format.rgb8, 3, RGB))
-    gyro = motion.add_motion_stream(_motion(rs.stream.gyro, 2))
-    accel = motion.add_motion_stream(_motion(rs.stream.accel, 3))
+    depth = stereo.add_video_stream(video_stream(rs.stream.depth, 0, rs.format.z16, 2, DEPTH))
+    rgb = colour.add_video_stream(video_stream(rs.stream.color, 1, rs.format.rgb8, 3, RGB))
+    gyro = motion.add_motion_stream(motion_stream(rs.stream.gyro, 2))
+    accel = motion.add_motion_stream(motion_stream(rs.stream.accel, 3))
     stereo.add_read_only_option(rs.option.depth_units, UNIT_M)
     rgb_from_depth = rs.extrinsics()
     rgb_from_depth.rotation, rgb_from_depth.translation = ROTATION.T.ravel().tolist(), TRANSLATION  # by columns
@@ -71,7 +71,7 @@ def write(path: Path) -> None:
     gc.collect()
 
 
-def _video(kind: Any, uid: int, fmt: Any, bpp: int, numbers: tuple[float, ...]) -> Any:
+def video_stream(kind: Any, uid: int, fmt: Any, bpp: int, numbers: tuple[float, ...]) -> Any:
     intrinsics = rs.intrinsics()
     intrinsics.width, intrinsics.height = int(numbers[0]), int(numbers[1])
     intrinsics.fx, intrinsics.fy, intrinsics.ppx, intrinsics.ppy = numbers[2:]
@@ -82,9 +82,9 @@ def _video(kind: Any, uid: int, fmt: Any, bpp: int, numbers: tuple[float, ...]) 
     return stream
 
 
-def _motion(kind: Any, uid: int) -> Any:
+def motion_stream(kind: Any, uid: int, fps: int = 200) -> Any:
     stream = rs.motion_stream()
-    stream.type, stream.index, stream.uid, stream.fmt, stream.fps = kind, 0, uid, rs.format.motion_xyz32f, 200
+    stream.type, stream.index, stream.uid, stream.fmt, stream.fps = kind, 0, uid, rs.format.motion_xyz32f, fps
     stream.intrinsics = rs.motion_device_intrinsic()
     return stream
 
