@@ -47,7 +47,10 @@ def test_all_combinations_are_flown_before_the_next_seed() -> None:
         ({"camera": "d415"}, "camera"),
         ({"camera_errors": "many"}, "--camera-errors many: want none, default or a factor of 0 to 2"),
         ({"mount": "foo"}, "--mount foo: want gimbal, or fixed:DEG"),
-        ({"scenes": "/nope"}, "--scenes /nope: no such scene; want random, random:SEED, built-in, a folder or a mesh file"),
+        (
+            {"scenes": "/nope"},
+            "--scenes /nope: no such scene; want random, small, random:SEED or small:SEED, built-in, a folder",
+        ),
         ({"scenes": ""}, "--scenes : no such scene"),
         ({"scenes": "random,"}, "--scenes : no such scene"),
         ({"scenes": "random:-1"}, "--scenes random:-1: no such scene"),
