@@ -224,6 +224,7 @@ class SimOptions:
             "localization": {
                 "source": "stream" if self.pose == "corrected" else self.pose,
                 "correct_drift": self.pose == "corrected",
+                "pad_heading_deg": math.degrees(scene.start_yaw_rad),
                 **({} if self.calibration is None else {"calibration": str(self.calibration)}),
             },
             "mapper": {"seed": self.seed, "uncertainty": self.uncertainty},

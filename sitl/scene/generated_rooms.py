@@ -1,6 +1,6 @@
-"""Generated flats of one to three furnished rooms, and small rooms; a seed gives the same scene everywhere.
+"""Generated flats of one to three furnished rooms, and small rooms.
 
-Lengths in metres; the origin is the lowest corner of the floor. The outer shell is closed; doorways have no doors.
+A seed gives the same scene everywhere. Lengths in metres; the origin is the lowest corner of the floor. The outer shell is closed; doorways have no doors.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ Range = tuple[float, float]
 
 @dataclass(frozen=True)
 class RoomKind:
-    """The ranges from which the rooms of a kind are drawn: area, ceiling, aspect, furniture per square metre.
+    """The ranges from which the scenes of a kind are drawn.
 
-    narrowest_m: minimum width of the scene. stream: makes the draws of a seed differ between kinds.
+    crowded: pieces of furniture per square metre, before those that do not fit. narrowest_m: minimum width of the scene. stream: makes the draws of a seed differ between kinds.
     """
 
     area_m2: Range
