@@ -1,6 +1,7 @@
 """Generated flats of one to three furnished rooms, and small rooms.
 
-A seed gives the same scene everywhere. Lengths in metres; the origin is the lowest corner of the floor. The outer shell is closed; doorways have no doors.
+A seed gives the same scene everywhere. Lengths in metres; the origin is the lowest corner of the floor. The outer shell is
+closed; doorways have no doors.
 """
 
 from __future__ import annotations
@@ -30,7 +31,8 @@ Range = tuple[float, float]
 class RoomKind:
     """The ranges from which the scenes of a kind are drawn.
 
-    crowded: pieces of furniture per square metre, before those that do not fit. narrowest_m: minimum width of the scene. stream: makes the draws of a seed differ between kinds.
+    crowded: pieces of furniture per square metre, before those that do not fit. narrowest_m: minimum width of the scene.
+    stream: makes the draws of a seed differ between kinds.
     """
 
     area_m2: Range
