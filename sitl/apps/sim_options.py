@@ -14,7 +14,7 @@ from sitl.apps.world_process import WorldOptions
 from sitl.camera.camera_errors import scale_of
 from sitl.camera.d435i import Model, Noise
 from sitl.real_firmware.px4 import COMPANION_PORT as PX4_PORT
-from sitl.scene.scene import HULL_HEIGHT_M, Scene
+from sitl.scene.scene import HULL_HEIGHT_M, Scene, free_height_m
 from uav_recon.app.option_validation import UsageError, readable
 from uav_recon.config import Config, ConfigError, UncertaintyName, VariantName, parse
 from uav_recon.errors import EXIT_CONFIG, UserError
@@ -43,6 +43,8 @@ MAX_YAW_DEG = 360.0
 BLIND_MPS = 0.3  # default speed limit outside the camera's view; MAX_MPS disables it
 SLOWEST_MPS = 0.1  # its minimum
 BLIND_MEMORY_S = 60.0  # space above and below a fixed camera's view was mostly seen more than 10 s ago
+COLUMN_MARGIN_M = 0.10  # beyond the planning clearance, round the column above the pad that the operator sees to be free
+COLUMN_TOP_M = 0.05  # below the ceiling: half a voxel
 FENCE_MARGIN_M = 0.10  # between hull and fence, for position errors of the vehicle
 JOB_GB = 0.8  # memory of a process that flies in lockstep
 NOISE_PX = {"d435i": 0.04, "paper": 0.004, "kinect": 0.02, "none": 0.001}  # rms disparity error at 424 pixels
@@ -188,6 +190,7 @@ class SimOptions:
         """Return the product's config for this flight. Raises UserError with exit code 78."""
         gimbal = self.mount_pitch_down_deg is None
         noise_px = NOISE_PX[self.depth_noise] / (2.0 if self.camera in ("fast", "small") else 1.0)
+        clearance_m = max(SMALLEST_CLEARANCE_M, self.radius_m + HULL_MARGIN_M)
         tree = {
             "safety": {
                 "fence_min_m": [float(x) for x in scene.fence_min],
@@ -227,10 +230,11 @@ class SimOptions:
                 "pad_heading_deg": math.degrees(scene.start_yaw_rad),
                 **({} if self.calibration is None else {"calibration": str(self.calibration)}),
             },
+            "voxels": {"takeoff_top_m": max(free_height_m(scene, clearance_m + COLUMN_MARGIN_M) - COLUMN_TOP_M, 0.1)},
             "mapper": {"seed": self.seed, "uncertainty": self.uncertainty},
             "planner": {
                 "variant": self.variant,
-                "clearance_m": max(SMALLEST_CLEARANCE_M, self.radius_m + HULL_MARGIN_M),
+                "clearance_m": clearance_m,
             },
             "mission": {"views": self.views, "autostart": True},
             "recording": {"folder": str(self.out), "live": self.live, "rerun": self.mapper == "neural" or self.live},
