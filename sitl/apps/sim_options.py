@@ -16,6 +16,7 @@ from sitl.camera.d435i import Model, Noise
 from sitl.real_firmware.px4 import COMPANION_PORT as PX4_PORT
 from sitl.scene.scene import HULL_HEIGHT_M, Scene, free_height_m
 from uav_recon.app.option_validation import UsageError, readable
+from uav_recon.app.room_check import advise
 from uav_recon.config import Config, ConfigError, UncertaintyName, VariantName, parse
 from uav_recon.errors import EXIT_CONFIG, UserError
 
@@ -37,6 +38,8 @@ RADII_M = (0.05, 0.60)
 HULL_MARGIN_M = 0.20
 SMALLEST_CLEARANCE_M = 0.35
 MAX_MPS = 1.2
+AUTO = "auto"  # mount: fixed, with a tilt for the size of the room
+USUAL_DEG = 15.0  # tilt of AUTO where the room has no space to fly
 # of --start and --fence
 MAX_COORDINATE_M = 1e5
 MAX_YAW_DEG = 360.0
@@ -122,12 +125,21 @@ class SimOptions:
             fence=None if f is None else (f[0], f[1], f[2], f[3], f[4], f[5]),
             views=views if views is not None else BUILT_IN_VIEWS if scene is None else SCENE_VIEWS,
             seed=seed, out=folder.absolute(), autopilot=autopilot, variant=variant, mount=mount,
-            mount_pitch_down_deg=mount_pitch_deg(mount), depth_noise=depth_noise, camera=chosen, mapper=mapper,
-            radius_m=radius, lockstep=lockstep, live=live, port=port, uncertainty=uncertainty,
+            mount_pitch_down_deg=USUAL_DEG if mount == AUTO else mount_pitch_deg(mount),
+            depth_noise=depth_noise, camera=chosen, mapper=mapper, radius_m=radius,
+            lockstep=lockstep, live=live, port=port, uncertainty=uncertainty,
             firmware=None if firmware is None else firmware.absolute(), blind_speed_mps=blind_speed,
             pose=pose, camera_errors=camera_error_scale(camera_errors), dated=out is None,
             calibration=None if calibration is None else calibration.absolute(),
         )  # fmt: skip
+
+    def with_mount_for(self, scene: Scene) -> SimOptions:
+        """Return the options with the mount that fits the scene's size, if AUTO was given."""
+        if self.mount != AUTO:
+            return self
+        advice = advise(self.config(scene, Path("/run")))
+        tilt_deg = USUAL_DEG if advice is None else advice.recommended_deg
+        return replace(self, mount=f"fixed:{tilt_deg:g}", mount_pitch_down_deg=tilt_deg)
 
     def check_folder(self) -> None:
         """Check the flight folder before the work.

@@ -16,7 +16,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from sitl.apps.kernel_compilation import compile_ahead, flight_jobs
-from sitl.apps.sim_options import CAMERAS, RADII_M, VARIANTS, UsageError, camera_error_scale, check_jobs, mount_pitch_deg
+from sitl.apps.sim_options import AUTO, CAMERAS, RADII_M, VARIANTS, UsageError, camera_error_scale, check_jobs, mount_pitch_deg
 from sitl.apps.sweep_case import Case, Record, fly_case, one_thread
 from sitl.runtime.worker_pool import worker_pool
 from sitl.scene.generated_rooms import KINDS
@@ -72,7 +72,8 @@ class SweepOptions:
             raise UsageError(f"--variants {variants}: want some of {', '.join(VARIANTS)}")
         if camera not in CAMERAS:
             raise UsageError(f"--camera {camera}: want one of {', '.join(CAMERAS)}")
-        mount_pitch_deg(mount)
+        if mount != AUTO:
+            mount_pitch_deg(mount)
         errors = camera_error_scale(camera_errors)
         words, jobs = tuple(scenes.split(",")), check_jobs(jobs)
         for word in words:

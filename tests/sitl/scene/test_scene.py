@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 import re
@@ -81,6 +82,8 @@ def test_the_column_above_the_pad_is_free_up_to_the_ceiling_or_a_lamp() -> None:
     assert free_height_m(empty, 0.5) == pytest.approx(2.4)
     assert free_height_m(lamp, 0.5) == pytest.approx(1.8)
     assert free_height_m(lamp, 0.25) == pytest.approx(2.4)
+    bare = dataclasses.replace(empty, faces=empty.faces[:0])
+    assert free_height_m(bare, 0.5) == pytest.approx(2.4), "where there is no surface the fence is the limit"
 
 
 def test_an_open_scene_needs_a_fence() -> None:
