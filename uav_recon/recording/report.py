@@ -56,7 +56,8 @@ class ReportOdometry:
 class ReportUnseen:
     """Space of the room that the flight left unknown.
 
-    upper_share, lower_share: of the room above and below split_m over the floor. text: reason and remedy in one sentence; '' if the shares are small.
+    upper_share, lower_share: of the room above and below split_m over the floor. text: reason and remedy in one sentence; ''
+    if the shares are small.
     """
 
     upper_share: float
