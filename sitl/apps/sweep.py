@@ -233,7 +233,7 @@ def _line(record: Record) -> str:
 
 
 def _conclude(records: list[Record], console: Console) -> int:
-    """Print two lines per group of flights (all but the seed equal), and a command per bad flight.
+    """Print two lines per group of flights (all but the seed equal), a command per bad flight.
 
     Returns the exit code.
     """
