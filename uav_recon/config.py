@@ -188,6 +188,8 @@ class LocalizationConfig(Section):
     autopilot_message: Literal["local_position", "odometry"] = "local_position"  # source autopilot: the message with its poses
     rate_hz: Annotated[float, Field(ge=20.0, le=200.0)] = 30.0  # rate of the odometry output
     origin: Literal["pad", "source"] = "pad"  # of the world: the body on the take-off pad, or the pose source's own origin
+    # origin pad: heading of the body on the pad against the x axis of the fence, counter-clockwise
+    pad_heading_deg: Annotated[float, Field(ge=-360.0, le=360.0)] = 0.0
     pose_lost_s: Annotated[float, Field(gt=0.0, le=2.0)] = 0.5  # no pose for longer: quality 0
     frame_wait_s: Annotated[float, Field(ge=0.0, le=0.5)] = 0.2  # max. time a frame waits for the next pose
     correct_drift: bool = False  # source not slam: correct a drift of the poses by a tracker beside them (docs/pose-sources)

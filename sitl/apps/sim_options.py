@@ -89,7 +89,7 @@ class SimOptions:
         """Validate the options of the command line. Raises UsageError with one line."""
         mapper = OLD_NAMES.get(mapper, mapper)
         if scene is not None and not scene.strip():
-            raise UsageError("--scene is empty: want a folder, a mesh file or random:SEED")
+            raise UsageError("--scene is empty: want a folder, a mesh file, random:SEED or small:SEED")
         chosen = camera or ("d435i" if mapper == "neural" else "fast")
         for name, value, allowed in (
             ("autopilot", autopilot, AUTOPILOTS), ("variant", variant, VARIANTS), ("depth-noise", depth_noise, NOISES),
@@ -224,6 +224,7 @@ class SimOptions:
             "localization": {
                 "source": "stream" if self.pose == "corrected" else self.pose,
                 "correct_drift": self.pose == "corrected",
+                "pad_heading_deg": math.degrees(scene.start_yaw_rad),
                 **({} if self.calibration is None else {"calibration": str(self.calibration)}),
             },
             "mapper": {"seed": self.seed, "uncertainty": self.uncertainty},

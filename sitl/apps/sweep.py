@@ -29,7 +29,8 @@ from sitl.apps.sim_options import (
 )
 from sitl.apps.sweep_case import Case, Record, fly_case, one_thread
 from sitl.runtime.worker_pool import worker_pool
-from sitl.scene.scene import GENERATED
+from sitl.scene.generated_rooms import KINDS
+from sitl.scene.scene import GENERATED, is_generated
 from uav_recon import json_codec
 from uav_recon.app.option_validation import readable, require_writable_file
 from uav_recon.bench import host_info, result_file
@@ -37,11 +38,11 @@ from uav_recon.bench.machine_calibration import Calibration, calibrate
 from uav_recon.bench.result_file import result_header
 from uav_recon.errors import EXIT_USAGE, UserError
 
-RANDOM = "random"  # name of a scene: a new flat for each seed
+RANDOM = "random"  # name of a scene: a new flat for each seed; so does every other of KINDS
 BUILT_IN = "built-in"  # name of a scene: the room of `sim`
 BOTH = "both"
 BAD_SHOWN = 20
-MEDIANS = ("flight_s", "path_m", "views", "explored", "recall_90_s", "times_real")
+MEDIANS = ("flight_s", "path_m", "views", "explored", "recall", "recall_90_s", "times_real")
 
 
 @dataclass(frozen=True)
@@ -105,7 +106,7 @@ class SweepOptions:
         for number in range(self.flights):
             seed, place = self.seed0 + number // len(round_of), round_of[number % len(round_of)]
             autopilot, mount, variant, radius_m, word = place
-            scene = {RANDOM: f"random:{seed}", BUILT_IN: None}.get(word, word)
+            scene = f"{word}:{seed}" if word in KINDS else None if word == BUILT_IN else word
             yield Case(scene, seed, radius_m, variant, mount, self.camera, self.views, autopilot, self.camera_errors, self.pose)
 
 
@@ -113,9 +114,10 @@ def _check_scene(word: str) -> None:
     """Check the name of a scene. Raises UsageError if there is none of that name."""
     with readable(f"--scenes {word}"):
         there = Path(word).exists()
-    seed = word.removeprefix(GENERATED) if word.startswith(GENERATED) else ""
-    if not (word in (RANDOM, BUILT_IN) or seed.isdecimal() or (word and there)):
-        raise UsageError(f"--scenes {word}: no such scene; want {RANDOM}, {GENERATED}SEED, {BUILT_IN}, a folder or a mesh file")
+    seed = word.partition(":")[2] if is_generated(word) else ""
+    if not (word in (*KINDS, BUILT_IN) or seed.isdecimal() or (word and there)):
+        names = ", ".join((*KINDS, GENERATED, BUILT_IN))
+        raise UsageError(f"--scenes {word}: no such scene; want {names}, a folder or a mesh file")
 
 
 def sweep(options: SweepOptions) -> int:
@@ -227,7 +229,8 @@ def _line(record: Record) -> str:
         return f"{head} ERROR {record.error}"
     return (
         f"{head} flight {_number(record.flight_s, 0, 4)} s  path {_number(record.path_m, 1, 6)} m  views {record.views:3}  "
-        f"explored {_number(record.explored, 3, 5)}  clearance {_number(record.min_clearance_m, 3, 6)} m  "
+        f"explored {_number(record.explored, 3, 5)}  recall {_number(record.recall, 3, 5)}  "
+        f"clearance {_number(record.min_clearance_m, 3, 6)} m  "
         f"contacts {record.contacts}  x{_number(record.times_real, 1, 5)}  {record.outcome}: {record.stop_reason}"
     )
 
@@ -244,7 +247,7 @@ def _conclude(records: list[Record], console: Console) -> int:
     groups: dict[tuple[str, float, str, str, str], list[Record]] = {}
     for record in records:
         scene = record.case.scene or BUILT_IN
-        kind = RANDOM if scene.startswith(f"{RANDOM}:") else Path(scene).name
+        kind = scene.partition(":")[0] if is_generated(scene) else Path(scene).name
         case = record.case
         groups.setdefault((kind, case.radius_m, case.variant, case.mount, case.autopilot), []).append(record)
     for (kind, radius_m, variant, mount, autopilot), some in sorted(groups.items()):
@@ -255,10 +258,10 @@ def _conclude(records: list[Record], console: Console) -> int:
             f"{kind}, radius {radius_m:.2f} m, {variant}, {mount}, {autopilot}: {len(some)} flights, {completed} completed, "
             f"{contacts} contacts, {broken} errors, min clearance {_number(min(clearances, default=None), 3, 0)} m"
         )
-        flight_s, path_m, views, explored, recall_s, times = (_middle(some, name) for name in MEDIANS)
+        flight_s, path_m, views, explored, recall, recall_s, times = (_middle(some, name) for name in MEDIANS)
         say(
-            f"    medians: {flight_s} s, {path_m} m, {views} views, explored {explored}, recall 0.90 after {recall_s} s, "
-            f"{times} x real time"
+            f"    medians: {flight_s} s, {path_m} m, {views} views, explored {explored}, recall {recall}, "
+            f"0.90 after {recall_s} s, {times} x real time"
         )
     bad = [record for record in records if record.bad]
     for record in bad[:BAD_SHOWN]:

@@ -49,7 +49,7 @@ class Record:
     error: the first line of an exception, "" without one.
     times_real: simulated time divided by wall time of the flight alone; times_real_processor: by its processor time.
     odometry_ate_cm: error of the odometry's path after rigid alignment. recall_90_s: time at which the surface first recalled
-    90 % of the truth. commit: of the flight, see host_info.commit().
+    90 % of the truth; recall: at the end. commit: of the flight, see host_info.commit().
     """
 
     case: Case
@@ -72,6 +72,7 @@ class Record:
     commit: str = ""
     error: str = ""
     trace: str = ""
+    recall: float | None = None
 
     @property
     def bad(self) -> bool:
@@ -120,6 +121,7 @@ def _fly(case: Case, folder: Path, truth: bool) -> Record:
         report.explored_fraction, report.time_to_recall_s.get("0.90"), safety.min_clearance_m, safety.contacts,
         safety.refusals, safety.failsafes, planning.hover_wait_s, planning.total_s, ate_cm,
         flight.simulated_s / flight.wall_s, flight.simulated_s / flight.processor_s,
+        recall=report.recall_over_time[-1][2] if report.recall_over_time else None,
     )  # fmt: skip
 
 

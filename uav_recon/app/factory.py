@@ -265,7 +265,8 @@ def make_perception(
     camera, poses = pose_sources.open_poses(pose_sources.SourceContext(config, wires, clock, camera, mount))
     pad = None
     if config.localization.origin == "pad" and config.camera.source != "recorded":
-        poses = pad = PadOrigin(poses, wires.vehicle, config.runtime.folder / PAD_FILE)
+        heading_rad = math.radians(config.localization.pad_heading_deg)
+        poses = pad = PadOrigin(poses, wires.vehicle, config.runtime.folder / PAD_FILE, heading_rad=heading_rad)
     return connect_perception(
         config, wires, clock, camera, poses, mount,
         origin=lambda: None if pad is None else pad.reason, remarks=remarks, writer=writer,

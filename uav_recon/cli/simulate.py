@@ -15,6 +15,7 @@ SIM_EXAMPLES = (
     "uav-recon sim --lockstep --views 20 --seed 3             # repeatable; the same seed gives the same flight",
     "uav-recon sim --lockstep --mapper depth-only             # without the neural mapper: much faster",
     "uav-recon sim --scene random:7 --variant explore         # a generated flat",
+    "uav-recon sim --scene small:3                            # a generated small room",
     "uav-recon sim --scene room.ply --start 1.5,2,0,90        # your own mesh: metres, z up",
     "uav-recon sim --autopilot ardupilot --firmware ./arducopter",
 )
@@ -48,9 +49,9 @@ def sim(
     scene: Annotated[
         str | None,
         typer.Option(
-            metavar="PATH|random:SEED", rich_help_panel=SCENE,
-            help="Folder with scene.json, mesh file (.ply .obj .glb .stl; metres, z up) or random:SEED for a generated flat. "
-            "Default: the built-in room.",
+            metavar="PATH|random:SEED|small:SEED", rich_help_panel=SCENE,
+            help="Folder with scene.json, mesh file (.ply .obj .glb .stl; metres, z up), random:SEED for a generated flat or "
+            "small:SEED for a generated room of 6 to 14 m². Default: the built-in room.",
         ),
     ] = None,
     list_scenes: Annotated[
@@ -234,7 +235,9 @@ def sweep(
     scenes: Annotated[
         str,
         typer.Option(
-            metavar="S,S,...", help="Scenes: random (a new flat for each seed), random:SEED, built-in, folders, mesh files."
+            metavar="S,S,...",
+            help="Scenes: random or small (a new flat or small room for each seed), random:SEED, small:SEED, built-in, "
+            "folders, mesh files.",
         ),
     ] = "random",
     radii: Annotated[str, typer.Option(metavar="M,M,...", help="Radii of the vehicle in metres, 0.05 to 0.6.")] = "0.20",

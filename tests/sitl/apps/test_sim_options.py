@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -121,6 +122,7 @@ def test_the_fence_of_the_product_is_the_box_of_the_scene(tmp_path: Path) -> Non
     config = SimOptions.parse(views=33, seed=5, variant="merged", port=15000, uncertainty="paper").config(SCENE, tmp_path)
     assert config.safety.fence_min_m == (-1.0, -1.5, -0.1)
     assert config.safety.fence_max_m == (7.0, 1.5, 2.4)
+    assert config.localization.pad_heading_deg == pytest.approx(math.degrees(0.3)), "the fence has the axes of the scene"
     assert (config.mission.views, config.mapper.seed, config.planner.variant) == (33, 5, "merged")
     assert config.mapper.uncertainty == "paper"
     assert config.link.url == "udp:127.0.0.1:15000"

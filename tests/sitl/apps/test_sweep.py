@@ -61,7 +61,10 @@ def test_mounts_and_autopilots_are_combined_and_each_case_repeats_its_own() -> N
         ({"pose": "gps"}, "--pose gps: want one of stream, corrected, slam, autopilot"),
         ({"mount": "gimbal,foo"}, "--mount foo: want gimbal, or fixed:DEG"),
         ({"mount": "foo"}, "--mount foo: want gimbal, or fixed:DEG"),
-        ({"scenes": "/nope"}, "--scenes /nope: no such scene; want random, random:SEED, built-in, a folder or a mesh file"),
+        (
+            {"scenes": "/nope"},
+            "--scenes /nope: no such scene; want random, small, random:SEED or small:SEED, built-in, a folder",
+        ),
         ({"scenes": ""}, "--scenes : no such scene"),
         ({"scenes": "random,"}, "--scenes : no such scene"),
         ({"scenes": "random:-1"}, "--scenes random:-1: no such scene"),
