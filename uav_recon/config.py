@@ -216,6 +216,8 @@ class VoxelConfig(Section):
     max_range_m: Annotated[float, Field(gt=0.0, le=20.0)] = 5.0  # longer depths only clear voxels, up to this range
     distance_cap_m: Annotated[float, Field(gt=0.0, le=5.0)] = 1.1  # the distance field saturates here
     takeoff_radius_m: Annotated[float, Field(gt=0.0, le=5.0)] = 0.6  # cylinder above the pad that is declared free
+    # height over the pad up to which the operator knows the way to be free, within planner.clearance_m; unset: the hover
+    takeoff_top_m: Annotated[float, Field(gt=0.0, le=100.0)] | None = None
     margin_m: Annotated[float, Field(ge=0.0, le=1.0)] = 0.3  # map beyond the fence, so that walls there are mapped
 
 

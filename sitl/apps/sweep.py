@@ -17,6 +17,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from sitl.apps.kernel_compilation import compile_ahead, flight_jobs
 from sitl.apps.sim_options import (
+    AUTO,
     AUTOPILOTS,
     CAMERAS,
     POSES,
@@ -90,7 +91,8 @@ class SweepOptions:
             if value not in allowed:
                 raise UsageError(f"--{name} {value}: want one of {', '.join(allowed)}")
         for word in mounts:
-            mount_pitch_deg(word)
+            if word != AUTO:
+                mount_pitch_deg(word)
         autopilots = AUTOPILOTS if autopilot == BOTH else (autopilot,)
         errors = camera_error_scale(camera_errors)
         words, jobs = tuple(scenes.split(",")), check_jobs(jobs)

@@ -107,6 +107,7 @@ def _fly(case: Case, folder: Path, truth: bool) -> Record:
         camera_errors=str(case.camera_errors), pose=case.pose,
     )  # fmt: skip
     scene = load_scene(options.scene, options.start, options.fence, options.radius_m, fine=False)
+    options = options.with_mount_for(scene)
     options.make_folder()
     config = options.config(scene, folder)
     product_config.save(config, options.out / "config.toml")

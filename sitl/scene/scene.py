@@ -103,6 +103,18 @@ def load_scene(
     return scene_from_mesh(name, mesh, chosen, fence, radius_m)
 
 
+def free_height_m(scene: Scene, radius_m: float) -> float:
+    """Return the height (m, in the world) to which the column above the pad is free.
+
+    An operator at the pad sees it. radius_m: of the column. Below the take-off height it was checked on load.
+    """
+    corners = scene.vertices[scene.faces]
+    touched = (corners[..., :2].min(axis=1) <= radius_m).all(axis=1) & (corners[..., :2].max(axis=1) >= -radius_m).all(axis=1)
+    points = dense_points(scene.vertices, scene.faces[touched], 0.01) if touched.any() else np.zeros((0, 3), np.float32)
+    above = (np.linalg.norm(points[:, :2], axis=1) < radius_m) & (points[:, 2] > TAKEOFF_HEIGHT_M)
+    return float(points[above, 2].min(initial=float(scene.fence_max[2])))
+
+
 def is_generated(path: str | Path) -> bool:
     """Return True for the name of a generated scene, whose seed may be wrong."""
     return str(path).partition(":")[0] in KINDS and ":" in str(path)

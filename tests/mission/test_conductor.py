@@ -177,6 +177,18 @@ def test_home_is_clear_above_as_well_as_beside(desk: Desk) -> None:
     assert top_m == pytest.approx(1.1 + 0.3)  # else what nobody looked at above the pad closes the way home
 
 
+@pytest.mark.parametrize(
+    ("known_m", "declared"),
+    [(2.2, (0.5, 1.4, 2.2)), (1.3, (0.6, -0.1, 1.4))],  # no lower than the way home
+)
+def test_the_column_above_the_pad_is_free_to_the_height_that_the_operator_knows(
+    tmp_path: Path, known_m: float, declared: tuple[float, ...]
+) -> None:
+    desk = Desk(tmp_path, takeoff_top_m=known_m)
+    assert desk.voxels.declared == pytest.approx(declared)
+    desk.journal.close()
+
+
 def test_a_new_map_epoch_holds_maps_anew_and_goes_on(desk: Desk) -> None:
     desk.conductor.request_start()
     desk.run(30.0, until=Phase.SURVEY)

@@ -115,10 +115,11 @@ def sim(
     mount: Annotated[
         str,
         typer.Option(
-            metavar="fixed:DEG|gimbal", autocompletion=choices.one_of(choices.MOUNTS), rich_help_panel=CAMERA,
-            help="Camera mount. DEG is the tilt in degrees, -60 to 60; positive looks down.",
+            metavar="auto|fixed:DEG|gimbal", autocompletion=choices.one_of(choices.SIM_MOUNTS), rich_help_panel=CAMERA,
+            help="Camera mount. DEG is the tilt in degrees, -60 to 60; positive looks down. auto: fixed:15, or less in a small "
+            "room where that shows much more of it (`uav-recon check room`).",
         ),
-    ] = "fixed:15",
+    ] = "auto",
     pose: Annotated[
         str,
         typer.Option(
@@ -250,7 +251,9 @@ def sweep(
     mount: Annotated[
         str,
         typer.Option(
-            metavar="M,M,...", autocompletion=choices.one_of(choices.MOUNTS), help="Camera mounts: fixed:DEG or gimbal."
+            metavar="M,M,...",
+            autocompletion=choices.one_of(choices.SIM_MOUNTS),
+            help="Camera mounts: fixed:DEG, gimbal, or auto, as `sim` without one.",
         ),
     ] = "fixed:15",
     autopilot: Annotated[

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from pathlib import Path
 
@@ -193,3 +194,13 @@ def test_vehicle_and_simulator_use_the_same_blind_speed(tmp_path: Path) -> None:
     flown = SimOptions.parse().config(SCENE, tmp_path).safety
     assert (vehicle.blind_speed_mps, vehicle.blind_memory_s) == (flown.blind_speed_mps, flown.blind_memory_s)
     assert flown.blind_speed_mps == 0.3
+
+
+def test_the_mount_follows_from_the_room_unless_it_is_given() -> None:
+    low, high = np.array([-1.7, -1.3, -0.1]), np.array([1.7, 1.3, 2.4])
+    small = dataclasses.replace(SCENE, fence_min=low, fence_max=high)
+    assert SimOptions.parse(mount="auto").with_mount_for(small).mount == "fixed:5"
+    assert SimOptions.parse(mount="auto").with_mount_for(small).mount_pitch_down_deg == 5.0
+    assert SimOptions.parse(mount="auto").with_mount_for(SCENE).mount == "fixed:15"
+    assert SimOptions.parse(mount="fixed:15").with_mount_for(small).mount == "fixed:15"
+    assert SimOptions.parse(mount="gimbal").with_mount_for(small).mount_pitch_down_deg is None
