@@ -28,10 +28,11 @@ GRAVITY_MPS2 = 9.81
 INSIDE_RAD = 0.1  # the nose is kept this far inside that angle: the heading lags, and the path bends
 SHORT_M = 0.15  # horizontal; on a shorter edge it turns for its view only
 TURNS_IN_M = 0.1  # length of an edge within which it turns: nearly on the spot
-PREFERRED = 1.4  # blind flight counts as longer by this factor: it is refused where the camera did not look lately
+# flight where the camera does not look counts as longer by this factor: it may be refused, and shows a drift of the pose later
+PREFERRED = 1.4
 USUAL_SHARE = 0.6  # mean speed on a path as a share of the greatest
 # lengths of the path within which it turns at the start of an edge, and to the view at its end; pairs are compared
-TURNS_M = tuple(itertools.product((TURNS_IN_M, 0.5, 1.0), repeat=2))
+TURNS_M = ((TURNS_IN_M, TURNS_IN_M), (TURNS_IN_M, 0.5), (TURNS_IN_M, 1.0), (0.5, 0.5), (1.0, 1.0))
 SPARSE = 5  # rows of a motion between two whose age is examined
 SAMPLE_M = 0.15  # of a path whose duration is estimated ...
 SAMPLE_RAD = 0.25  # ... and of its turning
@@ -250,7 +251,8 @@ class YawAlongPath:
     def _passed(self, vertex: FloatArray, forecast: SightForecast | None) -> PathPass:
         """Estimate how a polyline (M, 5) is passed.
 
-        Each piece takes the longer of its flying and its turning time, and speed changes with ACCELERATION_MPS2.
+        Each piece takes the longer of its flying and its turning time, and speed changes with ACCELERATION_MPS2. The ages are
+        those of a pass at the usual speed first, and then those of the pass that follows from them, which may be slower.
         """
         step = np.diff(vertex, axis=0)
         length_m = np.linalg.norm(step[:, :3], axis=1)
@@ -259,24 +261,29 @@ class YawAlongPath:
         share = (np.arange(len(edge)) - np.repeat(np.cumsum(pieces) - pieces, pieces) + 0.5) / pieces[edge]
         place, step, piece_m = vertex[edge] + share[:, None] * step[edge], step[edge], (length_m / pieces)[edge]
         turning_s = (np.abs(step[:, 3]) / pieces[edge]) / self.rate_radps
-        usual_mps = USUAL_SHARE * self.speed_mps
         begin_s = 0.0 if forecast is None else forecast.end_s
-        guess_s = begin_s + np.cumsum(np.maximum(piece_m / usual_mps, turning_s))
-        limit_mps = self.max_speed_mps(step, place, forecast, guess_s)
-        speed_mps = np.minimum(np.minimum(limit_mps, usual_mps), piece_m / np.maximum(turning_s, 1e-6))
+        piece_s = np.maximum(piece_m / (USUAL_SHARE * self.speed_mps), turning_s)
+        limit_mps = np.full(len(place), np.inf)
+        for _ in range(1 if forecast is None else 2):
+            limit_mps = np.minimum(limit_mps, self.max_speed_mps(step, place, forecast, begin_s + np.cumsum(piece_s)))
+            piece_s = self._piece_s(limit_mps, piece_m, turning_s)
+        felt_s = float(np.sum(np.where(np.isfinite(limit_mps), PREFERRED, 1.0) * piece_s))
+        return PathPass(place, begin_s + np.cumsum(piece_s), felt_s)
+
+    def _piece_s(self, limit_mps: FloatArray, piece_m: FloatArray, turning_s: FloatArray) -> FloatArray:
+        """Return the time (M,) of each piece of a path, with speeds that change with ACCELERATION_MPS2."""
+        speed_mps = np.minimum(np.minimum(limit_mps, USUAL_SHARE * self.speed_mps), piece_m / np.maximum(turning_s, 1e-6))
         spared = 2.0 * ACCELERATION_MPS2 * np.cumsum(piece_m)
         speed2 = np.minimum.accumulate(speed_mps**2 - spared) + spared
-        speed2 = (np.minimum.accumulate((speed2 + spared)[::-1]))[::-1] - spared
-        piece_s = np.maximum(piece_m / np.sqrt(np.maximum(speed2, 1e-6)), turning_s)
-        felt_s = float(np.sum(np.where(limit_mps <= self.blind_speed_mps, PREFERRED, 1.0) * piece_s))
-        return PathPass(place, begin_s + np.cumsum(piece_s), felt_s)
+        speed2 = np.minimum.accumulate((speed2 + spared)[::-1])[::-1] - spared
+        return np.asarray(np.maximum(piece_m / np.sqrt(np.maximum(speed2, 1e-6)), turning_s))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PathPass:
     """An estimated pass along a path: positions (M, 5), the instants (M,) at which they are reached, and its duration.
 
-    felt_s: in the duration, blind flight counts PREFERRED times.
+    felt_s: in the duration, flight where the camera does not look counts PREFERRED times.
     """
 
     place: FloatArray
