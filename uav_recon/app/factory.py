@@ -428,7 +428,7 @@ def make_motion(config: Config, clearance_m: float) -> SpeedLimitedPlanner:
 
 
 def make_recent_sight(config: Config) -> RecentSight:
-    """Return the mission's memory of the last views, as long as they raise the speed limit outside the view."""
+    """Return the mission's memory of the views that raise the speed limit outside the view."""
     from uav_recon.mapping.recent_sight import RecentSight
 
     return RecentSight(config.safety.blind_stale_s, np.array(config.camera.position_body_m))

@@ -1,4 +1,4 @@
-"""Forecast of what the camera will have seen free when a motion gets there, and of the speed limit that follows.
+"""Forecast of what the camera will have seen free, and of the speed limit that follows.
 
 It counts the views of the last seconds, and what the camera sees on the way before.
 """
@@ -63,9 +63,10 @@ class SightForecast:
         )
 
     def max_speed_mps(self, direction: FloatArray, place: FloatArray, reached_s: FloatArray, asked: BoolArray) -> FloatArray:
-        """Return the speed limits (M,) from the ages of what the hull enters; infinity where not ``asked`` (M,).
+        """Return the speed limits (M,) from the ages of what the hull enters.
 
-        direction: (M, 3), of any length. place: (M, 5). reached_s: (M,) instants. They follow the chosen part.
+        They are infinite where not ``asked`` (M,). direction: (M, 3), of any length. place: (M, 5) after the chosen part.
+        reached_s: (M,) instants.
         """
         limit_mps = np.full(len(place), np.inf)
         nodes = np.flatnonzero(asked)
@@ -109,7 +110,10 @@ def _seen_on_the_way(
     point: AnyArray, n: int, place: AnyArray, reached_s: AnyArray, tangents: AnyArray, radius_m: float, oldest_s: float,
     distance2: AnyArray, frame: AnyArray, resolution_m: float, root: AnyArray,
 ) -> float:  # fmt: skip
-    """Return the last instant before node n at which the motion sees a point, or is there; -infinity for none."""
+    """Return the last instant before node n at which the motion sees a point or is there.
+
+    It is -infinity if there is none.
+    """
     examined_s = np.inf
     for m in range(n - 1, -1, -1):
         at_s = reached_s[m]
@@ -138,7 +142,10 @@ def _seen_before(
     point: AnyArray, radius_m: float, stamp_s: AnyArray, depth_from_world: AnyArray, place_world: AnyArray,
     body_world: AnyArray, range_m: AnyArray, half_tan: AnyArray,
 ) -> float:  # fmt: skip
-    """Return the stamp of the newest view that saw past a point or took place there; -infinity for none."""
+    """Return the stamp of the newest view that saw past a point or took place there.
+
+    It is -infinity if there is none.
+    """
     rows, columns = range_m.shape[1], range_m.shape[2]
     for v in range(len(stamp_s) - 1, -1, -1):
         dx, dy, dz = point[0] - body_world[v, 0], point[1] - body_world[v, 1], point[2] - body_world[v, 2]
@@ -166,9 +173,9 @@ def _last_sights(
     range_m: AnyArray, half_tan: AnyArray, distance2: AnyArray, frame: AnyArray, resolution_m: float, root: AnyArray,
     out: AnyArray,
 ) -> None:  # fmt: skip
-    """Fill ``out`` (N,): the last sight of each node's points (N, K, 3), of the point that was not seen for longest.
+    """Fill ``out`` (N,) with the last sight of each node: of the point not seen for longest.
 
-    nodes: (N,) index of each in place (M, 5) and reached_s (M,).
+    points: (N, K, 3) of each node. nodes: (N,) index of each in place (M, 5) and reached_s (M,).
     """
     for i in range(len(points)):
         out[i] = np.inf

@@ -215,13 +215,19 @@ class Pacer:
         return np.asarray(around[np.minimum(np.rint(times / STEP_S).astype(np.int64) + len(entry.rows) - 1, len(around) - 1)])
 
     def exceeds_limit(self, flight: TrajectoryGenerator, entry: InitialState, forecast: SightForecast | None) -> BoolArray:
-        """Return a mask of the new rows of a flight, without the first and the last, that are too fast for the camera."""
+        """Return a mask of the new rows of a flight that are too fast for the camera.
+
+        The first and the last are not judged.
+        """
         return self.gaze.exceeds_limit(flight.rows[entry.left :], forecast, 0.0 if forecast is None else forecast.begin_s)
 
     def _speed_limits(
         self, curve: Curve, space: ClearanceMap | None, forecast: SightForecast | None, reached_s: FloatArray
     ) -> FloatArray:
-        """Return the speed limits (M,) from the view direction and from obstacles ahead; infinity without a map."""
+        """Return the speed limits (M,) from the view direction and from obstacles ahead.
+
+        They are infinite without a map.
+        """
         if space is None:
             return np.full(len(curve.along_m), np.inf)
         seen_mps = self.gaze.max_speed_mps(curve.slope, curve.place, forecast, reached_s)

@@ -51,18 +51,19 @@ class YawPolicy(Protocol):
         ...
 
     def forecast(self, views: RecentViews | None, space: ClearanceMap, begin_s: float) -> SightForecast | None:
-        """Return the forecast of what the camera will have seen, None if the limits do not depend on it.
+        """Return the forecast of what the camera will have seen.
 
-        views: of the last seconds. begin_s: instant at which the motion begins.
+        None if the limits do not depend on it. views: of the last seconds. begin_s: instant at which the motion begins.
         """
         ...
 
     def along(
         self, way: FloatArray, begin: FloatArray, goal: FloatArray, forecast: SightForecast | None
     ) -> tuple[FloatArray, SightForecast | None]:
-        """Return the vertices (M, 5) after ``begin`` (5,) of a leg to ``goal`` (5,), and the forecast after it.
+        """Return the vertices (M, 5) of a leg after ``begin`` (5,), and the forecast after it.
 
-        way: (N, 3) positions of the leg, from that of ``begin`` on. The goal's yaw is kept except for whole turns.
+        It ends at ``goal`` (5,), whose yaw is kept except for whole turns. way: (N, 3) positions of the leg, from that of
+        ``begin`` on.
         """
         ...
 
@@ -129,7 +130,7 @@ AT_VIEWS = YawAtViews()
 
 @dataclass(frozen=True, slots=True)
 class YawAlongPath:
-    """The heading that costs least time: nose first, evenly, or between; slow where the camera did not look lately.
+    """The heading that costs least time, slow where the camera did not look lately.
 
     half_tan: tangents of half the camera's angles, horizontal and vertical. limit: speed limit where it does not look.
     hull: what enters the space there. speed_mps and rate_radps: limits of flying and of turning, to compare durations.
@@ -165,7 +166,10 @@ class YawAlongPath:
     def along(
         self, way: FloatArray, begin: FloatArray, goal: FloatArray, forecast: SightForecast | None
     ) -> tuple[FloatArray, SightForecast | None]:
-        """Return the vertices that take the least time, of those with the nose first and those that turn evenly."""
+        """Return the vertices that take the least time.
+
+        They turn evenly, or the nose is first and turns within one of TURNS_M.
+        """
         ways = [_evenly(way, begin, goal), *(self._ahead(way, begin, goal, *turns_m) for turns_m in TURNS_M)]
         passes = [self._passed(np.vstack([begin, vertex]), forecast) for vertex in ways]
         best = min(range(len(ways)), key=lambda n: passes[n].felt_s)
@@ -271,7 +275,10 @@ class YawAlongPath:
         return PathPass(place, begin_s + np.cumsum(piece_s), felt_s)
 
     def _piece_s(self, limit_mps: FloatArray, piece_m: FloatArray, turning_s: FloatArray) -> FloatArray:
-        """Return the time (M,) of each piece of a path, with speeds that change with ACCELERATION_MPS2."""
+        """Return the time (M,) of each piece of a path.
+
+        Speeds change with ACCELERATION_MPS2.
+        """
         speed_mps = np.minimum(np.minimum(limit_mps, USUAL_SHARE * self.speed_mps), piece_m / np.maximum(turning_s, 1e-6))
         spared = 2.0 * ACCELERATION_MPS2 * np.cumsum(piece_m)
         speed2 = np.minimum.accumulate(speed_mps**2 - spared) + spared
@@ -281,9 +288,10 @@ class YawAlongPath:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PathPass:
-    """An estimated pass along a path: positions (M, 5), the instants (M,) at which they are reached, and its duration.
+    """An estimated pass along a path.
 
-    felt_s: in the duration, flight where the camera does not look counts PREFERRED times.
+    place: (M, 5) positions. reached_s: (M,) instants at which they are reached. felt_s: duration, in which flight where the
+    camera does not look counts PREFERRED times.
     """
 
     place: FloatArray

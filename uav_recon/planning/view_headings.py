@@ -1,4 +1,4 @@
-"""Headings at the views of a tour: each turns from the heading before it no farther than its task requires.
+"""Headings at the views of a tour that turn no farther than the tasks require.
 
 A view shows its cells from a range of headings, because the camera is wider than most clusters. A search for the best view
 aims at their middle; a flight that turns to the middle of each cluster turns by about a right angle from view to view.
@@ -52,7 +52,10 @@ def _on_arrival(way: FloatArray, yaw_rad: float) -> float:
 
 
 def _range(view: CandidateView, lens: FloatArray, shape: tuple[int, int, int]) -> tuple[float, float]:
-    """Return the least and greatest offset from the best heading at which the view shows KEPT_SHARE of what it shows there."""
+    """Return the least and greatest offset from the best heading of a view.
+
+    Between them it shows KEPT_SHARE of what it shows there.
+    """
     cells = np.stack(np.unravel_index(view.promised, shape), axis=1) + 0.5
     shown = _shown(view, cells, lens, 0.0)
     least = KEPT_SHARE * shown

@@ -255,7 +255,10 @@ class ViewPlanner:
     def _turned_to_path(
         self, request: PlanRequest, views: list[CandidateView], nodes: list[int], committed: int
     ) -> list[CandidateView]:
-        """Return the views with headings that suit the path. A view that is being flown to keeps its heading."""
+        """Return the views with headings that suit the path.
+
+        A view that is being flown to keeps its heading.
+        """
         grid = request.voxels.grid
         lens, yaw_rad = self.camera.lens(grid.resolution_m, self.camera.range_m), request.yaw_rad
         if committed:

@@ -242,7 +242,10 @@ class Guard:
         return self._sight_fault(motion, direction, speed_mps, situation.now_s)
 
     def _sight_fault(self, motion: ClearedMotion, direction: FloatArray, speed_mps: float, now_s: float) -> Reason | None:
-        """Check the speed outside the view by the age of the last free sight of what the hull enters until it stands."""
+        """Check the speed outside the view by the age of the last free sight.
+
+        It is that of the space that the hull enters until it stands.
+        """
         place_m, reach_m = np.array(motion.position_m), self._sight.reach_m
         if speed_mps > self.bounds.blind_speed_mps + 1e-6:
             stopping_m = np.array([speed_mps**2 / (2.0 * self.envelope.max_acceleration_mps2)])

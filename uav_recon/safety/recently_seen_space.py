@@ -57,7 +57,7 @@ class RecentlySeenSpace:
         return bool(np.isfinite(self.ages_s(np.array([place_m]), now_s)[0]))
 
     def ages_s(self, places_m: FloatArray, now_s: float) -> FloatArray:
-        """Return the ages (N,) of the newest views that saw past positions (N, 3), or took place there.
+        """Return the ages (N,) of the newest views that saw past positions (N, 3) or were there.
 
         Infinity where no view within the memory did.
         """

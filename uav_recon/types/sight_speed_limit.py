@@ -1,6 +1,6 @@
-"""Speed limit where the camera does not look, by the age of the last free sight of the space to be entered.
+"""Speed limit where the camera does not look, by the age of the last free sight.
 
-Guard, motion planning and the price of a tour use this one function.
+Guard and motion planning use this one function.
 """
 
 from __future__ import annotations

@@ -59,9 +59,9 @@ class YawWhileFlying:
 
 @dataclass(frozen=True, slots=True)
 class YawThenFly:
-    """Turn to the path, fly, turn to the view, as far as possible in flight; or fly slowly while turning.
+    """Turn to the path, fly, turn to the view; or fly slowly while turning.
 
-    The faster of the two is used.
+    The faster of the two is used. Turns are made in flight, except for a share of the first.
 
     blind_speed_mps: speed outside the camera's view.
     off_rad: max. angle between heading and path.
