@@ -1,4 +1,4 @@
-"""Attitude of the body: what the gyro carries, apart from what a frame with a wrong stamp shows."""
+"""Attitude of the body, apart from what a frame with a wrong stamp shows of it."""
 
 from __future__ import annotations
 

@@ -120,9 +120,9 @@ def search(
 ) -> tuple[Registration, float]:
     """Return the pose at which depth alone fits the map best, and the share of the next best.
 
-    The share is that of the match of the best pose elsewhere. It looks near the predicted pose. reach_m (3,): of the search along each axis of odom.
-    most_variance: of the surfaces that count, m². From a far start most points lie off their surfaces: this says nothing
-    against depth there. About 20 ms.
+    It looks near the predicted pose. The share is that of the match of the best pose elsewhere. reach_m (3,): of the search
+    along each axis of odom. most_variance: of the surfaces that count, m². From a far start most points lie off their surfaces:
+    this says nothing against depth there. About 20 ms.
     """
     place_m, rotation = prior.odom_from_depth.translation_m, prior.odom_from_depth.rotation()
     shifts_m = _shifts_m(reach_m)
