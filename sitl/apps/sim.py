@@ -57,6 +57,8 @@ def simulate(options: SimOptions, json: Path | None = None) -> int:
     if not options.lockstep:
         _claim_port(options.port)
     options = _with_mount(options, console).with_own_folder()
+    if same := _same_variant(options):
+        console.print(same, markup=False, highlight=False)
     try:
         with tempfile.TemporaryDirectory(prefix="uav_recon-") as runtime:
             flight = (_fly_in_lockstep if options.lockstep else _fly_in_real_time)(options, Path(runtime), console)
@@ -87,6 +89,12 @@ def _with_mount(options: SimOptions, console: Console) -> SimOptions:
     size = " x ".join(f"{length:.1f}" for length in scene.fence_max - scene.fence_min)
     console.print(f"mount {fitted.mount}, for a fence of {size} m", markup=False, highlight=False)
     return fitted
+
+
+def _same_variant(options: SimOptions) -> str:
+    """Return a line if the variant equals another one with this mount, else ''."""
+    equal = options.variant == "explore-yaw" and options.mount_pitch_down_deg is not None
+    return "variant explore-yaw equals explore: a fixed mount has no pitch to choose" if equal else ""
 
 
 def _fly_in_lockstep(options: SimOptions, runtime: Path, console: Console) -> FlownFlight:

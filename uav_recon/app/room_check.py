@@ -13,7 +13,7 @@ from uav_recon.app import factory
 from uav_recon.app.option_validation import UsageError
 from uav_recon.config import CameraConfig, Config, PlannerConfig
 from uav_recon.errors import EXIT_FAILURE
-from uav_recon.evaluation.mount_sight import TILTS_DEG, WORTH, DepthView, RoomSight, SightShares, Size
+from uav_recon.planning.mount_sight import TILTS_DEG, WORTH, DepthView, RoomSight, SightShares, Size
 
 _SIDES_M = (0.5, 100.0)
 GIMBAL = "gimbal"

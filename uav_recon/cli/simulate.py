@@ -164,7 +164,7 @@ def sim(
         typer.Option(
             metavar="NAME", autocompletion=choices.one_of(choices.VARIANTS), rich_help_panel=PLANNER,
             help="Planner. Of the paper (Zeng et al., ICRA 2024): adaptive (V5), merged (V4), reconstruct (V3), explore "
-            "(V2), explore-yaw (V1). Its baselines: explore-then-refine, evpp, vpp.",
+            "(V2), explore-yaw (V1; equals explore with a fixed mount). Its baselines: explore-then-refine, evpp, vpp.",
         ),
     ] = "adaptive",
     uncertainty: Annotated[

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from sitl.apps.sim import _same_variant
 from sitl.apps.sim_options import BUILT_IN_VIEWS, SCENE_VIEWS, SimOptions, UsageError
 from sitl.apps.world_process import WorldOptions
 from sitl.camera.camera_errors import DEFAULT_SCALE, CameraErrors
@@ -204,3 +205,13 @@ def test_the_mount_follows_from_the_room_unless_it_is_given() -> None:
     assert SimOptions.parse(mount="auto").with_mount_for(SCENE).mount == "fixed:15"
     assert SimOptions.parse(mount="fixed:15").with_mount_for(small).mount == "fixed:15"
     assert SimOptions.parse(mount="gimbal").with_mount_for(small).mount_pitch_down_deg is None
+
+
+@pytest.mark.parametrize(
+    ("variant", "mount", "equal"),
+    [("explore-yaw", "fixed:15", True), ("explore-yaw", "gimbal", False), ("explore", "fixed:15", False)],
+)
+def test_a_variant_that_equals_another_one_with_this_mount_is_named(variant: str, mount: str, equal: bool) -> None:
+    said = _same_variant(SimOptions.parse(variant=variant, mount=mount))
+    assert bool(said) == equal
+    assert not equal or "equals explore" in said

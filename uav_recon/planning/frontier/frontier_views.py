@@ -41,7 +41,7 @@ class Flyable(Reach, Protocol):
 
 @dataclass(frozen=True, slots=True)
 class ViewDemand:
-    """What makes a view of a frontier worth a stop.
+    """The demand that a view of a frontier must meet to be worth a stop.
 
     min_cells: frontier cells that it shows. specks: clusters of few connected cells are viewed too.
     """

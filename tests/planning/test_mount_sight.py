@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from uav_recon.evaluation.mount_sight import TILTS_DEG, DepthView, RoomSight
+from uav_recon.planning.mount_sight import TILTS_DEG, DepthView, RoomSight
 
 SMALL_M, LARGE_M = (3.4, 2.6, 2.5), (8.0, 3.0, 2.5)
 
