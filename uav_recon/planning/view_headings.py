@@ -19,6 +19,7 @@ from uav_recon.types.frames import FloatArray
 KEPT_SHARE = 0.9  # of the promised cells in view; the rest is mostly seen on the way to the heading
 STEP_RAD = math.radians(6.0)  # between headings that are tried ...
 MOST_STEPS = 7  # ... and their number on either side
+MOST_CELLS = 100  # examined of those that a view promises
 LONG_M = 1.0  # level length of a leg that is flown nose first
 OFF_RAD = math.radians(30.0)  # between nose and path on such a leg
 
@@ -56,7 +57,8 @@ def _range(view: CandidateView, lens: FloatArray, shape: tuple[int, int, int]) -
 
     Between them it shows KEPT_SHARE of what it shows there.
     """
-    cells: FloatArray = np.stack(np.unravel_index(view.promised, shape), axis=1).astype(np.float64) + 0.5
+    some = view.promised[:: 1 + len(view.promised) // MOST_CELLS]
+    cells: FloatArray = np.stack(np.unravel_index(some, shape), axis=1).astype(np.float64) + 0.5
     shown = _shown(view, cells, lens, 0.0)
     least = KEPT_SHARE * shown
     low = high = 0
