@@ -80,6 +80,8 @@ class SafetyConfig(Section):
     stop_clearance_m: Annotated[float, Field(ge=0.05, le=2.0)]  # obstacle in raw depth closer to the hull: stop
     fast_clearance_m: Annotated[float, Field(ge=0.05, le=2.0)]  # obstacle closer to the hull: at most 0.5 m/s towards it
     blind_speed_mps: Annotated[float, Field(gt=0.0, le=3.0)]  # limit outside the camera's field of view; max_speed_mps = off
+    blind_fresh_s: Annotated[float, Field(ge=0.0, le=10.0)]  # outside the view: full speed through space seen free within it
+    blind_stale_s: Annotated[float, Field(gt=0.0, le=30.0)]  # seen longer ago than this: blind_speed_mps; even fall in between
     blind_memory_s: Annotated[float, Field(gt=0.0, le=60.0)]  # outside the view: only through space seen free within this time
     retreat_speed_mps: Annotated[float, Field(gt=0.0, le=3.0)]  # speed limit on the pilot's own retreat
     silence_way_m: Annotated[float, Field(gt=0.0, le=5.0)]  # path since the last mission message, with braking, longer: hold
@@ -121,6 +123,7 @@ class SafetyConfig(Section):
             ("pose_timeout_s", "pose_land_s"),
             ("stop_clearance_m", "fast_clearance_m"),
             ("blind_speed_mps", "max_speed_mps"),
+            ("blind_fresh_s", "blind_stale_s", "blind_memory_s"),
             ("retreat_speed_mps", "max_speed_mps"),
         )
         for names in ladders:

@@ -45,6 +45,8 @@ MAX_COORDINATE_M = 1e5
 MAX_YAW_DEG = 360.0
 BLIND_MPS = 0.3  # default speed limit outside the camera's view; MAX_MPS disables it
 SLOWEST_MPS = 0.1  # its minimum
+BLIND_FRESH_S = 3.0  # space seen free within this time is entered at full speed outside the view ...
+BLIND_STALE_S = 10.0  # ... and after this time at blind_speed_mps
 BLIND_MEMORY_S = 60.0  # space above and below a fixed camera's view was mostly seen more than 10 s ago
 COLUMN_MARGIN_M = 0.10  # beyond the planning clearance, round the column above the pad that the operator sees to be free
 COLUMN_TOP_M = 0.05  # below the ceiling: half a voxel
@@ -217,6 +219,8 @@ class SimOptions:
                 "stop_clearance_m": 0.1,
                 "fast_clearance_m": 0.4,
                 "blind_speed_mps": self.blind_speed_mps,
+                "blind_fresh_s": BLIND_FRESH_S,
+                "blind_stale_s": BLIND_STALE_S,
                 "blind_memory_s": BLIND_MEMORY_S,
                 "retreat_speed_mps": 0.3,
                 "silence_way_m": 0.45,

@@ -110,7 +110,8 @@ def free_height_m(scene: Scene, radius_m: float) -> float:
     """
     corners = scene.vertices[scene.faces]
     touched = (corners[..., :2].min(axis=1) <= radius_m).all(axis=1) & (corners[..., :2].max(axis=1) >= -radius_m).all(axis=1)
-    points = dense_points(scene.vertices, scene.faces[touched], 0.01) if touched.any() else np.zeros((0, 3), np.float32)
+    vertices = scene.vertices.copy()  # a kernel of its own would be compiled for the read-only array
+    points = dense_points(vertices, scene.faces[touched], 0.01) if touched.any() else np.zeros((0, 3), np.float32)
     above = (np.linalg.norm(points[:, :2], axis=1) < radius_m) & (points[:, 2] > TAKEOFF_HEIGHT_M)
     return float(points[above, 2].min(initial=float(scene.fence_max[2])))
 

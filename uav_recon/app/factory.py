@@ -47,6 +47,7 @@ if TYPE_CHECKING:  # each process imports only the stages that it runs
     from uav_recon.mapping.keyframe_selection import KeyframeSelection, PlannedViewsOnly
     from uav_recon.mapping.neural.neural_mapper import NeuralMapper
     from uav_recon.mapping.occupancy.occupancy_map import OccupancyMap
+    from uav_recon.mapping.recent_sight import RecentSight
     from uav_recon.mission.conductor import Conductor
     from uav_recon.mission.mission_setup import MissionParameters
     from uav_recon.motion.speed_limited_planner import SpeedLimitedPlanner
@@ -163,6 +164,8 @@ def guard_bounds(config: Config) -> GuardBounds:
         silence_way_m=safety.silence_way_m,
         depth_timeout_s=safety.depth_timeout_s,
         blind_speed_mps=safety.blind_speed_mps,
+        blind_fresh_s=safety.blind_fresh_s,
+        blind_stale_s=safety.blind_stale_s,
         retreat_speed_mps=safety.retreat_speed_mps,
         margins=Margins(stop_clearance_m=safety.stop_clearance_m, fast_clearance_m=safety.fast_clearance_m),
     )
@@ -388,12 +391,13 @@ def make_planner(config: Config, timer: Callable[[], float]) -> NarrowPassagePla
 
 def travel_time_model(config: Config) -> TravelTimeModel:
     """Return the planner's model of travel times, for the yaw policy of motion."""
-    from uav_recon.motion.yaw_policy import YawAlongPath, yaw_policy_of
+    from uav_recon.motion.yaw_policy import USUAL_SHARE, YawAlongPath, yaw_policy_of
     from uav_recon.planning.tour.travel_time import YawThenFly, YawWhileFlying
 
     gaze, pace = yaw_policy_of(config), (config.motion.speed_mps, math.radians(config.motion.yaw_rate_degps))
     if isinstance(gaze, YawAlongPath):
-        return YawThenFly(*pace, gaze.blind_speed_mps, gaze.off_rad, gaze.upright)
+        usual_mps, rate_radps = USUAL_SHARE * pace[0], pace[1]
+        return YawThenFly(usual_mps, rate_radps, gaze.blind_speed_mps, gaze.off_rad, gaze.upright)
     return YawWhileFlying(*pace)
 
 
@@ -425,6 +429,13 @@ def make_motion(config: Config, clearance_m: float) -> SpeedLimitedPlanner:
     return SpeedLimitedPlanner.of(
         config, clearance_m, np.array(safety.fence_min_m) + inset_m, np.array(safety.fence_max_m) - inset_m
     )
+
+
+def make_recent_sight(config: Config) -> RecentSight:
+    """Return the mission's memory of the views that raise the speed limit outside the view."""
+    from uav_recon.mapping.recent_sight import RecentSight
+
+    return RecentSight(config.safety.blind_stale_s, np.array(config.camera.position_body_m))
 
 
 def make_keyframe_selection(config: Config, voxels: OccupancyMap) -> KeyframeSelection | PlannedViewsOnly:
@@ -470,8 +481,9 @@ def make_conductor(
         wires.frames, wires.vehicle, wires.intent, wires.progress, wires.voxels, wires.surface, wires.plan,
         wires.correction, wires.free, wires.perception,
     )  # fmt: skip
-    motions = (make_motion(config, kept_m) for kept_m in (orders.clearance_m, orders.clear_radius_m))
-    stages = MissionStages(voxels, make_keyframe_selection(config, voxels), mapper, planner, *motions)
+    motion, retreat = (make_motion(config, kept_m) for kept_m in (orders.clearance_m, orders.clear_radius_m))
+    budget, sight = make_keyframe_selection(config, voxels), make_recent_sight(config)
+    stages = MissionStages(voxels, budget, mapper, planner, motion, retreat, sight)
     return Conductor(stages, channels, orders, executor, journal, clock)
 
 
@@ -512,6 +524,7 @@ def warm_up_map(config: Config) -> None:
     voxels = make_occupancy_map(config)
     voxels.warm_up()
     make_keyframe_selection(config, voxels).warm_up()
+    make_recent_sight(config).warm_up()
 
 
 def warm_up_motion(config: Config) -> None:

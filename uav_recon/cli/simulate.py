@@ -251,11 +251,27 @@ def sweep(
     mount: Annotated[
         str,
         typer.Option(
-            metavar="auto|fixed:DEG|gimbal",
+            metavar="M,M,...",
             autocompletion=choices.one_of(choices.SIM_MOUNTS),
-            help="Camera mount; auto: as `sim` without one.",
+            help="Camera mounts: fixed:DEG, gimbal, or auto, as `sim` without one.",
         ),
     ] = "fixed:15",
+    autopilot: Annotated[
+        str,
+        typer.Option(
+            metavar=choices.listed((*choices.AUTOPILOTS, "both")),
+            autocompletion=choices.one_of((*choices.AUTOPILOTS, "both")),
+            help="Simulated autopilot.",
+        ),
+    ] = "px4",
+    pose: Annotated[
+        str,
+        typer.Option(
+            metavar=choices.listed(choices.POSES),
+            autocompletion=choices.one_of(choices.POSES),
+            help="Source of the poses; see `sim --help`.",
+        ),
+    ] = "stream",
     camera: CameraOption = "fast",
     camera_errors: CameraErrorsOption = None,
     views: Annotated[int | None, typer.Option(min=4, max=5000, help="View budget. Default: as `sim`.")] = None,
@@ -272,8 +288,8 @@ def sweep(
     """Fly many missions in lockstep with the depth-only mapper.
 
     Lockstep is a simulated clock: repeatable and faster than real time. Prints one line per flight and a summary table. The
-    flights take all scenes, radii and variants in turn, then again with the next seed. Exit code 1 if any flight had contact
-    or failed with an error; the command that repeats such a flight is printed.
+    flights take all scenes, radii, variants, mounts and autopilots in turn, then again with the next seed. Exit code 1 if any
+    flight had contact or failed with an error; the command that repeats such a flight is printed.
     """
     from sitl.apps.sweep import SweepOptions
     from sitl.apps.sweep import sweep as fly_all
@@ -281,8 +297,8 @@ def sweep(
     exit_with(
         lambda: fly_all(
             SweepOptions.parse(
-                flights=flights, seed0=seed0, scenes=scenes, radii=radii, variants=variants, mount=mount, camera=camera,
-                views=views, jobs=jobs, json=json, truth=truth, camera_errors=camera_errors,
+                flights=flights, seed0=seed0, scenes=scenes, radii=radii, variants=variants, mount=mount, autopilot=autopilot,
+                pose=pose, camera=camera, views=views, jobs=jobs, json=json, truth=truth, camera_errors=camera_errors,
             )
         )
     )  # fmt: skip

@@ -5,7 +5,15 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from uav_recon.interfaces import Channel, Mapper, OccupancyMapInterface, Planner, SpeedLimitedMotion, ViewBudget
+from uav_recon.interfaces import (
+    Channel,
+    Mapper,
+    OccupancyMapInterface,
+    Planner,
+    RecentSightInterface,
+    SpeedLimitedMotion,
+    ViewBudget,
+)
 from uav_recon.types.camera import PosedFrame
 from uav_recon.types.maps import FreeSpace, SurfaceElements, VoxelMap
 from uav_recon.types.perception_status import PerceptionStatus
@@ -28,6 +36,7 @@ class MissionStages:
     planner: Planner
     motion: SpeedLimitedMotion
     retreat: SpeedLimitedMotion
+    sight: RecentSightInterface
 
 
 @dataclass(frozen=True)

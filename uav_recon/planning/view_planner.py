@@ -37,6 +37,7 @@ from uav_recon.planning.task_generation import ClusterTasks, GainField, Generate
 from uav_recon.planning.tour import atsp, travel_time
 from uav_recon.planning.tour.travel_time import TravelTimeModel, YawWhileFlying, time_costs
 from uav_recon.planning.variants import Variant, variant
+from uav_recon.planning.view_headings import suited_to_path
 from uav_recon.planning.view_history import ViewHistory
 from uav_recon.types.argument_checks import require_box, require_kind, require_number, require_pose
 from uav_recon.types.frames import FloatArray, IntArray
@@ -171,8 +172,9 @@ class ViewPlanner:
         if not order:
             return self._nothing(self._why(situation, dropped), start_s, tasks_made_s)
         nodes = self._within_horizon(order, harvest.widening)
-        path = self._path(request, harvest, tasks, nodes, start_s, tasks_made_s)
-        self._offered = path, tuple(tasks[node - 1] for node in nodes)
+        views = self._turned_to_path(request, [tasks[node - 1] for node in nodes], nodes, len(committed))
+        path = self._path(request, harvest, views, nodes, start_s, tasks_made_s)
+        self._offered = path, tuple(views)
         return path
 
     def plan_views(
@@ -269,19 +271,37 @@ class ViewPlanner:
         travelled_m = np.cumsum([lengths_m[i, j] for i, j in zip([0, *order[:-1]], order, strict=True)])
         return order[: max(1, int(np.searchsorted(travelled_m, self.config.horizon_m * widening, side="right")))]
 
+    def _legs(self, nodes: list[int]) -> tuple[FloatArray, ...]:
+        """Return the waypoints (N, 3) of the leg to each node of a tour."""
+        return tuple(self._ways.path_world(i, j) for i, j in zip([0, *nodes[:-1]], nodes, strict=True))
+
+    def _turned_to_path(
+        self, request: PlanRequest, views: list[CandidateView], nodes: list[int], committed: int
+    ) -> list[CandidateView]:
+        """Return the views with headings that suit the path.
+
+        A view that is being flown to keeps its heading.
+        """
+        grid = request.voxels.grid
+        lens, yaw_rad = self.camera.lens(grid.resolution_m, self.camera.range_m), request.yaw_rad
+        if committed:
+            yaw_rad = views[0].task.viewpoint.yaw_rad
+        legs = self._legs(nodes)[committed:]
+        return views[:committed] + suited_to_path(views[committed:], legs, yaw_rad, lens, grid.shape)
+
     def _path(
         self,
         request: PlanRequest,
         harvest: GeneratedTasks,
-        tasks: Sequence[CandidateView],
+        views: Sequence[CandidateView],
         nodes: list[int],
         start_s: float,
         tasks_made_s: float,
     ) -> ViewPath:
-        chosen = tuple(tasks[node - 1].task for node in nodes)
+        chosen = tuple(view.task for view in views)
         return ViewPath(
             viewpoints=tuple(task.viewpoint for task in chosen),
-            waypoints_world=tuple(self._ways.path_world(i, j) for i, j in zip([0, *nodes[:-1]], nodes, strict=True)),
+            waypoints_world=self._legs(nodes),
             mode=harvest.mode,
             map_revision=request.voxels.revision,
             map_epoch=request.voxels.map_epoch,
