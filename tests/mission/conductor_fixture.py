@@ -153,7 +153,7 @@ class Asked(MotionPlanner):
 class Desk:
     """A conductor on a table: the vehicle is wherever its trajectory says, frames come at 10 Hz."""
 
-    def __init__(self, folder: Path, views: int = 50, operator_timeout_s: float = math.inf) -> None:
+    def __init__(self, folder: Path, views: int = 50, operator_timeout_s: float = math.inf, takeoff_top_m: float = 0.0) -> None:
         self.clock = ManualClock(100.0)
         self.wires = MissionChannels(
             MemoryChannel(PosedFrame), MemoryChannel(VehicleState), MemoryChannel(Intent), MemoryChannel(MissionProgress),
@@ -165,7 +165,9 @@ class Desk:
         self.mapper = Sketchbook()
         self.budget = NoExtraViews()
         motion = MotionPlanner(MotionConfig(), 0.35)
-        orders = MissionParameters(views, 4, np.inf, 1.1, 0.6, 0.2, 0.3, 0.26, 300.0, 0.1, 0.35, operator_timeout_s)
+        orders = MissionParameters(
+            views, 4, np.inf, 1.1, 0.6, takeoff_top_m, 0.5, 0.2, 0.3, 0.26, 300.0, 0.1, 0.35, operator_timeout_s
+        )
         self.retreat = Asked(MotionConfig(), 0.30)
         stages = MissionStages(
             self.voxels,

@@ -62,6 +62,9 @@ if TYPE_CHECKING:  # each process imports only the stages that it runs
     from uav_recon.safety.recently_seen_space import RecentlySeenSpace
 
 PAD_FILE = "pad_origin.json"  # in the runtime folder
+#: plan: the column that is declared free above the hover is wider than planner.clearance_m by this number of voxels: half
+#: of one for the clearance, and the way from the pad to the nearest voxel centre
+COLUMN_VOXELS = 1.25
 #: reject: after a longer silence, a pose of the embedded SLAM until more agree with it; a camera loses up to five frames, and
 #: two more must fit after a doubt
 SLAM_BRIDGED_S = 1.0
@@ -268,7 +271,8 @@ def make_perception(
     camera, poses = pose_sources.open_poses(pose_sources.SourceContext(config, wires, clock, camera, mount))
     pad = None
     if config.localization.origin == "pad" and config.camera.source != "recorded":
-        poses = pad = PadOrigin(poses, wires.vehicle, config.runtime.folder / PAD_FILE)
+        heading_rad = math.radians(config.localization.pad_heading_deg)
+        poses = pad = PadOrigin(poses, wires.vehicle, config.runtime.folder / PAD_FILE, heading_rad=heading_rad)
     return connect_perception(
         config, wires, clock, camera, poses, mount,
         origin=lambda: None if pad is None else pad.reason, remarks=remarks, writer=writer,
@@ -493,6 +497,8 @@ def mission_parameters(config: Config) -> MissionParameters:
         view_spacing_m=config.planner.view_spacing_m or math.inf,
         takeoff_height_m=mission.takeoff_height_m,
         takeoff_radius_m=config.voxels.takeoff_radius_m,
+        takeoff_top_m=config.voxels.takeoff_top_m or 0.0,
+        takeoff_top_radius_m=clearance_m + COLUMN_VOXELS * config.voxels.resolution_m,
         vehicle_height_m=config.safety.vehicle_height_m,
         clear_radius_m=min(config.safety.vehicle_radius_m + RETREAT_M, clearance_m),
         camera_pitch_down_rad=math.radians(config.camera.pitch_down_deg),

@@ -96,6 +96,8 @@ class Conductor:
         self._start = self._abort = self._hold = self._released = self._arrived = False
         half_m, top_m = orders.vehicle_height_m / 2, orders.takeoff_height_m + orders.clear_radius_m  # home is clear above too
         stages.voxels.declare_free(np.zeros(3), orders.takeoff_radius_m, -half_m, top_m)
+        if orders.takeoff_top_m > top_m:
+            stages.voxels.declare_free(np.zeros(3), orders.takeoff_top_radius_m, top_m, orders.takeoff_top_m)
 
     @property
     def finished(self) -> bool:

@@ -58,7 +58,7 @@ def _range(view: CandidateView, lens: FloatArray, shape: tuple[int, int, int]) -
     Between them it shows KEPT_SHARE of what it shows there.
     """
     some = view.promised[:: 1 + len(view.promised) // MOST_CELLS]
-    cells = np.stack(np.unravel_index(some, shape), axis=1) + 0.5
+    cells: FloatArray = np.stack(np.unravel_index(some, shape), axis=1).astype(np.float64) + 0.5
     shown = _shown(view, cells, lens, 0.0)
     least = KEPT_SHARE * shown
     low = high = 0

@@ -10,6 +10,8 @@ from flight_rig import ARM, BODY_FROM_DEPTH, MODE, SETPOINT, Rig, setpoints, smo
 
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.min_range_grid import MinRangeGrid
+from uav_recon.types.pose import PoseHealth
+from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.trajectory import Goal
 from uav_recon.types.vehicle import FlightPhase
@@ -119,6 +121,24 @@ def test_a_retreat_outlives_a_moment_without_poses(hovering: Rig) -> None:
     assert hovering.px4.truth().velocity[0] < -0.1, "on the way back again"
 
 
+def test_uncertain_of_its_place_it_goes_back_to_what_it_has_seen_before(hovering: Rig) -> None:
+    """With the headings of the way out: back along x it still looks along x. It flies on once the place is sure again."""
+    hovering.run(hovering.fly((2.5, 0.0, 1.1), identifier=2).duration_s / 2)
+    place_m, began_s = np.array(hovering.px4.truth().position), hovering.clock.now_s()
+    hovering.health, hovering.why = PoseHealth.DEGRADED, Reason(ReasonCode.PLACE_UNSURE, (0.09,))
+    hovering.run(4.0)
+    _, places = setpoints(hovering, began_s + 2.0)
+    assert places[-1][0] < place_m[0], "on its way back"
+    assert abs(hovering.state.world_from_body.yaw_rad()) < 0.1
+    assert hovering.note_codes[0] == ReasonCode.PLACE_UNSURE
+    hovering.health = PoseHealth.GOOD
+    hovering.run(2.5)
+    hovering.fly((2.5, 0.0, 1.1), identifier=3)
+    hovering.run(1.5)
+    assert hovering.state.trajectory_id == 3
+    assert hovering.pilot.phase is FlightPhase.FLYING
+
+
 def test_no_depth_stops_then_retreats_then_lands(hovering: Rig) -> None:
     hovering.fly((2.5, 0.0, 1.1), identifier=2)
     hovering.run(2.5)
@@ -209,6 +229,7 @@ def test_held_back_on_its_way_it_is_late_and_not_off_it(hovering: Rig) -> None:
     assert ReasonCode.OFF_PATH not in hovering.note_codes
 
 
+@pytest.mark.nightly
 def test_over_a_slow_link_it_is_flown_slowly(hovering: Rig) -> None:
     """Answers 0.3 s late: what moves fast is refused and people are told, until ten seconds after the link is quick again."""
     read, late = hovering.tap.read, list[tuple[float, bytes]]()
