@@ -391,13 +391,12 @@ def make_planner(config: Config, timer: Callable[[], float]) -> NarrowPassagePla
 
 def travel_time_model(config: Config) -> TravelTimeModel:
     """Return the planner's model of travel times, for the yaw policy of motion."""
-    from uav_recon.motion.yaw_policy import USUAL_SHARE, YawAlongPath, yaw_policy_of
+    from uav_recon.motion.yaw_policy import YawAlongPath, yaw_policy_of
     from uav_recon.planning.tour.travel_time import YawThenFly, YawWhileFlying
 
     gaze, pace = yaw_policy_of(config), (config.motion.speed_mps, math.radians(config.motion.yaw_rate_degps))
     if isinstance(gaze, YawAlongPath):
-        usual_mps, rate_radps = USUAL_SHARE * pace[0], pace[1]
-        return YawThenFly(usual_mps, rate_radps, gaze.blind_speed_mps, gaze.off_rad, gaze.upright)
+        return YawThenFly(*pace, gaze.blind_speed_mps, gaze.off_rad, gaze.upright)
     return YawWhileFlying(*pace)
 
 

@@ -18,8 +18,6 @@ from uav_recon.types.frames import FloatArray
 
 # share of the time to turn from a view's heading to the flight direction, because the camera should look ahead
 LEAVING_TURN_SHARE = 0.25
-# share of the turn to the flight direction that is made before the flight: space beside the view was mostly seen lately
-ON_THE_SPOT_SHARE = 0.5
 BRAKING_MPS2 = 0.8  # changing the present velocity takes time too
 LEVEL = 0.1  # a direction with a smaller horizontal part is vertical and has no heading
 
@@ -59,9 +57,9 @@ class YawWhileFlying:
 
 @dataclass(frozen=True, slots=True)
 class YawThenFly:
-    """Turn to the path, fly, turn to the view; or fly slowly while turning.
+    """Turn until the camera sees the path, fly, turn to the view; or fly slowly while turning.
 
-    The faster of the two is used. Turns are made in flight, except for a share of the first.
+    The faster of the two is used.
 
     blind_speed_mps: speed outside the camera's view.
     off_rad: max. angle between heading and path.
@@ -148,9 +146,8 @@ def yaw_then_fly(
                 continue
             there = _turned(yaw_rad[i], math.atan2(first[1], first[0]), off_rad)
             arrived = _turned(there, math.atan2(-last[1], -last[0]), off_rad)
-            on_the_spot = ON_THE_SPOT_SHARE * abs(there - yaw_rad[i])
-            turn = abs(there - yaw_rad[i]) - on_the_spot + abs(arrived - there) + abs(_wrapped(yaw_rad[j] - arrived))
-            costs[i, j] = min(slowly, on_the_spot / rate_radps + max(turn / rate_radps, lengths_m[i, j] / speed_mps))
+            turn = abs(there - yaw_rad[i]) + abs(arrived - there) + abs(_wrapped(yaw_rad[j] - arrived))
+            costs[i, j] = min(slowly, turn / rate_radps + lengths_m[i, j] / speed_mps)
     return costs
 
 
