@@ -191,9 +191,7 @@ class LocalizationConfig(Section):
     autopilot_message: Literal["local_position", "odometry"] = "local_position"  # source autopilot: the message with its poses
     rate_hz: Annotated[float, Field(ge=20.0, le=200.0)] = 30.0  # rate of the odometry output
     origin: Literal["pad", "source"] = "pad"  # of the world: the body on the take-off pad, or the pose source's own origin
-    pad_heading_deg: Annotated[float, Field(ge=-360.0, le=360.0)] = (
-        0.0  # origin pad: of the body there, from the fence's x axis
-    )
+    pad_heading_deg: Annotated[float, Field(ge=-360.0, le=360.0)] = 0.0  # origin pad: of the body, from the x axis of the fence
     pose_lost_s: Annotated[float, Field(gt=0.0, le=2.0)] = 0.5  # no pose for longer: quality 0
     frame_wait_s: Annotated[float, Field(ge=0.0, le=0.5)] = 0.2  # max. time a frame waits for the next pose
     correct_drift: bool = False  # source not slam: correct a drift of the poses by a tracker beside them (docs/pose-sources)
@@ -220,9 +218,7 @@ class VoxelConfig(Section):
     max_range_m: Annotated[float, Field(gt=0.0, le=20.0)] = 5.0  # longer depths only clear voxels, up to this range
     distance_cap_m: Annotated[float, Field(gt=0.0, le=5.0)] = 1.1  # the distance field saturates here
     takeoff_radius_m: Annotated[float, Field(gt=0.0, le=5.0)] = 0.6  # cylinder above the pad that is declared free
-    takeoff_top_m: Annotated[float, Field(gt=0.0, le=100.0)] | None = (
-        None  # known free over the pad to this height; unset: hover
-    )
+    takeoff_top_m: Annotated[float, Field(gt=0.0, le=100.0)] | None = None  # free to this height over the pad; unset: hover
     margin_m: Annotated[float, Field(ge=0.0, le=1.0)] = 0.3  # map beyond the fence, so that walls there are mapped
 
 

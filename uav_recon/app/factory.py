@@ -62,8 +62,8 @@ if TYPE_CHECKING:  # each process imports only the stages that it runs
     from uav_recon.safety.recently_seen_space import RecentlySeenSpace
 
 PAD_FILE = "pad_origin.json"  # in the runtime folder
-#: plan: the column that is declared free above the hover is wider than planner.clearance_m by this number of voxels: half
-#: of one for the clearance, and the way from the pad to the nearest voxel centre
+# the column declared free above the hover is wider than planner.clearance_m by this number of voxels: half of one for the
+# clearance, and the way from the pad to the nearest voxel centre
 COLUMN_VOXELS = 1.25
 #: reject: after a longer silence, a pose of the embedded SLAM until more agree with it; a camera loses up to five frames, and
 #: two more must fit after a doubt
