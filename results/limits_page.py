@@ -57,7 +57,7 @@ CODE = re.compile(r"(?<![\w/.])(?:_?[A-Za-z][A-Za-z0-9]*(?:_[A-Za-z0-9]+)+|_[A-Z
 BOUNDS = (("minimum", "≥"), ("exclusiveMinimum", ">"), ("maximum", "≤"), ("exclusiveMaximum", "<"))
 UNITS = {
     "S": "s", "M": "m", "M2": "m²", "MPS": "m/s", "MPS2": "m/s²", "RADPS": "rad/s", "DEG": "°", "HZ": "Hz", "PX": "px",
-    "SI": "in SI units", "SIGMAS": "σ", "FACTOR": "", "NIS": "",
+    "SI": "in SI units", "SIGMAS": "σ", "FACTOR": "", "NIS": "", "VOXELS": "voxels",
 }  # fmt: skip
 SHOWN: dict[str, Callable[[float], str]] = {
     "PER_S": lambda value: f"{100.0 * value:g} %/s",

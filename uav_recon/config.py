@@ -80,6 +80,8 @@ class SafetyConfig(Section):
     stop_clearance_m: Annotated[float, Field(ge=0.05, le=2.0)]  # obstacle in raw depth closer to the hull: stop
     fast_clearance_m: Annotated[float, Field(ge=0.05, le=2.0)]  # obstacle closer to the hull: at most 0.5 m/s towards it
     blind_speed_mps: Annotated[float, Field(gt=0.0, le=3.0)]  # limit outside the camera's field of view; max_speed_mps = off
+    blind_fresh_s: Annotated[float, Field(ge=0.0, le=10.0)]  # outside the view: full speed through space seen free within it
+    blind_stale_s: Annotated[float, Field(gt=0.0, le=30.0)]  # seen longer ago than this: blind_speed_mps; even fall in between
     blind_memory_s: Annotated[float, Field(gt=0.0, le=60.0)]  # outside the view: only through space seen free within this time
     retreat_speed_mps: Annotated[float, Field(gt=0.0, le=3.0)]  # speed limit on the pilot's own retreat
     silence_way_m: Annotated[float, Field(gt=0.0, le=5.0)]  # path since the last mission message, with braking, longer: hold
@@ -121,6 +123,7 @@ class SafetyConfig(Section):
             ("pose_timeout_s", "pose_land_s"),
             ("stop_clearance_m", "fast_clearance_m"),
             ("blind_speed_mps", "max_speed_mps"),
+            ("blind_fresh_s", "blind_stale_s", "blind_memory_s"),
             ("retreat_speed_mps", "max_speed_mps"),
         )
         for names in ladders:
@@ -188,6 +191,7 @@ class LocalizationConfig(Section):
     autopilot_message: Literal["local_position", "odometry"] = "local_position"  # source autopilot: the message with its poses
     rate_hz: Annotated[float, Field(ge=20.0, le=200.0)] = 30.0  # rate of the odometry output
     origin: Literal["pad", "source"] = "pad"  # of the world: the body on the take-off pad, or the pose source's own origin
+    pad_heading_deg: Annotated[float, Field(ge=-360.0, le=360.0)] = 0.0  # origin pad: of the body, from the x axis of the fence
     pose_lost_s: Annotated[float, Field(gt=0.0, le=2.0)] = 0.5  # no pose for longer: quality 0
     frame_wait_s: Annotated[float, Field(ge=0.0, le=0.5)] = 0.2  # max. time a frame waits for the next pose
     correct_drift: bool = False  # source not slam: correct a drift of the poses by a tracker beside them (docs/pose-sources)
@@ -214,6 +218,7 @@ class VoxelConfig(Section):
     max_range_m: Annotated[float, Field(gt=0.0, le=20.0)] = 5.0  # longer depths only clear voxels, up to this range
     distance_cap_m: Annotated[float, Field(gt=0.0, le=5.0)] = 1.1  # the distance field saturates here
     takeoff_radius_m: Annotated[float, Field(gt=0.0, le=5.0)] = 0.6  # cylinder above the pad that is declared free
+    takeoff_top_m: Annotated[float, Field(gt=0.0, le=100.0)] | None = None  # free to this height over the pad; unset: hover
     margin_m: Annotated[float, Field(ge=0.0, le=1.0)] = 0.3  # map beyond the fence, so that walls there are mapped
 
 

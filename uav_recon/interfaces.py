@@ -12,6 +12,7 @@ from uav_recon.types.maps import SurfaceElements, VoxelMap
 from uav_recon.types.perception_status import PerceptionStatus
 from uav_recon.types.pose import MapCorrection, Pose, StampedPose
 from uav_recon.types.reason import Reason
+from uav_recon.types.recent_views import RecentViews
 from uav_recon.types.tasks import NothingLeft, PlanRequest, ViewPath, Viewpoint
 from uav_recon.types.trajectory import Setpoint, Trajectory
 from uav_recon.types.vehicle import MissionProgress
@@ -238,6 +239,14 @@ class Planner(Protocol):
         ...
 
 
+class RecentSightInterface(Protocol):
+    """The views of the last seconds. No call blocks."""
+
+    def add(self, posed: PosedFrame) -> RecentViews | None:
+        """Store a frame; return all stored views, or None if it adds nothing."""
+        ...
+
+
 class OccupancyMapInterface(Protocol):
     """The occupancy map. No call blocks; each costs a few milliseconds."""
 
@@ -305,6 +314,10 @@ class SpeedLimitedMotion(MotionPlannerInterface, Protocol):
 
     def allow(self, max_speed_mps: float) -> None:
         """Set the speed limit in m/s of all trajectories planned from now on."""
+        ...
+
+    def look(self, views: RecentViews) -> None:
+        """Set the views of the last seconds for all trajectories planned from now on."""
         ...
 
 

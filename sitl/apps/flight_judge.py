@@ -21,6 +21,7 @@ from sitl.truth.visibility import VisibleTruth, load_visible_truth
 from uav_recon.app import factory
 from uav_recon.app.step_display import Report as Progress
 from uav_recon.app.step_display import StepDisplay, no_report
+from uav_recon.app.unseen_space import with_unseen
 from uav_recon.config import Config
 from uav_recon.evaluation import metrics
 from uav_recon.evaluation.path_visibility import PathVisibility, path_visibility
@@ -103,7 +104,9 @@ def flight_report(options: SimOptions, scene: Scene, wall_s: float, fault: str |
     These are path, flight time, setpoint stream and safety. Quick.
     """
     card = FlightInfo(scene.name, options.variant, options.autopilot, options.mount, options.seed, options.depth_noise)
-    report, truth = build_report(options.out, card, wall_s), FlightTruth.load(options.out / "truth.npz")
+    config = factory.load_config(options.out / "config.toml")
+    report = with_unseen(build_report(options.out, card, wall_s), config, options.out)
+    truth = FlightTruth.load(options.out / "truth.npz")
     if fault:
         report = dataclasses.replace(report, outcome=f"aborted: {fault}")
     if truth is None:
@@ -114,9 +117,7 @@ def flight_report(options: SimOptions, scene: Scene, wall_s: float, fault: str |
         flight_time_s=_flight_time_s(truth),
         stream=_stream(truth),
         odometry=_odometry(options, truth),
-        safety=_safety(
-            truth, report.safety.refusals, scene, _lookahead(truth, factory.load_config(options.out / "config.toml"))
-        ),
+        safety=_safety(truth, report.safety.refusals, scene, _lookahead(truth, config)),
     )
 
 
@@ -291,6 +292,7 @@ def summary(report: Report, folder: Path) -> str:
         return "not measured" if value is None else f"{value:.{digits}f}{unit}"
 
     lines = [
+        *([report.headline] if report.headline != report.outcome else []),
         f"{report.outcome}: {report.stop_reason}",
         f"flight {report.flight_time_s:.0f} s, path {report.path_length_m:.1f} m, {report.views} views, "
         f"explored {figure(report.explored_fraction, '')}",

@@ -22,6 +22,7 @@ def print_scenes(folder: Path = SHARED_SCENES) -> int:
     table = Table("--scene", "what", "size", "licence", box=None, pad_edge=False)
     table.add_row("(none)", "the built-in room, furnished", "8 x 3 x 2.5 m", "Apache-2.0, generated")
     table.add_row("random:SEED", "a generated flat, another for each SEED (0, 1, 2, ...)", "varies", "Apache-2.0, generated")
+    table.add_row("small:SEED", "a generated small room with furniture", "6 to 14 m²", "Apache-2.0, generated")
     found = sorted(folder.glob("*/scene.json")) if folder.is_dir() else []
     for description in found:
         table.add_row(str(description.parent), *_described(description))

@@ -8,13 +8,13 @@ import sys
 import tempfile
 import time
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from rich.console import Console
 
 from sitl.apps.kernel_compilation import compile_and_load, flight_jobs
-from sitl.apps.sim_options import SimOptions
+from sitl.apps.sim_options import AUTO, SimOptions
 from sitl.apps.sim_processes import SimProcesses
 from sitl.scene.scene import Scene, SceneError, load_scene, require_scene
 from uav_recon import config as product_config
@@ -56,7 +56,9 @@ def simulate(options: SimOptions, json: Path | None = None) -> int:
         raise UserError(str(error), EXIT_USAGE) from None
     if not options.lockstep:
         _claim_port(options.port)
-    options = options.with_own_folder()
+    options = _with_mount(options, console).with_own_folder()
+    if same := _same_variant(options):
+        console.print(same, markup=False, highlight=False)
     try:
         with tempfile.TemporaryDirectory(prefix="uav_recon-") as runtime:
             flight = (_fly_in_lockstep if options.lockstep else _fly_in_real_time)(options, Path(runtime), console)
@@ -76,6 +78,23 @@ def simulate(options: SimOptions, json: Path | None = None) -> int:
     if flight.fault:
         raise UserError(flight.fault)
     return 0 if report.completed else 1
+
+
+def _with_mount(options: SimOptions, console: Console) -> SimOptions:
+    """Return the options with a mount; if none was given, print which fits the room."""
+    if options.mount != AUTO:
+        return options
+    scene = _scene(replace(options, mapper="depth-only"))  # its size needs no texture
+    fitted = options.with_mount_for(scene)
+    size = " x ".join(f"{length:.1f}" for length in scene.fence_max - scene.fence_min)
+    console.print(f"mount {fitted.mount}, for a fence of {size} m", markup=False, highlight=False)
+    return fitted
+
+
+def _same_variant(options: SimOptions) -> str:
+    """Return a line if the variant equals another one with this mount, else ''."""
+    equal = options.variant == "explore-yaw" and options.mount_pitch_down_deg is not None
+    return "variant explore-yaw equals explore: a fixed mount has no pitch to choose" if equal else ""
 
 
 def _fly_in_lockstep(options: SimOptions, runtime: Path, console: Console) -> FlownFlight:

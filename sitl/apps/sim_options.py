@@ -14,8 +14,9 @@ from sitl.apps.world_process import WorldOptions
 from sitl.camera.camera_errors import scale_of
 from sitl.camera.d435i import Model, Noise
 from sitl.real_firmware.px4 import COMPANION_PORT as PX4_PORT
-from sitl.scene.scene import HULL_HEIGHT_M, Scene
+from sitl.scene.scene import HULL_HEIGHT_M, Scene, free_height_m
 from uav_recon.app.option_validation import UsageError, readable
+from uav_recon.app.room_check import advise
 from uav_recon.config import Config, ConfigError, UncertaintyName, VariantName, parse
 from uav_recon.errors import EXIT_CONFIG, UserError
 
@@ -37,12 +38,18 @@ RADII_M = (0.05, 0.60)
 HULL_MARGIN_M = 0.20
 SMALLEST_CLEARANCE_M = 0.35
 MAX_MPS = 1.2
+AUTO = "auto"  # mount: fixed, with a tilt for the size of the room
+USUAL_DEG = 15.0  # tilt of AUTO where the room has no space to fly
 # of --start and --fence
 MAX_COORDINATE_M = 1e5
 MAX_YAW_DEG = 360.0
 BLIND_MPS = 0.3  # default speed limit outside the camera's view; MAX_MPS disables it
 SLOWEST_MPS = 0.1  # its minimum
+BLIND_FRESH_S = 3.0  # space seen free within this time is entered at full speed outside the view ...
+BLIND_STALE_S = 10.0  # ... and after this time at blind_speed_mps
 BLIND_MEMORY_S = 60.0  # space above and below a fixed camera's view was mostly seen more than 10 s ago
+COLUMN_MARGIN_M = 0.10  # beyond the planning clearance, round the column above the pad that the operator sees to be free
+COLUMN_TOP_M = 0.05  # below the ceiling: half a voxel
 FENCE_MARGIN_M = 0.10  # between hull and fence, for position errors of the vehicle
 JOB_GB = 0.8  # memory of a process that flies in lockstep
 NOISE_PX = {"d435i": 0.04, "paper": 0.004, "kinect": 0.02, "none": 0.001}  # rms disparity error at 424 pixels
@@ -89,7 +96,7 @@ class SimOptions:
         """Validate the options of the command line. Raises UsageError with one line."""
         mapper = OLD_NAMES.get(mapper, mapper)
         if scene is not None and not scene.strip():
-            raise UsageError("--scene is empty: want a folder, a mesh file or random:SEED")
+            raise UsageError("--scene is empty: want a folder, a mesh file, random:SEED or small:SEED")
         chosen = camera or ("d435i" if mapper == "neural" else "fast")
         for name, value, allowed in (
             ("autopilot", autopilot, AUTOPILOTS), ("variant", variant, VARIANTS), ("depth-noise", depth_noise, NOISES),
@@ -120,12 +127,21 @@ class SimOptions:
             fence=None if f is None else (f[0], f[1], f[2], f[3], f[4], f[5]),
             views=views if views is not None else BUILT_IN_VIEWS if scene is None else SCENE_VIEWS,
             seed=seed, out=folder.absolute(), autopilot=autopilot, variant=variant, mount=mount,
-            mount_pitch_down_deg=mount_pitch_deg(mount), depth_noise=depth_noise, camera=chosen, mapper=mapper,
-            radius_m=radius, lockstep=lockstep, live=live, port=port, uncertainty=uncertainty,
+            mount_pitch_down_deg=USUAL_DEG if mount == AUTO else mount_pitch_deg(mount),
+            depth_noise=depth_noise, camera=chosen, mapper=mapper, radius_m=radius,
+            lockstep=lockstep, live=live, port=port, uncertainty=uncertainty,
             firmware=None if firmware is None else firmware.absolute(), blind_speed_mps=blind_speed,
             pose=pose, camera_errors=camera_error_scale(camera_errors), dated=out is None,
             calibration=None if calibration is None else calibration.absolute(),
         )  # fmt: skip
+
+    def with_mount_for(self, scene: Scene) -> SimOptions:
+        """Return the options with the mount that fits the scene's size, if AUTO was given."""
+        if self.mount != AUTO:
+            return self
+        advice = advise(self.config(scene, Path("/run")))
+        tilt_deg = USUAL_DEG if advice is None else advice.recommended_deg
+        return replace(self, mount=f"fixed:{tilt_deg:g}", mount_pitch_down_deg=tilt_deg)
 
     def check_folder(self) -> None:
         """Check the flight folder before the work.
@@ -188,6 +204,7 @@ class SimOptions:
         """Return the product's config for this flight. Raises UserError with exit code 78."""
         gimbal = self.mount_pitch_down_deg is None
         noise_px = NOISE_PX[self.depth_noise] / (2.0 if self.camera in ("fast", "small") else 1.0)
+        clearance_m = max(SMALLEST_CLEARANCE_M, self.radius_m + HULL_MARGIN_M)
         tree = {
             "safety": {
                 "fence_min_m": [float(x) for x in scene.fence_min],
@@ -202,6 +219,8 @@ class SimOptions:
                 "stop_clearance_m": 0.1,
                 "fast_clearance_m": 0.4,
                 "blind_speed_mps": self.blind_speed_mps,
+                "blind_fresh_s": BLIND_FRESH_S,
+                "blind_stale_s": BLIND_STALE_S,
                 "blind_memory_s": BLIND_MEMORY_S,
                 "retreat_speed_mps": 0.3,
                 "silence_way_m": 0.45,
@@ -224,12 +243,14 @@ class SimOptions:
             "localization": {
                 "source": "stream" if self.pose == "corrected" else self.pose,
                 "correct_drift": self.pose == "corrected",
+                "pad_heading_deg": math.degrees(scene.start_yaw_rad),
                 **({} if self.calibration is None else {"calibration": str(self.calibration)}),
             },
+            "voxels": {"takeoff_top_m": max(free_height_m(scene, clearance_m + COLUMN_MARGIN_M) - COLUMN_TOP_M, 0.1)},
             "mapper": {"seed": self.seed, "uncertainty": self.uncertainty},
             "planner": {
                 "variant": self.variant,
-                "clearance_m": max(SMALLEST_CLEARANCE_M, self.radius_m + HULL_MARGIN_M),
+                "clearance_m": clearance_m,
             },
             "mission": {"views": self.views, "autostart": True},
             "recording": {"folder": str(self.out), "live": self.live, "rerun": self.mapper == "neural" or self.live},

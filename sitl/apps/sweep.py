@@ -16,10 +16,22 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from sitl.apps.kernel_compilation import compile_ahead, flight_jobs
-from sitl.apps.sim_options import CAMERAS, RADII_M, VARIANTS, UsageError, camera_error_scale, check_jobs, mount_pitch_deg
+from sitl.apps.sim_options import (
+    AUTO,
+    AUTOPILOTS,
+    CAMERAS,
+    POSES,
+    RADII_M,
+    VARIANTS,
+    UsageError,
+    camera_error_scale,
+    check_jobs,
+    mount_pitch_deg,
+)
 from sitl.apps.sweep_case import Case, Record, fly_case, one_thread
 from sitl.runtime.worker_pool import worker_pool
-from sitl.scene.scene import GENERATED
+from sitl.scene.generated_rooms import KINDS
+from sitl.scene.scene import GENERATED, is_generated
 from uav_recon import json_codec
 from uav_recon.app.option_validation import readable, require_writable_file
 from uav_recon.bench import host_info, result_file
@@ -27,17 +39,18 @@ from uav_recon.bench.machine_calibration import Calibration, calibrate
 from uav_recon.bench.result_file import result_header
 from uav_recon.errors import EXIT_USAGE, UserError
 
-RANDOM = "random"  # name of a scene: a new flat for each seed
+RANDOM = "random"  # name of a scene: a new flat for each seed; so does every other of KINDS
 BUILT_IN = "built-in"  # name of a scene: the room of `sim`
+BOTH = "both"
 BAD_SHOWN = 20
-MEDIANS = ("flight_s", "path_m", "views", "explored", "recall_90_s", "times_real")
+MEDIANS = ("flight_s", "path_m", "views", "explored", "recall", "recall_90_s", "times_real")
 
 
 @dataclass(frozen=True)
 class SweepOptions:
     """The validated options.
 
-    Flights iterate over scenes, then radii, then variants, and start again with the next seed.
+    Flights iterate over scenes, then radii, variants, mounts and autopilots, and start again with the next seed.
     """
 
     flights: int
@@ -45,7 +58,9 @@ class SweepOptions:
     scenes: tuple[str, ...]
     radii_m: tuple[float, ...]
     variants: tuple[str, ...]
-    mount: str
+    mounts: tuple[str, ...]
+    autopilots: tuple[str, ...]
+    pose: str
     camera: str
     views: int | None
     jobs: int
@@ -56,8 +71,9 @@ class SweepOptions:
     @staticmethod
     def parse(
         *, flights: int = 500, seed0: int = 0, scenes: str = RANDOM, radii: str = "0.20", variants: str = "adaptive",
-        mount: str = "fixed:15", camera: str = "fast", views: int | None = None, jobs: int = 2, json: Path | None = None,
-        truth: bool = False, camera_errors: str | None = None,
+        mount: str = "fixed:15", autopilot: str = "px4", pose: str = "stream", camera: str = "fast",
+        views: int | None = None, jobs: int = 2, json: Path | None = None, truth: bool = False,
+        camera_errors: str | None = None,
     ) -> SweepOptions:  # fmt: skip
         """Validate the options of the command line. Raises UsageError with one line."""
         try:
@@ -66,34 +82,44 @@ class SweepOptions:
             raise UsageError(f"--radii {radii}: want numbers in metres, separated by commas") from None
         if not all(RADII_M[0] <= size <= RADII_M[1] for size in sizes):
             raise UsageError(f"--radii {radii}: want {RADII_M[0]} to {RADII_M[1]} metres")
-        names = tuple(variants.split(","))
+        names, mounts = tuple(variants.split(",")), tuple(mount.split(","))
         if not set(names) <= set(VARIANTS):
             raise UsageError(f"--variants {variants}: want some of {', '.join(VARIANTS)}")
-        if camera not in CAMERAS:
-            raise UsageError(f"--camera {camera}: want one of {', '.join(CAMERAS)}")
-        mount_pitch_deg(mount)
+        for name, value, allowed in (
+            ("camera", camera, CAMERAS), ("pose", pose, POSES), ("autopilot", autopilot, (*AUTOPILOTS, BOTH)),
+        ):  # fmt: skip
+            if value not in allowed:
+                raise UsageError(f"--{name} {value}: want one of {', '.join(allowed)}")
+        for word in mounts:
+            if word != AUTO:
+                mount_pitch_deg(word)
+        autopilots = AUTOPILOTS if autopilot == BOTH else (autopilot,)
         errors = camera_error_scale(camera_errors)
         words, jobs = tuple(scenes.split(",")), check_jobs(jobs)
         for word in words:
             _check_scene(word)
-        return SweepOptions(flights, seed0, words, sizes, names, mount, camera, views, jobs, json, truth, errors)
+        return SweepOptions(
+            flights, seed0, words, sizes, names, mounts, autopilots, pose, camera, views, jobs, json, truth, errors
+        )
 
     def cases(self) -> Iterator[Case]:
         """Yield all flights, in order."""
-        round_of = list(itertools.product(self.variants, self.radii_m, self.scenes))
+        round_of = list(itertools.product(self.autopilots, self.mounts, self.variants, self.radii_m, self.scenes))
         for number in range(self.flights):
-            seed, (variant, radius_m, word) = self.seed0 + number // len(round_of), round_of[number % len(round_of)]
-            scene = {RANDOM: f"random:{seed}", BUILT_IN: None}.get(word, word)
-            yield Case(scene, seed, radius_m, variant, self.mount, self.camera, self.views, camera_errors=self.camera_errors)
+            seed, place = self.seed0 + number // len(round_of), round_of[number % len(round_of)]
+            autopilot, mount, variant, radius_m, word = place
+            scene = f"{word}:{seed}" if word in KINDS else None if word == BUILT_IN else word
+            yield Case(scene, seed, radius_m, variant, mount, self.camera, self.views, autopilot, self.camera_errors, self.pose)
 
 
 def _check_scene(word: str) -> None:
     """Check the name of a scene. Raises UsageError if there is none of that name."""
     with readable(f"--scenes {word}"):
         there = Path(word).exists()
-    seed = word.removeprefix(GENERATED) if word.startswith(GENERATED) else ""
-    if not (word in (RANDOM, BUILT_IN) or seed.isdecimal() or (word and there)):
-        raise UsageError(f"--scenes {word}: no such scene; want {RANDOM}, {GENERATED}SEED, {BUILT_IN}, a folder or a mesh file")
+    seed = word.partition(":")[2] if is_generated(word) else ""
+    if not (word in (*KINDS, BUILT_IN) or seed.isdecimal() or (word and there)):
+        names = ", ".join((*KINDS, GENERATED, BUILT_IN))
+        raise UsageError(f"--scenes {word}: no such scene; want {names}, a folder or a mesh file")
 
 
 def sweep(options: SweepOptions) -> int:
@@ -180,6 +206,7 @@ def summary(records: list[Record]) -> dict[str, object]:
         "not_completed": sum(record.outcome != "completed" for record in records),
         "contacts": sum(record.contacts or 0 for record in records),
         "errors": sum(bool(record.error) for record in records),
+        "max_odometry_ate_cm": max((r.odometry_ate_cm for r in records if r.odometry_ate_cm is not None), default=None),
         "min_clearance_m": min(clearances, default=None),
         "min_explored": min(explored, default=None),
         "median_flight_s": _median([record.flight_s for record in records]),
@@ -198,18 +225,20 @@ def _number(value: float | None, digits: int, width: int) -> str:
 
 def _line(record: Record) -> str:
     case = record.case
-    head = f"{case.scene or BUILT_IN:14} seed {case.seed:4} r {case.radius_m:.2f} {case.variant:9}"
+    craft = f"r {case.radius_m:.2f} {case.variant:9} {case.mount:8} {case.autopilot:9}"
+    head = f"{case.scene or BUILT_IN:14} seed {case.seed:4} {craft}"
     if record.error:
         return f"{head} ERROR {record.error}"
     return (
         f"{head} flight {_number(record.flight_s, 0, 4)} s  path {_number(record.path_m, 1, 6)} m  views {record.views:3}  "
-        f"explored {_number(record.explored, 3, 5)}  clearance {_number(record.min_clearance_m, 3, 6)} m  "
+        f"explored {_number(record.explored, 3, 5)}  recall {_number(record.recall, 3, 5)}  "
+        f"clearance {_number(record.min_clearance_m, 3, 6)} m  "
         f"contacts {record.contacts}  x{_number(record.times_real, 1, 5)}  {record.outcome}: {record.stop_reason}"
     )
 
 
 def _conclude(records: list[Record], console: Console) -> int:
-    """Print two lines per scene, radius and variant, and a command per bad flight.
+    """Print two lines per group of flights (all but the seed equal), a command per bad flight.
 
     Returns the exit code.
     """
@@ -217,23 +246,24 @@ def _conclude(records: list[Record], console: Console) -> int:
     def say(text: str) -> None:
         console.print(text, markup=False, highlight=False, soft_wrap=True)
 
-    groups: dict[tuple[str, float, str], list[Record]] = {}
+    groups: dict[tuple[str, float, str, str, str], list[Record]] = {}
     for record in records:
         scene = record.case.scene or BUILT_IN
-        kind = RANDOM if scene.startswith(f"{RANDOM}:") else Path(scene).name
-        groups.setdefault((kind, record.case.radius_m, record.case.variant), []).append(record)
-    for (kind, radius_m, variant), some in sorted(groups.items()):
+        kind = scene.partition(":")[0] if is_generated(scene) else Path(scene).name
+        case = record.case
+        groups.setdefault((kind, case.radius_m, case.variant, case.mount, case.autopilot), []).append(record)
+    for (kind, radius_m, variant, mount, autopilot), some in sorted(groups.items()):
         completed, broken = sum(r.outcome == "completed" for r in some), sum(bool(r.error) for r in some)
         contacts = sum(r.contacts or 0 for r in some)
         clearances = [r.min_clearance_m for r in some if r.min_clearance_m is not None]
         say(
-            f"{kind}, radius {radius_m:.2f} m, {variant}: {len(some)} flights, {completed} completed, {contacts} contacts, "
-            f"{broken} errors, min clearance {_number(min(clearances, default=None), 3, 0)} m"
+            f"{kind}, radius {radius_m:.2f} m, {variant}, {mount}, {autopilot}: {len(some)} flights, {completed} completed, "
+            f"{contacts} contacts, {broken} errors, min clearance {_number(min(clearances, default=None), 3, 0)} m"
         )
-        flight_s, path_m, views, explored, recall_s, times = (_middle(some, name) for name in MEDIANS)
+        flight_s, path_m, views, explored, recall, recall_s, times = (_middle(some, name) for name in MEDIANS)
         say(
-            f"    medians: {flight_s} s, {path_m} m, {views} views, explored {explored}, recall 0.90 after {recall_s} s, "
-            f"{times} x real time"
+            f"    medians: {flight_s} s, {path_m} m, {views} views, explored {explored}, recall {recall}, "
+            f"0.90 after {recall_s} s, {times} x real time"
         )
     bad = [record for record in records if record.bad]
     for record in bad[:BAD_SHOWN]:

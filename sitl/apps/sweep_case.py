@@ -28,6 +28,7 @@ class Case:
     views: int | None
     autopilot: str = "px4"
     camera_errors: float = 0.0
+    pose: str = "stream"
 
     def command(self) -> str:
         """Return the command that repeats the flight, with a report."""
@@ -36,7 +37,7 @@ class Case:
         words = [
             "uav-recon", "sim", "--lockstep", "--mapper", "depth-only", *scene, "--seed", str(self.seed),
             "--radius", f"{self.radius_m:g}", "--variant", self.variant, "--mount", self.mount, "--camera", self.camera,
-            "--autopilot", self.autopilot, "--camera-errors", f"{self.camera_errors:g}", *views,
+            "--autopilot", self.autopilot, "--camera-errors", f"{self.camera_errors:g}", "--pose", self.pose, *views,
         ]  # fmt: skip
         return " ".join(words)
 
@@ -47,7 +48,8 @@ class Record:
 
     error: the first line of an exception, "" without one.
     times_real: simulated time divided by wall time of the flight alone; times_real_processor: by its processor time.
-    recall_90_s: time at which the surface first recalled 90 % of the truth. commit: of the flight, see host_info.commit().
+    odometry_ate_cm: error of the odometry's path after rigid alignment. recall_90_s: time at which the surface first recalled
+    90 % of the truth; recall: at the end. commit: of the flight, see host_info.commit().
     """
 
     case: Case
@@ -64,11 +66,13 @@ class Record:
     failsafes: int | None = None
     hover_wait_s: float | None = None
     planning_s: float | None = None
+    odometry_ate_cm: float | None = None
     times_real: float | None = None
     times_real_processor: float | None = None
     commit: str = ""
     error: str = ""
     trace: str = ""
+    recall: float | None = None
 
     @property
     def bad(self) -> bool:
@@ -100,9 +104,10 @@ def _fly(case: Case, folder: Path, truth: bool) -> Record:
     options = SimOptions.parse(
         scene=case.scene, seed=case.seed, radius=case.radius_m, variant=case.variant, mount=case.mount, camera=case.camera,
         views=case.views, autopilot=case.autopilot, mapper="depth-only", lockstep=True, out=folder / "flight",
-        camera_errors=str(case.camera_errors),
+        camera_errors=str(case.camera_errors), pose=case.pose,
     )  # fmt: skip
     scene = load_scene(options.scene, options.start, options.fence, options.radius_m, fine=False)
+    options = options.with_mount_for(scene)
     options.make_folder()
     config = options.config(scene, folder)
     product_config.save(config, options.out / "config.toml")
@@ -111,11 +116,13 @@ def _fly(case: Case, folder: Path, truth: bool) -> Record:
     if truth:
         report = add_truth_metrics(report, options, scene, visible_truth(options, scene))
     safety, planning = report.safety, report.planning
+    ate_cm = None if report.odometry is None else report.odometry.ate_cm
     return Record(
         case, report.outcome, report.stop_reason, report.flight_time_s, report.path_length_m, report.views,
         report.explored_fraction, report.time_to_recall_s.get("0.90"), safety.min_clearance_m, safety.contacts,
-        safety.refusals, safety.failsafes, planning.hover_wait_s, planning.total_s,
+        safety.refusals, safety.failsafes, planning.hover_wait_s, planning.total_s, ate_cm,
         flight.simulated_s / flight.wall_s, flight.simulated_s / flight.processor_s,
+        recall=report.recall_over_time[-1][2] if report.recall_over_time else None,
     )  # fmt: skip
 
 

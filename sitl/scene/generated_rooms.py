@@ -1,6 +1,7 @@
-"""Generated flats of one to three furnished rooms; a seed gives the same flat everywhere.
+"""Generated flats of one to three furnished rooms, and small rooms.
 
-Lengths in metres; the origin is the lowest corner of the floor. The outer shell is closed; doorways have no doors.
+A seed gives the same scene everywhere. Lengths in metres; the origin is the lowest corner of the floor. The outer shell is
+closed; doorways have no doors.
 """
 
 from __future__ import annotations
@@ -15,8 +16,6 @@ from sitl.scene.furniture import Piece
 from sitl.scene.mesh import Mesh, joined
 from sitl.scene.primitives import MeshBuilder
 
-AREA_M2 = (12.0, 70.0)
-HEIGHT_M = (2.3, 3.2)
 DOOR_M = (0.9, 1.6)  # width
 NARROWEST_M = 2.0  # minimum width of a room
 FREE_START_M = 0.5  # distance from the take-off position to walls and furniture on the floor (not to hanging lamps)
@@ -25,6 +24,28 @@ PAINT_STEP_M = 0.04
 TRIES = 40
 Rng = np.random.Generator
 Start = tuple[float, float, float, float]
+Range = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class RoomKind:
+    """The ranges from which the scenes of a kind are drawn.
+
+    crowded: pieces of furniture per square metre, before those that do not fit. narrowest_m: minimum width of the scene.
+    stream: makes the draws of a seed differ between kinds.
+    """
+
+    area_m2: Range
+    height_m: Range
+    aspect: Range
+    crowded: Range
+    narrowest_m: float
+    stream: int
+
+
+FLAT = RoomKind((12.0, 70.0), (2.3, 3.2), (1.0, 2.2), (0.12, 0.32), NARROWEST_M + 0.3, 0xF1A7)
+SMALL_ROOM = RoomKind((6.0, 14.0), (2.3, 2.7), (1.0, 1.7), (0.5, 0.9), 1.9, 0x5A11)
+KINDS = {"random": FLAT, "small": SMALL_ROOM}  # by the word before the seed in the name of a scene
 
 
 @dataclass(frozen=True)
@@ -53,14 +74,15 @@ class _Area:
 class _Flat:
     """A flat under construction: its rooms, the footprints of its contents, and their meshes."""
 
-    def __init__(self, seed: int, fine: bool) -> None:
-        self.rng = np.random.default_rng([seed, 0xF1A7])
+    def __init__(self, seed: int, fine: bool, kind: RoomKind) -> None:
+        self.rng = np.random.default_rng([seed, kind.stream])
         self.builder = MeshBuilder(fine)
-        area, aspect = math.exp(self.rng.uniform(*np.log(AREA_M2))), self.rng.uniform(1.0, 2.2)
-        wide = max(math.sqrt(area / aspect), NARROWEST_M + 0.3)
+        self.crowded = kind.crowded
+        area, aspect = math.exp(self.rng.uniform(*np.log(kind.area_m2))), self.rng.uniform(*kind.aspect)
+        wide = max(math.sqrt(area / aspect), kind.narrowest_m)
         self.length_m = area / wide
         self.width_m = wide
-        self.height_m = self.rng.uniform(*HEIGHT_M)
+        self.height_m = self.rng.uniform(*kind.height_m)
         self.parts: list[Mesh] = []
         self.standing: list[_Area] = []  # footprints of walls and furniture on the floor
         self.door_areas: list[_Area] = []
@@ -142,7 +164,7 @@ class _Flat:
     def furnish(self, room: _Area) -> None:
         """Add furniture at the walls and elsewhere, pillars and lamps, in proportion to the area."""
         rng, w = self.rng, self.builder
-        crowded = rng.uniform(0.12, 0.32) * room.square_m
+        crowded = rng.uniform(*self.crowded) * room.square_m
         for _ in range(max(1, round(0.6 * crowded))):
             self._against_a_wall(room, furniture.AT_WALLS[int(rng.integers(len(furniture.AT_WALLS)))](w, rng))
         for _ in range(max(1, round(0.5 * crowded))):
@@ -200,14 +222,14 @@ class _Flat:
         return None
 
 
-def generated_room(seed: int, fine: bool = True) -> tuple[Mesh, Start]:
-    """Return the flat of a seed (0 or more) and a start X, Y, Z (m), YAW (degrees) in it.
+def generated_room(seed: int, fine: bool = True, kind: RoomKind = FLAT) -> tuple[Mesh, Start]:
+    """Return the scene of a seed (0 or more) and a start X, Y, Z (m), YAW (degrees) in it.
 
-    A flat without free space for a start is drawn again. fine: with texture, which takes about a second.
+    A scene without free space for a start is drawn again. fine: with texture, which takes about a second.
     """
     again = 0
     while True:
-        flat = _Flat(seed + (again << 32), fine)
+        flat = _Flat(seed + (again << 32), fine, kind)
         flat.divide()
         flat.build_shell()
         for room in flat.rooms:

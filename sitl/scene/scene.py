@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from sitl.geometry.point_grid import PointGrid
 from sitl.scene.builtin_room import ROOM_START, built_in_room
-from sitl.scene.generated_rooms import generated_room
+from sitl.scene.generated_rooms import KINDS, generated_room
 from sitl.scene.mesh import Mesh, MeshError, read_mesh
 from sitl.scene.mesh_sampling import dense_points, height_below, row_points
 from sitl.scene.rasterizer import Renderer
@@ -33,7 +33,7 @@ MAX_REACH_M = 500.0  # of the fence, from the start: the range of coordinates in
 MAX_M3 = 30_000.0  # volume: 30 million voxels of 0.1 m, the limit of the product's map
 MAX_M2 = 12_000.0  # surface area, which is sampled every 1 to 2 cm
 SAMPLES_M = 0.01
-GENERATED = "random:"  # followed by a seed
+GENERATED = " or ".join(f"{kind}:SEED" for kind in KINDS)  # names of generated scenes
 
 Numbers = tuple[float, ...]
 F32 = NDArray[np.float32]
@@ -82,8 +82,8 @@ def load_scene(
 ) -> Scene:
     """Load a scene, move the start to the origin and check it. Blocks for 1 to 2 s.
 
-    path: None for the built-in room, random:SEED for a generated one, a folder with scene.json, or a mesh file (z up,
-    metres).
+    path: None for the built-in room, random:SEED for a generated flat, small:SEED for a generated small room, a folder with
+    scene.json, or a mesh file (z up, metres).
     start: X, Y, Z (m) and YAW (degrees) in the frame of the file.
     fence: lowest X, Y, Z and highest X, Y, Z in the same frame; needed only if the mesh is open.
     radius_m: radius of the hull.
@@ -93,7 +93,7 @@ def load_scene(
     known_start: Numbers | None
     if path is None:
         name, mesh, known_start = "built-in", built_in_room(fine), ROOM_START
-    elif str(path).startswith(GENERATED):
+    elif is_generated(path):
         name, mesh, known_start = _generated(str(path), fine)
     else:
         name, mesh, known_start = _read(Path(path))
@@ -103,16 +103,34 @@ def load_scene(
     return scene_from_mesh(name, mesh, chosen, fence, radius_m)
 
 
+def free_height_m(scene: Scene, radius_m: float) -> float:
+    """Return the height (m, in the world) to which the column above the pad is free.
+
+    An operator at the pad sees it. radius_m: of the column. Below the take-off height it was checked on load.
+    """
+    corners = scene.vertices[scene.faces]
+    touched = (corners[..., :2].min(axis=1) <= radius_m).all(axis=1) & (corners[..., :2].max(axis=1) >= -radius_m).all(axis=1)
+    vertices = scene.vertices.copy()  # a kernel of its own would be compiled for the read-only array
+    points = dense_points(vertices, scene.faces[touched], 0.01) if touched.any() else np.zeros((0, 3), np.float32)
+    above = (np.linalg.norm(points[:, :2], axis=1) < radius_m) & (points[:, 2] > TAKEOFF_HEIGHT_M)
+    return float(points[above, 2].min(initial=float(scene.fence_max[2])))
+
+
+def is_generated(path: str | Path) -> bool:
+    """Return True for the name of a generated scene, whose seed may be wrong."""
+    return str(path).partition(":")[0] in KINDS and ":" in str(path)
+
+
 def require_scene(path: str | Path | None) -> None:
     """Check that something can be loaded from a path. Raises SceneError."""
-    if path is None or str(path).startswith(GENERATED):
+    if path is None or is_generated(path):
         return
     try:
         there = Path(path).exists()
     except OSError as error:
         raise SceneError(f"{path}: cannot be read ({error.strerror})") from None
     if not there:
-        raise SceneError(f"{path}: no such scene; want a folder with scene.json, a mesh file or {GENERATED}SEED")
+        raise SceneError(f"{path}: no such scene; want a folder with scene.json, a mesh file, {GENERATED}")
 
 
 def scene_from_mesh(name: str, mesh: Mesh, start: Numbers, fence: Numbers | None, radius_m: float = HULL_RADIUS_M) -> Scene:
@@ -172,11 +190,11 @@ def _text(values: NDArray[Any]) -> str:
 
 
 def _generated(path: str, fine: bool) -> tuple[str, Mesh, Numbers]:
-    words = path.removeprefix(GENERATED)
+    kind, _, words = path.partition(":")
     if not words.isdecimal():
-        raise SceneError(f"{path}: want {GENERATED}SEED with a whole number, 0 or more")
-    mesh, start = generated_room(int(words), fine)
-    return f"random-{int(words)}", mesh, start
+        raise SceneError(f"{path}: want {kind}:SEED with a whole number, 0 or more")
+    mesh, start = generated_room(int(words), fine, KINDS[kind])
+    return f"{kind}-{int(words)}", mesh, start
 
 
 def _read(path: Path) -> tuple[str, Mesh, Numbers | None]:

@@ -65,7 +65,7 @@ def toy(tmp_path: Path) -> Toy:
     return Toy(tmp_path)
 
 
-@pytest.mark.parametrize(("factor", "scale"), [(3, 1), (2, 5)])
+@pytest.mark.parametrize(("factor", "scale"), [(3, 1), pytest.param(2, 5, marks=pytest.mark.nightly)])
 def test_a_change_of_an_inlined_kernel_or_constant_is_seen(toy: Toy, factor: int, scale: int) -> None:
     assert not toy.remove_stale()
     assert toy.call() == 20

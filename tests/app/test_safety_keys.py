@@ -47,7 +47,7 @@ def limits(config: Config) -> dict[str, Any]:
         factory.envelope(config),
         factory.hull_geometry(config),
     )
-    found: dict[str, Any] = {"blind_memory_s": seen._memory_s}
+    found: dict[str, Any] = {"blind_memory_s": seen.memory_s}
     for part in parts:
         for name, value in flat(part).items():
             assert found.get(name, value) == value, f"{name} has two values"

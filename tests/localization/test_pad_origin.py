@@ -66,6 +66,18 @@ def test_the_world_begins_at_the_pad_whatever_the_source_calls_it(tmp_path: Path
     assert origin.reason.values == pytest.approx((2.26, 30.0), abs=0.03)
 
 
+def test_the_body_has_its_declared_heading_on_the_pad(tmp_path: Path) -> None:
+    source = Source()
+    origin = PadOrigin(source, _vehicle(False), tmp_path / "pad.json", heading_rad=math.radians(50.0))
+    ahead = Pose.from_yaw(0.0, np.array([2.0, 0.0, 1.0]))
+    source.waiting = [*(_said(k / 15, SOURCE_FROM_PAD) for k in range(12)), _said(2.0, SOURCE_FROM_PAD @ ahead)]
+    *_, on_pad, flown = (pose.odom_from_body for pose in origin.poses())
+    assert math.degrees(on_pad.yaw_rad()) == pytest.approx(50.0)
+    np.testing.assert_allclose(on_pad.translation_m, 0.0, atol=1e-9)
+    along = [2.0 * math.cos(math.radians(50.0)), 2.0 * math.sin(math.radians(50.0)), 1.0]
+    np.testing.assert_allclose(flown.translation_m, along, atol=1e-9)
+
+
 def test_a_source_that_begins_at_the_pad_is_not_reported(tmp_path: Path) -> None:
     origin, source = _rig(tmp_path)
     rng = np.random.default_rng(2)

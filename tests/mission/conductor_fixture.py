@@ -11,6 +11,7 @@ import numpy as np
 from uav_recon.channels import MemoryChannel
 from uav_recon.clock import InlineExecutor, ManualClock
 from uav_recon.config import MotionConfig
+from uav_recon.mapping.recent_sight import RecentSight
 from uav_recon.mission.conductor import Conductor
 from uav_recon.mission.mission_setup import MissionChannels, MissionParameters, MissionStages
 from uav_recon.mission.state_machine import Phase
@@ -24,6 +25,7 @@ from uav_recon.types.perception_status import PerceptionStatus
 from uav_recon.types.pose import MapCorrection, Pose
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
+from uav_recon.types.recent_views import RecentViews
 from uav_recon.types.tasks import NothingLeft, PlanMode, PlanRequest, Task, TaskKind, ViewPath, Viewpoint
 from uav_recon.types.trajectory import Goal, Intent, Setpoint, Trajectory
 from uav_recon.types.vehicle import FlightPhase, MissionProgress, VehicleState
@@ -141,16 +143,17 @@ class Asked(MotionPlanner):
     ways = 0
 
     def through(
-        self, path: ViewPath, voxels: VoxelMap, start: Setpoint, start_s: float, views_at_spacing_m: float, identifier: int
-    ) -> Trajectory | Reason:
+        self, path: ViewPath, voxels: VoxelMap, start: Setpoint, start_s: float, views_at_spacing_m: float, identifier: int,
+        views: RecentViews | None = None,
+    ) -> Trajectory | Reason:  # fmt: skip
         self.ways += 1
-        return super().through(path, voxels, start, start_s, views_at_spacing_m, identifier)
+        return super().through(path, voxels, start, start_s, views_at_spacing_m, identifier, views)
 
 
 class Desk:
     """A conductor on a table: the vehicle is wherever its trajectory says, frames come at 10 Hz."""
 
-    def __init__(self, folder: Path, views: int = 50, operator_timeout_s: float = math.inf) -> None:
+    def __init__(self, folder: Path, views: int = 50, operator_timeout_s: float = math.inf, takeoff_top_m: float = 0.0) -> None:
         self.clock = ManualClock(100.0)
         self.wires = MissionChannels(
             MemoryChannel(PosedFrame), MemoryChannel(VehicleState), MemoryChannel(Intent), MemoryChannel(MissionProgress),
@@ -162,10 +165,18 @@ class Desk:
         self.mapper = Sketchbook()
         self.budget = NoExtraViews()
         motion = MotionPlanner(MotionConfig(), 0.35)
-        orders = MissionParameters(views, 4, np.inf, 1.1, 0.6, 0.2, 0.3, 0.26, 300.0, 0.1, 0.35, operator_timeout_s)
+        orders = MissionParameters(
+            views, 4, np.inf, 1.1, 0.6, takeoff_top_m, 0.5, 0.2, 0.3, 0.26, 300.0, 0.1, 0.35, operator_timeout_s
+        )
         self.retreat = Asked(MotionConfig(), 0.30)
         stages = MissionStages(
-            self.voxels, self.budget, self.mapper, self.planner, self.paced(motion), self.paced(self.retreat)
+            self.voxels,
+            self.budget,
+            self.mapper,
+            self.planner,
+            self.paced(motion),
+            self.paced(self.retreat),
+            RecentSight(10.0, np.zeros(3)),
         )
         self.folder = folder
         self.journal = FlightLog(folder)

@@ -18,6 +18,7 @@ from uav_recon.recording.flight_log import read_timeline
 from uav_recon.types.pose import MapCorrection, Pose
 from uav_recon.types.reason import Reason, codes_of
 from uav_recon.types.reason_code import ReasonCode
+from uav_recon.types.tasks import NothingLeft, PlanRequest, ViewPath
 from uav_recon.types.trajectory import Goal
 from uav_recon.types.vehicle import FlightPhase
 
@@ -175,6 +176,37 @@ def test_home_is_clear_above_as_well_as_beside(desk: Desk) -> None:
     assert radius_m == 0.6
     assert bottom_m == pytest.approx(-0.1)  # half the vehicle's height below the body on its pad
     assert top_m == pytest.approx(1.1 + 0.3)  # else what nobody looked at above the pad closes the way home
+
+
+@pytest.mark.parametrize(
+    ("known_m", "declared"),
+    [(2.2, (0.5, 1.4, 2.2)), (1.3, (0.6, -0.1, 1.4))],  # no lower than the way home
+)
+def test_the_column_above_the_pad_is_free_to_the_height_that_the_operator_knows(
+    tmp_path: Path, known_m: float, declared: tuple[float, ...]
+) -> None:
+    desk = Desk(tmp_path, takeoff_top_m=known_m)
+    assert desk.voxels.declared == pytest.approx(declared)
+    desk.journal.close()
+
+
+@pytest.mark.parametrize(("alive", "elements"), [(True, None), (False, 0)])
+def test_a_mapper_that_died_early_leaves_the_bare_surface_of_the_map(
+    desk: Desk, monkeypatch: pytest.MonkeyPatch, alive: bool, elements: int | None
+) -> None:
+    asked: list[PlanRequest] = []
+    plan = desk.planner.plan
+
+    def remember(request: PlanRequest) -> ViewPath | NothingLeft:
+        asked.append(request)
+        return plan(request)
+
+    monkeypatch.setattr(desk.planner, "plan", remember)
+    monkeypatch.setattr(desk.mapper, "alive", lambda: alive)
+    desk.conductor.request_start()
+    desk.run(60.0, until=Phase.RETURN)
+    assert asked
+    assert {None if request.surface is None else len(request.surface.position_world) for request in asked} == {elements}
 
 
 def test_a_new_map_epoch_holds_maps_anew_and_goes_on(desk: Desk) -> None:

@@ -10,15 +10,20 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from uav_recon.motion import MotionPlanner
+from uav_recon.motion.sight_forecast import EnteredHull
 from uav_recon.motion.yaw_policy import AT_VIEWS, BLIND_SHARE, SHARE, YawAlongPath
 from uav_recon.types.frames import BoolArray, FloatArray
+from uav_recon.types.sight_speed_limit import SightSpeedLimit
 from uav_recon.types.tasks import ViewPath
 from uav_recon.types.trajectory import Setpoint, Trajectory
 
 HALF_TAN = (float(np.tan(np.radians(87.0) / 2)), float(np.tan(np.radians(58.0) / 2)))
 ALLOWED_MPS = 0.30  # by the guard
 BLIND_MPS = BLIND_SHARE * ALLOWED_MPS
-NOSE_AHEAD = YawAlongPath(HALF_TAN, BLIND_MPS, CONFIG.speed_mps, RATE)
+LIMIT = SightSpeedLimit(
+    full_speed_mps=1.0, blind_speed_mps=BLIND_MPS, blind_fresh_s=3.0, blind_stale_s=10.0, blind_memory_s=60.0
+)
+NOSE_AHEAD = YawAlongPath(HALF_TAN, LIMIT, EnteredHull(0.2, 0.25), CONFIG.speed_mps, RATE)
 MOTION = MotionPlanner(CONFIG, CLEARANCE_M, gaze=NOSE_AHEAD)
 TILT_RAD = float(np.radians(15.0))
 
@@ -92,8 +97,8 @@ def test_a_short_way_is_not_worth_a_turn() -> None:
 
 def test_what_looks_at_its_views_flies_as_fast_anywhere() -> None:
     slope, place = np.random.default_rng(0).normal(size=(2, 50, 5))
-    assert np.isinf(AT_VIEWS.max_speed_mps(slope, place)).all()
-    slow = NOSE_AHEAD.max_speed_mps(slope, place) == BLIND_MPS
+    assert np.isinf(AT_VIEWS.max_speed_mps(slope, place, None, np.zeros(50))).all()
+    slow = NOSE_AHEAD.max_speed_mps(slope, place, None, np.zeros(50)) == BLIND_MPS
     np.testing.assert_array_equal(slow, ~in_picture(slope[:, :3], place[:, 3], place[:, 4], SHARE))
 
 

@@ -154,7 +154,9 @@ def test_a_passage_narrowed_by_specks_still_leads_home() -> None:
     world.look_round()
     home = planner.route(world.request(views_left=0), HOME)
     assert isinstance(home, ViewPath) and home.clearance_m == HOMEWARD_M
-    assert HOMEWARD_M - 1e-3 <= room_m(home.waypoints_world[0], world.request().voxels).min() < NARROW_M - 1e-3
+    way = home.waypoints_world[0]
+    passage = way[way[:, 0] < 6.0]  # where it begins, what is above and below the vehicle may be unseen
+    assert HOMEWARD_M - 1e-3 <= room_m(passage, world.request().voxels).min() < NARROW_M - 1e-3
 
 
 @pytest.mark.parametrize("width_m", [0.6, 0.1])

@@ -14,7 +14,7 @@ from uav_recon.planning.task_generation import GeneratedTasks, TaskQuery
 from uav_recon.planning.tour.travel_time import YawWhileFlying
 from uav_recon.planning.view_planner import ViewPlanner
 from uav_recon.types.frames import ByteArray
-from uav_recon.types.maps import FREE, OCCUPIED, SurfaceElements, VoxelMap
+from uav_recon.types.maps import FREE, OCCUPIED, UNKNOWN, SurfaceElements, VoxelMap
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.tasks import NothingLeft, PlanMode, PlanRequest, Task, TaskKind, ViewPath
@@ -200,6 +200,23 @@ def test_the_reasons_for_an_empty_plan_are_reported() -> None:
     stuck = planner.plan(PlanRequest(voxel_map(closed, 1), None, np.array([0.45, 0.45, 0.45]), 0.0, 5))
     assert isinstance(stuck, NothingLeft)
     assert stuck.reason == Reason(ReasonCode.START_NOT_FREE)
+
+
+@pytest.mark.parametrize(("deep", "views"), [(6, True), (2, False)], ids=["an open cupboard", "a gap in its front"])
+def test_before_home_a_small_opening_with_space_behind_it_is_viewed(deep: int, views: bool) -> None:
+    """Twelve frontier cells are too few for plan(), and a gap in a surface promises no space."""
+    state = np.where(MEETING_ROOM, OCCUPIED, FREE).astype(np.uint8)
+    state[4:8, 45 : 45 + deep, 8:11] = UNKNOWN
+    planner, request = planner_for(state, GIMBAL), PlanRequest(voxel_map(state), None, np.array([3.0, 1.0, 1.2]), 0.0, 10)
+    assert planner.plan_least(request) is None, "plan() comes first"
+    usual = planner.plan(request)
+    assert isinstance(usual, NothingLeft)
+    assert Reason(ReasonCode.FRONTIERS_TOO_SMALL, (1,)) in usual.reason.details
+    last = planner.plan_least(request)
+    assert isinstance(last, ViewPath) == views
+    if last is not None:
+        assert_flyable(last, request)
+        np.testing.assert_allclose(last.tasks[0].centroid_world, [0.5, 4.35, 0.85], atol=0.11)
 
 
 def test_a_frontier_behind_a_closed_door_is_not_reachable_and_not_near() -> None:

@@ -46,6 +46,7 @@ def tree() -> dict[str, Any]:
         "correction": "odometry corrected by 0.21 m",
         "camera": ["camera streams: depth 424x240 at 30 Hz, colour 424x240 at 30 Hz, IMU none, USB 3.2"],
         "odometry": {"ate_cm": 3.41, "largest_cm": 9.2, "shift_cm": 6.5, "turn_deg": 1.2, "model_aligned": True},
+        "unseen": {"upper_share": 0.02, "lower_share": 0.01, "split_m": 1.7, "text": ""},
     }  # fmt: skip
 
 
@@ -191,6 +192,14 @@ def test_the_headline_states_outcome_contacts_and_failsafes(
 ) -> None:
     safety = tree()["safety"] | {"contacts": contacts, "failsafes": failsafes}
     assert verdict(Report.from_tree(tree() | {"outcome": outcome, "safety": safety})) == (headline, mood)
+
+
+def test_much_unseen_space_is_said_first_and_is_no_good_flight() -> None:
+    unseen = {"upper_share": 0.35, "lower_share": 0.02, "split_m": 1.7, "text": "35% of the room above 1.7 m was not seen"}
+    report = Report.from_tree(tree() | {"unseen": unseen})
+    assert verdict(report) == ("Completed, but 35% of the room above 1.7 m was not seen", "fair")
+    assert report.headline == "completed, but 35% of the room above 1.7 m was not seen"
+    assert Report.from_tree(tree()).headline == "completed"
 
 
 def test_a_report_from_before_reduced_speed_was_logged_is_read(tmp_path: Path) -> None:

@@ -132,6 +132,8 @@ def test_a_quick_flight_is_a_flight(quick_flights: list[Flight]) -> None:
         assert report.quality is None
         assert report.explored_fraction is not None
         assert report.explored_fraction > 0.3
+        assert report.odometry is not None
+        assert report.odometry.turn_deg < 5.0, "the map has the axes of the fence"
         assert report.stream.rate_hz is not None
         assert report.stream.rate_hz > 29.0
         assert config.load(flight.folder / "config.toml").safety.vehicle_radius_m == 0.15

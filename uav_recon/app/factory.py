@@ -47,6 +47,7 @@ if TYPE_CHECKING:  # each process imports only the stages that it runs
     from uav_recon.mapping.keyframe_selection import KeyframeSelection, PlannedViewsOnly
     from uav_recon.mapping.neural.neural_mapper import NeuralMapper
     from uav_recon.mapping.occupancy.occupancy_map import OccupancyMap
+    from uav_recon.mapping.recent_sight import RecentSight
     from uav_recon.mission.conductor import Conductor
     from uav_recon.mission.mission_setup import MissionParameters
     from uav_recon.motion.speed_limited_planner import SpeedLimitedPlanner
@@ -61,6 +62,9 @@ if TYPE_CHECKING:  # each process imports only the stages that it runs
     from uav_recon.safety.recently_seen_space import RecentlySeenSpace
 
 PAD_FILE = "pad_origin.json"  # in the runtime folder
+# the column declared free above the hover is wider than planner.clearance_m by this number of voxels: half of one for the
+# clearance, and the way from the pad to the nearest voxel centre
+COLUMN_VOXELS = 1.25
 #: reject: after a longer silence, a pose of the embedded SLAM until more agree with it; a camera loses up to five frames, and
 #: two more must fit after a doubt
 SLAM_BRIDGED_S = 1.0
@@ -160,6 +164,8 @@ def guard_bounds(config: Config) -> GuardBounds:
         silence_way_m=safety.silence_way_m,
         depth_timeout_s=safety.depth_timeout_s,
         blind_speed_mps=safety.blind_speed_mps,
+        blind_fresh_s=safety.blind_fresh_s,
+        blind_stale_s=safety.blind_stale_s,
         retreat_speed_mps=safety.retreat_speed_mps,
         margins=Margins(stop_clearance_m=safety.stop_clearance_m, fast_clearance_m=safety.fast_clearance_m),
     )
@@ -265,7 +271,8 @@ def make_perception(
     camera, poses = pose_sources.open_poses(pose_sources.SourceContext(config, wires, clock, camera, mount))
     pad = None
     if config.localization.origin == "pad" and config.camera.source != "recorded":
-        poses = pad = PadOrigin(poses, wires.vehicle, config.runtime.folder / PAD_FILE)
+        heading_rad = math.radians(config.localization.pad_heading_deg)
+        poses = pad = PadOrigin(poses, wires.vehicle, config.runtime.folder / PAD_FILE, heading_rad=heading_rad)
     return connect_perception(
         config, wires, clock, camera, poses, mount,
         origin=lambda: None if pad is None else pad.reason, remarks=remarks, writer=writer,
@@ -423,6 +430,13 @@ def make_motion(config: Config, clearance_m: float) -> SpeedLimitedPlanner:
     )
 
 
+def make_recent_sight(config: Config) -> RecentSight:
+    """Return the mission's memory of the views that raise the speed limit outside the view."""
+    from uav_recon.mapping.recent_sight import RecentSight
+
+    return RecentSight(config.safety.blind_stale_s, np.array(config.camera.position_body_m))
+
+
 def make_keyframe_selection(config: Config, voxels: OccupancyMap) -> KeyframeSelection | PlannedViewsOnly:
     """Return the selection of keyframes beside the planned views, within the view budget."""
     from uav_recon.mapping.keyframe_selection import KeyframeSelection, PlannedViewsOnly
@@ -466,8 +480,9 @@ def make_conductor(
         wires.frames, wires.vehicle, wires.intent, wires.progress, wires.voxels, wires.surface, wires.plan,
         wires.correction, wires.free, wires.perception,
     )  # fmt: skip
-    motions = (make_motion(config, kept_m) for kept_m in (orders.clearance_m, orders.clear_radius_m))
-    stages = MissionStages(voxels, make_keyframe_selection(config, voxels), mapper, planner, *motions)
+    motion, retreat = (make_motion(config, kept_m) for kept_m in (orders.clearance_m, orders.clear_radius_m))
+    budget, sight = make_keyframe_selection(config, voxels), make_recent_sight(config)
+    stages = MissionStages(voxels, budget, mapper, planner, motion, retreat, sight)
     return Conductor(stages, channels, orders, executor, journal, clock)
 
 
@@ -482,6 +497,8 @@ def mission_parameters(config: Config) -> MissionParameters:
         view_spacing_m=config.planner.view_spacing_m or math.inf,
         takeoff_height_m=mission.takeoff_height_m,
         takeoff_radius_m=config.voxels.takeoff_radius_m,
+        takeoff_top_m=config.voxels.takeoff_top_m or 0.0,
+        takeoff_top_radius_m=clearance_m + COLUMN_VOXELS * config.voxels.resolution_m,
         vehicle_height_m=config.safety.vehicle_height_m,
         clear_radius_m=min(config.safety.vehicle_radius_m + RETREAT_M, clearance_m),
         camera_pitch_down_rad=math.radians(config.camera.pitch_down_deg),
@@ -506,6 +523,7 @@ def warm_up_map(config: Config) -> None:
     voxels = make_occupancy_map(config)
     voxels.warm_up()
     make_keyframe_selection(config, voxels).warm_up()
+    make_recent_sight(config).warm_up()
 
 
 def warm_up_motion(config: Config) -> None:

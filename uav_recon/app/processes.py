@@ -318,11 +318,12 @@ def _start_mapper(config: Config, folder: Path) -> ProcessMapper:
 
 
 def _write_report(config: Config, folder: Path, wall_s: float) -> None:
+    from uav_recon.app.unseen_space import with_unseen
     from uav_recon.recording.flight_report import FlightInfo, build_report, publish
 
     mount = "gimbal" if config.camera.mount == "gimbal" else f"fixed:{config.camera.pitch_down_deg:g}"
     card = FlightInfo(folder.name, config.planner.variant, config.link.autopilot, mount)
-    publish(build_report(folder, card, wall_s), folder)
+    publish(with_unseen(build_report(folder, card, wall_s), config, folder), folder)
 
 
 def _start_recorder(config_path: Path, folder: Path) -> subprocess.Popen[bytes]:

@@ -18,7 +18,7 @@ JsonOption = Annotated[
 ]
 SceneOption = Annotated[
     str | None,
-    typer.Option(metavar="PATH|random:SEED", help="Scene as for `sim`. Default: the built-in room."),
+    typer.Option(metavar="PATH|random:SEED|small:SEED", help="Scene as for `sim`. Default: the built-in room."),
 ]
 PoseNoiseOption = Annotated[
     str, typer.Option(metavar="CM,DEG", help="Standard deviation of the error of the given poses, per axis.")
@@ -238,7 +238,8 @@ def bench_slam(
     scene: Annotated[
         list[str] | None,
         typer.Option(
-            metavar="PATH|random:SEED|built-in", help="Scene as for `sim`; repeat the option for several. Default: built-in."
+            metavar="PATH|random:SEED|small:SEED|built-in",
+            help="Scene as for `sim`; repeat the option for several. Default: built-in."
         ),
     ] = None,
     seeds: Annotated[int, typer.Option(metavar="N", help="Seeds of camera errors and noise, 1 to 100: 0 to N-1.")] = 1,

@@ -48,8 +48,42 @@ def realsense(
     exit_with(lambda: check_realsense(serial=serial))
 
 
+def room(
+    size: Annotated[
+        str, typer.Argument(metavar="LxWxH", help="Length, width and height of the room in metres, such as 4x3x2.5.")
+    ],
+    mount: Annotated[
+        str | None,
+        typer.Option(metavar="fixed:DEG|gimbal", help="Camera mount. Default: that of the config, else a tilt of 15° down."),
+    ] = None,
+    clearance: Annotated[
+        float | None,
+        typer.Option(
+            min=0.1,
+            max=2.0,
+            metavar="M",
+            help="Distance of the body's centre from walls and ceiling. Default: planner.clearance_m.",
+        ),
+    ] = None,
+    config: Annotated[
+        Path | None, typer.Option(metavar="FILE", readable=False, help="Config with the camera and the clearance.")
+    ] = None,
+) -> None:
+    """Check which share of a room the camera can see, and which tilt shows most.
+
+    The room is an empty box, and the vehicle flies in it over furniture. Shares are of the surface that a gimbal would see.
+
+    Exit code 0: the mount fits; 1: another tilt is recommended; 2: bad size or option.
+    """
+    from uav_recon.app import room_check
+
+    exit_with(lambda: room_check.check_room(size, config, mount, clearance))
+
+
+ROOM_EXAMPLES = ("uav-recon check room 3.5x2.5x2.4", "uav-recon check room 4x3x2.5 --config config.toml --mount fixed:0")
 CAMERA_EXAMPLES = ("uav-recon check camera", "uav-recon check camera /run/uav_recon/camera.stream --seconds 10")
 REALSENSE_EXAMPLES = ("uav-recon check realsense", "uav-recon check realsense --serial 146322070000")
-check = new_group("Check a camera before a flight.")
+check = new_group("Check a camera, or how well it fits a room, before a flight.")
 add(check, camera, "camera", examples=CAMERA_EXAMPLES)
 add(check, realsense, "realsense", examples=REALSENSE_EXAMPLES)
+add(check, room, "room", examples=ROOM_EXAMPLES)

@@ -15,6 +15,7 @@ SIM_EXAMPLES = (
     "uav-recon sim --lockstep --views 20 --seed 3             # repeatable; the same seed gives the same flight",
     "uav-recon sim --lockstep --mapper depth-only             # without the neural mapper: much faster",
     "uav-recon sim --scene random:7 --variant explore         # a generated flat",
+    "uav-recon sim --scene small:3                            # a generated small room",
     "uav-recon sim --scene room.ply --start 1.5,2,0,90        # your own mesh: metres, z up",
     "uav-recon sim --autopilot ardupilot --firmware ./arducopter",
 )
@@ -48,9 +49,9 @@ def sim(
     scene: Annotated[
         str | None,
         typer.Option(
-            metavar="PATH|random:SEED", rich_help_panel=SCENE,
-            help="Folder with scene.json, mesh file (.ply .obj .glb .stl; metres, z up) or random:SEED for a generated flat. "
-            "Default: the built-in room.",
+            metavar="PATH|random:SEED|small:SEED", rich_help_panel=SCENE,
+            help="Folder with scene.json, mesh file (.ply .obj .glb .stl; metres, z up), random:SEED for a generated flat or "
+            "small:SEED for a generated room of 6 to 14 m². Default: the built-in room.",
         ),
     ] = None,
     list_scenes: Annotated[
@@ -114,10 +115,11 @@ def sim(
     mount: Annotated[
         str,
         typer.Option(
-            metavar="fixed:DEG|gimbal", autocompletion=choices.one_of(choices.MOUNTS), rich_help_panel=CAMERA,
-            help="Camera mount. DEG is the tilt in degrees, -60 to 60; positive looks down.",
+            metavar="auto|fixed:DEG|gimbal", autocompletion=choices.one_of(choices.SIM_MOUNTS), rich_help_panel=CAMERA,
+            help="Camera mount. DEG is the tilt in degrees, -60 to 60; positive looks down. auto: fixed:15, or less in a small "
+            "room where that shows much more of it (`uav-recon check room`).",
         ),
-    ] = "fixed:15",
+    ] = "auto",
     pose: Annotated[
         str,
         typer.Option(
@@ -162,7 +164,7 @@ def sim(
         typer.Option(
             metavar="NAME", autocompletion=choices.one_of(choices.VARIANTS), rich_help_panel=PLANNER,
             help="Planner. Of the paper (Zeng et al., ICRA 2024): adaptive (V5), merged (V4), reconstruct (V3), explore "
-            "(V2), explore-yaw (V1). Its baselines: explore-then-refine, evpp, vpp.",
+            "(V2), explore-yaw (V1; equals explore with a fixed mount). Its baselines: explore-then-refine, evpp, vpp.",
         ),
     ] = "adaptive",
     uncertainty: Annotated[
@@ -234,7 +236,9 @@ def sweep(
     scenes: Annotated[
         str,
         typer.Option(
-            metavar="S,S,...", help="Scenes: random (a new flat for each seed), random:SEED, built-in, folders, mesh files."
+            metavar="S,S,...",
+            help="Scenes: random or small (a new flat or small room for each seed), random:SEED, small:SEED, built-in, "
+            "folders, mesh files.",
         ),
     ] = "random",
     radii: Annotated[str, typer.Option(metavar="M,M,...", help="Radii of the vehicle in metres, 0.05 to 0.6.")] = "0.20",
@@ -246,8 +250,28 @@ def sweep(
     ] = "adaptive",
     mount: Annotated[
         str,
-        typer.Option(metavar="fixed:DEG|gimbal", autocompletion=choices.one_of(choices.MOUNTS), help="Camera mount."),
+        typer.Option(
+            metavar="M,M,...",
+            autocompletion=choices.one_of(choices.SIM_MOUNTS),
+            help="Camera mounts: fixed:DEG, gimbal, or auto, as `sim` without one.",
+        ),
     ] = "fixed:15",
+    autopilot: Annotated[
+        str,
+        typer.Option(
+            metavar=choices.listed((*choices.AUTOPILOTS, "both")),
+            autocompletion=choices.one_of((*choices.AUTOPILOTS, "both")),
+            help="Simulated autopilot.",
+        ),
+    ] = "px4",
+    pose: Annotated[
+        str,
+        typer.Option(
+            metavar=choices.listed(choices.POSES),
+            autocompletion=choices.one_of(choices.POSES),
+            help="Source of the poses; see `sim --help`.",
+        ),
+    ] = "stream",
     camera: CameraOption = "fast",
     camera_errors: CameraErrorsOption = None,
     views: Annotated[int | None, typer.Option(min=4, max=5000, help="View budget. Default: as `sim`.")] = None,
@@ -264,8 +288,8 @@ def sweep(
     """Fly many missions in lockstep with the depth-only mapper.
 
     Lockstep is a simulated clock: repeatable and faster than real time. Prints one line per flight and a summary table. The
-    flights take all scenes, radii and variants in turn, then again with the next seed. Exit code 1 if any flight had contact
-    or failed with an error; the command that repeats such a flight is printed.
+    flights take all scenes, radii, variants, mounts and autopilots in turn, then again with the next seed. Exit code 1 if any
+    flight had contact or failed with an error; the command that repeats such a flight is printed.
     """
     from sitl.apps.sweep import SweepOptions
     from sitl.apps.sweep import sweep as fly_all
@@ -273,8 +297,8 @@ def sweep(
     exit_with(
         lambda: fly_all(
             SweepOptions.parse(
-                flights=flights, seed0=seed0, scenes=scenes, radii=radii, variants=variants, mount=mount, camera=camera,
-                views=views, jobs=jobs, json=json, truth=truth, camera_errors=camera_errors,
+                flights=flights, seed0=seed0, scenes=scenes, radii=radii, variants=variants, mount=mount, autopilot=autopilot,
+                pose=pose, camera=camera, views=views, jobs=jobs, json=json, truth=truth, camera_errors=camera_errors,
             )
         )
     )  # fmt: skip

@@ -1,7 +1,8 @@
 """Origin of the world at the take-off pad, for a pose source whose own origin is elsewhere.
 
 Fence, home and the declared free space hang on the pose of the body on the pad. The heading and the position of the source are
-measured there at rest; its roll and pitch are kept, because they show where down is.
+measured there at rest; its roll and pitch are kept, because they show where down is. The heading of the body on the pad is
+declared: the axes of the fence need not be those of the vehicle.
 """
 
 from __future__ import annotations
@@ -41,11 +42,13 @@ class PadOrigin:
     """A pose source in the frame of the take-off pad; gives no pose before the pad is known.
 
     source: the poses as they come. vehicle: tells whether the vehicle is in the air. file: keeps the pad for a restart in the
-    air. ``reason``: that the pad is awaited; then None, or where the pad is in the source's frame if that is not its origin.
+    air. heading_rad: of the body on the pad, in the world of the fence. ``reason``: that the pad is awaited; then None, or
+    where the pad is in the source's frame if that is not its origin.
     """
 
-    def __init__(self, source: PoseSource, vehicle: Channel[VehicleState], file: Path) -> None:
+    def __init__(self, source: PoseSource, vehicle: Channel[VehicleState], file: Path, *, heading_rad: float = 0.0) -> None:
         self._source = source
+        self._world_from_pad = Pose.from_yaw(heading_rad, np.zeros(3))
         self._vehicle = vehicle
         self._file = file
         self._rest: deque[StampedPose] = deque()
@@ -70,7 +73,7 @@ class PadOrigin:
             return poses
         for index, pose in enumerate(poses):
             if self._at_rest(pose):
-                self._set(_pad(self._rest))
+                self._set(self._world_from_pad @ _pad(self._rest))
                 with suppress(OSError):  # without the file a restart in the air finds no pad, and the vehicle lands
                     _save(self._file, self._pad_from_source)
                 return poses[index:]

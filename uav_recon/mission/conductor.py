@@ -96,6 +96,8 @@ class Conductor:
         self._start = self._abort = self._hold = self._released = self._arrived = False
         half_m, top_m = orders.vehicle_height_m / 2, orders.takeoff_height_m + orders.clear_radius_m  # home is clear above too
         stages.voxels.declare_free(np.zeros(3), orders.takeoff_radius_m, -half_m, top_m)
+        if orders.takeoff_top_m > top_m:
+            stages.voxels.declare_free(np.zeros(3), orders.takeoff_top_radius_m, top_m, orders.takeoff_top_m)
 
     @property
     def finished(self) -> bool:
@@ -179,6 +181,10 @@ class Conductor:
             return  # its pose does not fit the map, so it is ignored
         self._frame_s = now_s
         self._stages.voxels.integrate(posed)
+        views = self._stages.sight.add(posed)
+        if views is not None:
+            self._stages.motion.look(views)
+            self._stages.retreat.look(views)
         self.map = self._stages.voxels.snapshot()
         promised = self._captures.take(posed.frame.stamp_s) and self._course.is_on_track(now_s)
         if self._log.views_left > 0 and (promised or self._worth_a_view(posed)) and self._stages.mapper.add(posed):

@@ -5,7 +5,15 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from uav_recon.interfaces import Channel, Mapper, OccupancyMapInterface, Planner, SpeedLimitedMotion, ViewBudget
+from uav_recon.interfaces import (
+    Channel,
+    Mapper,
+    OccupancyMapInterface,
+    Planner,
+    RecentSightInterface,
+    SpeedLimitedMotion,
+    ViewBudget,
+)
 from uav_recon.types.camera import PosedFrame
 from uav_recon.types.maps import FreeSpace, SurfaceElements, VoxelMap
 from uav_recon.types.perception_status import PerceptionStatus
@@ -28,6 +36,7 @@ class MissionStages:
     planner: Planner
     motion: SpeedLimitedMotion
     retreat: SpeedLimitedMotion
+    sight: RecentSightInterface
 
 
 @dataclass(frozen=True)
@@ -50,6 +59,7 @@ class MissionChannels:
 class MissionParameters:
     """Parameters of this mission, in SI units.
 
+    takeoff_top_m: height to which the operator knows the column above the pad, takeoff_top_radius_m wide, to be free.
     clear_radius_m: every position where the vehicle flew is free within this radius. clearance_m: of planned paths.
     operator_timeout_s: see OperatorWatchdog.
     """
@@ -59,6 +69,8 @@ class MissionParameters:
     view_spacing_m: float
     takeoff_height_m: float
     takeoff_radius_m: float
+    takeoff_top_m: float
+    takeoff_top_radius_m: float
     vehicle_height_m: float
     clear_radius_m: float
     camera_pitch_down_rad: float

@@ -13,7 +13,7 @@ from uav_recon.mission.flight_track import Departure
 from uav_recon.mission.mission_log import MissionLog
 from uav_recon.mission.mission_setup import MissionChannels, MissionParameters, MissionStages
 from uav_recon.mission.trajectory_execution import TrajectoryExecutor
-from uav_recon.types.maps import VoxelMap
+from uav_recon.types.maps import SurfaceElements, VoxelMap
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.tasks import NothingLeft, PlanRequest
@@ -26,6 +26,8 @@ SAME_PLACE_M = 0.05  #: plan: a motion that ends nearer to the present one's end
 AHEAD_S = 1.6  #: plan: a plan leaves its predecessor this long before that one's end, so that it does not brake in between
 STOPPED_AGAIN_S = 5.0  #: plan: two stops within this time: the space ahead was not seen lately, so the vehicle looks round
 LEAD_S = 0.25  #: plan: from a plan's start to the instant at which it leaves the present motion, added to its declared cost
+
+NOTHING_LEARNED = SurfaceElements(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), 0)
 
 
 class Survey:
@@ -115,10 +117,19 @@ class Survey:
 
     def _request_plan(self, now_s: float, vehicle: VehicleState, voxels: VoxelMap) -> None:
         departure = self._helm.course.departure(now_s + self._lead_s, vehicle)
-        start, surface = departure.setpoint, self._stages.mapper.surface()
+        start, surface = departure.setpoint, self._surface()
         request = PlanRequest(voxels, surface, start.position_m, start.yaw_rad, self._account.views_left, start.velocity_mps)
         self._departure = departure
         self._decision = self._decider.next_views(request, departure, self._helm.course.next_identifier())
+
+    def _surface(self) -> SurfaceElements | None:
+        """Return the newest surface; an empty one if the mapper died before it gave one.
+
+        The map still shows which surface no view has seen.
+        """
+        mapper = self._stages.mapper
+        surface = mapper.surface()
+        return NOTHING_LEARNED if surface is None and not mapper.alive() else surface
 
     def _fly_decision(self, now_s: float) -> None:
         if self._decision is None or not self._decision.done():

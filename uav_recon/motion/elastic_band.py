@@ -17,6 +17,7 @@ import numpy as np
 
 from uav_recon.geometry.jit import kernel
 from uav_recon.motion.clearance import ROOT, ClearanceMap, clearance_at
+from uav_recon.motion.sight_forecast import SightForecast
 from uav_recon.motion.yaw_policy import AT_VIEWS, YawPolicy
 from uav_recon.types.frames import AnyArray, BoolArray, FloatArray, IntArray
 from uav_recon.types.tasks import Viewpoint
@@ -44,11 +45,12 @@ class PathCourse:
 
     @staticmethod
     def through(
-        start: FloatArray, legs: Sequence[FloatArray], views: Sequence[Viewpoint], gaze: YawPolicy = AT_VIEWS
-    ) -> PathCourse:
+        start: FloatArray, legs: Sequence[FloatArray], views: Sequence[Viewpoint], gaze: YawPolicy = AT_VIEWS,
+        forecast: SightForecast | None = None,
+    ) -> PathCourse:  # fmt: skip
         """Return the course through the waypoints (Ni, 3) of each leg to its view.
 
-        Yaw changes along a leg as ``gaze`` defines, and on the spot by the smaller turn.
+        Yaw changes along a leg as ``gaze`` defines, and on the spot by the smaller turn. forecast: at the start.
         """
         vertices, reached = [start], []
         for leg, view in zip(legs, views, strict=True):
@@ -63,7 +65,8 @@ class PathCourse:
                 if np.abs(goal - begin).max() > SAME_M or len(vertices) == 1:
                     vertices.append(goal)
             else:
-                vertices += list(gaze.along(np.array(way), begin, goal))
+                leg_vertices, forecast = gaze.along(np.array(way), begin, goal, forecast)
+                vertices += list(leg_vertices)
             reached.append(len(vertices) - 1)
         return PathCourse(np.array(vertices), np.array(reached, dtype=np.int64), np.zeros(len(vertices), dtype=np.bool_))
 

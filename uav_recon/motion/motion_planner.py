@@ -14,10 +14,12 @@ import dataclasses
 import numpy as np
 
 from uav_recon.config import MotionConfig
+from uav_recon.motion import sight_forecast
 from uav_recon.motion.clearance import ClearanceMap, blocked, is_clear
 from uav_recon.motion.corridor_centring import centred
 from uav_recon.motion.elastic_band import ElasticBand, PathCourse
 from uav_recon.motion.initial_state import InitialState
+from uav_recon.motion.sight_forecast import SightForecast
 from uav_recon.motion.time_scaling import braking, joined, replayed
 from uav_recon.motion.trajectory_generation import Pacer, TrajectoryGenerator
 from uav_recon.motion.yaw_policy import AT_VIEWS, YawPolicy
@@ -25,6 +27,7 @@ from uav_recon.types.frames import FloatArray
 from uav_recon.types.maps import FREE, GridSpec, VoxelMap
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
+from uav_recon.types.recent_views import RecentViews
 from uav_recon.types.tasks import PlanMode, ViewPath, Viewpoint
 from uav_recon.types.trajectory import Setpoint, Trajectory
 
@@ -42,6 +45,7 @@ OVERRUN_SHARES = (
 )  # shares of the braking distance flown straight on before the new path; the last ends in a stop
 MIN_FORWARD_COS = -0.5  # cosine of the angle between present and new direction, below which only the stop is tried
 ON_THE_SPOT_M = 0.05
+PLANNED_S = 0.3  # from the newest view to the start of a motion from rest
 BACK_STEPS = 5  # samples of a braked path between consecutive waypoints of the path back
 
 
@@ -74,26 +78,29 @@ class MotionPlanner:
         self._narrow_pacer = Pacer.of(config.model_copy(update={"tight_speed_mps": narrow_mps}), clearance_m, hull_m, gaze)
 
     def through(
-        self, path: ViewPath, voxels: VoxelMap, start: Setpoint, start_s: float, views_at_spacing_m: float, identifier: int
-    ) -> Trajectory | Reason:
+        self, path: ViewPath, voxels: VoxelMap, start: Setpoint, start_s: float, views_at_spacing_m: float, identifier: int,
+        views: RecentViews | None = None,
+    ) -> Trajectory | Reason:  # fmt: skip
         """Plan from rest at ``start`` through every view of the path to rest at the last one.
 
         Each view is captured where it is passed, within 0.15 m and 3 degrees and without motion blur. Further captures follow
         every ``views_at_spacing_m`` (may be infinite) along the path. The trajectory is checked against the map. If there is
-        none, the reason is returned.
+        none, the reason is returned. views: of the last seconds; it may be flown later than start_s, but soon after them.
         """
         fault = _fault(path, voxels)
         if fault:
             return fault
-        entry = InitialState.resting(start, self._pacer.box)
-        course = PathCourse.through(entry.place, path.waypoints_world, path.viewpoints, self._pacer.gaze)
-        flight = self._clear(course, None, entry, self._space(voxels), views_at_spacing_m, path.clearance_m)
+        entry, space = InitialState.resting(start, self._pacer.box), self._space(voxels)
+        forecast = self._forecast(views, space, start_s)
+        course = PathCourse.through(entry.place, path.waypoints_world, path.viewpoints, self._pacer.gaze, forecast)
+        flight = self._clear(course, None, entry, space, views_at_spacing_m, path.clearance_m, forecast)
         kept_m = self._asked_m(path.clearance_m)
         return flight if isinstance(flight, Reason) else flight.trajectory(start_s, path.map_epoch, identifier, kept_m)
 
     def onward(
-        self, path: ViewPath, voxels: VoxelMap, flying: Trajectory, leave_s: float, views_at_spacing_m: float, identifier: int
-    ) -> Trajectory | Reason:
+        self, path: ViewPath, voxels: VoxelMap, flying: Trajectory, leave_s: float, views_at_spacing_m: float, identifier: int,
+        views: RecentViews | None = None,
+    ) -> Trajectory | Reason:  # fmt: skip
         """Plan out of a motion that is being flown, at ``leave_s``, through every view of the path.
 
         Limits and result are those of ``through``. The path begins where ``flying`` is at ``leave_s``. The trajectory begins
@@ -107,19 +114,20 @@ class MotionPlanner:
         at = max(int((leave_s - flying.start_s) / flying.step_s + 1e-6), 0)  # past its end it rests
         entry, space = InitialState.leaving(flying, at, self._pacer.box, self._pacer.most()), self._space(voxels)
         start_s, kept_m = flying.start_s + (at - entry.left + 1) * flying.step_s, self._asked_m(path.clearance_m)
+        forecast, gaze = self._forecast(views, space, leave_s), self._pacer.gaze
         if not entry.is_moving:
-            course = PathCourse.through(entry.place, _ahead(path, entry, entry.place), path.viewpoints, self._pacer.gaze)
-            still = self._clear(course, None, entry, space, views_at_spacing_m, path.clearance_m)
+            course = PathCourse.through(entry.place, _ahead(path, entry, entry.place), path.viewpoints, gaze, forecast)
+            still = self._clear(course, None, entry, space, views_at_spacing_m, path.clearance_m, forecast)
             return still if isinstance(still, Reason) else still.trajectory(start_s, path.map_epoch, identifier, kept_m)
         for overrun in OVERRUN_SHARES if _leads_on(path, entry) else OVERRUN_SHARES[-1:]:
             rolled, begin = self._pacer.begun(entry, overrun)
-            course = PathCourse.through(begin, _ahead(path, entry, begin), path.viewpoints, self._pacer.gaze)
+            course = PathCourse.through(begin, _ahead(path, entry, begin), path.viewpoints, gaze, forecast)
             if overrun > 0.0:
                 course = course.after(rolled, overrun >= 1.0)
-            flight = self._clear(course, entry.place, entry, space, views_at_spacing_m, path.clearance_m)
-            if isinstance(flight, TrajectoryGenerator) and not self._pacer.gaze.exceeds_limit(flight.rows[entry.left :]).any():
+            flight = self._clear(course, entry.place, entry, space, views_at_spacing_m, path.clearance_m, forecast)
+            if isinstance(flight, TrajectoryGenerator) and not self._pacer.exceeds_limit(flight, entry, forecast).any():
                 return flight.trajectory(start_s, path.map_epoch, identifier, kept_m)
-        return self._after_braking(path, voxels, flying, at, views_at_spacing_m, identifier)
+        return self._after_braking(path, voxels, flying, at, views_at_spacing_m, identifier, views)
 
     def turn(self, start: Setpoint, start_s: float, total_yaw_rad: float, views: int, identifier: int) -> Trajectory:
         """Turn on the spot and capture ``views`` views.
@@ -175,11 +183,16 @@ class MotionPlanner:
     def _asked_m(self, clearance_m: float | None) -> float:
         return self._clearance_m if clearance_m is None else clearance_m
 
+    def _forecast(self, views: RecentViews | None, space: ClearanceMap, start_s: float) -> SightForecast | None:
+        newest_s = -np.inf if views is None else float(views.stamp_s[-1])
+        return self._pacer.gaze.forecast(views, space, max(start_s, newest_s + PLANNED_S))
+
     def _space(self, voxels: VoxelMap) -> ClearanceMap:
         return ClearanceMap.of(voxels, self._low_m, self._high_m, self._clearance_m)
 
     def warm_up(self) -> None:
         """Compile the kernels, in a map of its own without the box to stay in."""
+        sight_forecast.warm_up()
         planner = copy.copy(self)
         planner._low_m, planner._high_m = np.full(3, -np.inf), np.full(3, np.inf)
         grid = GridSpec(np.zeros(3), 1.0, (3, 3, 3))
@@ -201,6 +214,7 @@ class MotionPlanner:
         space: ClearanceMap,
         spacing_m: float,
         clearance_m: float | None,
+        forecast: SightForecast | None,
     ) -> TrajectoryGenerator | Reason:
         """Return a flight along the course with ``clearance_m``, or the reason for the failure.
 
@@ -218,7 +232,7 @@ class MotionPlanner:
                 band = centred(band, space, room_m)
             if attempt < 2:
                 band = band.relaxed(strung, space, room_m, min_m, NEAR_VIEW)
-            flight = pacer.flown(band, entry, space, spacing_m)
+            flight = pacer.flown(band, entry, space, spacing_m, forecast)
             if not flight.feasible:
                 return Reason(ReasonCode.PATH_ENTRY_TOO_FAST)
             bad = blocked(space, flight.rows, entry.left, min_m)
@@ -232,8 +246,9 @@ class MotionPlanner:
         return Reason(ReasonCode.PATH_CLEARANCE, (min_m, *flight.rows[np.argmax(bad), :3].tolist()))
 
     def _after_braking(
-        self, path: ViewPath, voxels: VoxelMap, flying: Trajectory, at: int, spacing_m: float, identifier: int
-    ) -> Trajectory | Reason:
+        self, path: ViewPath, voxels: VoxelMap, flying: Trajectory, at: int, spacing_m: float, identifier: int,
+        views: RecentViews | None,
+    ) -> Trajectory | Reason:  # fmt: skip
         """Brake along the present motion, then fly the path from rest.
 
         It joins the path directly, or returns to where the path begins if that is not clear.
@@ -248,7 +263,7 @@ class MotionPlanner:
 
         def along(leg: FloatArray) -> Trajectory | Reason:
             way = dataclasses.replace(path, waypoints_world=(leg, *others))
-            return self.through(way, voxels, here, start_s, spacing_m, identifier)
+            return self.through(way, voxels, here, start_s, spacing_m, identifier, views)
 
         flown = along(first[1:])
         if isinstance(flown, Reason):

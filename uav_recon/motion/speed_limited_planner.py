@@ -13,6 +13,7 @@ from uav_recon.motion.yaw_policy import yaw_policy_of
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.maps import VoxelMap
 from uav_recon.types.reason import Reason
+from uav_recon.types.recent_views import RecentViews
 from uav_recon.types.tasks import ViewPath
 from uav_recon.types.trajectory import Setpoint, Trajectory
 
@@ -30,6 +31,7 @@ class SpeedLimitedPlanner:
         self._slow = slow
         self._usual_mps = usual_mps
         self._max_speed_mps = math.inf
+        self._views: RecentViews | None = None
 
     @staticmethod
     def of(config: Config, clearance_m: float, low_m: FloatArray, high_m: FloatArray) -> SpeedLimitedPlanner:
@@ -46,6 +48,10 @@ class SpeedLimitedPlanner:
         """
         self._max_speed_mps = max_speed_mps
 
+    def look(self, views: RecentViews) -> None:
+        """Set the views of the last seconds: where the camera does not look, speed depends on them."""
+        self._views = views
+
     @property
     def _motion(self) -> MotionPlanner:
         return self._usual if self._max_speed_mps >= self._usual_mps else self._slow
@@ -54,13 +60,13 @@ class SpeedLimitedPlanner:
         self, path: ViewPath, voxels: VoxelMap, start: Setpoint, start_s: float, views_at_spacing_m: float, identifier: int
     ) -> Trajectory | Reason:
         """Plan from rest through the views; see MotionPlannerInterface."""
-        return self._motion.through(path, voxels, start, start_s, views_at_spacing_m, identifier)
+        return self._motion.through(path, voxels, start, start_s, views_at_spacing_m, identifier, self._views)
 
     def onward(
         self, path: ViewPath, voxels: VoxelMap, flying: Trajectory, leave_s: float, views_at_spacing_m: float, identifier: int
     ) -> Trajectory | Reason:
         """Plan out of a motion through the views; see MotionPlannerInterface."""
-        return self._motion.onward(path, voxels, flying, leave_s, views_at_spacing_m, identifier)
+        return self._motion.onward(path, voxels, flying, leave_s, views_at_spacing_m, identifier, self._views)
 
     def turn(self, start: Setpoint, start_s: float, total_yaw_rad: float, views: int, identifier: int) -> Trajectory:
         """Turn on the spot, always with the usual limits."""

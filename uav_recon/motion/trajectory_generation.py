@@ -12,6 +12,7 @@ from uav_recon.motion.clearance import ROOT, ClearanceMap, clearances_at, free_d
 from uav_recon.motion.elastic_band import SPAN_M, SPAN_S, ElasticBand
 from uav_recon.motion.initial_state import InitialState
 from uav_recon.motion.node_speed_limits import node_speed_limits
+from uav_recon.motion.sight_forecast import SightForecast
 from uav_recon.motion.time_parameterization import (
     FEEDFORWARD_OVERSHOOT_S,
     MAX_PACE,
@@ -24,7 +25,7 @@ from uav_recon.motion.time_parameterization import (
     smoothed,
 )
 from uav_recon.motion.time_scaling import STEP_S
-from uav_recon.motion.yaw_policy import AT_VIEWS, YawPolicy
+from uav_recon.motion.yaw_policy import AT_VIEWS, USUAL_SHARE, YawPolicy
 from uav_recon.types.frames import BoolArray, FloatArray
 from uav_recon.types.trajectory import Trajectory
 
@@ -136,25 +137,32 @@ class Pacer:
         return rolled, rolled + entry.velocity * (0.5 * overrun * braking_s)
 
     def flown(
-        self, band: ElasticBand, entry: InitialState, space: ClearanceMap | None, spacing_m: float
-    ) -> TrajectoryGenerator:
+        self, band: ElasticBand, entry: InitialState, space: ClearanceMap | None, spacing_m: float,
+        forecast: SightForecast | None = None,
+    ) -> TrajectoryGenerator:  # fmt: skip
         """Return the fastest flight along a band.
 
         If smoothing and sampling leave too much acceleration, the whole flight is made slower. Where the result shows that the
         camera does not look in the direction of flight, the speed is limited: a body that accelerates leans.
+
+        forecast: of what the camera will have seen. Its ages follow from the first pass, which is then made again.
         """
         curve = Curve.of(band.control)
         first = self.entry_pace(entry) ** 2 if entry.is_moving else 0.0
         cap, x, times = np.empty(len(curve.along_m)), np.empty(len(curve.along_m)), np.empty(len(curve.along_m))
-        max_speed_mps = np.full(len(curve.along_m), np.inf) if space is None else self._speed_limits(curve, space)
+        max_speed_mps = self._speed_limits(curve, space, forecast, self._guess_s(curve, forecast))
         leaning_mps2 = self._leaning(curve, entry)
         self._cap(curve, band, entry, space, max_speed_mps, cap)
         share = SHARE
-        for _ in range(TRIES):
+        for attempt in range(TRIES if forecast is None else TRIES + 1):
             max_acceleration_mps2 = np.minimum(share * self.acceleration, leaning_mps2)
             if not fastest(curve.slope, curve.bend, cap, max_speed_mps, max_acceleration_mps2, share * self.spin, first, x):
                 return TrajectoryGenerator(entry.rows, np.zeros(0), feasible=False)
             node_times(x, times)
+            if attempt == 0 and forecast is not None:
+                max_speed_mps = self._speed_limits(curve, space, forecast, forecast.begin_s + times)
+                self._cap(curve, band, entry, space, max_speed_mps, cap)
+                continue
             flight = self._smoothed(band, entry, curve, x, times, spacing_m)
             _, change = flight.rates()
             new = change[entry.left :]
@@ -162,7 +170,7 @@ class Pacer:
                 float(np.sqrt(np.max(np.sum(new[:, :3] ** 2, axis=1)))) / self.acceleration,
                 float(np.abs(new[:, 3:]).max()) / self.spin,
             )
-            hasty = self._hasty(flight, entry, times)
+            hasty = self._hasty(flight, entry, times, forecast)
             if excess <= 1.02 and not hasty.any():
                 break
             if excess > 1.02:
@@ -194,19 +202,43 @@ class Pacer:
         entry2 = float(np.sum(entry.velocity[:3] ** 2))
         return np.where(2.0 * BRAKING * self.acceleration * curve.along_m < entry2, np.inf, max_acceleration_mps2)
 
-    def _hasty(self, flight: TrajectoryGenerator, entry: InitialState, times: FloatArray) -> BoolArray:
+    def _hasty(
+        self, flight: TrajectoryGenerator, entry: InitialState, times: FloatArray, forecast: SightForecast | None
+    ) -> BoolArray:
         """Return a mask of the nodes (M,) that contribute to samples too fast for the camera.
 
         times: (M,) instants at which the nodes are reached.
         """
         hasty = np.zeros(len(flight.rows), dtype=np.bool_)
-        hasty[entry.left + 1 : -1] = self.gaze.exceeds_limit(flight.rows[entry.left :])
+        hasty[entry.left + 1 : -1] = self.exceeds_limit(flight, entry, forecast)
         around = np.convolve(hasty, np.ones(2 * self.box + 1), "same") > 0.0
         return np.asarray(around[np.minimum(np.rint(times / STEP_S).astype(np.int64) + len(entry.rows) - 1, len(around) - 1)])
 
-    def _speed_limits(self, curve: Curve, space: ClearanceMap) -> FloatArray:
-        """Return the speed limits (M,) from the view direction and from obstacles ahead."""
-        return np.minimum(self.gaze.max_speed_mps(curve.slope, curve.place), self._silence_speed_limits(curve, space))
+    def exceeds_limit(self, flight: TrajectoryGenerator, entry: InitialState, forecast: SightForecast | None) -> BoolArray:
+        """Return a mask of the new rows of a flight that are too fast for the camera.
+
+        The first and the last are not judged.
+        """
+        return self.gaze.exceeds_limit(flight.rows[entry.left :], forecast, 0.0 if forecast is None else forecast.begin_s)
+
+    def _speed_limits(
+        self, curve: Curve, space: ClearanceMap | None, forecast: SightForecast | None, reached_s: FloatArray
+    ) -> FloatArray:
+        """Return the speed limits (M,) from the view direction and from obstacles ahead.
+
+        They are infinite without a map.
+        """
+        if space is None:
+            return np.full(len(curve.along_m), np.inf)
+        seen_mps = self.gaze.max_speed_mps(curve.slope, curve.place, forecast, reached_s)
+        return np.minimum(seen_mps, self._silence_speed_limits(curve, space))
+
+    def _guess_s(self, curve: Curve, forecast: SightForecast | None) -> FloatArray:
+        """Return about the instants (M,) at which the nodes are reached."""
+        turned_rad = np.abs(np.diff(curve.place[:, 3], prepend=curve.place[0, 3]))
+        step_m = np.diff(curve.along_m, prepend=0.0)
+        passed_s = np.cumsum(np.maximum(step_m / (USUAL_SHARE * self.speed), turned_rad / self.rate))
+        return passed_s if forecast is None else forecast.begin_s + passed_s
 
     def _silence_speed_limits(self, curve: Curve, space: ClearanceMap) -> FloatArray:
         """Return speeds (M,) at which an autopilot without setpoints stops before any contact.

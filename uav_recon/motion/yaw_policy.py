@@ -13,8 +13,12 @@ from typing import Protocol
 import numpy as np
 
 from uav_recon.config import Config
+from uav_recon.motion.clearance import ClearanceMap
+from uav_recon.motion.sight_forecast import EnteredHull, SightForecast
 from uav_recon.motion.time_scaling import STEP_S
 from uav_recon.types.frames import BoolArray, FloatArray
+from uav_recon.types.recent_views import RecentViews
+from uav_recon.types.sight_speed_limit import SightSpeedLimit
 
 #: brake: planned speed outside the camera's view, of blind_speed_mps: the transition to a new motion adds to it
 BLIND_SHARE = 0.9
@@ -24,8 +28,15 @@ GRAVITY_MPS2 = 9.81
 INSIDE_RAD = 0.1  # the nose is kept this far inside that angle: the heading lags, and the path bends
 SHORT_M = 0.15  # horizontal; on a shorter edge it turns for its view only
 TURNS_IN_M = 0.1  # length of an edge within which it turns: nearly on the spot
-PREFERRED = 1.4  # nose first may take longer by this factor: blind flight is refused where the camera did not look lately
+# flight where the camera does not look counts as longer by this factor: it may be refused, and shows a drift of the pose later
+PREFERRED = 1.4
 USUAL_SHARE = 0.6  # mean speed on a path as a share of the greatest
+# lengths of the path within which it turns at the start of an edge, and to the view at its end; pairs are compared
+TURNS_M = ((TURNS_IN_M, TURNS_IN_M), (TURNS_IN_M, 0.5), (TURNS_IN_M, 1.0), (0.5, 0.5), (1.0, 1.0))
+SPARSE = 5  # rows of a motion between two whose age is examined
+SAMPLE_M = 0.15  # of a path whose duration is estimated ...
+SAMPLE_RAD = 0.25  # ... and of its turning
+ACCELERATION_MPS2 = 0.8  # in that estimate
 
 
 class YawPolicy(Protocol):
@@ -39,17 +50,29 @@ class YawPolicy(Protocol):
         """Speed limit where the camera does not look."""
         ...
 
-    def along(self, way: FloatArray, begin: FloatArray, goal: FloatArray) -> FloatArray:
-        """Return the vertices (M, 5) after ``begin`` (5,) of a leg to ``goal`` (5,).
+    def forecast(self, views: RecentViews | None, space: ClearanceMap, begin_s: float) -> SightForecast | None:
+        """Return the forecast of what the camera will have seen.
 
-        way: (N, 3) positions of the leg, from that of ``begin`` on. The goal's yaw is kept except for whole turns.
+        None if the limits do not depend on it. views: of the last seconds. begin_s: instant at which the motion begins.
         """
         ...
 
-    def max_speed_mps(self, slope: FloatArray, place: FloatArray) -> FloatArray:
+    def along(
+        self, way: FloatArray, begin: FloatArray, goal: FloatArray, forecast: SightForecast | None
+    ) -> tuple[FloatArray, SightForecast | None]:
+        """Return the vertices (M, 5) of a leg after ``begin`` (5,), and the forecast after it.
+
+        It ends at ``goal`` (5,), whose yaw is kept except for whole turns. way: (N, 3) positions of the leg, from that of
+        ``begin`` on.
+        """
+        ...
+
+    def max_speed_mps(
+        self, slope: FloatArray, place: FloatArray, forecast: SightForecast | None, reached_s: FloatArray
+    ) -> FloatArray:
         """Return the speed limits (M,) at positions (M, 5) of a curve.
 
-        slope: (M, 5) directions of the curve there.
+        slope: (M, 5) directions of the curve there. reached_s: (M,) instants at which it gets there.
         """
         ...
 
@@ -60,11 +83,11 @@ class YawPolicy(Protocol):
         """
         ...
 
-    def exceeds_limit(self, rows: FloatArray) -> BoolArray:
+    def exceeds_limit(self, rows: FloatArray, forecast: SightForecast | None, begin_s: float) -> BoolArray:
         """Return a mask (M - 2,) of the rows at which a motion exceeds its speed limit.
 
         rows: (M, 5) positions of the motion, one each STEP_S; the first and the last are not judged. The body is taken to lean
-        as its acceleration requires, and a small margin is left for the errors of smoothing.
+        as its acceleration requires, and a small margin is left for the errors of smoothing. begin_s: instant of the first row.
         """
         ...
 
@@ -77,12 +100,19 @@ class YawAtViews:
 
     blind_speed_mps = math.inf
 
-    def along(self, way: FloatArray, begin: FloatArray, goal: FloatArray) -> FloatArray:
-        """Change each angle in proportion to the length."""
-        along_m = np.cumsum(np.sqrt(np.sum(np.diff(way, axis=0) ** 2, axis=1)))
-        return np.hstack([way[1:], begin[3:] + (along_m / along_m[-1])[:, None] * (goal[3:] - begin[3:])])
+    def forecast(self, views: RecentViews | None, space: ClearanceMap, begin_s: float) -> SightForecast | None:
+        """Return None: nothing depends on it."""
+        return None
 
-    def max_speed_mps(self, slope: FloatArray, place: FloatArray) -> FloatArray:
+    def along(
+        self, way: FloatArray, begin: FloatArray, goal: FloatArray, forecast: SightForecast | None
+    ) -> tuple[FloatArray, SightForecast | None]:
+        """Change each angle in proportion to the length."""
+        return _evenly(way, begin, goal), forecast
+
+    def max_speed_mps(
+        self, slope: FloatArray, place: FloatArray, forecast: SightForecast | None, reached_s: FloatArray
+    ) -> FloatArray:
         """Return infinity: no limit."""
         return np.full(len(place), np.inf)
 
@@ -90,7 +120,7 @@ class YawAtViews:
         """Return infinity: no limit."""
         return np.full(len(place), np.inf)
 
-    def exceeds_limit(self, rows: FloatArray) -> BoolArray:
+    def exceeds_limit(self, rows: FloatArray, forecast: SightForecast | None, begin_s: float) -> BoolArray:
         """Return a mask that is False everywhere."""
         return np.zeros(len(rows) - 2, dtype=np.bool_)
 
@@ -100,16 +130,22 @@ AT_VIEWS = YawAtViews()
 
 @dataclass(frozen=True, slots=True)
 class YawAlongPath:
-    """Nose first on long paths, so that the camera looks ahead; slow where it does not.
+    """The heading that costs least time, slow where the camera did not look lately.
 
-    half_tan: tangents of half the camera's angles, horizontal and vertical. blind_speed_mps: greatest speed elsewhere.
-    speed_mps and rate_radps: limits of flying and of turning, to compare durations.
+    half_tan: tangents of half the camera's angles, horizontal and vertical. limit: speed limit where it does not look.
+    hull: what enters the space there. speed_mps and rate_radps: limits of flying and of turning, to compare durations.
     """
 
     half_tan: tuple[float, float]
-    blind_speed_mps: float
+    limit: SightSpeedLimit
+    hull: EnteredHull
     speed_mps: float
     rate_radps: float
+
+    @property
+    def blind_speed_mps(self) -> float:
+        """Speed limit through space that the camera did not see lately."""
+        return self.limit.blind_speed_mps
 
     @property
     def off_rad(self) -> float:
@@ -121,15 +157,33 @@ class YawAlongPath:
         """Tangent of half the vertical angle in which a path is seen."""
         return SHARE * self.half_tan[1]
 
-    def along(self, way: FloatArray, begin: FloatArray, goal: FloatArray) -> FloatArray:
-        """Return the vertices of YawAtViews, or those with the nose first if not much slower."""
-        evenly, ahead = AT_VIEWS.along(way, begin, goal), self._ahead(way, begin, goal)
-        ahead_s, evenly_s = (self._duration_s(np.vstack([begin, vertex])) for vertex in (ahead, evenly))
-        return ahead if ahead_s < PREFERRED * evenly_s else evenly
+    def forecast(self, views: RecentViews | None, space: ClearanceMap, begin_s: float) -> SightForecast | None:
+        """Return the forecast, None if no view is known."""
+        if views is None:
+            return None
+        return SightForecast(views, space, self.limit, self.hull, SHARE * np.array(self.half_tan), begin_s)
 
-    def max_speed_mps(self, slope: FloatArray, place: FloatArray) -> FloatArray:
-        """Return blind_speed_mps where the camera does not look, otherwise infinity."""
-        return np.where(self.sees(slope[:, :3], place[:, 3], place[:, 4]), np.inf, self.blind_speed_mps)
+    def along(
+        self, way: FloatArray, begin: FloatArray, goal: FloatArray, forecast: SightForecast | None
+    ) -> tuple[FloatArray, SightForecast | None]:
+        """Return the vertices that take the least time.
+
+        They turn evenly, or the nose is first and turns within one of TURNS_M.
+        """
+        ways = [_evenly(way, begin, goal), *(self._ahead(way, begin, goal, *turns_m) for turns_m in TURNS_M)]
+        passes = [self._passed(np.vstack([begin, vertex]), forecast) for vertex in ways]
+        best = min(range(len(ways)), key=lambda n: passes[n].felt_s)
+        chosen = passes[best]
+        return ways[best], None if forecast is None else forecast.after(chosen.place, chosen.reached_s)
+
+    def max_speed_mps(
+        self, slope: FloatArray, place: FloatArray, forecast: SightForecast | None, reached_s: FloatArray
+    ) -> FloatArray:
+        """Return the limit by age where the camera does not look, otherwise infinity."""
+        blind = ~self.sees(slope[:, :3], place[:, 3], place[:, 4])
+        if forecast is None:
+            return np.where(blind, self.blind_speed_mps, np.inf)
+        return np.maximum(forecast.max_speed_mps(slope[:, :3], place, reached_s, blind), self.blind_speed_mps)
 
     def max_acceleration_mps2(self, slope: FloatArray, place: FloatArray) -> FloatArray:
         """Return the acceleration that moves a seen path to the edge of the image.
@@ -141,12 +195,18 @@ class YawAlongPath:
         room_rad = np.maximum(edge_rad - np.abs(np.arctan2(below, ahead)), 0.0)
         return np.where(self.sees(slope[:, :3], place[:, 3], place[:, 4]), GRAVITY_MPS2 * np.tan(room_rad), np.inf)
 
-    def exceeds_limit(self, rows: FloatArray) -> BoolArray:
+    def exceeds_limit(self, rows: FloatArray, forecast: SightForecast | None, begin_s: float) -> BoolArray:
         """Check against nearly the whole image, and with a small margin of speed."""
         rate, place = (rows[2:, :3] - rows[:-2, :3]) / (2 * STEP_S), rows[1:-1]
         change = (rows[2:, :3] - 2 * rows[1:-1, :3] + rows[:-2, :3]) / STEP_S**2
-        fast: BoolArray = np.linalg.norm(rate, axis=1) > (1.0 + SLACK) * self.blind_speed_mps
+        speed_mps = np.linalg.norm(rate, axis=1)
+        fast: BoolArray = np.asarray(speed_mps > (1.0 + SLACK) * self.blind_speed_mps)
         fast[fast] = ~self.sees(leaning(rate[fast], change[fast]), place[fast, 3], place[fast, 4], 1.0 - SLACK)
+        if forecast is not None and fast.any():
+            reached_s = begin_s + np.arange(1, len(place) + 1, dtype=np.float64) * STEP_S
+            some, asked = slice(None, None, SPARSE), np.logical_or.reduceat(fast, np.arange(0, len(fast), SPARSE))
+            limit_mps = forecast.max_speed_mps(np.asarray(rate[some]), place[some], reached_s[some], asked)
+            fast &= speed_mps > (1.0 + SLACK) * np.maximum(np.repeat(limit_mps, SPARSE)[: len(fast)], self.blind_speed_mps)
         return fast
 
     def sees(self, way: FloatArray, yaw_rad: FloatArray, pitch_down_rad: FloatArray, share: float = SHARE) -> BoolArray:
@@ -168,10 +228,13 @@ class YawAlongPath:
         cos, sin = np.cos(pitch_down_rad), np.sin(pitch_down_rad)
         return cos * ahead - sin * way[:, 2], aside, -sin * ahead - cos * way[:, 2]
 
-    def _ahead(self, way: FloatArray, begin: FloatArray, goal: FloatArray) -> FloatArray:
+    def _ahead(
+        self, way: FloatArray, begin: FloatArray, goal: FloatArray, turns_m: float, turns_to_view_m: float
+    ) -> FloatArray:
         """Return the vertices with the nose first.
 
-        At the start of each edge the nose turns no farther than it has to. Where the last edge ends it turns to the view.
+        At the start of each edge, within turns_m, the nose turns no farther than it has to. Where the last edge ends, within
+        turns_to_view_m, it turns to the view.
         """
         off_rad = self.off_rad
         yaw_rad, places, yaws = float(begin[3]), [way[0]], [float(begin[3])]
@@ -180,23 +243,60 @@ class YawAlongPath:
             if math.hypot(step[0], step[1]) >= SHORT_M:
                 off = math.remainder(math.atan2(step[1], step[0]) - yaw_rad, math.tau)
                 yaw_rad += math.copysign(max(abs(off) - off_rad, 0.0), off)
-            places += [here + step * _share(step), there]
+            places += [here + step * _share(step, turns_m), there]
             yaws += [yaw_rad, yaw_rad]
         end = places[-1] - way[-2]
-        places.insert(-1, places[-1] - end * _share(end))
+        places.insert(-1, places[-1] - end * _share(end, turns_to_view_m))
         yaws.append(yaw_rad + math.remainder(goal[3] - yaw_rad, math.tau))
         length_m = np.cumsum(np.linalg.norm(np.diff(places, axis=0), axis=1))
         pitch_rad = begin[4] + length_m / length_m[-1] * (goal[4] - begin[4])
         return np.column_stack([places[1:], yaws[1:], pitch_rad])
 
-    def _duration_s(self, vertex: FloatArray) -> float:
-        """Estimate the duration of a polyline (M, 5).
+    def _passed(self, vertex: FloatArray, forecast: SightForecast | None) -> PathPass:
+        """Estimate how a polyline (M, 5) is passed.
 
-        Each edge takes the longer of its flying and its turning time.
+        Each piece takes the longer of its flying and its turning time, and speed changes with ACCELERATION_MPS2. The ages are
+        those of a pass at the usual speed first, and then those of the pass that follows from them, which may be slower.
         """
-        step, middle = np.diff(vertex, axis=0), 0.5 * (vertex[1:] + vertex[:-1])
-        speed_mps = np.minimum(self.max_speed_mps(step, middle), USUAL_SHARE * self.speed_mps)
-        return float(np.maximum(np.linalg.norm(step[:, :3], axis=1) / speed_mps, np.abs(step[:, 3]) / self.rate_radps).sum())
+        step = np.diff(vertex, axis=0)
+        length_m = np.linalg.norm(step[:, :3], axis=1)
+        pieces = np.maximum(np.ceil(np.maximum(length_m / SAMPLE_M, np.abs(step[:, 3]) / SAMPLE_RAD)), 1.0).astype(np.int64)
+        edge = np.repeat(np.arange(len(pieces)), pieces)
+        share = (np.arange(len(edge)) - np.repeat(np.cumsum(pieces) - pieces, pieces) + 0.5) / pieces[edge]
+        place, step, piece_m = vertex[edge] + share[:, None] * step[edge], step[edge], (length_m / pieces)[edge]
+        turning_s = (np.abs(step[:, 3]) / pieces[edge]) / self.rate_radps
+        begin_s = 0.0 if forecast is None else forecast.end_s
+        piece_s = np.maximum(piece_m / (USUAL_SHARE * self.speed_mps), turning_s)
+        limit_mps = np.full(len(place), np.inf)
+        for _ in range(1 if forecast is None else 2):
+            limit_mps = np.minimum(limit_mps, self.max_speed_mps(step, place, forecast, begin_s + np.cumsum(piece_s)))
+            piece_s = self._piece_s(limit_mps, piece_m, turning_s)
+        felt_s = float(np.sum(np.where(np.isfinite(limit_mps), PREFERRED, 1.0) * piece_s))
+        return PathPass(place, begin_s + np.cumsum(piece_s), felt_s)
+
+    def _piece_s(self, limit_mps: FloatArray, piece_m: FloatArray, turning_s: FloatArray) -> FloatArray:
+        """Return the time (M,) of each piece of a path.
+
+        Speeds change with ACCELERATION_MPS2.
+        """
+        speed_mps = np.minimum(np.minimum(limit_mps, USUAL_SHARE * self.speed_mps), piece_m / np.maximum(turning_s, 1e-6))
+        spared = 2.0 * ACCELERATION_MPS2 * np.cumsum(piece_m)
+        speed2 = np.minimum.accumulate(speed_mps**2 - spared) + spared
+        speed2 = np.minimum.accumulate((speed2 + spared)[::-1])[::-1] - spared
+        return np.asarray(np.maximum(piece_m / np.sqrt(np.maximum(speed2, 1e-6)), turning_s))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PathPass:
+    """An estimated pass along a path.
+
+    place: (M, 5) positions. reached_s: (M,) instants at which they are reached. felt_s: duration, in which flight where the
+    camera does not look counts PREFERRED times.
+    """
+
+    place: FloatArray
+    reached_s: FloatArray
+    felt_s: float
 
 
 def yaw_policy_of(config: Config) -> YawPolicy:
@@ -205,7 +305,16 @@ def yaw_policy_of(config: Config) -> YawPolicy:
     if safety.blind_speed_mps >= safety.max_speed_mps:
         return AT_VIEWS
     half_tan = (math.tan(math.radians(camera.horizontal_fov_deg) / 2), math.tan(math.radians(camera.vertical_fov_deg) / 2))
-    return YawAlongPath(half_tan, BLIND_SHARE * safety.blind_speed_mps, motion.speed_mps, math.radians(motion.yaw_rate_degps))
+    limit = SightSpeedLimit(
+        full_speed_mps=BLIND_SHARE * safety.max_speed_mps,
+        blind_speed_mps=BLIND_SHARE * safety.blind_speed_mps,
+        blind_fresh_s=safety.blind_fresh_s,
+        blind_stale_s=safety.blind_stale_s,
+        blind_memory_s=safety.blind_memory_s,
+    )
+    stopping_m = min(motion.speed_mps, safety.max_speed_mps) ** 2 / (2.0 * safety.max_acceleration_mps2)
+    hull = EnteredHull(safety.vehicle_radius_m, stopping_m)
+    return YawAlongPath(half_tan, limit, hull, motion.speed_mps, math.radians(motion.yaw_rate_degps))
 
 
 def leaning(way: FloatArray, change_mps2: FloatArray) -> FloatArray:
@@ -228,5 +337,12 @@ def leaning(way: FloatArray, change_mps2: FloatArray) -> FloatArray:
     )
 
 
-def _share(step: FloatArray) -> float:
-    return min(0.3, TURNS_IN_M / float(np.linalg.norm(step)))
+def _share(step: FloatArray, turns_m: float) -> float:
+    length_m = float(np.linalg.norm(step))
+    return min(0.3 if turns_m <= TURNS_IN_M else 0.45, turns_m / length_m)
+
+
+def _evenly(way: FloatArray, begin: FloatArray, goal: FloatArray) -> FloatArray:
+    """Return the vertices (M, 5) of a leg with each angle changed in proportion to the length."""
+    along_m = np.cumsum(np.sqrt(np.sum(np.diff(way, axis=0) ** 2, axis=1)))
+    return np.hstack([way[1:], begin[3:] + (along_m / along_m[-1])[:, None] * (goal[3:] - begin[3:])])

@@ -10,7 +10,7 @@ from uav_recon.planning.free_space.flyable_space import FlyableSpace
 from uav_recon.planning.free_space.subvoxel_clearance import CLEAR, blocking_voxel
 from uav_recon.types.frames import FloatArray, IntArray
 from uav_recon.types.maps import VoxelMap
-from uav_recon.types.tasks import Task
+from uav_recon.types.tasks import Task, Viewpoint
 
 MIN_SEEN = 10  # frontier cells; a view of fewer is not worth a stop
 
@@ -32,6 +32,13 @@ class CandidateView:
     def with_gain(self, gain: float) -> CandidateView:
         """Return a copy with another gain."""
         task = Task(self.task.kind, self.task.centroid_world, self.task.viewpoint, float(gain))
+        return CandidateView(task, self.place, self.promised, self.view_cosine)
+
+    def with_heading(self, yaw_rad: float) -> CandidateView:
+        """Return a copy with another heading of its view."""
+        view = self.task.viewpoint
+        turned = Viewpoint(view.position_world, yaw_rad, view.pitch_down_rad)
+        task = Task(self.task.kind, self.task.centroid_world, turned, self.task.gain)
         return CandidateView(task, self.place, self.promised, self.view_cosine)
 
 

@@ -62,17 +62,17 @@ class NarrowPassagePlanner:
     def plan(self, request: PlanRequest) -> ViewPath | NothingLeft:
         """Return the usual planner's result, or a narrow path to the nearest opening if it has none.
 
-        A narrow path is planned only while the vehicle rests.
+        If there is none either, views that show little are planned. Both only while the vehicle rests.
         """
         start_s, moving = self._timer(), bool(request.velocity_world_mps.any())
         if moving and self._squeezing:
             return NothingLeft(ON_A_NARROW_WAY, 0.0, 0.0)
         answer = self._planner.plan(request)
-        if isinstance(answer, ViewPath) or moving or request.views_left <= 0 or not self._planner.explores:
+        if isinstance(answer, ViewPath) or moving or request.views_left <= 0:
             return answer
-        found = self._nearest(request, self._openings, self._clearance_m, start_s)
+        found = self._nearest(request, self._openings, self._clearance_m, start_s) if self._planner.explores else None
         if found is None:
-            return answer
+            return self._planner.plan_least(request) or answer
         self._offered = found
         return found[0]
 

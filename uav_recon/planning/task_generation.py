@@ -73,13 +73,16 @@ class TaskSource(Protocol):
 class ClusterTasks:
     """The paper's task source: the best view of each frontier and surface cluster.
 
-    Surface tasks are generated only in merged mode.
+    Surface tasks are generated only in merged mode. min_unknown: unknown voxels that a view of a frontier must promise.
 
     Difference from the paper: surface gets the views that the frontiers leave, most uncertain surface first.
     """
 
-    def __init__(self, config: PlannerConfig, variant: Variant, views: FrontierViews, surfaces: SurfaceViews) -> None:
+    def __init__(
+        self, config: PlannerConfig, variant: Variant, views: FrontierViews, surfaces: SurfaceViews, min_unknown: int = 0
+    ) -> None:
         self._variant = variant
+        self._min_unknown = min_unknown
         self._explores = TaskKind.EXPLORE in variant.kinds
         self._end_factor = config.end_factor
         self._views = views
@@ -128,8 +131,8 @@ class ClusterTasks:
             return [], 0
         found = self._views.update(situation.voxels, situation.space, frontiers, situation.position_world)
         gains = frontiers.beyond(situation.voxels, [one.promised for one in found.proposals])
-        tasks = [one.with_gain(gain) for one, gain in zip(found.proposals, gains.tolist(), strict=True)]
-        return tasks, found.openings_later
+        worth = zip(found.proposals, gains.tolist(), strict=True)
+        return [one.with_gain(gain) for one, gain in worth if gain >= self._min_unknown], found.openings_later
 
 
 def _is_opening(proposal: CandidateView) -> bool:

@@ -23,7 +23,7 @@ from uav_recon.planning.free_space import flyable_space as space
 from uav_recon.planning.free_space.flyable_space import FlyableSpace
 from uav_recon.planning.frontier import frontier_views as views
 from uav_recon.planning.frontier import rejection_counts
-from uav_recon.planning.frontier.frontier_views import FrontierViews
+from uav_recon.planning.frontier.frontier_views import LEAST, FrontierViews
 from uav_recon.planning.frontier.frontiers import Frontiers, fence_box
 from uav_recon.planning.frontier.rejection_counts import count_rejected_frontiers
 from uav_recon.planning.paths import segments
@@ -37,6 +37,7 @@ from uav_recon.planning.task_generation import ClusterTasks, GainField, Generate
 from uav_recon.planning.tour import atsp, travel_time
 from uav_recon.planning.tour.travel_time import TravelTimeModel, YawWhileFlying, time_costs
 from uav_recon.planning.variants import Variant, variant
+from uav_recon.planning.view_headings import suited_to_path
 from uav_recon.planning.view_history import ViewHistory
 from uav_recon.types.argument_checks import require_box, require_kind, require_number, require_pose
 from uav_recon.types.frames import FloatArray, IntArray
@@ -49,6 +50,8 @@ from uav_recon.types.tasks import NothingLeft, PlanMode, PlanRequest, TaskKind, 
 
 TOY_CAMERA = CameraGeometry(1.5, 1.0, np.zeros(3), -1.0, 1.0, 4.5)  # for warm_up()
 TOY_CONFIG = PlannerConfig(clearance_m=0.3)
+LEAST_UNKNOWN = 25  # voxels beyond the frontier that a last view must promise: a gap in a surface has fewer
+LEAST_VISIBLE_SHARE = 0.4  # of planner.min_visible: surface elements that a last view must show
 SAME_SHARE = 0.5  # a task is dropped if the committed view settles this share of its voxels
 
 
@@ -90,6 +93,8 @@ class ViewPlanner:
         self.frontiers = Frontiers()
         self.view_history = ViewHistory()
         self._frame: tuple[object, ...] = ()
+        self._least: TaskSource | None = None  # made when first needed
+        self._asked: tuple[PlanRequest, PlanningContext] | None = None
         self._offered: tuple[ViewPath, tuple[CandidateView, ...]] | None = None
 
     @classmethod
@@ -136,7 +141,26 @@ class ViewPlanner:
         situation = self._look(request)
         if isinstance(situation, Reason):
             return self._nothing(situation, start_s, start_s)
-        harvest = self._source.propose(
+        self._asked = request, situation
+        return self._choose(self._source, request, situation, start_s)
+
+    def plan_least(self, request: PlanRequest) -> ViewPath | None:
+        """Choose views that show less than plan() asks for; None if there are none.
+
+        request: that of the last plan(), which found nothing.
+        """
+        if self._asked is None or self._asked[0] is not request or self._variant.views != "clusters":
+            return None
+        if self._least is None:
+            self._least = _least_source(self.config, self._variant, self.camera)
+        found = self._choose(self._least, request, self._asked[1], self._timer())
+        return found if isinstance(found, ViewPath) else None
+
+    def _choose(
+        self, source: TaskSource, request: PlanRequest, situation: PlanningContext, start_s: float
+    ) -> ViewPath | NothingLeft:
+        """Return the tour over the tasks of a source."""
+        harvest = source.propose(
             TaskQuery(
                 situation, self.frontiers, self._ways, request.surface, self.view_history.surface_looks, request.views_left
             )
@@ -148,8 +172,9 @@ class ViewPlanner:
         if not order:
             return self._nothing(self._why(situation, dropped), start_s, tasks_made_s)
         nodes = self._within_horizon(order, harvest.widening)
-        path = self._path(request, harvest, tasks, nodes, start_s, tasks_made_s)
-        self._offered = path, tuple(tasks[node - 1] for node in nodes)
+        views = self._turned_to_path(request, [tasks[node - 1] for node in nodes], nodes, len(committed))
+        path = self._path(request, harvest, views, nodes, start_s, tasks_made_s)
+        self._offered = path, tuple(views)
         return path
 
     def plan_views(
@@ -246,19 +271,37 @@ class ViewPlanner:
         travelled_m = np.cumsum([lengths_m[i, j] for i, j in zip([0, *order[:-1]], order, strict=True)])
         return order[: max(1, int(np.searchsorted(travelled_m, self.config.horizon_m * widening, side="right")))]
 
+    def _legs(self, nodes: list[int]) -> tuple[FloatArray, ...]:
+        """Return the waypoints (N, 3) of the leg to each node of a tour."""
+        return tuple(self._ways.path_world(i, j) for i, j in zip([0, *nodes[:-1]], nodes, strict=True))
+
+    def _turned_to_path(
+        self, request: PlanRequest, views: list[CandidateView], nodes: list[int], committed: int
+    ) -> list[CandidateView]:
+        """Return the views with headings that suit the path.
+
+        A view that is being flown to keeps its heading.
+        """
+        grid = request.voxels.grid
+        lens, yaw_rad = self.camera.lens(grid.resolution_m, self.camera.range_m), request.yaw_rad
+        if committed:
+            yaw_rad = views[0].task.viewpoint.yaw_rad
+        legs = self._legs(nodes)[committed:]
+        return views[:committed] + suited_to_path(views[committed:], legs, yaw_rad, lens, grid.shape)
+
     def _path(
         self,
         request: PlanRequest,
         harvest: GeneratedTasks,
-        tasks: Sequence[CandidateView],
+        views: Sequence[CandidateView],
         nodes: list[int],
         start_s: float,
         tasks_made_s: float,
     ) -> ViewPath:
-        chosen = tuple(tasks[node - 1].task for node in nodes)
+        chosen = tuple(view.task for view in views)
         return ViewPath(
             viewpoints=tuple(task.viewpoint for task in chosen),
-            waypoints_world=tuple(self._ways.path_world(i, j) for i, j in zip([0, *nodes[:-1]], nodes, strict=True)),
+            waypoints_world=self._legs(nodes),
             mode=harvest.mode,
             map_revision=request.voxels.revision,
             map_epoch=request.voxels.map_epoch,
@@ -299,6 +342,13 @@ def _source(config: PlannerConfig, made_of: Variant, camera: CameraGeometry) -> 
     if made_of.views == "field":
         return GainField(FieldViews(config, camera), views)
     return ClusterTasks(config, made_of, views, SurfaceViews(config, camera))
+
+
+def _least_source(config: PlannerConfig, made_of: Variant, camera: CameraGeometry) -> TaskSource:
+    """Return the source of the tasks that are flown before the flight ends with views left."""
+    less = config.model_copy(update={"min_visible": max(round(LEAST_VISIBLE_SHARE * config.min_visible), 1)})
+    views = FrontierViews(config, camera, LEAST)
+    return ClusterTasks(less, made_of, views, SurfaceViews(less, camera), min_unknown=LEAST_UNKNOWN)
 
 
 def _drop_duplicate_tasks(committed: list[CandidateView], proposals: list[CandidateView]) -> list[CandidateView]:

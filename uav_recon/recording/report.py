@@ -53,6 +53,20 @@ class ReportOdometry:
 
 
 @dataclass(frozen=True, slots=True)
+class ReportUnseen:
+    """Space of the room that the flight left unknown.
+
+    upper_share, lower_share: of the room above and below split_m over the floor. text: reason and remedy in one sentence; ''
+    if the shares are small.
+    """
+
+    upper_share: float
+    lower_share: float
+    split_m: float
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
 class MedianP95:
     """Median and 95th percentile of a quantity, in its unit."""
 
@@ -119,6 +133,7 @@ class Report:
     end, for a drift of the pose source; '' for none.
     rejected_by_perception: depth frames, poses and inertial samples that perception rejected, by reason; None if it published
     no counts. camera: its streams, and what was wrong with it, as texts. odometry: against the true path; None without it.
+    unseen: space that the flight left unknown; None without a map, and in reports from before it was measured.
     """
 
     scene: str
@@ -151,11 +166,17 @@ class Report:
     correction: str = ""
     camera: tuple[str, ...] = ()
     odometry: ReportOdometry | None = None
+    unseen: ReportUnseen | None = None
 
     @property
     def completed(self) -> bool:
         """True if the mission completed."""
         return self.outcome == "completed"
+
+    @property
+    def headline(self) -> str:
+        """The outcome, with what was left unseen if that is much."""
+        return f"{self.outcome}, but {self.unseen.text}" if self.unseen is not None and self.unseen.text else self.outcome
 
     def times_oracle(self, recall: str) -> float | None:
         """Return the time to one of TIMED_RECALLS over the oracle's; None if either is unknown."""

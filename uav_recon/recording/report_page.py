@@ -56,6 +56,8 @@ def verdict(report: Report) -> tuple[str, str]:
         return f"Completed, but with {_count(report.safety.contacts, 'contact')}", "bad"
     if report.safety.failsafes:
         return f"Completed, with {_count(report.safety.failsafes, 'failsafe')}", "fair"
+    if report.unseen is not None and report.unseen.text:
+        return report.headline[:1].upper() + report.headline[1:], "fair"
     return "Completed" + (" without contact" if report.safety.contacts == 0 else ""), "good"
 
 
@@ -108,6 +110,7 @@ def _tiles(report: Report) -> str:
         ("explored", _percent(report.explored_fraction), "of the space that can be seen"),
         ("views", str(report.views), "given to the model"),
         ("flight", f"{minutes}:{seconds:02d}", f"minutes, {report.path_length_m:.1f} m of path"),
+        *_unseen(report),
         ("clearance", _number(safety.min_clearance_m, 2, " m"), "smallest, hull to anything"),
     ]
     if quality is not None:
@@ -119,6 +122,13 @@ def _tiles(report: Report) -> str:
         ]
     cells = "".join(f"<div><h3>{name}</h3><b>{value}</b><p>{what}</p></div>" for name, value, what in tiles)
     return f'<section class="tiles">{cells}</section>'
+
+
+def _unseen(report: Report) -> list[tuple[str, str, str]]:
+    """Return a tile with the unknown share of the upper part of the room."""
+    if report.unseen is None:
+        return []
+    return [("unseen", _percent(report.unseen.upper_share), f"of the room above {report.unseen.split_m:g} m")]
 
 
 def _figures(pictures: Sequence[Picture], kind: str) -> str:

@@ -19,6 +19,7 @@ from uav_recon.safety.setpoint_continuity import ClearedMotion, ContinuityCheck
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
+from uav_recon.types.sight_speed_limit import SightSpeedLimit, entered_points
 from uav_recon.types.trajectory import Refusal, Setpoint
 
 _MAKER = object()
@@ -86,8 +87,9 @@ class GuardBounds:
 
     silence_way_m: longest path since the mission's last message, including the braking from here. depth_timeout_s: oldest
     depth in motion. blind_speed_mps: fastest motion where the camera does not look, and then only through what it saw lately;
-    if it equals the envelope's speed, neither is required. retreat_speed_mps: fastest motion on the retreat and with a
-    degraded pose.
+    if it equals the envelope's speed, neither is required. blind_fresh_s, blind_stale_s: ages of the last free sight between
+    which the limit there falls from the envelope's speed to blind_speed_mps. retreat_speed_mps: fastest motion on the retreat
+    and with a degraded pose.
     """
 
     pose_timeout_s: float
@@ -95,6 +97,8 @@ class GuardBounds:
     silence_way_m: float
     depth_timeout_s: float
     blind_speed_mps: float
+    blind_fresh_s: float
+    blind_stale_s: float
     retreat_speed_mps: float
     margins: Margins
 
@@ -106,6 +110,13 @@ class Guard:
         self.envelope = envelope
         self.bounds = bounds
         self._sight = sight
+        self._sight_limit = SightSpeedLimit(
+            full_speed_mps=envelope.max_speed_mps,
+            blind_speed_mps=bounds.blind_speed_mps,
+            blind_fresh_s=bounds.blind_fresh_s,
+            blind_stale_s=bounds.blind_stale_s,
+            blind_memory_s=sight.memory_s,
+        )
         self._last: ClearedMotion | None = None
         self._steps = ContinuityCheck()
         self._rest_until_s = -math.inf
@@ -228,11 +239,21 @@ class Guard:
         asked = not retreating and bounds.blind_speed_mps < self.envelope.max_speed_mps
         if not asked or ahead.sees(direction_body) or self.envelope.in_column(motion.position_m):
             return None
-        if not speed_mps <= bounds.blind_speed_mps + 1e-6:
-            return Reason(ReasonCode.SPEED_OUT_OF_VIEW, (speed_mps,))
-        x, y, z = (np.array(motion.position_m) + direction * self._sight.reach_m).tolist()
-        seen = self._sight.saw_free((x, y, z), situation.now_s)
-        return None if seen else Reason(ReasonCode.NOT_SEEN_RECENTLY, (x, y, z))
+        return self._sight_fault(motion, direction, speed_mps, situation.now_s)
+
+    def _sight_fault(self, motion: ClearedMotion, direction: FloatArray, speed_mps: float, now_s: float) -> Reason | None:
+        """Check the speed outside the view by the age of the last free sight.
+
+        It is that of the space that the hull enters until it stands.
+        """
+        place_m, reach_m = np.array(motion.position_m), self._sight.reach_m
+        if speed_mps > self.bounds.blind_speed_mps + 1e-6:
+            stopping_m = np.array([speed_mps**2 / (2.0 * self.envelope.max_acceleration_mps2)])
+            hull = entered_points(place_m[None], direction[None], stopping_m, self._sight.radius_m, reach_m)
+            limit_mps = self._sight_limit.at(self._sight.ages_s(hull[0], now_s)).min()
+            return None if speed_mps <= limit_mps + 1e-6 else Reason(ReasonCode.SPEED_OUT_OF_VIEW, (speed_mps,))
+        x, y, z = (place_m + direction * reach_m).tolist()
+        return None if self._sight.saw_free((x, y, z), now_s) else Reason(ReasonCode.NOT_SEEN_RECENTLY, (x, y, z))
 
     def _brake(self, situation: GuardInputs) -> Setpoint:
         """Slow down along the last cleared velocity within the acceleration limit, then hold."""

@@ -22,8 +22,8 @@ class RecentlySeenSpace:
     """The last views, each with its cells' nearest returns, and the past positions of the hull."""
 
     def __init__(self, *, blind_memory_s: float, vehicle_radius_m: float) -> None:
-        self._memory_s = blind_memory_s
-        self._radius_m = vehicle_radius_m
+        self.memory_s = blind_memory_s
+        self.radius_m = vehicle_radius_m
         self.reach_m = vehicle_radius_m + _BEFORE_M  # from the body's centre to what the hull reaches next
         self._count = 0
         self._stamp_s = np.full(_VIEWS, -math.inf)
@@ -38,7 +38,7 @@ class RecentlySeenSpace:
         if self._range_m.shape[1:] != nearby.range_m.shape:
             self._range_m = np.zeros((_VIEWS, *nearby.range_m.shape))
             self._stamp_s[:] = -math.inf
-        if nearby.stamp_s - self._stamp_s[self._count % _VIEWS - 1] < self._memory_s / _VIEWS:
+        if nearby.stamp_s - self._stamp_s[self._count % _VIEWS - 1] < self.memory_s / _VIEWS:
             return
         n = self._count % _VIEWS
         self._count = self._count + 1
@@ -54,11 +54,20 @@ class RecentlySeenSpace:
 
     def saw_free(self, place_m: Vec3, now_s: float) -> bool:
         """Return True if a view within the memory saw past this position, or the hull was there."""
-        fresh = now_s - self._stamp_s <= self._memory_s
-        if bool(np.any(fresh & (np.linalg.norm(self._body_m - place_m, axis=1) <= self._radius_m))):
-            return True
-        seen = np.einsum("nij,nj->ni", self._depth_from_odom, np.array(place_m) - self._place_m)
-        inside, v, u = in_view(seen, self._half_tan, self._range_m.shape)
-        (n,) = np.nonzero(fresh & inside)
-        nearest = self._range_m[n, v[n].astype(int), u[n].astype(int)]
-        return bool(np.any(np.linalg.norm(seen[n], axis=1) <= nearest - _BEFORE_M))
+        return bool(np.isfinite(self.ages_s(np.array([place_m]), now_s)[0]))
+
+    def ages_s(self, places_m: FloatArray, now_s: float) -> FloatArray:
+        """Return the ages (N,) of the newest views that saw past positions (N, 3) or were there.
+
+        Infinity where no view within the memory did.
+        """
+        fresh = np.flatnonzero(now_s - self._stamp_s <= self.memory_s)
+        off_m = places_m[None] - self._body_m[fresh, None]
+        there = np.einsum("vni,vni->vn", off_m, off_m) <= self.radius_m**2
+        seen = np.einsum("vij,vnj->vni", self._depth_from_odom[fresh], places_m[None] - self._place_m[fresh, None])
+        inside, row, column = in_view(seen, self._half_tan, self._range_m.shape)
+        view, n = np.nonzero(inside)
+        nearest = self._range_m[fresh[view], row[view, n].astype(int), column[view, n].astype(int)]
+        there[view, n] |= np.linalg.norm(seen[view, n], axis=1) <= nearest - _BEFORE_M
+        age_s = np.where(there, (now_s - self._stamp_s[fresh])[:, None], math.inf)
+        return np.asarray(np.maximum(age_s.min(axis=0, initial=math.inf), 0.0))

@@ -211,6 +211,7 @@ class WallRig(SignedRig):
         return AllowListFilter(seal=open_signature(self._folder / "key", 1, self._folder / "stamps", self.clock, self.wall))
 
 
+@pytest.mark.nightly
 def test_a_wall_clock_that_is_set_in_flight_is_not_felt_by_a_signed_link(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

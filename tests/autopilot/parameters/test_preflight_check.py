@@ -122,6 +122,7 @@ def test_several_faults_are_counted() -> None:
     assert until_noted(rig) == Reason(ReasonCode.PARAMETER_DIFFERS, ("COM_OBL_RC_ACT", 0.0, "4", 3))
 
 
+@pytest.mark.nightly
 def test_nothing_is_asked_for_in_flight() -> None:
     rig = CheckedRig()
     rig.take_off_and_hover()
@@ -138,7 +139,10 @@ def told_of(rig: CheckedRig, name: str, value: float) -> bytes:
 
 @pytest.mark.parametrize(
     ("kind", "name", "value", "right"),
-    [(CheckedRig, "COM_OBL_RC_ACT", 0, 4), (CheckedArduRig, "FS_GCS_ENABLE", 0, 5)],
+    [
+        pytest.param(CheckedRig, "COM_OBL_RC_ACT", 0, 4, marks=pytest.mark.nightly),
+        (CheckedArduRig, "FS_GCS_ENABLE", 0, 5),
+    ],
 )
 def test_a_change_in_flight_is_held_for_and_told_until_it_is_taken_back(
     kind: type[CheckedRig], name: str, value: float, right: float

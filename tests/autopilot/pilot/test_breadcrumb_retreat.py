@@ -145,6 +145,7 @@ def test_as_far_as_can_be_flown_before_it_lands_it_is_the_whole_way() -> None:
     np.testing.assert_allclose(way.velocity_mps[-1], 0.0)
 
 
+@pytest.mark.nightly
 def test_after_a_kilometre_the_newest_breadcrumbs_lead_back() -> None:
     places = serpentine(6000)
     way = back(dropped(places), places[-1])

@@ -246,7 +246,9 @@ def flying(request: pytest.FixtureRequest, both_flown_up: dict[str, Rig]) -> Rig
     return copy.deepcopy(both_flown_up[request.param])
 
 
-@pytest.mark.parametrize("up_mps", [-0.5, -0.3, 0.3, 0.5])
+@pytest.mark.parametrize(
+    "up_mps", [pytest.param(-0.5, marks=pytest.mark.nightly), -0.3, pytest.param(0.3, marks=pytest.mark.nightly), 0.5]
+)
 def test_a_vertical_velocity_that_is_off_ends_the_flight_in_words(flying: Rig, up_mps: float) -> None:
     begin_s = flying.clock.now_s()
     flying.autopilot.estimator.velocity_error = (0.0, 0.0, -up_mps)
@@ -260,7 +262,7 @@ def test_a_vertical_velocity_that_is_off_ends_the_flight_in_words(flying: Rig, u
     assert not flying.autopilot.truth().armed
 
 
-@pytest.mark.parametrize("up_m", [-0.5, 0.5])
+@pytest.mark.parametrize("up_m", [-0.5, pytest.param(0.5, marks=pytest.mark.nightly)])
 def test_a_height_datum_that_moves_ends_the_flight_in_words(flying: Rig, up_m: float) -> None:
     begin_s = flying.clock.now_s()
     flying.autopilot.estimator.move_height_datum(up_m)

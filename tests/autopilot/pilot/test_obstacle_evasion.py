@@ -62,6 +62,8 @@ def _evasion(vehicle_radius_m: float) -> ObstacleEvasion:
                 silence_way_m=0.45,
                 depth_timeout_s=0.3,
                 blind_speed_mps=0.3,
+                blind_fresh_s=3.0,
+                blind_stale_s=10.0,
                 retreat_speed_mps=0.3,
                 margins=Margins(stop_clearance_m=0.1, fast_clearance_m=0.4),
             ),

@@ -229,6 +229,7 @@ def test_held_back_on_its_way_it_is_late_and_not_off_it(hovering: Rig) -> None:
     assert ReasonCode.OFF_PATH not in hovering.note_codes
 
 
+@pytest.mark.nightly
 def test_over_a_slow_link_it_is_flown_slowly(hovering: Rig) -> None:
     """Answers 0.3 s late: what moves fast is refused and people are told, until ten seconds after the link is quick again."""
     read, late = hovering.tap.read, list[tuple[float, bytes]]()

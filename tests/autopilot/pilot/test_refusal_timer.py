@@ -68,7 +68,7 @@ def test_two_moments_of_motion_are_no_motion() -> None:
     assert vain.refused_s > 8.0
 
 
-@pytest.mark.parametrize("period_s", [0.4, 0.55, 1.0, 4.0])
+@pytest.mark.parametrize("period_s", [1.0, *(pytest.param(s, marks=pytest.mark.nightly) for s in (0.4, 0.55, 4.0))])
 def test_a_mission_that_wants_nothing_but_what_is_refused_is_landed(hovering: Rig, period_s: float) -> None:
     begin_s, n, next_s = hovering.clock.now_s(), 10, -1.0
     while hovering.pilot.phase is FlightPhase.FLYING and hovering.clock.now_s() - begin_s < 30.0:

@@ -27,6 +27,7 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(seeded_views, "HELD_OUT_STRIDE", 16)
 
 
+@pytest.mark.nightly
 def test_scores_every_measure_on_every_partial_map(tmp_path: Path) -> None:
     written = tmp_path / "result.json"
     code, out, errors = bench("--after", "6,3", "--json", str(written))

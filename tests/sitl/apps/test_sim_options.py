@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
+import math
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from sitl.apps.sim import _same_variant
 from sitl.apps.sim_options import BUILT_IN_VIEWS, SCENE_VIEWS, SimOptions, UsageError
 from sitl.apps.world_process import WorldOptions
 from sitl.camera.camera_errors import DEFAULT_SCALE, CameraErrors
@@ -121,6 +124,7 @@ def test_the_fence_of_the_product_is_the_box_of_the_scene(tmp_path: Path) -> Non
     config = SimOptions.parse(views=33, seed=5, variant="merged", port=15000, uncertainty="paper").config(SCENE, tmp_path)
     assert config.safety.fence_min_m == (-1.0, -1.5, -0.1)
     assert config.safety.fence_max_m == (7.0, 1.5, 2.4)
+    assert config.localization.pad_heading_deg == pytest.approx(math.degrees(0.3)), "the fence has the axes of the scene"
     assert (config.mission.views, config.mapper.seed, config.planner.variant) == (33, 5, "merged")
     assert config.mapper.uncertainty == "paper"
     assert config.link.url == "udp:127.0.0.1:15000"
@@ -191,3 +195,23 @@ def test_vehicle_and_simulator_use_the_same_blind_speed(tmp_path: Path) -> None:
     flown = SimOptions.parse().config(SCENE, tmp_path).safety
     assert (vehicle.blind_speed_mps, vehicle.blind_memory_s) == (flown.blind_speed_mps, flown.blind_memory_s)
     assert flown.blind_speed_mps == 0.3
+
+
+def test_the_mount_follows_from_the_room_unless_it_is_given() -> None:
+    low, high = np.array([-1.7, -1.3, -0.1]), np.array([1.7, 1.3, 2.4])
+    small = dataclasses.replace(SCENE, fence_min=low, fence_max=high)
+    assert SimOptions.parse(mount="auto").with_mount_for(small).mount == "fixed:5"
+    assert SimOptions.parse(mount="auto").with_mount_for(small).mount_pitch_down_deg == 5.0
+    assert SimOptions.parse(mount="auto").with_mount_for(SCENE).mount == "fixed:15"
+    assert SimOptions.parse(mount="fixed:15").with_mount_for(small).mount == "fixed:15"
+    assert SimOptions.parse(mount="gimbal").with_mount_for(small).mount_pitch_down_deg is None
+
+
+@pytest.mark.parametrize(
+    ("variant", "mount", "equal"),
+    [("explore-yaw", "fixed:15", True), ("explore-yaw", "gimbal", False), ("explore", "fixed:15", False)],
+)
+def test_a_variant_that_equals_another_one_with_this_mount_is_named(variant: str, mount: str, equal: bool) -> None:
+    said = _same_variant(SimOptions.parse(variant=variant, mount=mount))
+    assert bool(said) == equal
+    assert not equal or "equals explore" in said

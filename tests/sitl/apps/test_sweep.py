@@ -38,6 +38,17 @@ def test_all_combinations_are_flown_before_the_next_seed() -> None:
     }
 
 
+def test_mounts_and_autopilots_are_combined_and_each_case_repeats_its_own() -> None:
+    options = SweepOptions.parse(
+        flights=6, scenes="built-in", mount="fixed:0,fixed:15,gimbal", autopilot="both", pose="corrected"
+    )
+    cases = list(options.cases())
+    assert {(case.mount, case.autopilot) for case in cases} == {
+        (mount, autopilot) for mount in ("fixed:0", "fixed:15", "gimbal") for autopilot in ("px4", "ardupilot")
+    }
+    assert "--mount gimbal --camera fast --autopilot ardupilot --camera-errors 1 --pose corrected" in cases[-1].command()
+
+
 @pytest.mark.parametrize(
     ("words", "named"),
     [
@@ -46,8 +57,14 @@ def test_all_combinations_are_flown_before_the_next_seed() -> None:
         ({"variants": "fast"}, "variants"),
         ({"camera": "d415"}, "camera"),
         ({"camera_errors": "many"}, "--camera-errors many: want none, default or a factor of 0 to 2"),
+        ({"autopilot": "cube"}, "--autopilot cube: want one of px4, ardupilot, both"),
+        ({"pose": "gps"}, "--pose gps: want one of stream, corrected, slam, autopilot"),
+        ({"mount": "gimbal,foo"}, "--mount foo: want gimbal, or fixed:DEG"),
         ({"mount": "foo"}, "--mount foo: want gimbal, or fixed:DEG"),
-        ({"scenes": "/nope"}, "--scenes /nope: no such scene; want random, random:SEED, built-in, a folder or a mesh file"),
+        (
+            {"scenes": "/nope"},
+            "--scenes /nope: no such scene; want random, small, random:SEED or small:SEED, built-in, a folder",
+        ),
         ({"scenes": ""}, "--scenes : no such scene"),
         ({"scenes": "random,"}, "--scenes : no such scene"),
         ({"scenes": "random:-1"}, "--scenes random:-1: no such scene"),
@@ -65,7 +82,7 @@ def test_a_failed_flight_is_recorded_with_its_seed() -> None:
     assert "no such scene" in record.error
     assert "Traceback" in record.trace
     assert "--scene /nowhere --seed 0" in record.case.command()
-    assert "--camera-errors 0 --views 8" in record.case.command()
+    assert "--camera-errors 0 --pose stream --views 8" in record.case.command()
 
 
 def test_the_cases_have_the_camera_errors_of_the_sweep_and_old_records_have_none() -> None:

@@ -1,4 +1,4 @@
-"""Generated flats: equal for equal seeds, closed, and with space to take off.
+"""Generated flats and small rooms: equal for equal seeds, closed, and with space to take off.
 
 Their sizes are within the documented limits.
 """
@@ -10,7 +10,7 @@ import itertools
 import numpy as np
 import pytest
 
-from sitl.scene.generated_rooms import AREA_M2, FREE_START_M, HEIGHT_M, generated_room
+from sitl.scene.generated_rooms import FLAT, FREE_START_M, KINDS, SMALL_ROOM, generated_room
 from sitl.scene.mesh import Mesh
 from sitl.scene.mesh_sampling import dense_points
 from sitl.scene.scene import SceneError, load_scene
@@ -35,11 +35,21 @@ def test_a_seed_gives_the_same_flat(flats: dict[int, tuple[Mesh, tuple[float, ..
 def test_sizes_are_within_the_documented_limits(flats: dict[int, tuple[Mesh, tuple[float, ...]]]) -> None:
     extents = np.array([np.ptp(mesh.vertices, axis=0) for mesh, _ in flats.values()])
     area = extents[:, 0] * extents[:, 1]
-    assert area.min() >= AREA_M2[0] - 0.01
-    assert area.max() <= AREA_M2[1] + 0.01
+    assert area.min() >= FLAT.area_m2[0] - 0.01
+    assert area.max() <= FLAT.area_m2[1] + 0.01
     assert np.ptp(area) > 15.0
-    assert (extents[:, 2] >= HEIGHT_M[0] - 1e-6).all()
-    assert (extents[:, 2] <= HEIGHT_M[1] + 1e-6).all()
+    assert (extents[:, 2] >= FLAT.height_m[0] - 1e-6).all()
+    assert (extents[:, 2] <= FLAT.height_m[1] + 1e-6).all()
+
+
+def test_a_small_room_is_small_and_holds_furniture() -> None:
+    for seed in SEEDS:
+        mesh, _ = generated_room(seed, fine=False, kind=SMALL_ROOM)
+        length, width, height = np.ptp(mesh.vertices.astype(np.float64), axis=0)
+        assert SMALL_ROOM.area_m2[0] - 0.01 <= length * width <= SMALL_ROOM.area_m2[1] + 0.01
+        assert min(length, width) >= SMALL_ROOM.narrowest_m - 1e-6
+        assert SMALL_ROOM.height_m[0] - 1e-6 <= height <= SMALL_ROOM.height_m[1] + 1e-6
+        assert len(mesh.faces) > 12 + 12, "more than the shell and one box"
 
 
 def test_the_outer_shell_is_closed(flats: dict[int, tuple[Mesh, tuple[float, ...]]]) -> None:
@@ -63,10 +73,11 @@ def test_there_is_room_to_take_off(flats: dict[int, tuple[Mesh, tuple[float, ...
         assert start[3] != 0.0
 
 
-def test_every_flat_is_a_scene_for_a_large_vehicle() -> None:
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_scene_has_room_for_a_large_vehicle(kind: str) -> None:
     for seed in SEEDS:
-        scene = load_scene(f"random:{seed}", radius_m=0.30, fine=False)
-        assert scene.name == f"random-{seed}"
+        scene = load_scene(f"{kind}:{seed}", radius_m=0.30, fine=False)
+        assert scene.name == f"{kind}-{seed}"
 
 
 def test_texture_does_not_change_the_shape() -> None:
@@ -78,7 +89,7 @@ def test_texture_does_not_change_the_shape() -> None:
         assert np.ptp(fine[0].vertices[:, axis]) == pytest.approx(np.ptp(coarse[0].vertices[:, axis]))
 
 
-@pytest.mark.parametrize("word", ["random:", "random:-1", "random:1.5", "random:x"])
+@pytest.mark.parametrize("word", ["random:", "random:-1", "random:1.5", "small:x"])
 def test_an_invalid_seed_is_an_error(word: str) -> None:
-    with pytest.raises(SceneError, match="SEED"):
+    with pytest.raises(SceneError, match=f"{word.partition(':')[0]}:SEED with"):
         load_scene(word)

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 import re
@@ -10,7 +11,7 @@ import pytest
 import trimesh
 
 from sitl.scene.mesh import Mesh, joined
-from sitl.scene.scene import SceneError, load_scene, scene_from_mesh
+from sitl.scene.scene import SceneError, free_height_m, load_scene, scene_from_mesh
 
 SHARED = Path(__file__).resolve().parents[4] / "shared" / "scenes"
 START = (2.0, 2.0, 0.5, 90.0)
@@ -73,6 +74,16 @@ def test_start_needs_a_free_column(low: tuple[float, float, float], high: tuple[
 def test_start_close_to_a_wall_is_blocked() -> None:
     with pytest.raises(SceneError, match=r"blocked.*0\.30 m from its axis"):
         scene_from_mesh("box", ROOM, (0.3, 2, 0.5, 0), None)
+
+
+def test_the_column_above_the_pad_is_free_up_to_the_ceiling_or_a_lamp() -> None:
+    empty = scene_from_mesh("box", ROOM, START, None)
+    lamp = scene_from_mesh("lamp", with_obstacle((2.3, 1.9, 1.9), (2.6, 2.1, 2.3)), START, None)
+    assert free_height_m(empty, 0.5) == pytest.approx(2.4)
+    assert free_height_m(lamp, 0.5) == pytest.approx(1.8)
+    assert free_height_m(lamp, 0.25) == pytest.approx(2.4)
+    bare = dataclasses.replace(empty, faces=empty.faces[:0])
+    assert free_height_m(bare, 0.5) == pytest.approx(2.4), "where there is no surface the fence is the limit"
 
 
 def test_an_open_scene_needs_a_fence() -> None:

@@ -74,18 +74,19 @@ class ClusterTable:
         """
         weigh(state, faces, low, high, asked, self.head, self.after, self.count, self.start, self.pool, self.beyond)
 
-    def nearest(self, place: FloatArray, most: int) -> IntArray:
+    def nearest(self, place: FloatArray, most: int, *, specks: bool = False) -> IntArray:
         """Return the rows of the ``most`` clusters nearest to a position (3,), voxels.
 
         Ties are ordered by key, so that the order depends on the map only. A cluster with less than OPENING voxels beyond
-        it counts as FARTHER voxels farther away.
+        it counts as FARTHER voxels farther away. specks: those count too.
         """
-        return _nearest(self.head, self.after, self.count, self.speck, self.key, self.centre, self.beyond, place, most)
+        skipped = np.zeros_like(self.speck) if specks else self.speck
+        return _nearest(self.head, self.after, self.count, skipped, self.key, self.centre, self.beyond, place, most)
 
-    @property
-    def size(self) -> int:
-        """Return the number of clusters without specks."""
-        return int(np.count_nonzero((self.count > 0) & (self.speck == 0)))
+    def size(self, *, specks: bool = False) -> int:
+        """Return the number of clusters. specks: those count too."""
+        used = self.count > 0
+        return int(np.count_nonzero(used if specks else used & (self.speck == 0)))
 
     def _more_rows(self) -> None:
         old = len(self.count)

@@ -39,6 +39,21 @@ class Flyable(Reach, Protocol):
         """Return the clearance box (7,); see subvoxel_clearance.clearance_box()."""
 
 
+@dataclass(frozen=True, slots=True)
+class ViewDemand:
+    """The demand that a view of a frontier must meet to be worth a stop.
+
+    min_cells: frontier cells that it shows. specks: clusters of few connected cells are viewed too.
+    """
+
+    min_cells: int
+    specks: bool = False
+
+
+USUAL = ViewDemand(MIN_SEEN)
+LEAST = ViewDemand(3, specks=True)  # of the last views before home
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class FrontierProposals:
     """Tasks for frontiers, nearest cluster first.
@@ -61,9 +76,10 @@ class FrontierViews:
     _centre: FloatArray
     _tasks: dict[int, tuple[tuple[IntArray, ...], CandidateView]]
 
-    def __init__(self, config: PlannerConfig, camera: CameraGeometry) -> None:
+    def __init__(self, config: PlannerConfig, camera: CameraGeometry, demand: ViewDemand = USUAL) -> None:
         self._config = config
         self._camera = camera
+        self._demand = demand
         self._plans = 0
         self._tiles = ReachableTiles()
         self._start(np.zeros((0, 0, 0), dtype=np.uint8), 1.0)
@@ -75,16 +91,16 @@ class FrontierViews:
         to date with ``voxels``. The tour executes only the first few metres, so distant clusters can wait. A cluster
         without a reachable voxel in range of a view has no view and is not searched.
         """
-        grid = voxels.grid
+        grid, specks = voxels.grid, self._demand.specks
         self._keep_map(frontiers, grid.resolution_m)
         self._plans += 1
         here = (position_world - grid.origin_world_m) / grid.resolution_m
-        lens, total = self._camera.lens(grid.resolution_m, self._camera.range_m), len(frontiers)
+        lens, total = self._camera.lens(grid.resolution_m, self._camera.range_m), frontiers.table.size(specks=specks)
         found: list[int] = []
         without, later, asked, wanted = 0, 0, 0, min(BATCH, total)
         searches = SEARCHES * max(1, voxels.revision - self._revision)
         self._revision = voxels.revision
-        nearest = frontiers.table.nearest(here, wanted)
+        nearest = frontiers.table.nearest(here, wanted, specks=specks)
         while asked < wanted:
             clusters = nearest[asked:wanted]
             before, asked = asked, wanted
@@ -106,10 +122,11 @@ class FrontierViews:
             if not found and asked < total:
                 if not before:
                     self._tiles.update(space)
-                    nearest = frontiers.table.nearest(here, total)
+                    nearest = frontiers.table.nearest(here, total, specks=specks)
                 wanted = min(2 * wanted, wanted + MAX_MORE, total)
         openings_later = frontiers.openings - int(np.count_nonzero(frontiers.table.beyond[nearest[:asked]] >= OPENING))
-        return FrontierProposals(self._proposals(voxels, space, found, lens), without, total - asked + later, openings_later)
+        proposals = self._proposals(voxels, space, found, lens)
+        return FrontierProposals(proposals, without, total - asked + later, max(openings_later, 0))
 
     def reasons(self, voxels: VoxelMap, space: Flyable, frontiers: Frontiers) -> Counter[ReasonCode]:
         """Count the clusters without a view, by reason.
@@ -132,7 +149,7 @@ class FrontierViews:
         """
         keys = frontiers.table.key[clusters].tolist()
         held = self.table.holding(keys, voxels.distance2, space.reachable, frontiers.closed, space.reachable_revision)
-        self.table.used[[row for row in held if row >= 0 and self.table.shown[row] >= MIN_SEEN]] = self._plans
+        self.table.used[[row for row in held if row >= 0 and self.table.shown[row] >= self._demand.min_cells]] = self._plans
         return held
 
     def _search(
@@ -148,7 +165,7 @@ class FrontierViews:
         return row
 
     def _worth(self, row: int) -> bool:
-        return bool(self.table.shown[row] >= MIN_SEEN)
+        return bool(self.table.shown[row] >= self._demand.min_cells)
 
     def _proposals(self, voxels: VoxelMap, space: Flyable, found: list[int], lens: FloatArray) -> list[CandidateView]:
         """Return tasks for the rows, without those that a better view covers.

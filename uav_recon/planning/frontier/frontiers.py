@@ -83,7 +83,7 @@ class Frontiers:
         self._dirty[flat // (ny * nz) // BLOCK, flat // nz % ny // BLOCK] = 1
 
     def __len__(self) -> int:
-        return int(self.table.size)
+        return self.table.size()
 
     @property
     def openings(self) -> int:

@@ -49,10 +49,11 @@ class SurfaceViews:
     ) -> list[CandidateView]:
         """Return at most N_rec tasks. Each gain is what the task adds to the ones before it.
 
+        surface: None without a mapper; empty if the mapper has learned nothing, so that all surface is bare.
         looks: (nx, ny, nz) sum of the cosines under which tasks have seen the surface in a voxel.
         factor: multiplies R_loc, R_clu and N_rec (alpha once no frontier is left).
         """
-        if surface is None or not len(surface.position_world):
+        if surface is None:
             return []
         config, resolution_m = self._config, situation.voxels.grid.resolution_m
         elements = self._elements.of(surface, situation.voxels.grid)

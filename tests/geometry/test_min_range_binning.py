@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from uav_recon.localization.min_range_binning import nearest_in_cells
+from uav_recon.geometry.min_range_binning import nearest_in_cells
 from uav_recon.types.camera import Frame, Intrinsics, body_from_camera
 from uav_recon.types.frames import Float32Array
 from uav_recon.types.pose import Pose

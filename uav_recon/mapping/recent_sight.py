@@ -1,0 +1,73 @@
+"""Memory of the last views in the mission, for motion where the camera does not look.
+
+The guard has a memory of its own and does not rely on this one.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+
+from uav_recon.geometry import min_range_binning
+from uav_recon.geometry.min_range_binning import nearest_in_cells
+from uav_recon.types.camera import PosedFrame
+from uav_recon.types.frames import FloatArray
+from uav_recon.types.min_range_grid import MinRangeGrid
+from uav_recon.types.pose import Pose
+from uav_recon.types.recent_views import RecentViews
+
+_SPACING_S = 0.35  # between stored views: the guard stores as many over a memory of 60 s
+_MIN_SHARE = 0.2  # a frame with returns in a smaller share of its pixels shows no free space
+
+
+class RecentSight:
+    """Stores the views of the last ``memory_s`` seconds.
+
+    camera_body_m: (3,) position of the camera on the body.
+    """
+
+    def __init__(self, memory_s: float, camera_body_m: FloatArray) -> None:
+        self._memory_s = memory_s
+        self._camera_body_m = camera_body_m
+        self._views: deque[tuple[MinRangeGrid, Pose]] = deque()
+        self._map_epoch = 0
+
+    def add(self, posed: PosedFrame) -> RecentViews | None:
+        """Store a frame; return all stored views, or None if it adds nothing."""
+        if posed.map_epoch != self._map_epoch:
+            self._views.clear()  # their poses do not fit the new map
+            self._map_epoch = posed.map_epoch
+        stamp_s = posed.frame.stamp_s
+        if self._views and stamp_s - self._views[-1][0].stamp_s < _SPACING_S:
+            return None
+        nearby = nearest_in_cells(posed.frame, Pose.identity())
+        if nearby.share < _MIN_SHARE:
+            return None
+        if self._views and self._views[-1][0].range_m.shape != nearby.range_m.shape:
+            self._views.clear()
+        self._views.append((nearby, posed.world_from_depth))
+        while stamp_s - self._views[0][0].stamp_s > self._memory_s:
+            self._views.popleft()
+        return self._all()
+
+    def _all(self) -> RecentViews:
+        rotation = np.array([pose.rotation() for _, pose in self._views])
+        place = np.array([pose.translation_m for _, pose in self._views])
+        heading = np.arctan2(rotation[:, 1, 2], rotation[:, 0, 2])  # of the optical axis
+        x, y, z = self._camera_body_m
+        offset = np.stack([np.cos(heading) * x - np.sin(heading) * y, np.sin(heading) * x + np.cos(heading) * y], axis=1)
+        body = place - np.column_stack([offset, np.full(len(offset), z)])
+        return RecentViews(
+            stamp_s=np.array([nearby.stamp_s for nearby, _ in self._views]),
+            depth_from_world=np.ascontiguousarray(rotation.transpose(0, 2, 1)),
+            place_world=place,
+            body_world=body,
+            range_m=np.array([nearby.range_m for nearby, _ in self._views]),
+            half_tan=np.array(self._views[-1][0].half_tan),
+        )
+
+    @staticmethod
+    def warm_up() -> None:
+        """Compile every kernel."""
+        min_range_binning.warm_up()

@@ -1,0 +1,207 @@
+"""Forecast of what the camera will have seen free, and of the speed limit that follows.
+
+It counts the views of the last seconds, and what the camera sees on the way before.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from uav_recon.geometry.jit import kernel
+from uav_recon.motion.clearance import ROOT, ClearanceMap, clearance_at
+from uav_recon.types.frames import AnyArray, BoolArray, FloatArray
+from uav_recon.types.maps import FREE, GridSpec, VoxelMap
+from uav_recon.types.recent_views import RecentViews
+from uav_recon.types.sight_speed_limit import SightSpeedLimit, entered_points
+
+OLDER_S = 0.5  #: brake: ages are taken as larger by this: the guard stores a view each 0.4 s, and the motion may be late
+KNOWN_S = 0.6  #: brake: a view on the way counts from this time on: until then it may be neither taken nor stored
+REACH_M = 0.05  # beyond the hull's radius: what it reaches next
+LOOK_S = 0.2  # between two views on the way that are examined
+LINE_M = 0.10  # clearance of a line of sight at the camera ...
+LINE_SHARE = 0.08  # ... and what it grows by along the line, because the guard's cells of the image are coarse
+
+
+@dataclass(frozen=True, slots=True)
+class EnteredHull:
+    """The hull of a motion, and how far it flies on until it stands (m)."""
+
+    radius_m: float
+    stopping_m: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SightForecast:
+    """Forecast for one motion that begins at begin_s.
+
+    tangents: (2,) of half the camera's angles, horizontal and vertical, as far as they are relied on. place: (P, 5), and
+    reached_s: (P,), of the part of the motion that is chosen already.
+    """
+
+    views: RecentViews
+    space: ClearanceMap
+    limit: SightSpeedLimit
+    hull: EnteredHull
+    tangents: FloatArray
+    begin_s: float
+    place: FloatArray = dataclasses.field(default_factory=lambda: np.zeros((0, 5)))
+    reached_s: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(0))
+
+    @property
+    def end_s(self) -> float:
+        """Instant at which the chosen part ends."""
+        return float(self.reached_s[-1]) if len(self.reached_s) else self.begin_s
+
+    def after(self, place: FloatArray, reached_s: FloatArray) -> SightForecast:
+        """Return the forecast with more chosen positions (M, 5), reached at instants (M,)."""
+        return dataclasses.replace(
+            self, place=np.vstack([self.place, place]), reached_s=np.concatenate([self.reached_s, reached_s])
+        )
+
+    def max_speed_mps(self, direction: FloatArray, place: FloatArray, reached_s: FloatArray, asked: BoolArray) -> FloatArray:
+        """Return the speed limits (M,) from the ages of what the hull enters.
+
+        They are infinite where not ``asked`` (M,). direction: (M, 3), of any length. place: (M, 5) after the chosen part.
+        reached_s: (M,) instants.
+        """
+        limit_mps = np.full(len(place), np.inf)
+        nodes = np.flatnonzero(asked)
+        if not len(nodes):
+            return limit_mps
+        length = np.linalg.norm(direction[nodes], axis=1, keepdims=True)
+        stopping_m = np.full(len(nodes), self.hull.stopping_m)
+        reach_m = self.hull.radius_m + REACH_M
+        unit = direction[nodes] / np.maximum(length, 1e-9)
+        points = entered_points(place[nodes, :3], unit, stopping_m, self.hull.radius_m, reach_m)
+        seen_s = np.empty(len(nodes))
+        v, first = self.views, len(self.place)
+        _last_sights(
+            points, nodes + first, np.vstack([self.place, place]), np.concatenate([self.reached_s, reached_s]),
+            self.tangents, self.hull.radius_m, self.limit.blind_stale_s, v.stamp_s, v.depth_from_world, v.place_world,
+            v.body_world, v.range_m, v.half_tan, self.space.distance2, self.space.frame, self.space.resolution_m, ROOT, seen_s,
+        )  # fmt: skip
+        limit_mps[nodes] = self.limit.at(reached_s[nodes] - seen_s + OLDER_S)
+        return limit_mps
+
+
+@kernel
+def _line_is_free(
+    distance2: AnyArray, frame: AnyArray, resolution_m: float, root: AnyArray, here: AnyArray, there: AnyArray, way_m: float
+) -> bool:
+    """Return True if a line of sight keeps clear of anything that may not be free."""
+    went_m = 0.0
+    while went_m < way_m:
+        share = went_m / way_m
+        x, y = here[0] + share * (there[0] - here[0]), here[1] + share * (there[1] - here[1])
+        z = here[2] + share * (there[2] - here[2])
+        left_m = clearance_at(distance2, frame, resolution_m, root, x, y, z) - LINE_M - LINE_SHARE * went_m
+        if left_m <= 0.0:
+            return False
+        went_m += max(left_m, 0.5 * resolution_m)
+    return True
+
+
+@kernel
+def _seen_on_the_way(
+    point: AnyArray, n: int, place: AnyArray, reached_s: AnyArray, tangents: AnyArray, radius_m: float, oldest_s: float,
+    distance2: AnyArray, frame: AnyArray, resolution_m: float, root: AnyArray,
+) -> float:  # fmt: skip
+    """Return the last instant before node n at which the motion sees a point or is there.
+
+    It is -infinity if there is none.
+    """
+    examined_s = np.inf
+    for m in range(n - 1, -1, -1):
+        at_s = reached_s[m]
+        if reached_s[n] - at_s > oldest_s:
+            break
+        if reached_s[n] - at_s < KNOWN_S or examined_s - at_s < LOOK_S:
+            continue
+        examined_s = at_s
+        dx, dy, dz = point[0] - place[m, 0], point[1] - place[m, 1], point[2] - place[m, 2]
+        way2 = dx * dx + dy * dy + dz * dz
+        if way2 <= radius_m * radius_m:
+            return float(at_s)
+        cos, sin = math.cos(place[m, 3]), math.sin(place[m, 3])
+        ahead, aside = cos * dx + sin * dy, cos * dy - sin * dx
+        cos, sin = math.cos(place[m, 4]), math.sin(place[m, 4])
+        deep, below = cos * ahead - sin * dz, -sin * ahead - cos * dz
+        if deep <= 0.0 or abs(aside) > tangents[0] * deep or abs(below) > tangents[1] * deep:
+            continue
+        if _line_is_free(distance2, frame, resolution_m, root, place[m], point, math.sqrt(way2)):
+            return float(at_s)
+    return -np.inf
+
+
+@kernel
+def _seen_before(
+    point: AnyArray, radius_m: float, stamp_s: AnyArray, depth_from_world: AnyArray, place_world: AnyArray,
+    body_world: AnyArray, range_m: AnyArray, half_tan: AnyArray,
+) -> float:  # fmt: skip
+    """Return the stamp of the newest view that saw past a point or took place there.
+
+    It is -infinity if there is none.
+    """
+    rows, columns = range_m.shape[1], range_m.shape[2]
+    for v in range(len(stamp_s) - 1, -1, -1):
+        dx, dy, dz = point[0] - body_world[v, 0], point[1] - body_world[v, 1], point[2] - body_world[v, 2]
+        if dx * dx + dy * dy + dz * dz <= radius_m * radius_m:
+            return float(stamp_s[v])
+        dx, dy, dz = point[0] - place_world[v, 0], point[1] - place_world[v, 1], point[2] - place_world[v, 2]
+        turn = depth_from_world[v]
+        deep = turn[2, 0] * dx + turn[2, 1] * dy + turn[2, 2] * dz
+        if deep <= 1e-6:
+            continue
+        right = (turn[0, 0] * dx + turn[0, 1] * dy + turn[0, 2] * dz) / deep / half_tan[0]
+        down = (turn[1, 0] * dx + turn[1, 1] * dy + turn[1, 2] * dz) / deep / half_tan[1]
+        if abs(right) >= 1.0 or abs(down) >= 1.0:
+            continue
+        nearest_m = range_m[v, int((down + 1.0) / 2.0 * rows), int((right + 1.0) / 2.0 * columns)]
+        if math.sqrt(dx * dx + dy * dy + dz * dz) <= nearest_m - REACH_M:
+            return float(stamp_s[v])
+    return -np.inf
+
+
+@kernel
+def _last_sights(
+    points: AnyArray, nodes: AnyArray, place: AnyArray, reached_s: AnyArray, tangents: AnyArray, radius_m: float,
+    oldest_s: float, stamp_s: AnyArray, depth_from_world: AnyArray, place_world: AnyArray, body_world: AnyArray,
+    range_m: AnyArray, half_tan: AnyArray, distance2: AnyArray, frame: AnyArray, resolution_m: float, root: AnyArray,
+    out: AnyArray,
+) -> None:  # fmt: skip
+    """Fill ``out`` (N,) with the last sight of each node: of the point not seen for longest.
+
+    points: (N, K, 3) of each node. nodes: (N,) index of each in place (M, 5) and reached_s (M,).
+    """
+    for i in range(len(points)):
+        out[i] = np.inf
+        for k in range(points.shape[1]):
+            seen_s = _seen_on_the_way(
+                points[i, k], nodes[i], place, reached_s, tangents, radius_m, oldest_s, distance2, frame, resolution_m, root
+            )
+            if seen_s == -np.inf:
+                seen_s = _seen_before(
+                    points[i, k], radius_m, stamp_s, depth_from_world, place_world, body_world, range_m, half_tan
+                )
+            out[i] = min(out[i], seen_s)
+            if seen_s == -np.inf:
+                break
+
+
+def warm_up() -> None:
+    """Compile the kernels."""
+    grid = GridSpec(np.zeros(3), 1.0, (3, 3, 3))
+    voxels = VoxelMap.whole(grid, np.full(grid.shape, FREE, dtype=np.uint8), np.full(grid.shape, 81, dtype=np.uint8), 0)
+    space = ClearanceMap.of(voxels, np.full(3, -np.inf), np.full(3, np.inf), 0.3)
+    views = RecentViews(
+        np.zeros(1), np.eye(3)[None], np.zeros((1, 3)), np.zeros((1, 3)), np.zeros((1, 2, 2), dtype=np.float32), np.ones(2)
+    )
+    limit = SightSpeedLimit(full_speed_mps=1.0, blind_speed_mps=0.3, blind_fresh_s=3.0, blind_stale_s=10.0, blind_memory_s=60.0)
+    place = np.ones((2, 5))
+    SightForecast(views, space, limit, EnteredHull(0.2, 0.2), np.ones(2), 0.0).max_speed_mps(
+        np.ones((2, 3)), place, np.array([1.0, 2.0]), np.ones(2, dtype=np.bool_)
+    )
