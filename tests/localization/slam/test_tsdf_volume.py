@@ -68,7 +68,7 @@ def test_a_plane_gives_the_distance_along_its_normal_at_any_angle(
     half_pixel_m = 0.5 * 1.4 * away / LENS.fx * math.sin(tilt)  # a voxel reads its nearest pixel
     np.testing.assert_allclose([read[0] for read in found], off, atol=0.002 + half_pixel_m)
     mean = np.mean(found, axis=0)
-    assert mean[0] == pytest.approx(off, abs=0.003)
+    assert mean[0] == pytest.approx(off, abs=0.004)
     np.testing.assert_allclose(mean[1:4] / np.linalg.norm(mean[1:4]), -camera.rotation() @ normal, atol=0.04)
     assert np.linalg.norm(mean[1:4]) == pytest.approx(1.0, abs=0.03 + 0.12 * math.sin(tilt))
 

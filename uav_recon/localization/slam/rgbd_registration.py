@@ -105,6 +105,11 @@ class Registration:
         return math.sqrt(float(np.linalg.eigvalsh(self.covariance[_PLACE, _PLACE] + np.diag(self.track_variance))[-1]))
 
     @property
+    def sigma_against_track_m(self) -> float:
+        """Standard deviation of the place against the track, in its worst direction."""
+        return math.sqrt(float(np.linalg.eigvalsh(self.covariance[_PLACE, _PLACE])[-1]))
+
+    @property
     def coverage(self) -> float:
         """Share of the depth points that lie in known space."""
         return self.known / max(self.points, 1)

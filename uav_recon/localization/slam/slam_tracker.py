@@ -44,8 +44,12 @@ _SLOW_FLOOR = np.array([0.001, 0.0005])
 _FUSION_FRAMES = 8  # frames in a row that must be believed before the map grows again after doubt
 _PROOF_FRAMES = 2  # frames that must be believed after doubt until poses are given again
 _MOST_SIGMA_M = 0.12  #: reject: no pose is given while the place is more uncertain than this in a direction
+_MOST_ON_WAY_BACK_M = 0.20  #: reject: the same on the way back
+_WAY_BACK_S = 1.5  #: reject: time of the way back, after the newest pose that was sure
 _DOUBT_M = 0.08  #: retreat: the place is more uncertain than this in a direction: back to a view in which it was not
-_SURE_AGAIN_M = 0.07  #: retreat: ... until it is less uncertain than this
+_BLIND_M = 0.04  #: retreat: the place is more uncertain than this against the track: the view has not shown it for 0.7 s
+_SURE_AGAIN_SHARE = 0.85  #: retreat: until both are less than this share of their limits
+_RELEASE_MPS = 0.3  # a found error of the track is taken out of the poses at this speed: odometry does not jump
 _SEARCHED = (TrackingFault.FIT, TrackingFault.STEP, TrackingFault.TURN)
 _SEARCH_SIGMAS = 3.0  # reach of the search, in standard deviations of the predicted place
 _LEAST_SEARCH_M = 0.05
@@ -144,6 +148,8 @@ class SlamTracker:
         self._fused: Pose | None = None
         self._believed = 0
         self._launched = self._unsure = False
+        self._sure_s = -math.inf
+        self._unreleased_m = np.zeros(3)  # found error of the track that is still in the poses
         self._unproven = 0
         self._depth_m: Float32Array | None = None
         self._slow = np.zeros(2)
@@ -324,6 +330,7 @@ class SlamTracker:
         odom_from_body = found.odom_from_depth @ body_from_depth.inverse()
         self._motion.update(self._predicted, odom_from_body.translation_m - found.shift_m, found.covariance[3:, 3:])
         self._motion.shift(found.shift_m)
+        self._release(found.shift_m, step_s)
         self._attitude.update(self._turned, odom_from_body, found.covariance[:3, :3])
         self._landmarks.shift(found.shift_m, _left(found.track_variance, prior.track_variance))
         self._track_variance = found.track_variance
@@ -356,11 +363,20 @@ class SlamTracker:
         between = self._fused.inverse() @ odom_from_depth
         return bool(np.linalg.norm(between.translation_m) > _FUSE_M or np.linalg.norm(between.rotation_vector()) > _FUSE_RAD)
 
+    def _release(self, shift_m: FloatArray, step_s: float) -> None:
+        """Take a found error (3,) of the track into the poses, little by little."""
+        left_m = self._unreleased_m - shift_m
+        length_m = float(np.linalg.norm(left_m))
+        self._unreleased_m = left_m * max(1.0 - _RELEASE_MPS * step_s / max(length_m, 1e-9), 0.0)
+
     def _pose(self, stamp_s: float, found: Registration) -> StampedPose | None:
         """Return the pose of a frame; None while it is not sure, or not yet again."""
-        sigma_m = found.sigma_m
-        self._unsure = sigma_m > (_SURE_AGAIN_M if self._unsure else _DOUBT_M)
-        if sigma_m > _MOST_SIGMA_M or self._unproven:
+        sigma_m, limit = found.sigma_m, _SURE_AGAIN_SHARE if self._unsure else 1.0
+        self._unsure = sigma_m > limit * _DOUBT_M or found.sigma_against_track_m > limit * _BLIND_M
+        self._sure_s = self._sure_s if self._unsure else stamp_s
+        most_m = _MOST_ON_WAY_BACK_M if stamp_s - self._sure_s <= _WAY_BACK_S else _MOST_SIGMA_M
+        if sigma_m > most_m or self._unproven:
+            self._unreleased_m = np.zeros(3)
             return None
         quality = max(round(_quality(found) * min(_DOUBT_M / sigma_m, 1.0)), 1)
         pose = replace(self._stamped(stamp_s, sigma_m), quality=quality)
@@ -370,11 +386,12 @@ class SlamTracker:
 
     def _stamped(self, stamp_s: float, sigma_m: float = 0.0) -> StampedPose:
         assert self._state is not None
-        place_m2 = _POSITION_SIGMA_M**2 + sigma_m**2
+        place_m2 = _POSITION_SIGMA_M**2 + sigma_m**2 + float(self._unreleased_m @ self._unreleased_m)
         state = self._state
         place_m2 += (_SCALE_SHARE * float(np.linalg.norm(state.odom_from_body.translation_m))) ** 2
         covariance = np.diag([place_m2] * 3 + [_ROTATION_SIGMA_RAD**2] * 3)
-        return StampedPose(stamp_s - self.delay_s, state.odom_from_body, state.velocity_mps, covariance)
+        shown = Pose(state.odom_from_body.quat_wxyz, state.odom_from_body.translation_m + self._unreleased_m)
+        return StampedPose(stamp_s - self.delay_s, shown, state.velocity_mps, covariance)
 
 
 def _measured(odom_from_body: Pose, outside: Pose | None, step_s: float) -> MeasuredStep | None:
