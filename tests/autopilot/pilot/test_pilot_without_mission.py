@@ -139,6 +139,20 @@ def test_uncertain_of_its_place_it_goes_back_to_what_it_has_seen_before(hovering
     assert hovering.pilot.phase is FlightPhase.FLYING
 
 
+def test_uncertain_of_its_place_on_the_pad_it_takes_off() -> None:
+    """From the pad little is seen, and there is no view to go back to."""
+    rig = Rig()
+    rig.health, rig.why = PoseHealth.DEGRADED, Reason(ReasonCode.PLACE_UNSURE, (0.05,))
+    rig.until(FlightPhase.READY, 20.0)
+    rig.intent = (Goal.FLY, None)
+    rig.until(FlightPhase.FLYING, 8.0)
+    way = smooth_way(rig.clock.now_s() + 0.1, [(0.0, 0.0, 0.0), (0.0, 0.0, 1.1)], 1, 0.12)
+    rig.intent = (Goal.FLY, way)
+    rig.run(way.duration_s + 1.0)
+    assert rig.pilot.phase is FlightPhase.FLYING
+    assert rig.height_m > 0.9
+
+
 def test_no_depth_stops_then_retreats_then_lands(hovering: Rig) -> None:
     hovering.fly((2.5, 0.0, 1.1), identifier=2)
     hovering.run(2.5)

@@ -51,6 +51,7 @@ class SetpointSelector:
         self._hover_height_m = hover_height_m
         self._crumbs = Breadcrumbs()
         self._views = FlownViews()
+        self._climbed = False
         self._flown: Setpoint | None = None  # the newest setpoint that was sent
         self._flown_s = -math.inf
         self._off: deque[tuple[float, float]] = deque()  # (instant, metres) off its path
@@ -87,10 +88,16 @@ class SetpointSelector:
         stopping_point_m = self._guard.envelope.stopping_point((x, y, z), (vx, vy, vz))
         return Pose.from_yaw(self._flown.yaw_rad, np.array(stopping_point_m))
 
+    @property
+    def has_climbed(self) -> bool:
+        """True once the vehicle has been at its hover height: there are views to go back to."""
+        return self._climbed
+
     def was_at(self, odom_from_body: Pose) -> None:
         """Record a position in flight that is not on the path back."""
         self._crumbs.drop(odom_from_body)
         self._views.add(odom_from_body)
+        self._climbed = self._climbed or float(odom_from_body.translation_m[2]) >= _HOVER_SHARE * self._hover_height_m
         self._way_back = None
         self._refused_ways = 0
 
@@ -100,6 +107,7 @@ class SetpointSelector:
         self._flown = None
         self._crumbs.forget()
         self._views.forget()
+        self._climbed = False
         self._mandate.reject_trajectory()
         self._way_back = None
         self._refused_ways = 0
