@@ -103,6 +103,7 @@ def test_what_the_mission_has_to_tell_is_told_once_and_its_operators_hold_ends_w
         (ReasonCode.OPERATOR_SILENT,), (ReasonCode.OPERATOR_LOST_RETURNING,),
     ]  # fmt: skip
     hovering.operator_lost = False
+    hovering.run(0.1)
     hovering.pilot.request_hold(True)
     hovering.fly((0.0, 0.0, 1.1), identifier=3)
     hovering.run(3.0)

@@ -31,10 +31,11 @@ def test_the_timed_stages_give_the_same_result_as_plan() -> None:
         if n == 0 or not len(decision.order):
             continue
         assert isinstance(path, ViewPath)
-        following = stages.chosen(decision)[decision.order[0]].view
-        view = path.viewpoints[0]
-        place = (view.position_world - recording.grid.origin_world_m) / recording.grid.resolution_m
-        np.testing.assert_allclose(following, [*place, view.yaw_rad, view.pitch_down_rad], atol=1e-9)
+        following, view = decision.flown[0].task.viewpoint, path.viewpoints[0]
+        np.testing.assert_allclose(following.position_world, view.position_world, atol=1e-9)
+        np.testing.assert_allclose(
+            [following.yaw_rad, following.pitch_down_rad], [view.yaw_rad, view.pitch_down_rad], atol=1e-9
+        )
         laps = {lap for parts in STAGES.values() for lap in parts}
         assert set(watch.ms) == laps
         compared += 1

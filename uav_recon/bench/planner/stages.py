@@ -28,6 +28,7 @@ from uav_recon.planning.presets import derived
 from uav_recon.planning.task_generation import MAX_FRONTIERS, view_positions
 from uav_recon.planning.tour.travel_time import YawWhileFlying, time_costs
 from uav_recon.planning.variants import variant
+from uav_recon.planning.view_headings import suited_to_path
 from uav_recon.planning.view_planner import ViewPlanner
 from uav_recon.types.camera import Intrinsics, PosedFrame
 from uav_recon.types.frames import BoolArray, FloatArray, IntArray
@@ -47,7 +48,7 @@ WARM_FRAMES = 20
 # laps of a frame, and the stages that are sums of laps
 SEARCH = ("frontiers", "space")
 VIEWPOINTS = ("views",)
-TOUR = ("ways", "order")
+TOUR = ("ways", "order", "headings")
 STAGES: dict[str, tuple[str, ...]] = {
     "fusion": ("fusion",),
     "distance": ("distance",),
@@ -80,12 +81,14 @@ class ChosenView:
 class BenchDecision:
     """The decision of one frame.
 
-    order: (M,) indices into ``tasks`` of the tour through the tasks that are not deferred.
+    order: (M,) indices into ``tasks`` of the tour through the tasks that are not deferred. flown: its first views, with
+    headings that suit the path.
     """
 
     voxels: VoxelMap
     tasks: tuple[CandidateView, ...]
     order: IntArray
+    flown: tuple[CandidateView, ...] = ()
 
 
 NOTHING = np.zeros(0, dtype=np.int64)
@@ -187,7 +190,10 @@ class PlannerStages:
         gains = self._frontiers.beyond(voxels, [one.promised for one in nearest])
         tasks = [one.with_gain(gain) for one, gain in zip(nearest, gains.tolist(), strict=True)]
         watch.lap("views")
-        return BenchDecision(voxels, tuple(tasks), self._tour(exit_cells, posed, tasks, watch))
+        order = self._tour(exit_cells, posed, tasks, watch)
+        flown = self._flown(posed, tasks, order)
+        watch.lap("headings")
+        return BenchDecision(voxels, tuple(tasks), order, flown)
 
     def reachable(self) -> BoolArray:
         """Return the voxels (nx, ny, nz) reachable at the last decision."""
@@ -203,6 +209,20 @@ class PlannerStages:
         order = self._choice.order([one.task for one in tasks], costs_s).order
         watch.lap("order")
         return order - 1
+
+    def _flown(self, posed: PosedFrame, tasks: list[CandidateView], order: IntArray) -> tuple[CandidateView, ...]:
+        """Return the views of the tour within the horizon, with headings that suit the path."""
+        if not len(order):
+            return ()
+        nodes = (order + 1).tolist()
+        steps = list(zip([0, *nodes[:-1]], nodes, strict=True))
+        along_m = np.cumsum([self._ways.lengths_m[i, j] for i, j in steps])
+        count = max(int(np.searchsorted(along_m, self._mapped.config.horizon_m, side="right")), 1)
+        legs = [self._ways.path_world(i, j) for i, j in steps[:count]]
+        grid, camera = self._mapped.voxels.grid, self._mapped.camera
+        lens = camera.lens(grid.resolution_m, camera.range_m)
+        views = [tasks[index] for index in order[:count].tolist()]
+        return tuple(suited_to_path(views, legs, heading_rad(posed), lens, grid.shape))
 
     def chosen(self, decision: BenchDecision) -> tuple[ChosenView, ...]:
         """Return the views of the last decision's tasks, each with its frontier."""
