@@ -219,8 +219,9 @@ class SimOptions:
                 "stop_clearance_m": 0.1,
                 "fast_clearance_m": 0.4,
                 "blind_speed_mps": self.blind_speed_mps,
-                "blind_fresh_s": BLIND_FRESH_S,
-                "blind_stale_s": BLIND_STALE_S,
+                # the embedded SLAM loses its place in fast turns beside bare walls
+                "blind_fresh_s": 0.0 if self.pose == "slam" else BLIND_FRESH_S,
+                "blind_stale_s": 0.1 if self.pose == "slam" else BLIND_STALE_S,
                 "blind_memory_s": BLIND_MEMORY_S,
                 "retreat_speed_mps": 0.3,
                 "silence_way_m": 0.45,
