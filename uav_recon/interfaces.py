@@ -239,7 +239,7 @@ class Planner(Protocol):
         ...
 
 
-class RecentSightInterface(Protocol):
+class RecentViewMemoryInterface(Protocol):
     """The views of the last seconds. No call blocks."""
 
     def add(self, posed: PosedFrame) -> RecentViews | None:
@@ -316,7 +316,7 @@ class SpeedLimitedMotion(MotionPlannerInterface, Protocol):
         """Set the speed limit in m/s of all trajectories planned from now on."""
         ...
 
-    def look(self, views: RecentViews) -> None:
+    def set_recent_views(self, views: RecentViews) -> None:
         """Set the views of the last seconds for all trajectories planned from now on."""
         ...
 

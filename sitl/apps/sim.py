@@ -84,7 +84,8 @@ def _with_mount(options: SimOptions, console: Console) -> SimOptions:
     """Return the options with a mount; if none was given, print which fits the room."""
     if options.mount != AUTO:
         return options
-    scene = _scene(replace(options, mapper="depth-only"))  # its size needs no texture
+    quick = replace(options, mapper="depth-only")  # the size of the room needs no texture
+    scene = compile_and_load(_jobs(options), console, lambda: _scene(quick))
     fitted = options.with_mount_for(scene)
     size = " x ".join(f"{length:.1f}" for length in scene.fence_max - scene.fence_min)
     console.print(f"mount {fitted.mount}, for a fence of {size} m", markup=False, highlight=False)

@@ -15,7 +15,7 @@ from sitl.camera.camera_errors import scale_of
 from sitl.camera.d435i import Model, Noise
 from sitl.real_firmware.px4 import COMPANION_PORT as PX4_PORT
 from sitl.scene.scene import HULL_HEIGHT_M, Scene, free_height_m
-from uav_recon.app.option_validation import UsageError, readable
+from uav_recon.app.option_validation import UsageError, mount_pitch_deg, readable
 from uav_recon.app.room_check import advise
 from uav_recon.config import Config, ConfigError, UncertaintyName, VariantName, parse
 from uav_recon.errors import EXIT_CONFIG, UserError
@@ -45,8 +45,9 @@ MAX_COORDINATE_M = 1e5
 MAX_YAW_DEG = 360.0
 BLIND_MPS = 0.3  # default speed limit outside the camera's view; MAX_MPS disables it
 SLOWEST_MPS = 0.1  # its minimum
-BLIND_FRESH_S = 3.0  # space seen free within this time is entered at full speed outside the view ...
-BLIND_STALE_S = 10.0  # ... and after this time at blind_speed_mps
+# outside the view: full speed up to the first age of the last free sight, blind_speed_mps from the second on
+SIGHT_AGES_S = (3.0, 10.0)
+SIGHT_AGES_BY_SOURCE_S = {"slam": (0.0, 0.1)}  # the embedded SLAM loses its place in fast turns beside bare walls
 BLIND_MEMORY_S = 60.0  # space above and below a fixed camera's view was mostly seen more than 10 s ago
 COLUMN_MARGIN_M = 0.10  # beyond the planning clearance, round the column above the pad that the operator sees to be free
 COLUMN_TOP_M = 0.05  # below the ceiling: half a voxel
@@ -205,6 +206,7 @@ class SimOptions:
         gimbal = self.mount_pitch_down_deg is None
         noise_px = NOISE_PX[self.depth_noise] / (2.0 if self.camera in ("fast", "small") else 1.0)
         clearance_m = max(SMALLEST_CLEARANCE_M, self.radius_m + HULL_MARGIN_M)
+        fresh_s, stale_s = SIGHT_AGES_BY_SOURCE_S.get(self.pose, SIGHT_AGES_S)
         tree = {
             "safety": {
                 "fence_min_m": [float(x) for x in scene.fence_min],
@@ -219,9 +221,8 @@ class SimOptions:
                 "stop_clearance_m": 0.1,
                 "fast_clearance_m": 0.4,
                 "blind_speed_mps": self.blind_speed_mps,
-                # the embedded SLAM loses its place in fast turns beside bare walls
-                "blind_fresh_s": 0.0 if self.pose == "slam" else BLIND_FRESH_S,
-                "blind_stale_s": 0.1 if self.pose == "slam" else BLIND_STALE_S,
+                "blind_fresh_s": fresh_s,
+                "blind_stale_s": stale_s,
                 "blind_memory_s": BLIND_MEMORY_S,
                 "retreat_speed_mps": 0.3,
                 "silence_way_m": 0.45,
@@ -318,20 +319,3 @@ def _numbers(name: str, form: str, text: str | None, count: int) -> tuple[float,
     if len(numbers) != count or not all(abs(n) <= MAX_COORDINATE_M for n in numbers):
         raise UsageError(f"--{name} {text}: want {count} numbers {form}, each -{MAX_COORDINATE_M:g} to {MAX_COORDINATE_M:g}")
     return numbers
-
-
-def mount_pitch_deg(text: str) -> float | None:
-    """Return the tilt of a fixed mount in degrees, None for a gimbal. Raises UsageError.
-
-    Positive looks down.
-    """
-    if text == "gimbal":
-        return None
-    kind, _, degrees = text.partition(":")
-    try:
-        pitch = float(degrees)
-    except ValueError:
-        pitch = math.nan
-    if kind != "fixed" or not -60.0 <= pitch <= 60.0:
-        raise UsageError(f"--mount {text}: want gimbal, or fixed:DEG with DEG -60 to 60 (positive looks down)")
-    return pitch

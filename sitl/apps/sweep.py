@@ -26,14 +26,13 @@ from sitl.apps.sim_options import (
     UsageError,
     camera_error_scale,
     check_jobs,
-    mount_pitch_deg,
 )
 from sitl.apps.sweep_case import Case, Record, fly_case, one_thread
 from sitl.runtime.worker_pool import worker_pool
 from sitl.scene.generated_rooms import KINDS
 from sitl.scene.scene import GENERATED, is_generated
 from uav_recon import json_codec
-from uav_recon.app.option_validation import readable, require_writable_file
+from uav_recon.app.option_validation import mount_pitch_deg, readable, require_writable_file
 from uav_recon.bench import host_info, result_file
 from uav_recon.bench.machine_calibration import Calibration, calibrate
 from uav_recon.bench.result_file import result_header

@@ -31,14 +31,14 @@ Range = tuple[float, float]
 class RoomKind:
     """The ranges from which the scenes of a kind are drawn.
 
-    crowded: pieces of furniture per square metre, before those that do not fit. narrowest_m: minimum width of the scene.
+    furniture_per_m2: pieces of furniture, before those that do not fit. narrowest_m: minimum width of the scene.
     stream: makes the draws of a seed differ between kinds.
     """
 
     area_m2: Range
     height_m: Range
     aspect: Range
-    crowded: Range
+    furniture_per_m2: Range
     narrowest_m: float
     stream: int
 
@@ -77,7 +77,7 @@ class _Flat:
     def __init__(self, seed: int, fine: bool, kind: RoomKind) -> None:
         self.rng = np.random.default_rng([seed, kind.stream])
         self.builder = MeshBuilder(fine)
-        self.crowded = kind.crowded
+        self.furniture_per_m2 = kind.furniture_per_m2
         area, aspect = math.exp(self.rng.uniform(*np.log(kind.area_m2))), self.rng.uniform(*kind.aspect)
         wide = max(math.sqrt(area / aspect), kind.narrowest_m)
         self.length_m = area / wide
@@ -164,10 +164,10 @@ class _Flat:
     def furnish(self, room: _Area) -> None:
         """Add furniture at the walls and elsewhere, pillars and lamps, in proportion to the area."""
         rng, w = self.rng, self.builder
-        crowded = rng.uniform(*self.crowded) * room.square_m
-        for _ in range(max(1, round(0.6 * crowded))):
+        pieces = rng.uniform(*self.furniture_per_m2) * room.square_m
+        for _ in range(max(1, round(0.6 * pieces))):
             self._against_a_wall(room, furniture.AT_WALLS[int(rng.integers(len(furniture.AT_WALLS)))](w, rng))
-        for _ in range(max(1, round(0.5 * crowded))):
+        for _ in range(max(1, round(0.5 * pieces))):
             self._anywhere(room, furniture.ANYWHERE[int(rng.integers(len(furniture.ANYWHERE)))](w, rng))
         if room.square_m > 14.0 and rng.random() < 0.4:
             self._anywhere(room, furniture.pillar(w, rng, self.height_m))

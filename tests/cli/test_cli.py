@@ -19,6 +19,7 @@ from typer.testing import CliRunner
 from sitl.apps import sim_options
 from sitl.apps.scene_list import print_scenes
 from uav_recon.app import config_template
+from uav_recon.app.option_validation import mount_pitch_deg
 from uav_recon.cli import choices
 from uav_recon.cli.exit_codes import exit_with
 from uav_recon.cli.main import app, main
@@ -170,7 +171,7 @@ def test_the_words_of_completion_are_those_that_are_accepted() -> None:
     assert choices.MAPPERS == sim_options.MAPPERS
     assert choices.UNCERTAINTIES == sim_options.UNCERTAINTIES
     for mount in choices.MOUNTS:
-        sim_options.mount_pitch_deg(mount)
+        mount_pitch_deg(mount)
     assert choices.one_of(choices.VARIANTS)("adaptive,explore-") == ["adaptive,explore-yaw", "adaptive,explore-then-refine"]
 
 

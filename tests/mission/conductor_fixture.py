@@ -11,7 +11,7 @@ import numpy as np
 from uav_recon.channels import MemoryChannel
 from uav_recon.clock import InlineExecutor, ManualClock
 from uav_recon.config import MotionConfig
-from uav_recon.mapping.recent_sight import RecentSight
+from uav_recon.mapping.recent_view_memory import RecentViewMemory
 from uav_recon.mission.conductor import Conductor
 from uav_recon.mission.mission_setup import MissionChannels, MissionParameters, MissionStages
 from uav_recon.mission.state_machine import Phase
@@ -176,7 +176,7 @@ class Desk:
             self.planner,
             self.paced(motion),
             self.paced(self.retreat),
-            RecentSight(10.0, np.zeros(3)),
+            RecentViewMemory(10.0, np.zeros(3)),
         )
         self.folder = folder
         self.journal = FlightLog(folder)

@@ -9,7 +9,7 @@ import pytest
 
 from uav_recon.planning.camera_frustum import CameraGeometry
 from uav_recon.planning.candidate_view import CandidateView
-from uav_recon.planning.view_headings import KEPT_SHARE, MOST_STEPS, OFF_RAD, STEP_RAD, suited_to_path
+from uav_recon.planning.view_headings import KEPT_SHARE, MAX_STEPS, OFF_RAD, STEP_RAD, suited_to_path
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.tasks import Task, TaskKind, Viewpoint
 
@@ -52,9 +52,9 @@ def test_a_view_is_turned_towards_the_heading_before_it_as_far_as_it_shows_its_c
     (suited,) = suited_to_path([view], [leg(0.5)], at_rad + start_rad, LENS, SHAPE)
     turned = math.remainder(suited.task.viewpoint.yaw_rad - at_rad, math.tau)
     assert shown_share(suited) >= KEPT_SHARE * shown_share(view) - 1e-9
-    assert abs(turned) <= min(abs(start_rad), MOST_STEPS * STEP_RAD) + 1e-9
+    assert abs(turned) <= min(abs(start_rad), MAX_STEPS * STEP_RAD) + 1e-9
     assert turned * start_rad >= 0.0
-    if abs(turned) < min(abs(start_rad), MOST_STEPS * STEP_RAD) - 1e-9:
+    if abs(turned) < min(abs(start_rad), MAX_STEPS * STEP_RAD) - 1e-9:
         farther = suited.with_heading(suited.task.viewpoint.yaw_rad + math.copysign(STEP_RAD, start_rad))
         assert shown_share(farther) < KEPT_SHARE * shown_share(view)
     assert abs(turned) > 0.15 or abs(start_rad) < 0.25, "cells of a third of the picture leave room"

@@ -208,11 +208,11 @@ def test_before_home_a_small_opening_with_space_behind_it_is_viewed(deep: int, v
     state = np.where(MEETING_ROOM, OCCUPIED, FREE).astype(np.uint8)
     state[4:8, 45 : 45 + deep, 8:11] = UNKNOWN
     planner, request = planner_for(state, GIMBAL), PlanRequest(voxel_map(state), None, np.array([3.0, 1.0, 1.2]), 0.0, 10)
-    assert planner.plan_least(request) is None, "plan() comes first"
+    assert planner.plan_with_less_demand(request) is None, "plan() comes first"
     usual = planner.plan(request)
     assert isinstance(usual, NothingLeft)
     assert Reason(ReasonCode.FRONTIERS_TOO_SMALL, (1,)) in usual.reason.details
-    last = planner.plan_least(request)
+    last = planner.plan_with_less_demand(request)
     assert isinstance(last, ViewPath) == views
     if last is not None:
         assert_flyable(last, request)

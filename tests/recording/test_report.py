@@ -195,10 +195,10 @@ def test_the_headline_states_outcome_contacts_and_failsafes(
 
 
 def test_much_unseen_space_is_said_first_and_is_no_good_flight() -> None:
-    unseen = {"upper_share": 0.35, "lower_share": 0.02, "split_m": 1.7, "text": "35% of the room above 1.7 m was not seen"}
+    unseen = {"upper_share": 0.35, "lower_share": 0.02, "split_m": 1.7, "text": "35 % of the room above 1.7 m was not seen"}
     report = Report.from_tree(tree() | {"unseen": unseen})
-    assert verdict(report) == ("Completed, but 35% of the room above 1.7 m was not seen", "fair")
-    assert report.headline == "completed, but 35% of the room above 1.7 m was not seen"
+    assert verdict(report) == ("Completed, but 35 % of the room above 1.7 m was not seen", "fair")
+    assert report.headline == "completed, but 35 % of the room above 1.7 m was not seen"
     assert Report.from_tree(tree()).headline == "completed"
 
 

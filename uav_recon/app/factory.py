@@ -47,7 +47,7 @@ if TYPE_CHECKING:  # each process imports only the stages that it runs
     from uav_recon.mapping.keyframe_selection import KeyframeSelection, PlannedViewsOnly
     from uav_recon.mapping.neural.neural_mapper import NeuralMapper
     from uav_recon.mapping.occupancy.occupancy_map import OccupancyMap
-    from uav_recon.mapping.recent_sight import RecentSight
+    from uav_recon.mapping.recent_view_memory import RecentViewMemory
     from uav_recon.mission.conductor import Conductor
     from uav_recon.mission.mission_setup import MissionParameters
     from uav_recon.motion.speed_limited_planner import SpeedLimitedPlanner
@@ -430,11 +430,11 @@ def make_motion(config: Config, clearance_m: float) -> SpeedLimitedPlanner:
     )
 
 
-def make_recent_sight(config: Config) -> RecentSight:
+def make_recent_view_memory(config: Config) -> RecentViewMemory:
     """Return the mission's memory of the views that raise the speed limit outside the view."""
-    from uav_recon.mapping.recent_sight import RecentSight
+    from uav_recon.mapping.recent_view_memory import RecentViewMemory
 
-    return RecentSight(config.safety.blind_stale_s, np.array(config.camera.position_body_m))
+    return RecentViewMemory(config.safety.blind_stale_s, np.array(config.camera.position_body_m))
 
 
 def make_keyframe_selection(config: Config, voxels: OccupancyMap) -> KeyframeSelection | PlannedViewsOnly:
@@ -481,7 +481,7 @@ def make_conductor(
         wires.correction, wires.free, wires.perception,
     )  # fmt: skip
     motion, retreat = (make_motion(config, kept_m) for kept_m in (orders.clearance_m, orders.clear_radius_m))
-    budget, sight = make_keyframe_selection(config, voxels), make_recent_sight(config)
+    budget, sight = make_keyframe_selection(config, voxels), make_recent_view_memory(config)
     stages = MissionStages(voxels, budget, mapper, planner, motion, retreat, sight)
     return Conductor(stages, channels, orders, executor, journal, clock)
 
@@ -523,7 +523,7 @@ def warm_up_map(config: Config) -> None:
     voxels = make_occupancy_map(config)
     voxels.warm_up()
     make_keyframe_selection(config, voxels).warm_up()
-    make_recent_sight(config).warm_up()
+    make_recent_view_memory(config).warm_up()
 
 
 def warm_up_motion(config: Config) -> None:

@@ -5,6 +5,7 @@ Errors are one line with exit code 2.
 
 from __future__ import annotations
 
+import math
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -57,3 +58,20 @@ def require_writable_folder(option: str, path: Path | None) -> None:
             pass
     except OSError as error:
         raise UsageError(f"{option} {path}: cannot be written ({error.strerror})") from None
+
+
+def mount_pitch_deg(text: str) -> float | None:
+    """Return the tilt of a fixed mount in degrees, None for a gimbal. Raises UsageError.
+
+    Positive looks down.
+    """
+    if text == "gimbal":
+        return None
+    kind, _, degrees = text.partition(":")
+    try:
+        pitch = float(degrees)
+    except ValueError:
+        pitch = math.nan
+    if kind != "fixed" or not -60.0 <= pitch <= 60.0:
+        raise UsageError(f"--mount {text}: want gimbal, or fixed:DEG with DEG -60 to 60 (positive looks down)")
+    return pitch

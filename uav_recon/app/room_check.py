@@ -10,10 +10,10 @@ from rich.console import Console
 from rich.table import Table
 
 from uav_recon.app import factory
-from uav_recon.app.option_validation import UsageError
+from uav_recon.app.option_validation import UsageError, mount_pitch_deg
 from uav_recon.config import CameraConfig, Config, PlannerConfig
 from uav_recon.errors import EXIT_FAILURE
-from uav_recon.planning.mount_sight import TILTS_DEG, WORTH, DepthView, RoomSight, SightShares, Size
+from uav_recon.planning.mount_visibility import TILTS_DEG, WORTH, DepthView, RoomVisibility, Size, VisibleShares
 
 _SIDES_M = (0.5, 100.0)
 GIMBAL = "gimbal"
@@ -44,9 +44,9 @@ def check_room(size: str, config: Path | None, mount: str | None, clearance_m: f
     """
     size_m, known = _size(size), None if config is None else factory.load_config(config)
     camera, kept_m = _camera(known), clearance_m or (PlannerConfig() if known is None else known.planner).clearance_m
-    tilt_deg = _tilt_deg(mount) if mount else None if camera.mount == GIMBAL else camera.pitch_down_deg
+    tilt_deg = mount_pitch_deg(mount) if mount else None if camera.mount == GIMBAL else camera.pitch_down_deg
     try:
-        sight = RoomSight(size_m, kept_m, _view(camera))
+        sight = RoomVisibility(size_m, kept_m, _view(camera))
     except ValueError as error:
         raise UsageError(str(error)) from None
     console, advice = Console(), _advice(sight, tilt_deg)
@@ -66,7 +66,7 @@ def advise(config: Config) -> MountAdvice | None:
     size_m = (high_m[0] - low_m[0], high_m[1] - low_m[1], high_m[2] - low_m[2])
     camera = config.camera
     try:
-        sight = RoomSight(size_m, config.planner.clearance_m, _view(camera))
+        sight = RoomVisibility(size_m, config.planner.clearance_m, _view(camera))
     except ValueError:
         return None
     return _advice(sight, None if camera.mount == GIMBAL else camera.pitch_down_deg)
@@ -83,20 +83,20 @@ def advice_text(advice: MountAdvice) -> str:
     return f"{seen}, {better}: set camera.pitch_down_deg = {advice.recommended_deg:g}, or use a gimbal"
 
 
-def _advice(sight: RoomSight, tilt_deg: float | None) -> MountAdvice:
+def _advice(sight: RoomVisibility, tilt_deg: float | None) -> MountAdvice:
     best_deg = sight.recommended_deg()
     share = 1.0 if tilt_deg is None else sight.shares(math.radians(tilt_deg)).room
     return MountAdvice(tilt_deg, share, best_deg, sight.shares(math.radians(best_deg)).room)
 
 
-def _table(sight: RoomSight, advice: MountAdvice) -> Table:
+def _table(sight: RoomVisibility, advice: MountAdvice) -> Table:
     table = Table("mount", "room", "floor", "walls", "ceiling", "", box=None)
     tilts = sorted({*TILTS_DEG, *(() if advice.tilt_deg is None else (advice.tilt_deg,))}, reverse=True)
     for tilt_deg in tilts:
         named = {"this mount": tilt_deg == advice.tilt_deg, "recommended": _is_best(tilt_deg, advice)}
         notes = ", ".join(note for note, holds in named.items() if holds)
         table.add_row(f"fixed:{tilt_deg:g}", *_figures(sight.shares(math.radians(tilt_deg))), notes)
-    table.add_row(GIMBAL, *_figures(SightShares(1.0, 1.0, 1.0, 1.0)), "this mount" if advice.tilt_deg is None else "")
+    table.add_row(GIMBAL, *_figures(VisibleShares(1.0, 1.0, 1.0, 1.0)), "this mount" if advice.tilt_deg is None else "")
     return table
 
 
@@ -104,7 +104,7 @@ def _is_best(tilt_deg: float, advice: MountAdvice) -> bool:
     return tilt_deg == (advice.tilt_deg if advice.fits and advice.tilt_deg is not None else advice.recommended_deg)
 
 
-def _figures(shares: SightShares) -> tuple[str, ...]:
+def _figures(shares: VisibleShares) -> tuple[str, ...]:
     return tuple(f"{share:.2f}" for share in (shares.room, shares.floor, shares.walls, shares.ceiling))
 
 
@@ -126,14 +126,3 @@ def _size(text: str) -> Size:
     if len(sides) != 3 or not all(_SIDES_M[0] <= side <= _SIDES_M[1] for side in sides):
         raise UsageError(f"SIZE {text}: want length x width x height in metres, such as 4x3x2.5, each {_SIDES_M[0]:g} to 100")
     return sides[0], sides[1], sides[2]
-
-
-def _tilt_deg(mount: str) -> float | None:
-    kind, _, degrees = mount.partition(":")
-    try:
-        tilt_deg = float(degrees)
-    except ValueError:
-        tilt_deg = math.nan
-    if mount != GIMBAL and not (kind == "fixed" and -60.0 <= tilt_deg <= 60.0):
-        raise UsageError(f"--mount {mount}: want gimbal, or fixed:DEG with DEG -60 to 60 (positive looks down)")
-    return None if mount == GIMBAL else tilt_deg

@@ -53,14 +53,15 @@ def _text(upper: float, lower: float, config: Config, advice: MountAdvice | None
     """Return one sentence with reason and remedy, '' if little is unknown."""
     if max(upper, lower) <= MUCH:
         return ""
-    if upper > lower and advice is not None and not advice.fits:
+    above = upper > lower
+    part = f"{100.0 * max(upper, lower):.0f} % of the room {'above' if above else 'below'} {UPPER_M:g} m"
+    if above and advice is not None and not advice.fits:
         return (
-            f"{upper:.0%} of the room above {UPPER_M:g} m was out of the camera's sight: a tilt of {advice.recommended_deg:g}° "
+            f"{part} was out of the camera's sight: a tilt of {advice.recommended_deg:g}° "
             f"would have shown {advice.recommended_share:.2f} of the room, {advice.tilt_deg:g}° shows {advice.share:.2f}"
         )
-    part = f"{upper:.0%} of the room above {UPPER_M:g} m" if upper > lower else f"{lower:.0%} of the room below {UPPER_M:g} m"
     if views >= config.mission.views:
         return f"{part} was not seen: the view budget of {config.mission.views} is too small (mission.views)"
-    if upper > lower and config.voxels.takeoff_top_m is None:
+    if above and config.voxels.takeoff_top_m is None:
         return f"{part} was not seen: voxels.takeoff_top_m can declare how far the vehicle may climb above the pad"
     return f"{part} was not seen"

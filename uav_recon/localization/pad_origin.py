@@ -39,11 +39,11 @@ _AWAITED = Reason(ReasonCode.PAD_AWAITED, (_REST_S,))
 
 
 class PadOrigin:
-    """A pose source in the frame of the take-off pad; gives no pose before the pad is known.
+    """A pose source in the world, which begins at the pad; no pose before the pad is known.
 
     source: the poses as they come. vehicle: tells whether the vehicle is in the air. file: keeps the pad for a restart in the
     air. heading_rad: of the body on the pad, in the world of the fence. ``reason``: that the pad is awaited; then None, or
-    where the pad is in the source's frame if that is not its origin.
+    where the world begins in the source's frame if that is not its origin.
     """
 
     def __init__(self, source: PoseSource, vehicle: Channel[VehicleState], file: Path, *, heading_rad: float = 0.0) -> None:
@@ -52,17 +52,17 @@ class PadOrigin:
         self._vehicle = vehicle
         self._file = file
         self._rest: deque[StampedPose] = deque()
-        self._pad_from_source: Pose | None = None
+        self._world_from_source: Pose | None = None
         self.reason: Reason | None = _AWAITED
         self._poses_since_s = math.inf
 
     def poses(self) -> list[StampedPose]:
-        """Return the poses since the last call, in the frame of the pad, oldest first."""
+        """Return the poses since the last call, in the world, oldest first."""
         poses = self._source.poses()
-        if self._pad_from_source is None:
+        if self._world_from_source is None:
             poses = self._find_pad(poses)
-        pad = self._pad_from_source
-        return [] if pad is None else [_moved(pose, pad) for pose in poses]
+        world = self._world_from_source
+        return [] if world is None else [_moved(pose, world) for pose in poses]
 
     def _find_pad(self, poses: list[StampedPose]) -> list[StampedPose]:
         """Look for the pad; returns the poses from then on."""
@@ -75,7 +75,7 @@ class PadOrigin:
             if self._at_rest(pose):
                 self._set(self._world_from_pad @ _pad(self._rest))
                 with suppress(OSError):  # without the file a restart in the air finds no pad, and the vehicle lands
-                    _save(self._file, self._pad_from_source)
+                    _save(self._file, self._world_from_source)
                 return poses[index:]
             self._complain(pose.stamp_s)
         return []
@@ -96,11 +96,11 @@ class PadOrigin:
         rest.append(pose)
         return len(rest) >= _REST_POSES and pose.stamp_s - rest[0].stamp_s >= _REST_S
 
-    def _set(self, pad_from_source: Pose) -> None:
+    def _set(self, world_from_source: Pose) -> None:
         self.reason = None
-        self._pad_from_source = pad_from_source
-        source_from_pad = pad_from_source.inverse()
-        away_m, turn_rad = float(np.linalg.norm(source_from_pad.translation_m)), source_from_pad.yaw_rad()
+        self._world_from_source = world_from_source
+        source_from_world = world_from_source.inverse()
+        away_m, turn_rad = float(np.linalg.norm(source_from_world.translation_m)), source_from_world.yaw_rad()
         if away_m > _FAR_M or abs(turn_rad) > _TURNED_RAD:
             self.reason = Reason(ReasonCode.PAD_IS_ORIGIN, (away_m, math.degrees(turn_rad)))
 
@@ -120,22 +120,22 @@ def _pad(rest: deque[StampedPose]) -> Pose:
     return Pose.from_yaw(first_rad + sum(turns_rad) / len(turns_rad), place_m).inverse()
 
 
-def _moved(pose: StampedPose, pad_from_source: Pose) -> StampedPose:
-    """Return a pose of the source in the frame of the pad."""
-    turn = pad_from_source.rotation()
+def _moved(pose: StampedPose, world_from_source: Pose) -> StampedPose:
+    """Return a pose of the source in the world."""
+    turn = world_from_source.rotation()
     both = np.kron(np.eye(2), turn)
     covariance: FloatArray = both @ pose.covariance @ both.T if pose.covariance.shape == (6, 6) else pose.covariance
     return replace(
         pose,
-        odom_from_body=pad_from_source @ pose.odom_from_body,
+        odom_from_body=world_from_source @ pose.odom_from_body,
         velocity_odom_mps=turn @ pose.velocity_odom_mps,
         covariance=covariance,
     )
 
 
-def _save(file: Path, pad_from_source: Pose | None) -> None:
-    assert pad_from_source is not None
-    numbers = [*pad_from_source.quat_wxyz.tolist(), *pad_from_source.translation_m.tolist()]
+def _save(file: Path, world_from_source: Pose | None) -> None:
+    assert world_from_source is not None
+    numbers = [*world_from_source.quat_wxyz.tolist(), *world_from_source.translation_m.tolist()]
     temporary = file.with_suffix(".new")
     temporary.write_text(json.dumps(numbers))
     temporary.replace(file)

@@ -181,10 +181,10 @@ class Conductor:
             return  # its pose does not fit the map, so it is ignored
         self._frame_s = now_s
         self._stages.voxels.integrate(posed)
-        views = self._stages.sight.add(posed)
+        views = self._stages.recent_views.add(posed)
         if views is not None:
-            self._stages.motion.look(views)
-            self._stages.retreat.look(views)
+            self._stages.motion.set_recent_views(views)
+            self._stages.retreat.set_recent_views(views)
         self.map = self._stages.voxels.snapshot()
         promised = self._captures.take(posed.frame.stamp_s) and self._course.is_on_track(now_s)
         if self._log.views_left > 0 and (promised or self._worth_a_view(posed)) and self._stages.mapper.add(posed):

@@ -10,7 +10,7 @@ from uav_recon.interfaces import (
     Mapper,
     OccupancyMapInterface,
     Planner,
-    RecentSightInterface,
+    RecentViewMemoryInterface,
     SpeedLimitedMotion,
     ViewBudget,
 )
@@ -36,7 +36,7 @@ class MissionStages:
     planner: Planner
     motion: SpeedLimitedMotion
     retreat: SpeedLimitedMotion
-    sight: RecentSightInterface
+    recent_views: RecentViewMemoryInterface
 
 
 @dataclass(frozen=True)

@@ -48,7 +48,7 @@ class SpeedLimitedPlanner:
         """
         self._max_speed_mps = max_speed_mps
 
-    def look(self, views: RecentViews) -> None:
+    def set_recent_views(self, views: RecentViews) -> None:
         """Set the views of the last seconds: where the camera does not look, speed depends on them."""
         self._views = views
 

@@ -150,7 +150,7 @@ class Pacer:
         curve = Curve.of(band.control)
         first = self.entry_pace(entry) ** 2 if entry.is_moving else 0.0
         cap, x, times = np.empty(len(curve.along_m)), np.empty(len(curve.along_m)), np.empty(len(curve.along_m))
-        max_speed_mps = self._speed_limits(curve, space, forecast, self._guess_s(curve, forecast))
+        max_speed_mps = self._speed_limits(curve, space, forecast, self._estimated_times_s(curve, forecast))
         leaning_mps2 = self._leaning(curve, entry)
         self._cap(curve, band, entry, space, max_speed_mps, cap)
         share = SHARE
@@ -233,7 +233,7 @@ class Pacer:
         seen_mps = self.gaze.max_speed_mps(curve.slope, curve.place, forecast, reached_s)
         return np.minimum(seen_mps, self._silence_speed_limits(curve, space))
 
-    def _guess_s(self, curve: Curve, forecast: SightForecast | None) -> FloatArray:
+    def _estimated_times_s(self, curve: Curve, forecast: SightForecast | None) -> FloatArray:
         """Return about the instants (M,) at which the nodes are reached."""
         turned_rad = np.abs(np.diff(curve.place[:, 3], prepend=curve.place[0, 3]))
         step_m = np.diff(curve.along_m, prepend=0.0)

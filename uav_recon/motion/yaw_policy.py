@@ -174,7 +174,7 @@ class YawAlongPath:
         passes = [self._passed(np.vstack([begin, vertex]), forecast) for vertex in ways]
         # where space was not seen lately the guard may refuse a turn in flight, and the nose turns first
         fit = [n for n, one in enumerate(passes) if n <= 1 or not one.stale]
-        best = min(fit, key=lambda n: passes[n].felt_s)
+        best = min(fit, key=lambda n: passes[n].weighted_s)
         chosen = passes[best]
         return ways[best], None if forecast is None else forecast.after(chosen.place, chosen.reached_s)
 
@@ -273,8 +273,8 @@ class YawAlongPath:
         for _ in range(1 if forecast is None else 2):
             limit_mps = np.minimum(limit_mps, self.max_speed_mps(step, place, forecast, begin_s + np.cumsum(piece_s)))
             piece_s = self._piece_s(limit_mps, piece_m, turning_s)
-        felt_s = float(np.sum(np.where(np.isfinite(limit_mps), PREFERRED, 1.0) * piece_s))
-        return PathPass(place, begin_s + np.cumsum(piece_s), felt_s, bool((limit_mps <= self.blind_speed_mps).any()))
+        weighted_s = float(np.sum(np.where(np.isfinite(limit_mps), PREFERRED, 1.0) * piece_s))
+        return PathPass(place, begin_s + np.cumsum(piece_s), weighted_s, bool((limit_mps <= self.blind_speed_mps).any()))
 
     def _piece_s(self, limit_mps: FloatArray, piece_m: FloatArray, turning_s: FloatArray) -> FloatArray:
         """Return the time (M,) of each piece of a path.
@@ -292,13 +292,13 @@ class YawAlongPath:
 class PathPass:
     """An estimated pass along a path.
 
-    place: (M, 5) positions. reached_s: (M,) instants at which they are reached. felt_s: duration, in which flight where the
+    place: (M, 5) positions. reached_s: (M,) instants at which they are reached. weighted_s: duration, in which flight where the
     camera does not look counts PREFERRED times. stale: True if a part of it leads through space not seen lately.
     """
 
     place: FloatArray
     reached_s: FloatArray
-    felt_s: float
+    weighted_s: float
     stale: bool
 
 

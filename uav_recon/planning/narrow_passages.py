@@ -72,7 +72,7 @@ class NarrowPassagePlanner:
             return answer
         found = self._nearest(request, self._openings, self._clearance_m, start_s) if self._planner.explores else None
         if found is None:
-            return self._planner.plan_least(request) or answer
+            return self._planner.plan_with_less_demand(request) or answer
         self._offered = found
         return found[0]
 

@@ -18,23 +18,23 @@ from uav_recon.types.frames import FloatArray
 
 KEPT_SHARE = 0.9  # of the promised cells in view; the rest is mostly seen on the way to the heading
 STEP_RAD = math.radians(6.0)  # between headings that are tried ...
-MOST_STEPS = 7  # ... and their number on either side
-MOST_CELLS = 100  # examined of those that a view promises
+MAX_STEPS = 7  # ... and their number on either side
+MAX_CELLS = 100  # examined of those that a view promises
 LONG_M = 1.0  # level length of a leg that is flown nose first
 OFF_RAD = math.radians(30.0)  # between nose and path on such a leg
 
 
 def suited_to_path(
-    views: Sequence[CandidateView], ways: Sequence[FloatArray], yaw_rad: float, lens: FloatArray, shape: tuple[int, int, int]
+    views: Sequence[CandidateView], legs: Sequence[FloatArray], yaw_rad: float, lens: FloatArray, shape: tuple[int, int, int]
 ) -> list[CandidateView]:
     """Return the views of a tour with headings that suit the path.
 
-    ways: (N, 3) waypoints of the leg to each view, in any unit. yaw_rad: heading at the start. lens: of the camera, see
+    legs: (N, 3) waypoints of the leg to each view, in any unit. yaw_rad: heading at the start. lens: of the camera, see
     CameraGeometry.lens(). shape: of the map.
     """
     suited = []
-    for view, way in zip(views, ways, strict=True):
-        yaw_rad = _on_arrival(way, yaw_rad)
+    for view, leg in zip(views, legs, strict=True):
+        yaw_rad = _on_arrival(leg, yaw_rad)
         low_rad, high_rad = _range(view, lens, shape)
         best_rad = view.task.viewpoint.yaw_rad
         off_rad = math.remainder(yaw_rad - best_rad, math.tau)
@@ -43,9 +43,9 @@ def suited_to_path(
     return suited
 
 
-def _on_arrival(way: FloatArray, yaw_rad: float) -> float:
+def _on_arrival(leg: FloatArray, yaw_rad: float) -> float:
     """Return the heading in which a leg (N, 3) is flown, that of its start if it is short."""
-    step = way[-1] - way[0]
+    step = leg[-1] - leg[0]
     if math.hypot(step[0], step[1]) < LONG_M:
         return yaw_rad
     off_rad = math.remainder(math.atan2(step[1], step[0]) - yaw_rad, math.tau)
@@ -57,14 +57,14 @@ def _range(view: CandidateView, lens: FloatArray, shape: tuple[int, int, int]) -
 
     Between them it shows KEPT_SHARE of what it shows there.
     """
-    some = view.promised[:: 1 + len(view.promised) // MOST_CELLS]
+    some = view.promised[:: 1 + len(view.promised) // MAX_CELLS]
     cells: FloatArray = np.stack(np.unravel_index(some, shape), axis=1).astype(np.float64) + 0.5
     shown = _shown(view, cells, lens, 0.0)
     least = KEPT_SHARE * shown
     low = high = 0
-    while high < MOST_STEPS and shown and _shown(view, cells, lens, (high + 1) * STEP_RAD) >= least:
+    while high < MAX_STEPS and shown and _shown(view, cells, lens, (high + 1) * STEP_RAD) >= least:
         high += 1
-    while low > -MOST_STEPS and shown and _shown(view, cells, lens, (low - 1) * STEP_RAD) >= least:
+    while low > -MAX_STEPS and shown and _shown(view, cells, lens, (low - 1) * STEP_RAD) >= least:
         low -= 1
     return low * STEP_RAD, high * STEP_RAD
 

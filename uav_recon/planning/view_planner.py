@@ -23,7 +23,7 @@ from uav_recon.planning.free_space import flyable_space as space
 from uav_recon.planning.free_space.flyable_space import FlyableSpace
 from uav_recon.planning.frontier import frontier_views as views
 from uav_recon.planning.frontier import rejection_counts
-from uav_recon.planning.frontier.frontier_views import LEAST, FrontierViews
+from uav_recon.planning.frontier.frontier_views import LOW, FrontierViews
 from uav_recon.planning.frontier.frontiers import Frontiers, fence_box
 from uav_recon.planning.frontier.rejection_counts import count_rejected_frontiers
 from uav_recon.planning.paths import segments
@@ -50,8 +50,8 @@ from uav_recon.types.tasks import NothingLeft, PlanMode, PlanRequest, TaskKind, 
 
 TOY_CAMERA = CameraGeometry(1.5, 1.0, np.zeros(3), -1.0, 1.0, 4.5)  # for warm_up()
 TOY_CONFIG = PlannerConfig(clearance_m=0.3)
-LEAST_UNKNOWN = 25  # voxels beyond the frontier that a last view must promise: a gap in a surface has fewer
-LEAST_VISIBLE_SHARE = 0.4  # of planner.min_visible: surface elements that a last view must show
+MIN_UNKNOWN_VOXELS = 25  # voxels beyond the frontier that a last view must promise: a gap in a surface has fewer
+MIN_VISIBLE_SHARE = 0.4  # of planner.min_visible: surface elements that a last view must show
 SAME_SHARE = 0.5  # a task is dropped if the committed view settles this share of its voxels
 
 
@@ -93,7 +93,7 @@ class ViewPlanner:
         self.frontiers = Frontiers()
         self.view_history = ViewHistory()
         self._frame: tuple[object, ...] = ()
-        self._least: TaskSource | None = None  # made when first needed
+        self._low_demand: TaskSource | None = None  # made when first needed
         self._asked: tuple[PlanRequest, PlanningContext] | None = None
         self._offered: tuple[ViewPath, tuple[CandidateView, ...]] | None = None
 
@@ -144,16 +144,16 @@ class ViewPlanner:
         self._asked = request, situation
         return self._choose(self._source, request, situation, start_s)
 
-    def plan_least(self, request: PlanRequest) -> ViewPath | None:
+    def plan_with_less_demand(self, request: PlanRequest) -> ViewPath | None:
         """Choose views that show less than plan() asks for; None if there are none.
 
         request: that of the last plan(), which found nothing.
         """
         if self._asked is None or self._asked[0] is not request or self._variant.views != "clusters":
             return None
-        if self._least is None:
-            self._least = _least_source(self.config, self._variant, self.camera)
-        found = self._choose(self._least, request, self._asked[1], self._timer())
+        if self._low_demand is None:
+            self._low_demand = _low_demand_source(self.config, self._variant, self.camera)
+        found = self._choose(self._low_demand, request, self._asked[1], self._timer())
         return found if isinstance(found, ViewPath) else None
 
     def _choose(
@@ -344,11 +344,11 @@ def _source(config: PlannerConfig, made_of: Variant, camera: CameraGeometry) -> 
     return ClusterTasks(config, made_of, views, SurfaceViews(config, camera))
 
 
-def _least_source(config: PlannerConfig, made_of: Variant, camera: CameraGeometry) -> TaskSource:
+def _low_demand_source(config: PlannerConfig, made_of: Variant, camera: CameraGeometry) -> TaskSource:
     """Return the source of the tasks that are flown before the flight ends with views left."""
-    less = config.model_copy(update={"min_visible": max(round(LEAST_VISIBLE_SHARE * config.min_visible), 1)})
-    views = FrontierViews(config, camera, LEAST)
-    return ClusterTasks(less, made_of, views, SurfaceViews(less, camera), min_unknown=LEAST_UNKNOWN)
+    less = config.model_copy(update={"min_visible": max(round(MIN_VISIBLE_SHARE * config.min_visible), 1)})
+    views = FrontierViews(config, camera, LOW)
+    return ClusterTasks(less, made_of, views, SurfaceViews(less, camera), min_unknown=MIN_UNKNOWN_VOXELS)
 
 
 def _drop_duplicate_tasks(committed: list[CandidateView], proposals: list[CandidateView]) -> list[CandidateView]:

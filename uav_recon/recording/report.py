@@ -175,8 +175,9 @@ class Report:
 
     @property
     def headline(self) -> str:
-        """The outcome, with what was left unseen if that is much."""
-        return f"{self.outcome}, but {self.unseen.text}" if self.unseen is not None and self.unseen.text else self.outcome
+        """The outcome; of a completed flight, also what it left unseen if that is much."""
+        unseen = self.unseen.text if self.completed and self.unseen is not None else ""
+        return f"{self.outcome}, but {unseen}" if unseen else self.outcome
 
     def times_oracle(self, recall: str) -> float | None:
         """Return the time to one of TIMED_RECALLS over the oracle's; None if either is unknown."""

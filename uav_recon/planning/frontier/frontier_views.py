@@ -51,7 +51,7 @@ class ViewDemand:
 
 
 USUAL = ViewDemand(MIN_SEEN)
-LEAST = ViewDemand(3, specks=True)  # of the last views before home
+LOW = ViewDemand(3, specks=True)  # of the last views before home
 
 
 @dataclass(frozen=True, slots=True, eq=False)

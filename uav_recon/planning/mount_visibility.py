@@ -30,7 +30,7 @@ Size = tuple[float, float, float]
 
 
 @dataclass(frozen=True, slots=True)
-class SightShares:
+class VisibleShares:
     """Shares of the surface in sight at one tilt; the surface that a gimbal sees is 1."""
 
     room: float
@@ -48,7 +48,7 @@ class DepthView:
     ahead_m: float = 0.1
 
 
-class RoomSight:
+class RoomVisibility:
     """The surface of a box, and the elevations of the lines of sight to it.
 
     size_m: length, width and height. clearance_m: of the body's centre from walls and ceiling. Raises ValueError if this
@@ -64,7 +64,7 @@ class RoomSight:
         self._elevation, self._open = _lines(points, normals, places, view)
         self._gimbal = self._seen(GIMBAL_RAD, -GIMBAL_RAD)
 
-    def shares(self, tilt_rad: float) -> SightShares:
+    def shares(self, tilt_rad: float) -> VisibleShares:
         """Return what a camera at a tilt (positive looks down) sees."""
         seen = self._seen(tilt_rad, tilt_rad) & self._gimbal
 
@@ -73,7 +73,7 @@ class RoomSight:
             return float(self._area[counts & seen].sum()) / total if total > 0.0 else 1.0
 
         floor, ceiling, walls = (share(self._side == side) for side in (FLOOR, CEILING, WALLS))
-        return SightShares(share(self._side >= 0), floor, walls, ceiling)
+        return VisibleShares(share(self._side >= 0), floor, walls, ceiling)
 
     def recommended_deg(self) -> float:
         """Return the usual tilt, unless another one of TILTS_DEG shows WORTH more."""

@@ -21,7 +21,7 @@ _SPACING_S = 0.35  # between stored views: the guard stores as many over a memor
 _MIN_SHARE = 0.2  # a frame with returns in a smaller share of its pixels shows no free space
 
 
-class RecentSight:
+class RecentViewMemory:
     """Stores the views of the last ``memory_s`` seconds.
 
     camera_body_m: (3,) position of the camera on the body.

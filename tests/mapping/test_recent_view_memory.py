@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from uav_recon.geometry.min_range_binning import nearest_in_cells
-from uav_recon.mapping.recent_sight import RecentSight
+from uav_recon.mapping.recent_view_memory import RecentViewMemory
 from uav_recon.motion.clearance import ClearanceMap
 from uav_recon.motion.sight_forecast import OLDER_S, EnteredHull, SightForecast
 from uav_recon.safety.recently_seen_space import RecentlySeenSpace
@@ -30,7 +30,7 @@ def posed(stamp_s: float, body: Pose, depth_m: float = 2.0, epoch: int = 0) -> P
 
 
 def test_it_spaces_its_views_and_forgets_the_old_ones_and_those_of_another_map() -> None:
-    sight, here = RecentSight(10.0, POSITION_M), Pose.from_yaw(0.7, np.array([1.0, 2.0, 1.5]))
+    sight, here = RecentViewMemory(10.0, POSITION_M), Pose.from_yaw(0.7, np.array([1.0, 2.0, 1.5]))
     assert sight.add(posed(5.0, here)) is not None
     assert sight.add(posed(5.2, here)) is None
     assert sight.add(posed(5.9, here, depth_m=math.nan)) is None, "an empty frame shows nothing"
@@ -41,15 +41,15 @@ def test_it_spaces_its_views_and_forgets_the_old_ones_and_those_of_another_map()
     later = sight.add(posed(15.5, here))
     assert later is not None
     assert later.stamp_s.tolist() == [6.0, 15.5]
-    anew = sight.add(posed(15.6, here, epoch=1))
-    assert anew is not None
-    assert anew.stamp_s.tolist() == [15.6]
+    restarted = sight.add(posed(15.6, here, epoch=1))
+    assert restarted is not None
+    assert restarted.stamp_s.tolist() == [15.6]
 
 
 def test_motion_plans_by_the_ages_that_the_guard_will_find() -> None:
     """Views in random directions, motions in random directions: the same ages, from the same frames."""
     rng = np.random.default_rng(3)
-    mission, guard = RecentSight(30.0, POSITION_M), RecentlySeenSpace(blind_memory_s=60.0, vehicle_radius_m=RADIUS_M)
+    mission, guard = RecentViewMemory(30.0, POSITION_M), RecentlySeenSpace(blind_memory_s=60.0, vehicle_radius_m=RADIUS_M)
     views: RecentViews | None = None
     for n in range(20):
         body = Pose.from_yaw(rng.uniform(-3, 3), np.array([0.0, 0.0, 1.5]) + rng.uniform(-0.4, 0.4, 3))
