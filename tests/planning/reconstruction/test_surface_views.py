@@ -115,6 +115,17 @@ def test_surface_in_the_map_but_not_in_the_model_is_viewed_first() -> None:
     assert whole.task.gain < 0.7 * first.task.gain
 
 
+def test_a_fixed_mount_views_a_bare_ceiling_from_far_away() -> None:
+    voxels, surface = seen_room(), elements_of(MEETING_ROOM)
+    situation, looks = situation_in(voxels, HERE), np.zeros(voxels.grid.shape, dtype=np.float32)
+    ceiling = surface.position_world[:, 2] > 2.35
+    seen = SurfaceElements(surface.position_world[~ceiling], surface.normal_world[~ceiling], np.zeros(int((~ceiling).sum())), 1)
+    proposals = SurfaceViews(CONFIG, FIXED).propose(situation, seen, looks, 3.0)
+    assert len(proposals) >= 3
+    for proposal in proposals:
+        assert np.count_nonzero(proposal.promised % voxels.grid.shape[2] >= 25) >= CONFIG.min_visible
+
+
 def test_tasks_run_out_as_they_are_viewed() -> None:
     voxels, surface = seen_room(), elements_of(MEETING_ROOM)
     situation, views = situation_in(voxels, HERE), SurfaceViews(CONFIG, GIMBAL)
