@@ -10,6 +10,7 @@ from uav_recon.geometry.traversal import visible_targets
 from uav_recon.planning.camera_frustum import CameraGeometry
 from uav_recon.planning.reconstruction.surface_elements import Elements
 from uav_recon.planning.reconstruction.surface_views import LOOK_DISCOUNT, SurfaceViews
+from uav_recon.planning.reconstruction.view_gain import MIN_FACING
 from uav_recon.planning.view_sampling import shell
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.maps import SurfaceElements, VoxelMap
@@ -38,7 +39,7 @@ def cosines(voxels: VoxelMap, elements: Elements, camera: CameraGeometry, view: 
     inside &= np.abs(offset @ left) <= depth * np.tan(camera.hfov_rad / 2) * 0.95
     inside &= np.abs(offset @ up) <= depth * np.tan(camera.vfov_rad / 2) * 0.95
     cosine = -(elements.normal * offset).sum(axis=1) / distance
-    cosine[~inside | (cosine <= 0)] = 0.0
+    cosine[~inside | (cosine < MIN_FACING)] = 0.0
     found = np.flatnonzero(cosine)
     cosine[found[~visible_targets(voxels.state, eye, elements.position[found], 1.5)]] = 0.0
     return np.asarray(cosine)
