@@ -296,6 +296,27 @@ def test_stopped_twice_running_it_looks_round_without_taking_views(desk: Desk) -
     assert len(desk.mapper.stamps) == views
 
 
+def test_stopped_by_space_not_seen_it_asks_for_another_view_and_looks_round_at_the_third_time(desk: Desk) -> None:
+    desk.conductor.request_start()
+    desk.run(60.0, until=Phase.SURVEY)
+    while desk.speed_mps() < 0.3:
+        desk.run(0.1)
+    desk.planner.asked.clear()
+    desk.note = Reason(ReasonCode.REFUSED, details=(Reason(ReasonCode.NOT_SEEN_RECENTLY, (1.0, 0.0, 1.1)),))
+    turns = []
+    for _ in range(3):
+        desk.refusals += 1
+        desk.run(0.2)
+        turned_rad = 0.0
+        while desk.speed_mps() < 0.05 and turned_rad < 6.0:
+            desk.run(0.1)
+            assert desk.intent.trajectory is not None
+            turned_rad = float(np.ptp(desk.intent.trajectory.yaw_rad))
+        turns.append(turned_rad > 6.0)
+    assert turns == [False, False, True]
+    assert [request.refused for request in desk.planner.asked] == [True, True]
+
+
 def test_no_views_are_taken_while_its_pilot_holds_the_vehicle_elsewhere(desk: Desk) -> None:
     desk.conductor.request_start()
     desk.run(60.0, until=Phase.SURVEY)

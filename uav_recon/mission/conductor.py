@@ -219,7 +219,7 @@ class Conductor:
         elif response is Response.REPLAN:
             self._log.refusal(now_s, reason)
             self._executor.hold(now_s, vehicle)
-            self._survey.stopped(now_s)
+            self._survey.stopped(now_s, reason)
             self._homeward.replan()
         elif response is Response.NOTE:
             self._log.refusal(now_s, reason)

@@ -25,8 +25,11 @@ MAX_FAILED_PLANS = 5  #: return: after this many plans in a row that could not b
 SAME_PLACE_M = 0.05  #: plan: a motion that ends nearer to the present one's end is not worth leaving it
 AHEAD_S = 1.6  #: plan: a plan leaves its predecessor this long before that one's end, so that it does not brake in between
 STOPPED_AGAIN_S = 5.0  #: plan: two stops within this time: the space ahead was not seen lately, so the vehicle looks round
+LOOK_AFTER_STOPS = 3  #: plan: stops by space not seen lately, without a view in between, after which the vehicle looks round
 LEAD_S = 0.25  #: plan: from a plan's start to the instant at which it leaves the present motion, added to its declared cost
 
+# the guard's reasons for which another view is chosen
+NOT_SEEN = frozenset({ReasonCode.NOT_SEEN_RECENTLY.value, ReasonCode.SPEED_OUT_OF_VIEW.value})
 NOTHING_LEARNED = SurfaceElements(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), 0)
 
 
@@ -51,8 +54,9 @@ class Survey:
         self._lead_s = LEAD_S + orders.plan_cost_s
         self._decision: Pending[PlanResult] | None = None
         self._departure = Departure(Setpoint.hold(np.zeros(3), 0.0))
-        self._looked_round = self._settled = self._looks_again = False
+        self._looked_round = self._settled = self._looks_again = self._refused = False
         self._stopped_s = -np.inf
+        self._unseen_stops = self._stopped_with = 0  # stops by space not seen lately since the last view, views left then
         self._asked_revision = -1
         self.interrupt()
 
@@ -68,10 +72,20 @@ class Survey:
         self._looked_round = False
         self._asked_revision = -1
 
-    def stopped(self, now_s: float) -> None:
-        """Record that the guard has stopped the vehicle."""
-        again = now_s - self._stopped_s < STOPPED_AGAIN_S
-        self._stopped_s = -np.inf if again else now_s
+    def stopped(self, now_s: float, reason: Reason) -> None:
+        """Record that the guard has stopped the vehicle.
+
+        If space was not seen lately, the next plan chooses another view: a camera that looks ahead does not see where a climb
+        leads, and looking round would not help. Only if that does not help either, the vehicle looks round.
+        """
+        if NOT_SEEN.isdisjoint(reason.codes()):
+            again = now_s - self._stopped_s < STOPPED_AGAIN_S
+            self._stopped_s = -np.inf if again else now_s
+        else:
+            self._refused = True
+            self._unseen_stops = self._unseen_stops + 1 if self._account.views_left == self._stopped_with else 1
+            self._stopped_with = self._account.views_left
+            again = self._unseen_stops % LOOK_AFTER_STOPS == 0
         self._looks_again = self._looks_again or again
         self._decision = None
 
@@ -118,7 +132,10 @@ class Survey:
     def _request_plan(self, now_s: float, vehicle: VehicleState, voxels: VoxelMap) -> None:
         departure = self._helm.course.departure(now_s + self._lead_s, vehicle)
         start, surface = departure.setpoint, self._surface()
-        request = PlanRequest(voxels, surface, start.position_m, start.yaw_rad, self._account.views_left, start.velocity_mps)
+        request = PlanRequest(
+            voxels, surface, start.position_m, start.yaw_rad, self._account.views_left, start.velocity_mps, self._refused
+        )
+        self._refused = False
         self._departure = departure
         self._decision = self._decider.next_views(request, departure, self._helm.course.next_identifier())
 

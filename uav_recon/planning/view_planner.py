@@ -169,7 +169,7 @@ class ViewPlanner:
             )
         )
         committed = self._committed(situation, request)
-        tasks = _drop_duplicate_tasks(committed, harvest.proposals)
+        tasks = _drop_duplicate_tasks(committed, self._not_refused(harvest.proposals))
         tasks_made_s = self._timer()
         order, dropped = self._order(situation, request, tasks, len(committed))
         if not order:
@@ -179,6 +179,10 @@ class ViewPlanner:
         path = self._path(request, harvest, views, nodes, start_s, tasks_made_s)
         self._offered = path, tuple(views)
         return path
+
+    def _not_refused(self, proposals: list[CandidateView]) -> list[CandidateView]:
+        """Return the views to which no motion was just refused; all if there is no other."""
+        return [one for one in proposals if not self.view_history.is_set_aside(one)] or proposals
 
     def plan_views(
         self, voxels: VoxelMap, world_from_body: Pose, views: int, surface: SurfaceElements | None = None

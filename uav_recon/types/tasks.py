@@ -96,7 +96,10 @@ class NothingLeft:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlanRequest:
-    """All inputs of a plan; the same request gives the same plan."""
+    """All inputs of a plan; the same request gives the same plan.
+
+    refused: the guard refused the motion to the next view, because space on it was not seen lately.
+    """
 
     voxels: VoxelMap
     surface: SurfaceElements | None
@@ -104,3 +107,4 @@ class PlanRequest:
     yaw_rad: float
     views_left: int
     velocity_world_mps: FloatArray = field(default_factory=lambda: np.zeros(3))
+    refused: bool = False
