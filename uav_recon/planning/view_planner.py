@@ -54,7 +54,7 @@ TOY_CONFIG = PlannerConfig(clearance_m=0.3)
 MIN_UNKNOWN_VOXELS = 25  # voxels beyond the frontier that a last view must promise: a gap in a surface has fewer
 MIN_VISIBLE_SHARE = 0.4  # of planner.min_visible: surface elements that a last view must show
 CONFINED_M = 1.5  # along each axis from the vehicle: if there are fewer reachable positions than ...
-CONFINED_M3 = 0.6  # ... this, one view may open the way to others, and a plan has no more
+CONFINED_M3 = 1.5  # ... this, one view may open the way to others, and a plan has no more
 SAME_SHARE = 0.5  # a task is dropped if the committed view settles this share of its voxels
 
 
