@@ -118,7 +118,10 @@ class PlannedViewsOnly:
 
 @kernel
 def _value(looks: int) -> float:
-    """Return the value of the observations of one voxel, in counts of FIXED_POINT_SCALE: 1 for one, 1 + REPEATED for two."""
+    """Return the value of the observations of one voxel: 1 for one, 1 + REPEATED for two.
+
+    looks: in counts of FIXED_POINT_SCALE.
+    """
     left, each, value = looks / FIXED_POINT_SCALE, 1.0, 0.0
     while left > 0.0:
         value += each * min(left, 1.0)

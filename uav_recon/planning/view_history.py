@@ -22,7 +22,7 @@ ARRIVED_RAD = 0.4  # ... and this heading difference
 WORTH_SHARE = 0.3  # if a smaller share of the promised frontier voxels is left, the view is no longer flown to
 # consecutive plans at the same position: the first view was refused by motion planning, so it counts as flown
 STALLED_PLANS = 3
-GIVEN_UP_LOOKS = 3.0  # a view of surface whose motion is refused again counts as so many looks at a right angle
+GIVEN_UP_LOOKS = 3.0  # looks at a right angle for which a view of surface counts whose motion is refused again
 
 
 class ViewHistory:
@@ -88,7 +88,10 @@ class ViewHistory:
         return following if again else None
 
     def _give_up(self, proposal: CandidateView) -> IntArray:
-        """Count a view as flown in vain; return the flat indices (N,) of voxels that became exhausted."""
+        """Count a view as flown without a result.
+
+        Returns the flat indices (N,) of voxels that became exhausted.
+        """
         if proposal.task.kind is not TaskKind.EXPLORE:
             self.surface_looks.reshape(-1)[proposal.promised] += GIVEN_UP_LOOKS
             return np.zeros(0, dtype=np.int64)

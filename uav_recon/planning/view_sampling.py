@@ -38,9 +38,10 @@ def shell(camera: CameraGeometry, radii_m: tuple[float, ...], resolution_m: floa
 
 
 def edge_shell(camera: CameraGeometry, radii_m: tuple[float, ...], resolution_m: float) -> FloatArray:
-    """Return offsets (K, 3) in voxels from a target to positions that see it at the upper or lower edge of the image.
+    """Return offsets (K, 3) from a target to positions that see it at the edge of the image.
 
-    A fixed mount sees a ceiling only there, from far away. None for a mount that is turned up and down.
+    That is the upper or the lower edge; in voxels. A fixed mount sees a ceiling only there, from far away. None for a mount
+    that is turned up and down.
     """
     if camera.pitch_max_rad > camera.pitch_min_rad:
         return np.zeros((0, 3))

@@ -166,9 +166,10 @@ class FrontierViews:
         return bool(self.table.shown[row] >= self._demand.min_cells)
 
     def _proposals(self, voxels: VoxelMap, found: list[int], lens: FloatArray) -> list[CandidateView]:
-        """Return tasks for the views that together cover the clusters, those of the nearest clusters first.
+        """Return tasks for the views that together cover the clusters.
 
-        A view from far away may show several clusters at once. A task promises the cells that no larger one shows.
+        Those of the nearest clusters come first. A view from far away may show several clusters at once. A task promises the
+        cells that no larger one shows.
         """
         if not found:
             return []

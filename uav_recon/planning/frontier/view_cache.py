@@ -113,9 +113,10 @@ class ViewCache:
     def covering(
         self, rows: list[int], distance2: ByteArray, shape: tuple[int, int, int], lens: FloatArray, share: float
     ) -> list[tuple[int, IntArray]]:
-        """Return the rows of few views that together show a share of what each view shows, most cells first.
+        """Return the rows of few views that together show a share of what each view shows.
 
-        Each is given with the flat indices of the cells that it shows and no view before it.
+        Those that add most cells come first. Each is given with the flat indices of the cells that it shows and none before it
+        does.
         """
         places, samples = np.array(rows, dtype=np.int64), self.samples[rows]
         owner = np.full((len(rows), max(1, int(samples.max()))), -1, dtype=np.int64)
@@ -262,7 +263,10 @@ def _sights(
     samples: IntArray,
     most: int,
 ) -> BoolArray:
-    """Return a mask (N, N, most): the view of a row shows a sample of the cells of another; of its own, all."""
+    """Return a mask (N, N, most): the view of a row shows a sample of the cells of another.
+
+    Of its own cells it shows all.
+    """
     shows = np.zeros((len(rows), len(rows), most), dtype=np.bool_)
     for n in range(len(rows)):
         line = sight(lens, view[rows[n], :3], view[rows[n], 3], view[rows[n], 4])
@@ -277,9 +281,10 @@ def _sights(
 
 @kernel
 def _news(shows: BoolArray, owner: IntArray, left: IntArray, cells: FloatArray) -> float:
-    """Return the number of cells that a view shows and no chosen one does, of rows with samples ``left`` (N,) to show.
+    """Return the number of cells that a view shows and no chosen one does.
 
-    shows: (N, S). owner: (N, S) -1 = no chosen view shows it. cells: (N,) for which each sample of a row stands.
+    left: (N,) samples of each row that are still to be shown; rows without any do not count. shows: (N, S). owner: (N, S)
+    -1 = no chosen view shows it. cells: (N,) for which each sample of a row stands.
     """
     total = 0.0
     for other in range(len(left)):
