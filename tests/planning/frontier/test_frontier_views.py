@@ -222,8 +222,8 @@ def test_few_views_show_the_cells_of_all_clusters_and_each_promises_what_it_show
     own = [set(table.promised[row].tolist()) for row in rows]
     assert len(set(promised.tolist())) == len(promised)
     assert set(promised.tolist()) <= set().union(*own)
-    for cells in own:
-        assert len(cells & set(promised.tolist())) >= (COVERED_SHARE - 0.1) * len(cells) - MIN_SEEN
+    for of_one in own:
+        assert len(of_one & set(promised.tolist())) >= (COVERED_SHARE - 0.1) * len(of_one) - MIN_SEEN
     lens = oracle_lens(GIMBAL)
     for proposal in found.proposals:
         view = proposal.task.viewpoint
