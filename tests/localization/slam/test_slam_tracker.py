@@ -29,6 +29,7 @@ from uav_recon.localization.slam.rgbd_registration import Registration
 from uav_recon.localization.slam.slam_tracker import SlamTracker
 from uav_recon.localization.slam.tracking_monitor import TrackingFault
 from uav_recon.types.camera import Frame, ImuSample
+from uav_recon.types.frames import FloatArray
 from uav_recon.types.pose import Pose, PoseHealth
 
 FAULT_S = 1.0  # a covered lens, frozen frames, a false wall
@@ -241,3 +242,29 @@ def test_doubt_about_the_place_is_told_before_there_is_no_pose() -> None:
             assert math.sqrt(pose.covariance[0, 0]) >= math.hypot(track_m, against_m)
             assert (pose.why is None) == (health is PoseHealth.GOOD)
             assert pose.quality <= 100 * min(0.08 / track_m, 1.0) + 0.5
+
+
+def test_a_found_error_enters_the_poses_slowly() -> None:
+    """The autopilot lands a vehicle whose poses move by 0.2 m/s without its inertial sensors."""
+    tracker = SlamTracker()
+    fly(tracker, frames(0.8))
+    shown_m = []
+    for n in range(20):
+        tracker._release(np.array([0.12 if n == 0 else 0.0, 0.0, 0.0]), 0.1)
+        shown_m.append(0.12 + float(tracker._stamped(10.0 + 0.1 * n).odom_from_body.translation_m[0]))
+    speed_mps = np.diff(shown_m) / 0.1
+    assert 0.08 < speed_mps.max() < 0.15
+    assert shown_m[-1] == pytest.approx(0.12)
+
+
+@pytest.mark.parametrize("unsure", [False, True])
+def test_what_a_view_corrects_after_doubt_enters_the_poses_slowly(unsure: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """While the place is sure, the view corrects the prediction by millimetres in each frame, and the poses follow at once."""
+    tracker, images, found_m = SlamTracker(), list(frames(2.0)), list[FloatArray]()
+    fly(tracker, images[:-1])
+    tracker._unsure = unsure
+    monkeypatch.setattr(tracker, "_release", lambda off_m, _: found_m.append(off_m))
+    fly(tracker, images[-1:], tuple(sample for sample in imu() if sample.stamp_s > images[-2].stamp_s + 0.02))
+    assert tracker._state is not None
+    corrected_m = tracker._state.odom_from_body.translation_m - tracker._predicted.place_m
+    assert np.array_equal(found_m[-1], corrected_m) is unsure

@@ -49,7 +49,8 @@ _WAY_BACK_S = 1.5  #: reject: time of the way back, after the newest pose that w
 _DOUBT_M = 0.08  #: retreat: the place is more uncertain than this in a direction: back to a view in which it was not
 _BLIND_M = 0.04  #: retreat: the place is more uncertain than this against the track: the view has not shown it for 0.7 s
 _SURE_AGAIN_SHARE = 0.85  #: retreat: until both are less than this share of their limits
-_RELEASE_MPS = 0.3  # a found error of the track is taken out of the poses at this speed: odometry does not jump
+# a found error is taken out of the poses at this speed: faster, they would contradict the inertial samples of the autopilot
+_RELEASE_MPS = 0.1
 _SEARCHED = (TrackingFault.FIT, TrackingFault.STEP, TrackingFault.TURN)
 _SEARCH_SIGMAS = 3.0  # reach of the search, in standard deviations of the predicted place
 _LEAST_SEARCH_M = 0.05
@@ -149,7 +150,7 @@ class SlamTracker:
         self._believed = 0
         self._launched = self._unsure = False
         self._sure_s = -math.inf
-        self._unreleased_m = np.zeros(3)  # found error of the track that is still in the poses
+        self._unreleased_m = np.zeros(3)  # found error of the place that is still in the poses
         self._unproven = 0
         self._depth_m: Float32Array | None = None
         self._slow = np.zeros(2)
@@ -330,7 +331,8 @@ class SlamTracker:
         odom_from_body = found.odom_from_depth @ body_from_depth.inverse()
         self._motion.update(self._predicted, odom_from_body.translation_m - found.shift_m, found.covariance[3:, 3:])
         self._motion.shift(found.shift_m)
-        self._release(found.shift_m, step_s)
+        unseen_m = odom_from_body.translation_m - self._predicted.place_m  # error of the time without a view
+        self._release(unseen_m if self._unsure else found.shift_m, step_s)
         self._attitude.update(self._turned, odom_from_body, found.covariance[:3, :3])
         self._landmarks.shift(found.shift_m, _left(found.track_variance, prior.track_variance))
         self._track_variance = found.track_variance
@@ -363,9 +365,9 @@ class SlamTracker:
         between = self._fused.inverse() @ odom_from_depth
         return bool(np.linalg.norm(between.translation_m) > _FUSE_M or np.linalg.norm(between.rotation_vector()) > _FUSE_RAD)
 
-    def _release(self, shift_m: FloatArray, step_s: float) -> None:
-        """Take a found error (3,) of the track into the poses, little by little."""
-        left_m = self._unreleased_m - shift_m
+    def _release(self, found_m: FloatArray, step_s: float) -> None:
+        """Take a found error (3,) of the place into the poses, little by little."""
+        left_m = self._unreleased_m - found_m
         length_m = float(np.linalg.norm(left_m))
         self._unreleased_m = left_m * max(1.0 - _RELEASE_MPS * step_s / max(length_m, 1e-9), 0.0)
 
