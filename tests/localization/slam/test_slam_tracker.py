@@ -244,6 +244,20 @@ def test_doubt_about_the_place_is_told_before_there_is_no_pose() -> None:
             assert pose.quality <= 100 * min(0.08 / track_m, 1.0) + 0.5
 
 
+def test_an_uncertainty_that_grows_with_the_flight_is_no_doubt() -> None:
+    """A way back would not reduce it. The covariance tells it."""
+    tracker = SlamTracker()
+    fly(tracker, frames(0.8))
+    for second in range(40):
+        pose = tracker._pose(10.0 + second, _found(0.03 + 0.002 * second, 0.005))
+        assert pose is not None
+        assert pose.health is PoseHealth.GOOD
+    assert math.sqrt(pose.covariance[0, 0]) > 0.1
+    pose = tracker._pose(49.1, _found(0.15, 0.005))  # a bare wall
+    assert pose is not None
+    assert pose.health is PoseHealth.DEGRADED
+
+
 def test_a_found_error_enters_the_poses_slowly() -> None:
     """The autopilot lands a vehicle whose poses move by 0.2 m/s without its inertial sensors."""
     tracker = SlamTracker()

@@ -46,7 +46,9 @@ _PROOF_FRAMES = 2  # frames that must be believed after doubt until poses are gi
 _MOST_SIGMA_M = 0.12  #: reject: no pose is given while the place is more uncertain than this in a direction
 _MOST_ON_WAY_BACK_M = 0.20  #: reject: the same on the way back
 _WAY_BACK_S = 1.5  #: reject: time of the way back, after the newest pose that was sure
-_DOUBT_M = 0.08  #: retreat: the place is more uncertain than this in a direction: back to a view in which it was not
+#: retreat: the place has become more uncertain than this in a direction: back to a view in which it was not
+_DOUBT_M = 0.08
+_DRIFT_MPS = 0.004  # growth of the uncertainty with the flight, which no way back reduces
 _BLIND_M = 0.04  #: retreat: the place is more uncertain than this against the track: the view has not shown it for 0.7 s
 _SURE_AGAIN_SHARE = 0.85  #: retreat: until both are less than this share of their limits
 # a found error is taken out of the poses at this speed: faster, they would contradict the inertial samples of the autopilot
@@ -150,6 +152,8 @@ class SlamTracker:
         self._believed = 0
         self._launched = self._unsure = False
         self._sure_s = -math.inf
+        self._judged_s = math.inf
+        self._drifted_m = 0.0  # standard deviation of the place by the drift of the flight
         self._unreleased_m = np.zeros(3)  # found error of the place that is still in the poses
         self._unproven = 0
         self._depth_m: Float32Array | None = None
@@ -374,7 +378,10 @@ class SlamTracker:
     def _pose(self, stamp_s: float, found: Registration) -> StampedPose | None:
         """Return the pose of a frame; None while it is not sure, or not yet again."""
         sigma_m, limit = found.sigma_m, _SURE_AGAIN_SHARE if self._unsure else 1.0
-        self._unsure = sigma_m > limit * _DOUBT_M or found.sigma_against_track_m > limit * _BLIND_M
+        self._drifted_m = min(self._drifted_m + _DRIFT_MPS * max(stamp_s - self._judged_s, 0.0), sigma_m)
+        self._judged_s = stamp_s
+        lately_m = math.sqrt(sigma_m**2 - self._drifted_m**2)
+        self._unsure = lately_m > limit * _DOUBT_M or found.sigma_against_track_m > limit * _BLIND_M
         self._sure_s = self._sure_s if self._unsure else stamp_s
         most_m = _MOST_ON_WAY_BACK_M if stamp_s - self._sure_s <= _WAY_BACK_S else _MOST_SIGMA_M
         if sigma_m > most_m or self._unproven:
