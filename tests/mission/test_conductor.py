@@ -296,6 +296,23 @@ def test_stopped_twice_running_it_looks_round_without_taking_views(desk: Desk) -
     assert len(desk.mapper.stamps) == views
 
 
+def test_a_view_on_whose_way_the_place_is_uncertain_is_given_up_once(desk: Desk) -> None:
+    desk.conductor.request_start()
+    desk.run(60.0, until=Phase.SURVEY)
+    while desk.speed_mps() < 0.3:
+        desk.run(0.1)
+    turned_rad = 0.0
+    for _ in range(2):  # as the pilot goes back, and as it refuses what no longer begins where the vehicle is
+        desk.note = Reason(ReasonCode.PLACE_UNSURE, (0.09,)) if desk.refusals == 0 else Reason(ReasonCode.REFUSED)
+        desk.refusals += 1
+        desk.run(0.5)
+        assert desk.intent.trajectory is not None
+        turned_rad = max(turned_rad, float(np.ptp(desk.intent.trajectory.yaw_rad)))
+    desk.run(2.0)
+    assert desk.planner.given_up == 1
+    assert turned_rad < 6.0, "it looks round, past the same wall again"
+
+
 def test_no_views_are_taken_while_its_pilot_holds_the_vehicle_elsewhere(desk: Desk) -> None:
     desk.conductor.request_start()
     desk.run(60.0, until=Phase.SURVEY)

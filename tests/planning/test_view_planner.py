@@ -407,6 +407,20 @@ def test_a_view_without_remaining_gain_is_not_kept() -> None:
         assert any(onward.viewpoints[0].position_world != path.viewpoints[0].position_world)
 
 
+def test_what_a_view_that_was_given_up_should_settle_is_not_planned_again() -> None:
+    world = looked_round(MEETING_ROOM)
+    planner = planner_for(world.state)
+    path = planner.plan(world.request())
+    assert isinstance(path, ViewPath)
+    planner.accept(path)
+    promised = planner.view_history.next_promised(path.waypoints_world[0][0], world.yaw_rad)
+    assert promised is not None
+    again = planner.plan(dataclasses.replace(world.request(), gives_up_view=True))
+    assert planner.view_history.exhausted.reshape(-1)[promised.promised].mean() > 0.9
+    assert isinstance(again, ViewPath)
+    assert all(task is not promised.task for task in again.tasks)
+
+
 def test_flyable_components_of_the_test_rooms_are_one() -> None:
     distance = ndimage.distance_transform_edt(~MEETING_ROOM) * 0.1
     assert ndimage.label(distance >= 0.4, structure=np.ones((3, 3, 3)))[1] == 1

@@ -51,7 +51,7 @@ class Survey:
         self._lead_s = LEAD_S + orders.plan_cost_s
         self._decision: Pending[PlanResult] | None = None
         self._departure = Departure(Setpoint.hold(np.zeros(3), 0.0))
-        self._looked_round = self._settled = self._looks_again = False
+        self._looked_round = self._settled = self._looks_again = self._gives_up_view = False
         self._stopped_s = -np.inf
         self._asked_revision = -1
         self.interrupt()
@@ -67,6 +67,11 @@ class Survey:
         self.interrupt()
         self._looked_round = False
         self._asked_revision = -1
+
+    def lost_its_place(self) -> None:
+        """Record that the pilot goes back, because the place is uncertain on the way to the next view."""
+        self._gives_up_view = True
+        self._decision = None
 
     def stopped(self, now_s: float) -> None:
         """Record that the guard has stopped the vehicle."""
@@ -118,7 +123,10 @@ class Survey:
     def _request_plan(self, now_s: float, vehicle: VehicleState, voxels: VoxelMap) -> None:
         departure = self._helm.course.departure(now_s + self._lead_s, vehicle)
         start, surface = departure.setpoint, self._surface()
-        request = PlanRequest(voxels, surface, start.position_m, start.yaw_rad, self._account.views_left, start.velocity_mps)
+        request = PlanRequest(
+            voxels, surface, start.position_m, start.yaw_rad, self._account.views_left, start.velocity_mps, self._gives_up_view
+        )
+        self._gives_up_view = False
         self._departure = departure
         self._decision = self._decider.next_views(request, departure, self._helm.course.next_identifier())
 

@@ -50,13 +50,16 @@ class ViewHistory:
     def evaluate_flown_views(self, request: PlanRequest) -> IntArray:
         """Evaluate the views flown since the last plan against the current map.
 
-        Returns the flat indices (N,) of voxels that became exhausted.
+        A view that is given up counts as flown: what it should settle is not planned again and again. Returns the flat indices
+        (N,) of voxels that became exhausted.
         """
         self._keep_frame(request)
         voxels = request.voxels
-        for proposal in self._newly_flown(request):
+        flown = self._newly_flown(request)
+        for proposal in flown:
+            given_up = request.gives_up_view and proposal is flown[-1]  # no image of it will come
             if proposal.task.kind is TaskKind.EXPLORE:
-                self._waiting.append((voxels.revision, proposal.promised))
+                self._waiting.append((voxels.revision - given_up, proposal.promised))
             else:
                 self.surface_looks.reshape(-1)[proposal.promised] += proposal.view_cosine.astype(np.float32)
         # a view is evaluated by a map newer than the arrival, because the image taken there may still be in processing
@@ -124,7 +127,7 @@ class ViewHistory:
         if self._stalls >= STALLED_PLANS:
             self._stalls = 0
             flown = 1
-        return self._proposals[:flown]
+        return self._proposals[: flown + request.gives_up_view]
 
 
 @kernel

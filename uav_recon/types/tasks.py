@@ -96,7 +96,10 @@ class NothingLeft:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlanRequest:
-    """All inputs of a plan; the same request gives the same plan."""
+    """All inputs of a plan; the same request gives the same plan.
+
+    gives_up_view: the vehicle left the way to the next view of the accepted path, because its place is uncertain there.
+    """
 
     voxels: VoxelMap
     surface: SurfaceElements | None
@@ -104,3 +107,4 @@ class PlanRequest:
     yaw_rad: float
     views_left: int
     velocity_world_mps: FloatArray = field(default_factory=lambda: np.zeros(3))
+    gives_up_view: bool = False
