@@ -252,6 +252,7 @@ def test_an_uncertainty_that_grows_with_the_flight_is_no_doubt() -> None:
         pose = tracker._pose(10.0 + second, _found(0.03 + 0.002 * second, 0.005))
         assert pose is not None
         assert pose.health is PoseHealth.GOOD
+    assert pose is not None
     assert math.sqrt(pose.covariance[0, 0]) > 0.1
     pose = tracker._pose(49.1, _found(0.15, 0.005))  # a bare wall
     assert pose is not None
