@@ -84,7 +84,7 @@ def _with_mount(options: SimOptions, console: Console) -> SimOptions:
     """Return the options with a mount; if none was given, print which fits the room."""
     if options.mount != AUTO:
         return options
-    quick = replace(options, mapper="depth-only")  # the size of the room needs no texture
+    quick = replace(options, mapper="depth-only", camera="fast")  # the size of the room needs no texture
     scene = compile_and_load(_jobs(options), console, lambda: _scene(quick))
     fitted = options.with_mount_for(scene)
     size = " x ".join(f"{length:.1f}" for length in scene.fence_max - scene.fence_min)
@@ -152,7 +152,7 @@ def _remove(logs: Path) -> None:
 
 def _scene(options: SimOptions) -> Scene:
     try:
-        return load_scene(options.scene, options.start, options.fence, options.radius_m, fine=options.mapper == "neural")
+        return load_scene(options.scene, options.start, options.fence, options.radius_m, fine=options.textured)
     except SceneError as error:
         raise UserError(str(error), EXIT_USAGE) from None
 

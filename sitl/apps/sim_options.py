@@ -136,6 +136,11 @@ class SimOptions:
             calibration=None if calibration is None else calibration.absolute(),
         )  # fmt: skip
 
+    @property
+    def textured(self) -> bool:
+        """True if the flight needs a scene with texture: the mapper learns colour, or the camera shows it."""
+        return self.mapper == "neural" or self.camera != "fast"
+
     def with_mount_for(self, scene: Scene) -> SimOptions:
         """Return the options with the mount that fits the scene's size, if AUTO was given."""
         if self.mount != AUTO:

@@ -106,7 +106,7 @@ def _fly(case: Case, folder: Path, truth: bool) -> Record:
         views=case.views, autopilot=case.autopilot, mapper="depth-only", lockstep=True, out=folder / "flight",
         camera_errors=str(case.camera_errors), pose=case.pose,
     )  # fmt: skip
-    scene = load_scene(options.scene, options.start, options.fence, options.radius_m, fine=False)
+    scene = load_scene(options.scene, options.start, options.fence, options.radius_m, fine=options.textured)
     options = options.with_mount_for(scene)
     options.make_folder()
     config = options.config(scene, folder)

@@ -18,7 +18,7 @@ from uav_recon.types.frames import ByteArray, FloatArray
 from uav_recon.types.maps import FREE, OCCUPIED, UNKNOWN, SurfaceElements, VoxelMap
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
-from uav_recon.types.tasks import NothingLeft, PlanMode, PlanRequest, Task, TaskKind, ViewPath
+from uav_recon.types.tasks import NextView, NothingLeft, PlanMode, PlanRequest, Task, TaskKind, ViewPath
 
 
 def planner_for(state: ByteArray, camera: CameraGeometry = FIXED, variant: VariantName = "adaptive") -> ViewPlanner:
@@ -325,7 +325,8 @@ def test_after_a_refused_motion_another_view_comes_first_and_each_place_is_tried
     planner, position = planner_for(known), np.array([3.0, 2.0, 1.2])
     places: list[FloatArray] = []
     for revision in range(40):
-        request = PlanRequest(voxel_map(known, revision), None, position, 0.0, 20, refused=revision > 0)
+        after = NextView.REFUSED if revision > 0 else NextView.KEPT
+        request = PlanRequest(voxel_map(known, revision), None, position, 0.0, 20, next_view=after)
         answer = planner.plan(request)
         if isinstance(answer, NothingLeft):
             break
@@ -435,6 +436,20 @@ def test_a_view_without_remaining_gain_is_not_kept() -> None:
     onward = planner.plan(PlanRequest(voxel_map(seen, 51), None, at, yaw, 50, np.array([0.3, 0.0, 0.0])))
     if isinstance(onward, ViewPath):
         assert any(onward.viewpoints[0].position_world != path.viewpoints[0].position_world)
+
+
+def test_what_a_view_that_was_given_up_should_settle_is_not_planned_again() -> None:
+    world = looked_round(MEETING_ROOM)
+    planner = planner_for(world.state)
+    path = planner.plan(world.request())
+    assert isinstance(path, ViewPath)
+    planner.accept(path)
+    promised = planner.view_history.next_promised(path.waypoints_world[0][0], world.yaw_rad)
+    assert promised is not None
+    again = planner.plan(dataclasses.replace(world.request(), next_view=NextView.LEFT))
+    assert planner.view_history.exhausted.reshape(-1)[promised.promised].mean() > 0.9
+    assert isinstance(again, ViewPath)
+    assert all(task is not promised.task for task in again.tasks)
 
 
 def test_flyable_components_of_the_test_rooms_are_one() -> None:

@@ -28,6 +28,7 @@ def because(code: ReasonCode, *values: Value) -> Reason:
     return Reason(code, values)
 
 
+UNSURE = because(ReasonCode.PLACE_UNSURE, 0.09)
 DISAGREE, DRIFT = because(ReasonCode.POSES_DISAGREE, 0.3), because(ReasonCode.ODOMETRY_DRIFT, 0.05)
 
 
@@ -57,6 +58,8 @@ def health(now_s: float, **changes: Any) -> FailsafeInputs:
         ({"depth_age_s": 4.0, "pose_age_s": 0.5}, FailsafeAction.RETREAT, because(ReasonCode.NO_DEPTH, 4.0)),
         ({"depth_age_s": 4.0, "pose_age_s": 2.0}, FailsafeAction.LAND, because(ReasonCode.NO_POSE, 2.0)),
         ({"lost": DISAGREE}, FailsafeAction.HOLD, DISAGREE),
+        ({"unsure": UNSURE}, FailsafeAction.RETREAT, UNSURE),
+        ({"unsure": UNSURE, "pose_age_s": 1.01}, FailsafeAction.LAND, because(ReasonCode.NO_POSE, 1.0)),
         ({"lost": DISAGREE, "pose_age_s": 1.01}, FailsafeAction.LAND, because(ReasonCode.NO_POSE, 1.0)),
         ({"refused_s": 20.0}, FailsafeAction.FLY, None),
         ({"refused_s": 20.01}, FailsafeAction.LAND, because(ReasonCode.REFUSED_TOO_LONG, 20.0)),

@@ -220,7 +220,7 @@ class Conductor:
             self._log.refusal(now_s, reason)
             self._executor.hold(now_s, vehicle)
             self._survey.stopped(now_s, reason)
-            self._homeward.replan()
+            self._homeward.replan(vehicle.world_from_body.translation_m)
         elif response is Response.NOTE:
             self._log.refusal(now_s, reason)
         elif response is Response.NOTE_IN_HOLD and self._hold:

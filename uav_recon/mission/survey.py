@@ -16,7 +16,7 @@ from uav_recon.mission.trajectory_execution import TrajectoryExecutor
 from uav_recon.types.maps import SurfaceElements, VoxelMap
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
-from uav_recon.types.tasks import NothingLeft, PlanRequest
+from uav_recon.types.tasks import NextView, NothingLeft, PlanRequest
 from uav_recon.types.trajectory import Setpoint, Trajectory
 from uav_recon.types.vehicle import VehicleState
 
@@ -54,7 +54,8 @@ class Survey:
         self._lead_s = LEAD_S + orders.plan_cost_s
         self._decision: Pending[PlanResult] | None = None
         self._departure = Departure(Setpoint.hold(np.zeros(3), 0.0))
-        self._looked_round = self._settled = self._looks_again = self._refused = False
+        self._looked_round = self._settled = self._looks_again = False
+        self._next_view = NextView.KEPT
         self._stopped_s = -np.inf
         self._unseen_stops = self._stopped_with = 0  # stops by space not seen lately since the last view, views left then
         self._asked_revision = -1
@@ -73,19 +74,23 @@ class Survey:
         self._asked_revision = -1
 
     def stopped(self, now_s: float, reason: Reason) -> None:
-        """Record that the guard has stopped the vehicle.
+        """Record that the guard has stopped the vehicle, or that the pilot goes back, because the place is uncertain.
 
-        If space was not seen lately, the next plan chooses another view: a camera that looks ahead does not see where a climb
-        leads, and looking round would not help. Only if that does not help either, the vehicle looks round.
+        If the place is uncertain or space was not seen lately, the next plan chooses another view. Looking round would not
+        help: it leads past the same bare wall, and a camera that looks ahead does not see where a climb leads. Only if it is
+        stopped by space not seen again and again, the vehicle looks round.
         """
-        if NOT_SEEN.isdisjoint(reason.codes()):
-            again = now_s - self._stopped_s < STOPPED_AGAIN_S
-            self._stopped_s = -np.inf if again else now_s
-        else:
-            self._refused = True
+        codes, again = set(reason.codes()), False
+        if ReasonCode.PLACE_UNSURE in codes:
+            self._next_view = NextView.LEFT
+        elif NOT_SEEN & codes:
+            self._next_view = NextView.REFUSED
             self._unseen_stops = self._unseen_stops + 1 if self._account.views_left == self._stopped_with else 1
             self._stopped_with = self._account.views_left
             again = self._unseen_stops % LOOK_AFTER_STOPS == 0
+        else:
+            again = now_s - self._stopped_s < STOPPED_AGAIN_S
+            self._stopped_s = -np.inf if again else now_s
         self._looks_again = self._looks_again or again
         self._decision = None
 
@@ -133,9 +138,9 @@ class Survey:
         departure = self._helm.course.departure(now_s + self._lead_s, vehicle)
         start, surface = departure.setpoint, self._surface()
         request = PlanRequest(
-            voxels, surface, start.position_m, start.yaw_rad, self._account.views_left, start.velocity_mps, self._refused
+            voxels, surface, start.position_m, start.yaw_rad, self._account.views_left, start.velocity_mps, self._next_view
         )
-        self._refused = False
+        self._next_view = NextView.KEPT
         self._departure = departure
         self._decision = self._decider.next_views(request, departure, self._helm.course.next_identifier())
 

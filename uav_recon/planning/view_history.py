@@ -13,7 +13,7 @@ from uav_recon.geometry.jit import kernel
 from uav_recon.planning.candidate_view import CandidateView
 from uav_recon.types.frames import BoolArray, ByteArray, Float32Array, FloatArray, IntArray
 from uav_recon.types.maps import FREE, UNKNOWN, VoxelMap
-from uav_recon.types.tasks import PlanRequest, TaskKind, ViewPath
+from uav_recon.types.tasks import NextView, PlanRequest, TaskKind, ViewPath
 
 MAX_LOOKS = 2  # unsuccessful views after which a frontier voxel is exhausted
 HOPELESS_SHARE = 0.7  # if this share of the promised voxels is left after a view, another view will not settle them either
@@ -53,13 +53,13 @@ class ViewHistory:
     def evaluate_flown_views(self, request: PlanRequest) -> IntArray:
         """Evaluate the views flown since the last plan against the current map.
 
-        Returns the flat indices (N,) of voxels that became exhausted.
+        A view that is given up counts as flown in vain. Returns the flat indices (N,) of voxels that became exhausted.
         """
         self._keep_frame(request)
         voxels = request.voxels
         flown = self._newly_flown(request)
         self._set_aside = [] if flown else self._set_aside
-        given_up = self._set_next_aside(request) if request.refused else None
+        given_up = None if request.next_view is NextView.KEPT else self._set_next_aside(request)
         for proposal in flown:
             if proposal.task.kind is TaskKind.EXPLORE:
                 self._waiting.append((voxels.revision, proposal.promised))
@@ -77,15 +77,18 @@ class ViewHistory:
         return _among(proposal, self._set_aside)
 
     def _set_next_aside(self, request: PlanRequest) -> CandidateView | None:
-        """Set the next view aside; return it if a motion to about its position was refused before."""
+        """Set the next view aside.
+
+        Returns it if it is given up: it was left, or a motion to about its position was refused before.
+        """
         following = self.next_promised(request.position_world, request.yaw_rad)
         self._path = None
         if following is None:
             return None
-        again = _among(following, self._refused)
+        given_up = request.next_view is NextView.LEFT or _among(following, self._refused)
         self._refused.append(following.task.viewpoint.position_world)
         self._set_aside.append(following.task.viewpoint.position_world)
-        return following if again else None
+        return following if given_up else None
 
     def _give_up(self, proposal: CandidateView) -> IntArray:
         """Count a view as flown without a result.

@@ -52,7 +52,8 @@ class FailsafeInputs:
 
     inside: the position is inside the fence itself. refusals: number of refusals.
 
-    pose_age_s: of the newest sound pose, or since any was fed if longer. lost, wrong: the reason, or None.
+    pose_age_s: of the newest sound pose, or since any was fed if longer. lost, wrong, unsure: the reason, or None; unsure: the
+    source of the poses becomes uncertain of the place, and knows views in which it was not.
     refused_s: without motion. depth_rejected: depth frames arrive, and none is believed.
     """
 
@@ -66,6 +67,7 @@ class FailsafeInputs:
     wrong: Reason | None = None
     refused_s: float = 0.0
     depth_rejected: bool = False
+    unsure: Reason | None = None
 
 
 class Failsafe:
@@ -115,6 +117,8 @@ class Failsafe:
         if rung > FailsafeAction.FLY:
             code, age_s, _ = silences[rungs.index(rung)]
             return rung, Reason(code, (age_s,))
+        if health.unsure:
+            return FailsafeAction.RETREAT, health.unsure
         why = health.lost or (Reason(ReasonCode.MANY_REFUSALS, (_REFUSALS,)) if refused else None)
         return FailsafeAction.HOLD if why else FailsafeAction.FLY, why
 

@@ -147,6 +147,7 @@ class Rig:
         self.operator_lost = False
         self.poses = True
         self.health = PoseHealth.GOOD
+        self.why = POSES_DISAGREE  # of a health that is not good
         self.turn = 0
         self.track: list[tuple[float, FloatArray]] = []
 
@@ -199,7 +200,7 @@ class Rig:
         truth = self.autopilot.truth()
         if self.poses and self.turn % 3 == 0:
             pose = Pose(np.array(truth.quat_wxyz), np.array(truth.position))
-            why = None if self.health is PoseHealth.GOOD else POSES_DISAGREE
+            why = None if self.health is PoseHealth.GOOD else self.why
             velocity = np.array(truth.velocity)
             self.channels.odom.publish(StampedPose(truth.stamp_s, pose, velocity, health=self.health, why=why))
         if self.depth and self.turn % 7 == 0:

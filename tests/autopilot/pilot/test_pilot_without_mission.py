@@ -10,6 +10,8 @@ from flight_rig import ARM, BODY_FROM_DEPTH, MODE, SETPOINT, Rig, setpoints, smo
 
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.min_range_grid import MinRangeGrid
+from uav_recon.types.pose import PoseHealth
+from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.trajectory import Goal
 from uav_recon.types.vehicle import FlightPhase
@@ -117,6 +119,38 @@ def test_a_retreat_outlives_a_moment_without_poses(hovering: Rig) -> None:
     hovering.run(2.0)
     assert hovering.pilot.phase is FlightPhase.FLYING
     assert hovering.px4.truth().velocity[0] < -0.1, "on the way back again"
+
+
+def test_uncertain_of_its_place_it_goes_back_to_what_it_has_seen_before(hovering: Rig) -> None:
+    """With the headings of the way out: back along x it still looks along x. It flies on once the place is sure again."""
+    hovering.run(hovering.fly((2.5, 0.0, 1.1), identifier=2).duration_s / 2)
+    place_m, began_s = np.array(hovering.px4.truth().position), hovering.clock.now_s()
+    hovering.health, hovering.why = PoseHealth.DEGRADED, Reason(ReasonCode.PLACE_UNSURE, (0.09,))
+    hovering.run(4.0)
+    _, places = setpoints(hovering, began_s + 2.0)
+    assert places[-1][0] < place_m[0], "on its way back"
+    assert abs(hovering.state.world_from_body.yaw_rad()) < 0.1
+    assert hovering.note_codes[0] == ReasonCode.PLACE_UNSURE
+    hovering.health = PoseHealth.GOOD
+    hovering.run(2.5)
+    hovering.fly((2.5, 0.0, 1.1), identifier=3)
+    hovering.run(1.5)
+    assert hovering.state.trajectory_id == 3
+    assert hovering.pilot.phase is FlightPhase.FLYING
+
+
+def test_uncertain_of_its_place_on_the_pad_it_takes_off() -> None:
+    """From the pad little is seen, and there is no view to go back to."""
+    rig = Rig()
+    rig.health, rig.why = PoseHealth.DEGRADED, Reason(ReasonCode.PLACE_UNSURE, (0.05,))
+    rig.until(FlightPhase.READY, 20.0)
+    rig.intent = (Goal.FLY, None)
+    rig.until(FlightPhase.FLYING, 8.0)
+    way = smooth_way(rig.clock.now_s() + 0.1, [(0.0, 0.0, 0.0), (0.0, 0.0, 1.1)], 1, 0.12)
+    rig.intent = (Goal.FLY, way)
+    rig.run(way.duration_s + 1.0)
+    assert rig.pilot.phase is FlightPhase.FLYING
+    assert rig.height_m > 0.9
 
 
 def test_no_depth_stops_then_retreats_then_lands(hovering: Rig) -> None:

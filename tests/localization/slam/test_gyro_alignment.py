@@ -64,6 +64,21 @@ def test_a_constant_turn_shows_no_delay() -> None:
     assert gyro.delay_sigma_s > 0.018
 
 
+def test_a_camera_whose_mount_is_off_turns_about_other_axes() -> None:
+    """Pitch and roll of the mount show in turns of the heading; its own heading shows in tilts only."""
+    off = Rotation.from_rotvec([0.015, -0.01, 0.0])
+    gyro, stamps = GyroAlignment(), np.arange(0.0, 19.9, PERIOD_S)
+    gyro.add(_samples(_turning, 20.0, np.zeros(3)))
+    shown, random = _turning(stamps) * off.inv(), np.random.default_rng(4)
+    turned = (shown[:-1].inv() * shown[1:]).as_rotvec() + 1e-3 * random.standard_normal((len(stamps) - 1, 3))
+    for n, row in enumerate(turned):
+        gyro.update(stamps[n], stamps[n + 1], row)
+    found = gyro.turn(1.0, 2.2)
+    assert found is not None
+    ends = _turning(np.array([1.0, 2.2])) * off.inv()
+    np.testing.assert_allclose(found, (ends[0].inv() * ends[1]).as_rotvec(), atol=0.003)
+
+
 def test_wrong_turns_are_left_out() -> None:
     gyro = _aligned(_turning, 0.02, BIAS_RADPS, outlier=6)
     assert gyro.delay_s == pytest.approx(0.02, abs=0.004)

@@ -23,6 +23,7 @@ from uav_recon.types.pose import Pose
 CAMERA = RGB_LENS.pinhole_px()
 STEP = 1e-5
 CORNER = np.eye(2)
+EXACT = np.zeros((1024, 3)), np.zeros(3), np.inf  # surfaces without errors of place
 # of a camera: rotation, eye, the depth imager's place beside it
 TURN = Pose.from_rotation_vector(np.array([0.4, -0.7, 0.2]), np.array([0.3, -0.2, 0.5]))
 EYE_M = TURN.translation_m + np.array([0.01, -0.02, 0.015])
@@ -51,7 +52,7 @@ def _equations(
     information, gradient = np.zeros((SIZE, SIZE)), np.zeros(SIZE)
     fitting = add_landmark_equations(
         places, slope, texture, at_px.astype(np.float32), CAMERA, TURN.rotation(), EYE_M, TURN.translation_m, MOTION, slow,
-        change, information, gradient,
+        change, information, gradient, np.zeros((3, 3)),
     )  # fmt: skip
     return information, gradient, fitting
 
@@ -147,7 +148,8 @@ def _corner_volume() -> tuple[TsdfVolume, FloatArray, Pose]:
     volume = TsdfVolume()
     camera = Pose.from_yaw(0.7, np.array([0.5, 0.3, 0.8])) @ BODY_FROM_DEPTH
     depth = ranges_m(camera, LENS, ROOM_M, (CABINET_M,)).astype(np.float32)
-    volume.integrate(Frame(0.0, 0, depth, LENS, np.zeros((2, 2, 3), np.uint8), RGB_LENS, Pose.identity()), camera)
+    image = Frame(0.0, 0, depth, LENS, np.zeros((2, 2, 3), np.uint8), RGB_LENS, Pose.identity())
+    volume.integrate(image, camera, np.zeros(3))
     points: FloatArray = depth_points(depth, LENS.pinhole_px())
     return volume, points, camera
 
@@ -175,17 +177,17 @@ def test_the_gradient_of_depth_is_that_of_its_squared_residuals() -> None:
     def cost(moved: FloatArray) -> tuple[FloatArray, BoolArray]:
         turn = Pose.from_rotation_vector(moved[:3], np.zeros(3)).rotation()
         there = points @ (turn @ camera.rotation()).T + camera.translation_m + moved[3:]
-        out, off, known = np.empty(4), np.zeros(len(points)), np.zeros(len(points), bool)
+        out, off, known = np.empty(5), np.zeros(len(points)), np.zeros(len(points), bool)
         for n, point in enumerate(there):
             if sample(point, volume.index, volume.distance, volume.weight, out):
-                slope = np.linalg.norm(out[1:])
+                slope = np.linalg.norm(out[1:4])
                 known[n], off[n] = 0.35 < slope < 1.5, out[0] / slope
         return off, known
 
     information, gradient = np.zeros((SIZE, SIZE)), np.zeros(SIZE)
     known, inliers = add_depth_equations(
-        points, camera.rotation(), camera.translation_m, volume.index, volume.distance, volume.weight, 1.0, 1e6, information,
-        gradient,
+        points, camera.rotation(), camera.translation_m, volume.index, volume.distance, volume.weight, *EXACT, 1.0, 1e6,
+        information, gradient, np.zeros((2, 3)),
     )  # fmt: skip
     sigma = 0.012 + 0.004 * points[:, 2] ** 2
     off, valid = cost(np.zeros(6))
@@ -212,8 +214,8 @@ def test_depth_pulls_back_what_was_moved() -> None:
     for moved in (np.array([0.03, 0.0, 0.0]), np.array([0.0, -0.03, 0.0]), np.array([0.0, 0.0, 0.03])):
         information, gradient = np.zeros((SIZE, SIZE)), np.zeros(SIZE)
         add_depth_equations(
-            points, camera.rotation(), camera.translation_m + moved, volume.index, volume.distance, volume.weight, 1.0, 1.0,
-            information, gradient,
+            points, camera.rotation(), camera.translation_m + moved, volume.index, volume.distance, volume.weight, *EXACT,
+            1.0, 1.0, information, gradient, np.zeros((2, 3)),
         )  # fmt: skip
         step = np.linalg.solve(information[:6, :6], gradient[:6])
         np.testing.assert_allclose(step[3:], -moved, atol=0.012)
@@ -279,7 +281,7 @@ def test_corners_are_followed_to_where_the_room_shows_them() -> None:
     poses = [truth(n / 15) @ BODY_FROM_DEPTH for n in (60, 61)]
     first, second = RgbdView(frame(60)), RgbdView(frame(61))
     assert len(tracker.follow(first, np.empty((0, 2))).place_m) == 0
-    tracker.settle(first, poses[0], motion, slow)
+    tracker.settle(first, poses[0], motion, slow, np.zeros(3))
     points = tracker.points
     assert len(points.place_m) > 25
     expected = project(points.place_m, second.camera, *second.rgb_pose(poses[1]), poses[1].translation_m, motion, slow)
@@ -296,7 +298,7 @@ def test_corners_that_the_image_no_longer_shows_are_dropped() -> None:
     """The right half of the next image shows something else."""
     tracker, first = LandmarkTracker(), RgbdView(frame(90))
     tracker.follow(first, np.empty((0, 2)))
-    tracker.settle(first, truth(6.0) @ BODY_FROM_DEPTH, np.zeros(6), np.zeros(2))
+    tracker.settle(first, truth(6.0) @ BODY_FROM_DEPTH, np.zeros(6), np.zeros(2), np.zeros(3))
     before = tracker.points.at_px
     rgb = frame(90).rgb.copy()
     rgb[:, 106:] = np.kron(np.random.default_rng(0).integers(0, 255, (24, 22, 1)), np.ones((5, 5, 3)))[:120, :106]
@@ -310,9 +312,9 @@ def test_corners_that_the_image_no_longer_shows_are_dropped() -> None:
 def test_recalled_landmarks_are_those_of_the_newest_settled_image() -> None:
     tracker, view = LandmarkTracker(), RgbdView(frame(60))
 
-    tracker.settle(view, truth(4.0) @ BODY_FROM_DEPTH, np.zeros(6), np.zeros(2))
+    tracker.settle(view, truth(4.0) @ BODY_FROM_DEPTH, np.zeros(6), np.zeros(2), np.zeros(3))
     tracker.follow(view, np.empty((0, 2)))
-    tracker.settle(view, truth(4.0) @ BODY_FROM_DEPTH, np.zeros(6), np.zeros(2))
+    tracker.settle(view, truth(4.0) @ BODY_FROM_DEPTH, np.zeros(6), np.zeros(2), np.zeros(3))
     before = tracker.points
     dark = RgbdView(Frame(4.1, 61, frame(61).depth_m, LENS, np.zeros((120, 212, 3), np.uint8), RGB_LENS, Pose.identity()))
     assert len(tracker.follow(dark, before.at_px.astype(np.float64)).place_m) == 0

@@ -31,13 +31,14 @@ def _map() -> tuple[TsdfVolume, RgbdView]:
     """The field of the views before, and the view itself."""
     volume = TsdfVolume()
     for number in range(NUMBER - 60, NUMBER, 4):
-        volume.integrate(frame(number), truth(number / RATE_HZ) @ BODY_FROM_DEPTH)
+        volume.integrate(frame(number), truth(number / RATE_HZ) @ BODY_FROM_DEPTH, np.zeros(3))
     return volume, RgbdView(frame(NUMBER))
 
 
 def _prior(pose: Pose, place_m: float = PLACE_M, turn_rad: float = TURN_RAD) -> MotionPrior:
     covariance = np.diag([turn_rad**2] * 3 + [place_m**2] * 3)
-    return MotionPrior(pose, covariance, turn_rad, np.zeros(3), np.zeros(3), np.zeros(2), np.diag([0.005**2, 0.003**2]))
+    slow = np.diag([0.005**2, 0.003**2])
+    return MotionPrior(pose, covariance, turn_rad, np.zeros(3), np.zeros(3), np.zeros(2), slow, np.zeros(3))
 
 
 def _off(pose: Pose, moved_m: FloatArray, turned_rad: FloatArray) -> Pose:
@@ -49,7 +50,7 @@ def _followed(pose: Pose) -> Landmarks:
     """The landmarks of the image before, followed to the view as a predicted pose expects them."""
     view, tracker = RgbdView(frame(NUMBER - 1)), LandmarkTracker()
     tracker.follow(view, np.empty((0, 2)))
-    tracker.settle(view, truth((NUMBER - 1) / RATE_HZ) @ BODY_FROM_DEPTH, STILL, np.zeros(2))
+    tracker.settle(view, truth((NUMBER - 1) / RATE_HZ) @ BODY_FROM_DEPTH, STILL, np.zeros(2), np.zeros(3))
     now = _map()[1]
     predicted: FloatArray = project(
         tracker.points.place_m, now.camera, *now.rgb_pose(pose), pose.translation_m, STILL, np.zeros(2)
@@ -125,7 +126,7 @@ def _bare_wall() -> tuple[TsdfVolume, RgbdView, Pose]:
     for _ in range(6):
         depth = (1.5 + 0.006 * noise.standard_normal((LENS.height, LENS.width))).astype(np.float32)
         views.append(Frame(0.0, 0, depth, LENS, np.zeros((2, 2, 3), np.uint8), RGB_LENS, Pose.identity()))
-        volume.integrate(views[-1], pose)
+        volume.integrate(views[-1], pose, np.zeros(3))
     return volume, RgbdView(views[-1]), pose
 
 
@@ -157,7 +158,7 @@ def test_a_search_finds_what_registration_does_not_reach(moved: tuple[float, flo
     volume, view = _map()
     start = _off(HERE, np.array(moved), np.zeros(3))
     prior = _prior(start, place_m=0.25, turn_rad=math.radians(0.5))
-    lost, found = register(view, volume, Landmarks.none(), prior), search(view, volume, prior, 0.5)
+    lost, found = register(view, volume, Landmarks.none(), prior), search(view, volume, prior, np.full(3, 0.5))[0]
     assert _error(lost)[0] > 0.1
     assert _error(found)[0] < 0.02
     assert found.fit > 0.9
@@ -167,5 +168,61 @@ def test_a_search_along_a_bare_wall_keeps_the_prediction() -> None:
     volume, view, pose = _bare_wall()
     moved = np.array([0.05, 0.03, 0.25])
     prior = _prior(_off(pose, moved, np.zeros(3)), place_m=0.15, turn_rad=math.radians(0.2))
-    found = search(view, volume, prior, 0.3)
+    found, _ = search(view, volume, prior, np.full(3, 0.3))
     np.testing.assert_allclose(found.odom_from_depth.translation_m, [0.05, 0.03, 0.0], atol=0.02)
+
+
+def _elsewhere(landmarks: Landmarks, off_m: FloatArray, sigma_m: float) -> Landmarks:
+    """The same landmarks, placed from a track that is off."""
+    return landmarks._replace(place_m=landmarks.place_m + off_m, variance=np.full(landmarks.place_m.shape, sigma_m**2))
+
+
+@pytest.mark.parametrize("off", [(0.07, 0.0, 0.0), (-0.05, 0.06, 0.02)])
+def test_a_track_that_is_less_certain_than_the_surfaces_is_shifted_to_them(off: tuple[float, float, float]) -> None:
+    """Landmarks and prediction agree with each other, and hundreds of landmarks outweigh depth."""
+    (volume, view), off_m = _map(), np.array(off)
+    start = _off(HERE, off_m, np.zeros(3))
+    prior = replace(_prior(start, place_m=0.005, turn_rad=math.radians(0.2)), track_variance=np.full(3, 0.06**2))
+    found = register(view, volume, _elsewhere(_followed(HERE), off_m, 0.06), prior)
+    assert _error(found)[0] < 0.015
+    np.testing.assert_allclose(found.shift_m, -off_m, atol=0.015)
+    assert math.sqrt(float(found.track_variance.max())) < 0.025
+    assert found.sigma_m < 0.025
+
+
+def test_a_track_that_is_as_certain_as_the_surfaces_stays_where_it_is() -> None:
+    volume, view = _map()
+    off_m = np.array([0.05, 0.0, 0.0])
+    prior = _prior(_off(HERE, off_m, np.zeros(3)), place_m=0.005, turn_rad=math.radians(0.2))
+    found = register(view, volume, _elsewhere(_followed(HERE), off_m, 0.0), prior)
+    assert np.linalg.norm(found.shift_m) < 0.001
+    assert not found.track_variance.max() > 1e-6
+
+
+def test_along_a_bare_wall_the_error_of_the_track_is_kept() -> None:
+    volume, view, pose = _bare_wall()
+    prior = _prior(_off(pose, np.array([0.05, 0.0, 0.0]), np.zeros(3)), place_m=0.01, turn_rad=math.radians(0.2))
+    found = register(view, volume, Landmarks.none(), replace(prior, track_variance=np.full(3, 0.09**2)))
+    sigma_m = np.sqrt(found.variance)
+    np.testing.assert_allclose(sigma_m[:2], 0.09, rtol=0.1)
+    assert sigma_m[2] < 0.02
+    assert found.sigma_m > 0.085
+
+
+def test_landmarks_on_one_straight_edge_say_nothing_of_the_way_along_it() -> None:
+    """The direction of the edge is off by three degrees, as on a staircase of pixels."""
+    volume, view, pose = _bare_wall()
+    random, count = np.random.default_rng(8), 40
+    place_m = np.column_stack((np.linspace(-0.6, 0.6, count), np.full(count, 0.1), np.full(count, 1.5)))
+    slope = np.array([math.sin(math.radians(3.0)), math.cos(math.radians(3.0))])
+    moved = _off(pose, np.array([0.05, 0.0, 0.0]), np.zeros(3))
+    at_px: FloatArray = project(place_m, view.camera, *view.rgb_pose(pose), np.zeros(3), STILL, np.zeros(2))
+    at_px[:, 0] += 0.05 / 1.5 * view.camera[0]  # they follow the prediction
+    at_px[:, 1] += 0.3 * random.standard_normal(count)
+    edge = Landmarks(
+        place_m, np.zeros((count, 3, 2)), at_px.astype(np.float32), np.zeros((count, 2), np.float32), np.ones(count),
+        np.tile(np.outer(slope, slope), (count, 1, 1)), np.zeros((count, 3)),
+    )  # fmt: skip
+    found = register(view, volume, edge, _prior(moved, place_m=0.05, turn_rad=math.radians(0.2)))
+    assert math.sqrt(found.variance[0]) > 0.045
+    assert found.odom_from_depth.translation_m[0] == pytest.approx(0.05, abs=0.01)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -24,9 +25,12 @@ from slam_flight import (
     truth,
 )
 
+from uav_recon.localization.slam.rgbd_registration import Registration
 from uav_recon.localization.slam.slam_tracker import SlamTracker
 from uav_recon.localization.slam.tracking_monitor import TrackingFault
 from uav_recon.types.camera import Frame, ImuSample
+from uav_recon.types.frames import FloatArray
+from uav_recon.types.pose import Pose, PoseHealth
 
 FAULT_S = 1.0  # a covered lens, frozen frames, a false wall
 REPORTED_S = 0.3
@@ -206,3 +210,76 @@ def test_a_frame_without_landmarks_and_depth_at_the_start_is_no_error() -> None:
     answers = fly(tracker, frames(0.8, covered))
     assert all(answer.fault is None for answer in answers)
     assert tracker.volume.count == 0
+
+
+def _found(track_m: float, against_track_m: float) -> Registration:
+    covariance = np.diag([1e-6] * 5 + [against_track_m**2])
+    variance = np.array([0.0, 0.0, track_m**2])
+    none = np.zeros(3)
+    return Registration(Pose.identity(), covariance, none, variance, 900, 900, 900, 90, np.zeros(2), np.eye(2), 0.01, 1e5)
+
+
+def test_doubt_about_the_place_is_told_before_there_is_no_pose() -> None:
+    """Each step: seconds since the place was sure, sigma of the track and against it, and what is said."""
+    tracker = SlamTracker()
+    fly(tracker, frames(0.8))
+    steps = [
+        (0.0, 0.04, 0.01, PoseHealth.GOOD),
+        (0.1, 0.04, 0.041, PoseHealth.DEGRADED),  # blind for a while
+        (0.2, 0.04, 0.035, PoseHealth.DEGRADED),
+        (0.3, 0.04, 0.033, PoseHealth.GOOD),
+        (0.4, 0.081, 0.001, PoseHealth.DEGRADED),
+        (1.7, 0.19, 0.001, PoseHealth.DEGRADED),  # on the way back
+        (1.75, 0.201, 0.001, None),
+        (2.0, 0.121, 0.001, None),
+        (2.1, 0.119, 0.001, PoseHealth.DEGRADED),
+        (2.2, 0.067, 0.001, PoseHealth.GOOD),
+    ]
+    for after_s, track_m, against_m, health in steps:
+        pose = tracker._pose(10.0 + after_s, _found(track_m, against_m))
+        assert (None if pose is None else pose.health) == health, after_s
+        if pose is not None:
+            assert math.sqrt(pose.covariance[0, 0]) >= math.hypot(track_m, against_m)
+            assert (pose.why is None) == (health is PoseHealth.GOOD)
+            assert pose.quality <= 100 * min(0.08 / track_m, 1.0) + 0.5
+
+
+def test_an_uncertainty_that_grows_with_the_flight_is_no_doubt() -> None:
+    """A way back would not reduce it. The covariance tells it."""
+    tracker = SlamTracker()
+    fly(tracker, frames(0.8))
+    for second in range(40):
+        pose = tracker._pose(10.0 + second, _found(0.03 + 0.002 * second, 0.005))
+        assert pose is not None
+        assert pose.health is PoseHealth.GOOD
+    assert pose is not None
+    assert math.sqrt(pose.covariance[0, 0]) > 0.1
+    pose = tracker._pose(49.1, _found(0.15, 0.005))  # a bare wall
+    assert pose is not None
+    assert pose.health is PoseHealth.DEGRADED
+
+
+def test_a_found_error_enters_the_poses_slowly() -> None:
+    """The autopilot lands a vehicle whose poses move by 0.2 m/s without its inertial sensors."""
+    tracker = SlamTracker()
+    fly(tracker, frames(0.8))
+    shown_m = []
+    for n in range(20):
+        tracker._release(np.array([0.12 if n == 0 else 0.0, 0.0, 0.0]), 0.1)
+        shown_m.append(0.12 + float(tracker._stamped(10.0 + 0.1 * n).odom_from_body.translation_m[0]))
+    speed_mps = np.diff(shown_m) / 0.1
+    assert 0.08 < speed_mps.max() < 0.15
+    assert shown_m[-1] == pytest.approx(0.12)
+
+
+@pytest.mark.parametrize("unsure", [False, True])
+def test_what_a_view_corrects_after_doubt_enters_the_poses_slowly(unsure: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """While the place is sure, the view corrects the prediction by millimetres in each frame, and the poses follow at once."""
+    tracker, images, found_m = SlamTracker(), list(frames(2.0)), list[FloatArray]()
+    fly(tracker, images[:-1])
+    tracker._unsure = unsure
+    monkeypatch.setattr(tracker, "_release", lambda off_m, _: found_m.append(off_m))
+    fly(tracker, images[-1:], tuple(sample for sample in imu() if sample.stamp_s > images[-2].stamp_s + 0.02))
+    assert tracker._state is not None
+    corrected_m = tracker._state.odom_from_body.translation_m - tracker._predicted.place_m
+    assert np.array_equal(found_m[-1], corrected_m) is unsure

@@ -22,12 +22,12 @@ def _frame(away_m: float) -> Frame:
 def test_the_other_side_of_a_wall_is_unknown() -> None:
     """A wall of 10 cm, 2 m ahead, whose far side is seen from 4 m ahead."""
     volume, near = TsdfVolume(), _frame(2.0)
-    volume.integrate(near, Pose.identity())
+    volume.integrate(near, Pose.identity(), np.zeros(3))
     for away_m, pose, seen in ((2.0, Pose.identity(), True), (1.9, BACK, False)):
         information, points = np.zeros((SIZE, SIZE)), depth_points(_frame(away_m).depth_m, LENS.pinhole_px())
         known, inliers = add_depth_equations(
-            points, pose.rotation(), pose.translation_m, volume.index, volume.distance, volume.weight, 1.0, 1.0,
-            information, np.zeros(SIZE),
+            points, pose.rotation(), pose.translation_m, volume.index, volume.distance, volume.weight,
+            volume.variance, np.zeros(3), np.inf, 1.0, 1.0, information, np.zeros(SIZE), np.zeros((2, 3)),
         )  # fmt: skip
         assert (known > 800, inliers > 800) == (seen, seen)
         assert bool(information.any()) == seen

@@ -19,14 +19,14 @@ HERE = Pose.from_yaw(0.4, np.array([1.0, 2.0, 0.5]))
 
 def _prior(turn_sigma_rad: float = math.radians(0.1), place_sigma_m: float = 0.005) -> MotionPrior:
     covariance = np.diag([turn_sigma_rad**2] * 3 + [0.0, place_sigma_m**2, 0.0])
-    return MotionPrior(HERE, covariance, turn_sigma_rad, np.zeros(3), np.zeros(3), np.zeros(2), np.eye(2))
+    return MotionPrior(HERE, covariance, turn_sigma_rad, np.zeros(3), np.zeros(3), np.zeros(2), np.eye(2), np.zeros(3))
 
 
 def _found(step_m: float = 0.0, turn_rad: float = 0.0, **values: Any) -> Registration:
     pose = Pose.from_rotation_vector(np.array([0.0, turn_rad, 0.0]), np.zeros(3)) @ HERE
     good = Registration(
-        Pose(pose.quat_wxyz, HERE.translation_m + np.array([step_m, 0.0, 0.0])), 1e-6 * np.eye(6), 1000, 900, 850, 60,
-        np.zeros(2), np.eye(2),
+        Pose(pose.quat_wxyz, HERE.translation_m + np.array([step_m, 0.0, 0.0])), 1e-6 * np.eye(6), np.zeros(3), np.zeros(3),
+        1000, 900, 850, 60, np.zeros(2), np.eye(2), 0.01, 1e4,
     )  # fmt: skip
     return dataclasses.replace(good, **values)
 

@@ -25,8 +25,8 @@ def _plane_depth(normal: FloatArray, away_m: float) -> Float32Array:
 
 
 def _read(volume: TsdfVolume, point_m: FloatArray) -> FloatArray | None:
-    """Return distance and gradient (4,), None in unknown space."""
-    out = np.full(4, np.nan)
+    """Return distance and gradient and block (5,), None in unknown space."""
+    out = np.full(5, np.nan)
     return out if sample(point_m, volume.index, volume.distance, volume.weight, out) else None
 
 
@@ -59,7 +59,7 @@ def test_a_plane_gives_the_distance_along_its_normal_at_any_angle(
 ) -> None:
     volume, camera = TsdfVolume(), Pose.from_rotation_vector(np.array(turn), np.array(place))
     normal = _normal(tilt, around)
-    volume.integrate(frame_of(0.0, _plane_depth(normal, away * math.cos(tilt))), camera)
+    volume.integrate(frame_of(0.0, _plane_depth(normal, away * math.cos(tilt))), camera, np.zeros(3))
     across = np.linalg.svd(normal[None])[2][1:]  # two directions in the plane
     spread = np.array([(i, j) for i in range(-4, 5) for j in range(-4, 5)]) * 0.03
     points = np.array([0.0, 0.0, away]) - off * normal + spread @ across
@@ -68,9 +68,9 @@ def test_a_plane_gives_the_distance_along_its_normal_at_any_angle(
     half_pixel_m = 0.5 * 1.4 * away / LENS.fx * math.sin(tilt)  # a voxel reads its nearest pixel
     np.testing.assert_allclose([read[0] for read in found], off, atol=0.002 + half_pixel_m)
     mean = np.mean(found, axis=0)
-    assert mean[0] == pytest.approx(off, abs=0.003)
-    np.testing.assert_allclose(mean[1:] / np.linalg.norm(mean[1:]), -camera.rotation() @ normal, atol=0.04)
-    assert np.linalg.norm(mean[1:]) == pytest.approx(1.0, abs=0.03 + 0.12 * math.sin(tilt))
+    assert mean[0] == pytest.approx(off, abs=0.004)
+    np.testing.assert_allclose(mean[1:4] / np.linalg.norm(mean[1:4]), -camera.rotation() @ normal, atol=0.04)
+    assert np.linalg.norm(mean[1:4]) == pytest.approx(1.0, abs=0.03 + 0.12 * math.sin(tilt))
 
 
 @pytest.mark.parametrize("tilt_deg", [0.0, 45.0, 80.0])
@@ -87,7 +87,7 @@ def test_incidence_is_the_cosine_over_the_ray(tilt_deg: float) -> None:
 def test_nothing_is_known_where_nothing_was_seen() -> None:
     volume = TsdfVolume()
     assert _read(volume, np.zeros(3)) is None
-    volume.integrate(frame_of(0.0, _plane_depth(_normal(0.0, 0.0), 2.0)), Pose.identity())
+    volume.integrate(frame_of(0.0, _plane_depth(_normal(0.0, 0.0), 2.0)), Pose.identity(), np.zeros(3))
     assert _read(volume, np.array([0.0, 0.0, 2.1])) is not None
     for nowhere in ([0.0, 0.0, 2.0 + TRUNCATION_M + 2 * VOXEL_M], [0.0, 0.0, -2.0], [5.0, 0.0, 2.0], [0.0, 0.0, 0.5]):
         assert _read(volume, np.array(nowhere)) is None, nowhere
@@ -105,7 +105,7 @@ def test_depth_without_returns_and_edges_write_no_nan_and_no_surface() -> None:
     depth[holes] = np.nan
     depth[5, 7], depth[50, 30], depth[60, 150] = 0.0, np.inf, -1.0
     volume = TsdfVolume()
-    volume.integrate(frame_of(0.0, depth), Pose.identity())
+    volume.integrate(frame_of(0.0, depth), Pose.identity(), np.zeros(3))
     assert np.isfinite(volume.distance).all()
     assert np.isfinite(volume.weight).all()
     assert (volume.weight > 0.0).any()
@@ -116,7 +116,7 @@ def test_depth_without_returns_and_edges_write_no_nan_and_no_surface() -> None:
 
 def test_an_empty_image_creates_nothing() -> None:
     volume = TsdfVolume()
-    volume.integrate(frame_of(0.0, np.full((LENS.height, LENS.width), np.nan, np.float32)), Pose.identity())
+    volume.integrate(frame_of(0.0, np.full((LENS.height, LENS.width), np.nan, np.float32)), Pose.identity(), np.zeros(3))
     assert volume.count == 0
 
 
@@ -127,7 +127,7 @@ def test_more_blocks_than_the_first_pool_are_kept(monkeypatch: pytest.MonkeyPatc
     for yaw in (0.0, 1.5, 3.0):
         camera = Pose.from_rotation_vector(np.array([0.0, yaw, 0.0]), np.zeros(3))
         for volume in (whole, small):
-            volume.integrate(frame_of(0.0, _plane_depth(_normal(0.5, 0.3), 2.0)), camera)
+            volume.integrate(frame_of(0.0, _plane_depth(_normal(0.5, 0.3), 2.0)), camera, np.zeros(3))
     assert small.count > 100
     assert small.count == whole.count
     assert len(np.unique(small.index)) == small.count + 1  # and none
@@ -140,7 +140,7 @@ def test_more_blocks_than_the_first_pool_are_kept(monkeypatch: pytest.MonkeyPatc
 
 @pytest.mark.parametrize("corner", [[25.5, 0.0, 0.0], [-25.5, 0.0, 0.0], [0.0, 25.5, 0.0], [0.0, 0.0, 6.3], [0.0, 0.0, -6.3]])
 def test_a_surface_outside_of_the_volume_is_left_out(corner: list[float]) -> None:
-    volume, out = TsdfVolume(), np.full(4, np.nan)
+    volume, out = TsdfVolume(), np.full(5, np.nan)
     for turn in (
         [0.0, 0.0, 0.0],
         [0.0, math.pi / 2, 0.0],
@@ -149,7 +149,7 @@ def test_a_surface_outside_of_the_volume_is_left_out(corner: list[float]) -> Non
         [math.pi, 0.0, 0.0],
     ):
         camera = Pose.from_rotation_vector(np.array(turn), np.array(corner))
-        volume.integrate(frame_of(0.0, _plane_depth(_normal(0.0, 0.0), 2.0)), camera)
+        volume.integrate(frame_of(0.0, _plane_depth(_normal(0.0, 0.0), 2.0)), camera, np.zeros(3))
     assert np.isfinite(volume.distance).all()
     for away in (1.0, 1.05, 2.0, 100.0):
         point = np.array(corner) * away
@@ -160,7 +160,7 @@ def test_a_surface_outside_of_the_volume_is_left_out(corner: list[float]) -> Non
 def test_two_views_average() -> None:
     volume, normal = TsdfVolume(), _normal(0.0, 0.0)
     for away in (1.98, 2.02):
-        volume.integrate(frame_of(0.0, _plane_depth(normal, away)), Pose.identity())
+        volume.integrate(frame_of(0.0, _plane_depth(normal, away)), Pose.identity(), np.zeros(3))
     found = _read(volume, np.array([0.0, 0.0, 2.0]))
     assert found is not None
     assert found[0] == pytest.approx(0.0, abs=0.002)
@@ -168,9 +168,29 @@ def test_two_views_average() -> None:
 
 def test_a_near_view_counts_more_than_a_far_one() -> None:
     volume = TsdfVolume()
-    volume.integrate(frame_of(0.0, _plane_depth(_normal(0.0, 0.0), 1.0)), Pose.identity())
+    volume.integrate(frame_of(0.0, _plane_depth(_normal(0.0, 0.0), 1.0)), Pose.identity(), np.zeros(3))
     far = Pose(np.array([1.0, 0.0, 0.0, 0.0]), np.array([0.0, 0.0, -1.0]))
-    volume.integrate(frame_of(0.0, _plane_depth(_normal(0.0, 0.0), 2.10)), far)  # 10 cm behind, at twice the range
+    volume.integrate(frame_of(0.0, _plane_depth(_normal(0.0, 0.0), 2.10)), far, np.zeros(3))  # 10 cm behind, at twice the range
     found = _read(volume, np.array([0.0, 0.0, 1.0]))
     assert found is not None
     assert found[0] == pytest.approx(0.1 * 1.0 / 2.1**2 / (1.0 + 1.0 / 2.1**2), abs=0.003)
+
+
+def test_a_block_has_the_error_of_the_views_that_show_it() -> None:
+    """Half of each voxel's weight is of the second view."""
+    volume, image = TsdfVolume(), frame_of(0.0, _plane_depth(_normal(0.0, 0.0), 2.0))
+    volume.integrate(image, Pose.identity(), np.full(3, 0.04**2))
+    np.testing.assert_allclose(volume.variance[: volume.count], 0.04**2)
+    volume.integrate(image, Pose.identity(), np.array([0.05**2, 0.04**2, 0.03**2]))
+    seen = volume.variance[: volume.count]
+    np.testing.assert_allclose(np.median(seen, axis=0), [(0.05**2 + 0.04**2) / 2, 0.04**2, (0.04**2 + 0.03**2) / 2])
+
+
+def test_a_view_from_an_uncertain_place_changes_no_block_that_is_known_better() -> None:
+    volume = TsdfVolume()
+    volume.integrate(frame_of(0.0, _plane_depth(_normal(0.0, 0.0), 2.0)), Pose.identity(), np.full(3, 0.02**2))
+    before = volume.distance[: volume.count].copy()
+    volume.integrate(frame_of(0.0, _plane_depth(_normal(0.0, 0.0), 2.05)), Pose.identity(), np.full(3, 0.15**2))
+    np.testing.assert_array_equal(volume.distance[: len(before)], before)
+    volume.integrate(frame_of(0.0, _plane_depth(_normal(0.0, 0.0), 2.05)), Pose.identity(), np.full(3, 0.03**2))
+    assert np.abs(volume.distance[: len(before)] - before).max() > 0.01

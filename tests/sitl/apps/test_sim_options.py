@@ -180,6 +180,13 @@ def test_the_depth_only_mapper_flies_with_the_fast_camera_by_default() -> None:
     assert not quick.config(SCENE, Path("/tmp")).recording.rerun
 
 
+@pytest.mark.parametrize(("mapper", "camera", "textured"), [
+    ("neural", "d435i", True), ("depth-only", "d435i", True), ("depth-only", "small", True), ("depth-only", "fast", False),
+])  # fmt: skip
+def test_a_camera_with_colour_sees_a_scene_with_texture(mapper: str, camera: str, textured: bool) -> None:
+    assert SimOptions.parse(mapper=mapper, camera=camera, lockstep=True).textured is textured
+
+
 def test_a_blind_speed_below_the_maximum_yaws_into_the_direction_of_travel(tmp_path: Path) -> None:
     usual, careful = (SimOptions.parse(blind_speed=mps).config(SCENE, tmp_path) for mps in (1.2, 0.3))
     assert usual.safety.blind_speed_mps == usual.safety.max_speed_mps

@@ -15,7 +15,7 @@ IDENTIFIER = -2  # identifier of the pilot's own trajectory; a mission counts fr
 _APART_M = 0.2  #: internal: distance between breadcrumbs
 _MAX = 5000  #: internal: stored breadcrumbs, a kilometre; beyond it the older half is dropped
 _LONGEST_S = 60.0  #: retreat: longest path: a retreat ends in a landing after land_timeout_s, which is not longer than this
-_STEP_S = 0.05  #: internal: interval of the samples of a path back
+STEP_S = 0.05  #: internal: interval of the samples of a path back
 _SMOOTH_S = 0.4  #: retreat: width of each of two box averages over a path back: speed over width bounds the acceleration
 _SHARE = 0.9  # share of the allowed speed: sampling adds the rest
 _TURNING = 2  #: retreat: slower by this factor until the nose points ahead: until then it flies where it has just been
@@ -88,26 +88,33 @@ def flown(
     """
     speed_mps = _SHARE * max_speed_mps
     along_m = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(corners, axis=0), axis=1))])
-    samples_m = np.append(np.arange(0.0, along_m[-1], speed_mps * _STEP_S), along_m[-1])
+    samples_m = np.append(np.arange(0.0, along_m[-1], speed_mps * STEP_S), along_m[-1])
     line = np.column_stack([np.interp(samples_m, along_m, corners[:, n]) for n in range(3)])
     bearings = _bearings(line, rest.yaw_rad) if nose_first else [rest.yaw_rad] * len(line)
-    turning = int(abs(math.remainder(bearings[0] - rest.yaw_rad, math.tau)) / (_TURN_RADPS * _STEP_S))
-    slow_m = np.arange(0.0, along_m[-1], speed_mps * _STEP_S / _TURNING)[:turning]
+    turning = int(abs(math.remainder(bearings[0] - rest.yaw_rad, math.tau)) / (_TURN_RADPS * STEP_S))
+    slow_m = np.arange(0.0, along_m[-1], speed_mps * STEP_S / _TURNING)[:turning]
     if len(slow_m):
         samples_m = np.concatenate([slow_m, samples_m[samples_m > slow_m[-1]]])
         line = np.column_stack([np.interp(samples_m, along_m, corners[:, n]) for n in range(3)])
         bearings = _bearings(line, rest.yaw_rad)
-    rows = np.column_stack([line, _followed(bearings, rest.yaw_rad)])
-    box = round(_SMOOTH_S / _STEP_S)
+    return smoothed(np.column_stack([line, _followed(bearings, rest.yaw_rad)]), rest, start_s, map_epoch, identifier)
+
+
+def smoothed(rows: FloatArray, rest: Setpoint, start_s: float, map_epoch: int, identifier: int) -> Trajectory:
+    """Return a trajectory that begins and ends at rest, with its corners rounded.
+
+    rows (M, 4): positions and unwrapped headings, STEP_S apart.
+    """
+    box = round(_SMOOTH_S / STEP_S)
     padded = np.vstack([np.repeat(rows[:1], 2 * box, axis=0), rows, np.repeat(rows[-1:], 2 * box, axis=0)])
     weights = np.convolve(np.ones(box) / box, np.ones(box) / box)
     smooth = np.column_stack([np.convolve(padded[:, n], weights, mode="valid") for n in range(4)])
     rate, change = np.zeros_like(smooth), np.zeros_like(smooth)
-    rate[1:-1] = (smooth[2:] - smooth[:-2]) / (2 * _STEP_S)
-    change[1:-1] = np.diff(smooth, 2, axis=0) / _STEP_S**2
+    rate[1:-1] = (smooth[2:] - smooth[:-2]) / (2 * STEP_S)
+    change[1:-1] = np.diff(smooth, 2, axis=0) / STEP_S**2
     pitch = np.full(len(smooth), rest.camera_pitch_down_rad)
     return Trajectory(
-        start_s, _STEP_S, smooth[:, :3], rate[:, :3], change[:, :3], smooth[:, 3], rate[:, 3], pitch, np.zeros(0),
+        start_s, STEP_S, smooth[:, :3], rate[:, :3], change[:, :3], smooth[:, 3], rate[:, 3], pitch, np.zeros(0),
         map_epoch, identifier,
     )  # fmt: skip
 
@@ -126,7 +133,7 @@ def _bearings(line: FloatArray, yaw_rad: float) -> list[float]:
 
 def _followed(bearings: list[float], yaw_rad: float) -> list[float]:
     """Return headings that follow these bearings, unwrapped, no faster than _TURN_RADPS."""
-    out, max_rad = [], _TURN_RADPS * _STEP_S
+    out, max_rad = [], _TURN_RADPS * STEP_S
     for bearing in bearings:
         yaw_rad += min(max(math.remainder(bearing - yaw_rad, math.tau), -max_rad), max_rad)
         out.append(yaw_rad)

@@ -348,7 +348,9 @@ class Pilot:
         linked = now_s - self._link.telemetry.received_s <= _LINK_HOLD_S
         steered = linked and not self._held and self.phase is FlightPhase.FLYING
         cleared, refusal = self._selector.select(
-            self._failsafe.action if steered else FailsafeAction.HOLD, self._situation.situation(now_s)
+            self._failsafe.action if steered else FailsafeAction.HOLD,
+            self._situation.situation(now_s),
+            unsure=self._poses.unsure is not None,
         )
         self._failsafe.count_refusals(self._situation.refusals, self._selector.moves, now_s)
         if refusal is not None:

@@ -15,7 +15,7 @@ from uav_recon.interfaces import Channel
 from uav_recon.safety.pose_gate import PoseGate
 from uav_recon.types.pose import PoseHealth, StampedPose
 from uav_recon.types.reason import Reason
-from uav_recon.types.reason_code import AXES
+from uav_recon.types.reason_code import AXES, ReasonCode
 
 T = TypeVar("T")
 
@@ -68,6 +68,12 @@ class PoseFeed:
         if not self.misleads:
             self._link.feed_pose(replace(pose, reset_counter=(pose.reset_counter + self._uncounted) % 256), now_s)
         return verdict.again
+
+    @property
+    def unsure(self) -> Reason | None:
+        """Reason why the source of the poses is uncertain of the place, None if it is not."""
+        why = self._why(PoseHealth.DEGRADED)
+        return why if why is not None and why.code is ReasonCode.PLACE_UNSURE else None
 
     @property
     def misleads(self) -> bool:

@@ -12,6 +12,7 @@ from collections import deque
 import numpy as np
 
 from uav_recon.autopilot.pilot.breadcrumb_retreat import Breadcrumbs
+from uav_recon.autopilot.pilot.flown_views import FlownViews
 from uav_recon.autopilot.pilot.mission_input import MissionInput
 from uav_recon.autopilot.pilot.obstacle_evasion import ObstacleEvasion
 from uav_recon.autopilot.pilot.setpoint_blending import SetpointBlender
@@ -33,7 +34,8 @@ _SOON_S = 0.3  #: hold: the deviation is predicted for this time: a push grows u
 _PACED_S = 0.2  #: hold: the deviation is predicted by its trend over this time
 _LED_MPS = 0.2  #: hold: with slower setpoints the present deviation counts: at a hold the vehicle swings
 _LONGEST_AGE_S = 0.1  # max. age of a setpoint that is extrapolated by its velocity
-_HOVER_SHARE = 0.9  # share of the hover height: the first breadcrumb this high ends the climb
+#: retreat: share of the hover height: the first breadcrumb this high ends the climb, and no way back leads below it
+_HOVER_SHARE = 0.9
 
 
 class SetpointSelector:
@@ -48,6 +50,8 @@ class SetpointSelector:
         self._mandate = mandate
         self._hover_height_m = hover_height_m
         self._crumbs = Breadcrumbs()
+        self._views = FlownViews()
+        self._climbed = False
         self._flown: Setpoint | None = None  # the newest setpoint that was sent
         self._flown_s = -math.inf
         self._off: deque[tuple[float, float]] = deque()  # (instant, metres) off its path
@@ -84,9 +88,16 @@ class SetpointSelector:
         stopping_point_m = self._guard.envelope.stopping_point((x, y, z), (vx, vy, vz))
         return Pose.from_yaw(self._flown.yaw_rad, np.array(stopping_point_m))
 
+    @property
+    def has_climbed(self) -> bool:
+        """True once the vehicle has been at its hover height: there are views to go back to."""
+        return self._climbed
+
     def was_at(self, odom_from_body: Pose) -> None:
         """Record a position in flight that is not on the path back."""
         self._crumbs.drop(odom_from_body)
+        self._views.add(odom_from_body)
+        self._climbed = self._climbed or float(odom_from_body.translation_m[2]) >= _HOVER_SHARE * self._hover_height_m
         self._way_back = None
         self._refused_ways = 0
 
@@ -95,14 +106,21 @@ class SetpointSelector:
         self._guard.rebase(situation, rest_s)
         self._flown = None
         self._crumbs.forget()
+        self._views.forget()
+        self._climbed = False
         self._mandate.reject_trajectory()
         self._way_back = None
         self._refused_ways = 0
         self._aside = None
         self.blocked = None
 
-    def select(self, rung: FailsafeAction, situation: GuardInputs) -> tuple[ClearedSetpoint, Refusal | None]:
-        """Return the guard's answer for this instant. A rejected trajectory is not proposed again."""
+    def select(
+        self, rung: FailsafeAction, situation: GuardInputs, *, unsure: bool = False
+    ) -> tuple[ClearedSetpoint, Refusal | None]:
+        """Return the guard's answer for this instant. A rejected trajectory is not proposed again.
+
+        unsure: a retreat leads back through the views of the flight, because the place is uncertain.
+        """
         self.moves = False
         before, self._giving = self._giving, rung <= FailsafeAction.HOLD and self._is_evading(situation)
         if self._giving:
@@ -113,7 +131,7 @@ class SetpointSelector:
         elif rung is FailsafeAction.FLY:
             cleared, refusal = self._fly(situation)
         elif rung is FailsafeAction.RETREAT:
-            cleared, refusal = self._retreat(situation)
+            cleared, refusal = self._retreat(situation, unsure)
         else:
             cleared, refusal = self._guard.clear(None, situation)
         self._flown = cleared.setpoint
@@ -195,8 +213,8 @@ class SetpointSelector:
         self.evasions += 1
         self._mandate.reject_trajectory()
 
-    def _retreat(self, situation: GuardInputs) -> tuple[ClearedSetpoint, Refusal | None]:
-        """Fly from rest back along the breadcrumbs, and hold where they begin.
+    def _retreat(self, situation: GuardInputs, unsure: bool) -> tuple[ClearedSetpoint, Refusal | None]:
+        """Fly from rest back along the breadcrumbs, or through the views, and hold where they begin.
 
         The retreat ends, at rest, when several paths were refused, or the first time that an obstacle stands in one.
         """
@@ -209,9 +227,7 @@ class SetpointSelector:
             if self._refused_ways >= _MAX_RETREAT_PATHS:
                 self.blocked = Reason(ReasonCode.RETREAT_BLOCKED, details=(self._refused_for,) if self._refused_for else ())
                 return cleared, None
-            seeing = situation.ahead is not None and now_s - situation.ahead.stamp_s <= self._guard.bounds.depth_timeout_s
-            height_m, speed_mps = _HOVER_SHARE * self._hover_height_m, self._guard.bounds.retreat_speed_mps
-            self._way_back = self._crumbs.way_back(rest, height_m, now_s, speed_mps, situation.map_epoch, seeing)
+            self._way_back = self._path_back(rest, situation, unsure)
             return cleared, None
         proposal = self._proposal(way, now_s, True)
         cleared, refusal = self._guard.clear(proposal, situation)
@@ -221,6 +237,15 @@ class SetpointSelector:
             self._refused_s = now_s
             self._refused_ways += _MAX_RETREAT_PATHS if _stands_before(proposal.setpoint, situation) else 1
         return cleared, refusal
+
+    def _path_back(self, rest: Setpoint, situation: GuardInputs, unsure: bool) -> Trajectory:
+        now_s, height_m = situation.now_s, _HOVER_SHARE * self._hover_height_m
+        speed_mps = self._guard.bounds.retreat_speed_mps
+        if unsure:
+            self._turn_down()
+            return self._views.way_back(rest, height_m, now_s, speed_mps, situation.map_epoch)
+        seeing = situation.ahead is not None and now_s - situation.ahead.stamp_s <= self._guard.bounds.depth_timeout_s
+        return self._crumbs.way_back(rest, height_m, now_s, speed_mps, situation.map_epoch, seeing)
 
     def _proposal(self, trajectory: Trajectory, now_s: float, retreating: bool) -> SetpointProposal:
         if self._blended is not trajectory:

@@ -79,7 +79,8 @@ class SituationBuilder:
         wrong = self._poses.wrong or self._estimate.land_reason
         ages_s = (now_s - pose_s, self._mandate.age_s(now_s), self._lookout.depth_age_s(now_s))
         rejected = self._lookout.rejects_depth(now_s, self._guard.bounds.depth_timeout_s)
-        return FailsafeInputs(now_s, *ages_s, inside, self.refusals, lost, wrong, refused_s, rejected)
+        unsure = self._poses.unsure if self._steering.has_climbed else None
+        return FailsafeInputs(now_s, *ages_s, inside, self.refusals, lost, wrong, refused_s, rejected, unsure)
 
     def state(self, now_s: float, phase: FlightPhase, note: Reason | None, operator_s: float, gimbal: bool) -> VehicleState:
         """Return the state for the mission, with the autopilot's own pose before there is odometry.

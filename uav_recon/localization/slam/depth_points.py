@@ -16,6 +16,11 @@ _PER_M2 = 0.004
 _ROBUST_SIGMAS = 2.0  # scale of the robust weight
 _ROBUST_M = 0.03  # its minimum
 _INLIER_SHARE = 0.5  # of the truncation: a residual below it is that of the same surface
+# a surface is placed worse than what the camera is otherwise compared with if its variance is larger by this factor, and this
+_WORSE = 1.5
+_ALIKE_M2 = 0.01**2
+_ALIKE_POINTS = 100.0  # points whose surfaces have the same error of place
+_FACING_COS = 0.3  # of a normal to an axis: with less, noise of the normal says more about the axis than the surface does
 # length of the gradient of a field that is a distance; elsewhere it is the average of two surfaces
 _MIN_SLOPE = 0.35
 _MAX_SLOPE = 1.5
@@ -47,14 +52,21 @@ def add_depth_equations(
     index: AnyArray,
     distance: AnyArray,
     weight: AnyArray,
+    variance: AnyArray,
+    known_variance: AnyArray,
+    most_variance: float,
     share: float,
     wider: float,
     information: AnyArray,
     gradient: AnyArray,
+    errors: AnyArray,
 ) -> tuple[int, int]:
     """Add the normal equations of points (N, 3) against the field.
 
-    rotation (3, 3), place_m (3,): pose of the depth imager in odom.
+    rotation (3, 3), place_m (3,): pose of the depth imager in odom. variance (blocks, 3): of TsdfVolume. known_variance (3,):
+    of what the camera is otherwise compared with; a surface whose place has a larger error counts less. most_variance: a block
+    with a larger one is unknown. errors (2, 3): sums of the variances of the surfaces, weighted by what they say along each
+    axis, and of these weights.
 
     information (>= 6, >= 6) and gradient (>= 6): of a small rotation in odom axes about the camera and of its translation, in
     units of standard deviations. share: weight of one point, since the errors of neighbours are alike. wider: factor on the
@@ -62,13 +74,16 @@ def add_depth_equations(
     Returns the number of points in known space, and of those that lie on a known surface.
     """
     known, inliers = 0, 0
-    point, found, row = np.empty(3), np.empty(4), np.empty(6)
+    point, found, row = np.empty(3), np.empty(5), np.empty(6)
     for n in range(points.shape[0]):
         for a in range(3):
             point[a] = (
                 rotation[a, 0] * points[n, 0] + rotation[a, 1] * points[n, 1] + rotation[a, 2] * points[n, 2] + place_m[a]
             )
         if not sample(point, index, distance, weight, found):
+            continue
+        block = int(found[4])
+        if max(variance[block, 0], variance[block, 1], variance[block, 2]) > most_variance:
             continue
         slope = np.sqrt(found[1] * found[1] + found[2] * found[2] + found[3] * found[3])
         if not _MIN_SLOPE < slope < _MAX_SLOPE:  # free space: no surface is there
@@ -84,13 +99,32 @@ def add_depth_equations(
         sigma_m = _FLOOR_M + _PER_M2 * z * z
         scale = wider * max(_ROBUST_M, _ROBUST_SIGMAS * sigma_m)
         shrink = 1.0 / (1.0 + (off_m / scale) ** 2)
-        w = share * shrink * shrink / (sigma_m * sigma_m)
         nx, ny, nz = found[1] / slope, found[2] / slope, found[3] / slope
+        row[3], row[4], row[5] = nx, ny, nz
+        w = share * shrink * shrink / (sigma_m * sigma_m + _ALIKE_POINTS * _worse(row[3:], variance[block], known_variance))
+        _add_errors(row[3:], w, variance[block], errors)
         x, y, z = point[0] - place_m[0], point[1] - place_m[1], point[2] - place_m[2]
         row[0], row[1], row[2] = y * nz - z * ny, z * nx - x * nz, x * ny - y * nx
-        row[3], row[4], row[5] = nx, ny, nz
         for a in range(6):
             gradient[a] -= w * row[a] * off_m
             for b in range(6):
                 information[a, b] += w * row[a] * row[b]
     return known, inliers
+
+
+@kernel
+def _worse(normal: AnyArray, variance: AnyArray, known_variance: AnyArray) -> float:
+    """Return by how much a variance (3,), along a normal (3,), exceeds what is known."""
+    worse = 0.0
+    for a in range(3):
+        worse += normal[a] * normal[a] * max(variance[a] - _WORSE * known_variance[a] - _ALIKE_M2, 0.0)
+    return worse
+
+
+@kernel
+def _add_errors(normal: AnyArray, w: float, variance: AnyArray, errors: AnyArray) -> None:
+    """Add a surface to the sums (2, 3) along the axes that its normal (3,) faces."""
+    for a in range(3):
+        if abs(normal[a]) > _FACING_COS:
+            errors[0, a] += w * normal[a] * normal[a] * variance[a]
+            errors[1, a] += w * normal[a] * normal[a]

@@ -1,7 +1,8 @@
-"""Gyro and camera: the turn between two frames, the bias, and the delay of the frames.
+"""Gyro and camera: the turn between two frames, the bias, the delay, the angle between them.
 
 A frame shows the body ``delay_s`` before its stamp. The turn that the images show between two frames is that of the gyro, less
-its bias, between the two instants that they show. So the delay shows when the turn rate changes, and the bias always.
+its bias, between the two instants that they show. So the delay shows when the turn rate changes, and the bias always. A camera
+whose mount is off turns about other axes than the gyro: this shows in a turn, across it.
 """
 
 from __future__ import annotations
@@ -24,19 +25,28 @@ _MOST_DELAY_S = 0.08
 _BIAS_RADPS = 0.01  # the same of the bias, before the rest is seen
 _REST_BIAS_RADPS = 0.001  # after a rest
 _BIAS_WALK = 0.0003  # rad/s per root second
+_MOUNT_RAD = math.radians(0.8)  # prior standard deviation of the angle between gyro and camera, per axis
+_MOUNT_WALK = math.radians(0.005)  # per root second
 _DELAY_WALK = 0.0005  # s per root second
+_DRIFT_RAD = math.radians(0.04)  # standard deviation of a turn by the gyro alone
 _TURN_RAD = math.radians(0.1)  # standard deviation of the turn that two frames show
-_JITTER_S = 0.007  # the same of the time between them
+JITTER_S = 0.007  # the same of the time between them
+
+
+_MOUNT = slice(4, 7)
 
 
 class GyroAlignment:
-    """Bias (3,) of the gyro in rad/s, and delay of the frames in s. Not thread-safe."""
+    """Bias of the gyro, delay of the frames, and angle from gyro to camera.
+
+    Not thread-safe.
+    """
 
     def __init__(self) -> None:
         self._track = InertialTrack(_GAP_S)
         self._gaps: deque[tuple[float, float]] = deque(maxlen=_MOST_GAPS)
-        self._state = np.zeros(4)  # bias, delay
-        self._covariance = np.diag([_BIAS_RADPS**2] * 3 + [_DELAY_S**2])
+        self._state = np.zeros(7)  # bias, delay, mount
+        self._covariance = np.diag([_BIAS_RADPS**2] * 3 + [_DELAY_S**2] + [_MOUNT_RAD**2] * 3)
 
     @property
     def delay_s(self) -> float:
@@ -87,31 +97,38 @@ class GyroAlignment:
         None if the gyro does not cover it.
         """
         instant_s = stamp_s - self.delay_s
-        turned = self._turn(instant_s - _RATE_SPAN_S, instant_s)
+        turned = self._turn(instant_s - _RATE_SPAN_S, instant_s)  # about the camera's axes
         return None if turned is None else turned / _RATE_SPAN_S
+
+    def drift_sigma_rad(self, from_s: float, to_s: float) -> float:
+        """Return the standard deviation per axis of turn() against the turn of the body."""
+        rate = self.rate(to_s)
+        turned_rad = 0.0 if rate is None else float(np.linalg.norm(rate)) * (to_s - from_s)
+        mount_rad = math.sqrt(float(np.diagonal(self._covariance)[_MOUNT].max()))
+        return math.hypot(_DRIFT_RAD, (to_s - from_s) * math.sqrt(self._covariance[0, 0]), turned_rad * mount_rad)
 
     def turn_sigma_rad(self, from_s: float, to_s: float) -> float:
         """Return the standard deviation per axis of turn() against what the images show."""
         rate = self.rate(to_s)
         speed = 0.0 if rate is None else float(np.linalg.norm(rate))
-        return math.hypot(_TURN_RAD, _JITTER_S * speed, (to_s - from_s) * math.sqrt(self._covariance[0, 0]))
+        return math.hypot(_TURN_RAD, JITTER_S * speed, (to_s - from_s) * math.sqrt(self._covariance[0, 0]))
 
     def update(self, from_s: float, to_s: float, turned_rad: FloatArray) -> None:
         """Compare the gyro with the turn (3,) that the images show between two frames."""
         expected, before, after = self.turn(from_s, to_s), self.rate(from_s), self.rate(to_s)
         step_s = to_s - from_s
-        self._covariance += np.diag([_BIAS_WALK**2 * step_s] * 3 + [_DELAY_WALK**2 * step_s])
+        self._covariance += step_s * np.diag([_BIAS_WALK**2] * 3 + [_DELAY_WALK**2] + [_MOUNT_WALK**2] * 3)
         if expected is None or before is None or after is None:
             return
-        rows = np.column_stack((-step_s * np.eye(3), before - after))
-        speed = max(float(np.linalg.norm(before)), float(np.linalg.norm(after)))
-        noise = (_TURN_RAD**2 + (_JITTER_S * speed) ** 2) * np.eye(3)
+        rows = np.column_stack((-step_s * np.eye(3), before - after, -_cross(expected)))
+        rate = before if before @ before > after @ after else after
+        noise = _TURN_RAD**2 * np.eye(3) + JITTER_S**2 * np.outer(rate, rate)
         innovation, spread = turned_rad - expected, rows @ self._covariance @ rows.T + noise
         if innovation @ np.linalg.solve(spread, innovation) > _SURPRISE:
             return
         gain = np.linalg.solve(spread, rows @ self._covariance).T
         self._state = self._state + gain @ innovation
-        kept = np.eye(4) - gain @ rows
+        kept = np.eye(7) - gain @ rows
         self._covariance = kept @ self._covariance @ kept.T + gain @ noise @ gain.T
 
     def _measured(self, a_s: float, b_s: float) -> tuple[InertialState, InertialState] | None:
@@ -126,4 +143,11 @@ class GyroAlignment:
         if ends is None:
             return None
         between = multiply(conjugate(ends[0].gyro_from_body), ends[1].gyro_from_body)
-        return np.array(logarithm(between)) - (b_s - a_s) * self._state[:3]
+        turned = np.array(logarithm(between)) - (b_s - a_s) * self._state[:3]
+        return np.asarray(turned + np.cross(self._state[_MOUNT], turned))
+
+
+def _cross(vector: FloatArray) -> FloatArray:
+    """Return the matrix (3, 3) whose product with another vector is the cross product of both."""
+    x, y, z = vector.tolist()
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

@@ -46,7 +46,8 @@ class Landmarks(NamedTuple):
     place_m (N, 3) in odom. slope (N, 3, 2): its derivatives by delay and width of the colour image. at_px (N, 2) float32:
     where the newest image shows them. off_px (N, 2): difference from where the pose expected them. seen (N,): weight of the
     depths in the place. texture (N, 2, 2): share of a displacement that the image shows: along an edge it
-    shows none (aperture problem).
+    shows none (aperture problem). variance (N, 3): of the place, by that of the camera when it was measured, m² along the axes
+    of odom.
     """
 
     place_m: FloatArray
@@ -55,12 +56,15 @@ class Landmarks(NamedTuple):
     off_px: AnyArray
     seen: FloatArray
     texture: FloatArray
+    variance: FloatArray
 
     @staticmethod
     def none() -> Landmarks:
         """Return no landmarks."""
         none_px = np.empty((0, 2), np.float32)
-        return Landmarks(np.empty((0, 3)), np.empty((0, 3, 2)), none_px, none_px, np.empty(0), np.empty((0, 2, 2)))
+        return Landmarks(
+            np.empty((0, 3)), np.empty((0, 3, 2)), none_px, none_px, np.empty(0), np.empty((0, 2, 2)), np.empty((0, 3))
+        )
 
     def only(self, which: BoolArray) -> Landmarks:
         """Return the landmarks of a mask (N,)."""
@@ -101,10 +105,18 @@ class LandmarkTracker:
         self.points = points._replace(at_px=at_px).only(found)
         return self.points
 
-    def settle(self, view: RgbdView, odom_from_depth: Pose, motion: FloatArray, slow: FloatArray) -> None:
+    def shift(self, shift_m: FloatArray, share: FloatArray) -> None:
+        """Move all landmarks by the error (3,) of the track that has been found.
+
+        share (3,): of their variance that is left.
+        """
+        points = self.points
+        self.points = points._replace(place_m=points.place_m + shift_m, variance=points.variance * share)
+
+    def settle(self, view: RgbdView, odom_from_depth: Pose, motion: FloatArray, slow: FloatArray, variance: FloatArray) -> None:
         """Keep the landmarks that fit the pose of the image, refine their places, and add new ones.
 
-        motion (6,), slow (2,): as in project().
+        motion (6,), slow (2,): as in project(). variance (3,): of the place of the camera, m² along the axes of odom.
         """
         if view.grey is None:
             return
@@ -122,12 +134,13 @@ class LandmarkTracker:
         place_m = points.place_m + share[:, None] * np.where(measured[:, None], places - points.place_m, 0.0)
         slope = points.slope + share[:, None, None] * (slope - points.slope)
         seen = np.minimum(points.seen + np.where(measured, weight, 0.0), _MOST_SEEN)
-        self.points = points._replace(place_m=place_m, slope=slope, seen=seen)
+        placed = points.variance + share[:, None] * (variance - points.variance)
+        self.points = points._replace(place_m=place_m, slope=slope, seen=seen, variance=placed)
         if len(self.points.seen) < _ENOUGH:
-            self._add(view, odom_from_depth, motion, slow)
+            self._add(view, odom_from_depth, motion, slow, variance)
         self._believed = self._grey, self.points
 
-    def _add(self, view: RgbdView, odom_from_depth: Pose, motion: FloatArray, slow: FloatArray) -> None:
+    def _add(self, view: RgbdView, odom_from_depth: Pose, motion: FloatArray, slow: FloatArray, variance: FloatArray) -> None:
         grey = view.grey
         assert grey is not None
         free = np.full(grey.shape, 255, np.uint8)
@@ -156,6 +169,7 @@ class LandmarkTracker:
             np.zeros_like(at_px),
             weight,
             _shown(texture),
+            np.tile(variance, (len(place_m), 1)),
         )
         self.points = Landmarks(*(np.concatenate(both) for both in zip(self.points, new, strict=True)))
 
@@ -192,11 +206,13 @@ def add_landmark_equations(
     change: AnyArray,
     information: AnyArray,
     gradient: AnyArray,
+    shown: AnyArray,
 ) -> int:
     """Add the normal equations (SIZE) of landmarks that the image shows at at_px (N, 2).
 
     Arguments as in project(). slope (N, 3, 2), texture (N, 2, 2): of Landmarks; change (2,): of ``slow`` since the places
-    were right. The first six elements are those of add_depth_equations. Returns the number of landmarks that fit.
+    were right. shown (3, 3): information on the translation that the landmarks would give if each were a perfect corner. The
+    first six elements are those of add_depth_equations. Returns the number of landmarks that fit.
     """
     fitting, expected, columns = 0, np.empty(2), np.empty((2, SIZE))
     for n in range(place_m.shape[0]):
@@ -222,6 +238,9 @@ def add_landmark_equations(
             along0, along1 = t00 * columns[0, a] + t01 * columns[1, a], t01 * columns[0, a] + t11 * columns[1, a]
             for b in range(SIZE):
                 information[a, b] += w * (along0 * columns[0, b] + along1 * columns[1, b])
+        for a in range(3):
+            for b in range(3):
+                shown[a, b] += w * (columns[0, 3 + a] * columns[0, 3 + b] + columns[1, 3 + a] * columns[1, 3 + b])
     return fitting
 
 

@@ -141,6 +141,12 @@ class MotionFilter:
         """Take the predicted motion: the frame was not believed."""
         self._now = predicted
 
+    def shift(self, shift_m: FloatArray) -> None:
+        """Move the place by the error (3,) of the track that has been found."""
+        state = self._now.state.copy()
+        state[PLACE] += shift_m
+        self._now = PredictedMotion(state, self._now.covariance)
+
     def update(self, predicted: PredictedMotion, place_m: FloatArray, place_covariance: FloatArray) -> None:
         """Take the place (3,) of a believed frame, with its covariance (3, 3).
 

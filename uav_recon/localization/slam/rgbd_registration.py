@@ -1,4 +1,9 @@
-"""Registration of an RGB-D frame: Gauss-Newton on depth, landmarks and motion together."""
+"""Registration of an RGB-D frame: Gauss-Newton on depth, landmarks and motion together.
+
+Prediction and landmarks are where the track has brought them, and share its error. Depth shows surfaces from before, whose
+places may be known better. So the error of the track is one of the unknowns: a shift of prediction and landmarks together.
+Its variance is that by which the track is less certain than the surfaces in view.
+"""
 
 from __future__ import annotations
 
@@ -16,8 +21,10 @@ from uav_recon.types.pose import Pose
 
 _ROUNDS = 10
 _FAR_ROUNDS = 8  # before them, from a far start
-_STEPS = (-1.0, -0.5, 0.0, 0.5, 1.0)  # of a search along an axis, in shares of its reach
-_SHIFTS = np.array([(x, y, z) for x in _STEPS for y in _STEPS for z in _STEPS])
+_STEP_M = 0.12  # between the starts of a search along an axis
+_MOST_STEPS = (5, 2, 2)  # to each side, of a search along one, two or three axes
+_SEARCH_STARTS = 4  # of a search, those that fit best
+_APART_M = 0.1  # between places that are not the same
 _STILL_M = 2e-4
 _STILL_RAD = 1e-4
 _WIDER = (4.0, 2.0, 1.0)  # scale of the robust weight of depth in the first rounds: a far start must be pulled, too
@@ -26,12 +33,21 @@ _DEPTH_SHARE = 0.3  # weight of a depth point: the errors of neighbours are alik
 _UNFIT = 0.55
 _FITTING = 0.85
 _ENOUGH_POINTS = 250  # points on known surfaces from which on depth counts in full
-_FEWEST_LANDMARKS = 12
+_FEWEST_LANDMARKS = 6
 _AGREEING_SHARE = 0.5
 _POSE = slice(0, 6)
-# Depth tells nothing of a direction in which it has less than this share of its information: along a plane the noise of the
-# field would hold the camera to where it was.
+# Depth tells less of each direction by this share of its information in the best one: along a plane the noise of the field
+# would hold the camera to where it was.
 _WEAK_SHARE = 0.005
+# Landmarks tell nothing of a direction in which they have less than this share of the information of perfect corners: all of
+# them are on edges then, and follow the prediction along these.
+_EDGES_SHARE = 0.05
+_LEAST_SHOWN = 1.0  # keeps the shares finite in directions that no landmark could show
+_SHIFT = slice(SIZE, SIZE + 3)
+_PLACE = slice(3, 6)
+_UNSHIFTED_M2 = 1e-4**2  # variance of a track that is as certain as the surfaces
+_TINY = 1e-9
+_NO_SURFACE = 0.01**-2  # weight of the track's own variance in that of the surfaces, which few or none may show
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,7 +56,8 @@ class MotionPrior:
 
     covariance (6, 6): of a rotation in odom axes about the camera, and of its place. turn_sigma_rad: of the turn since the
     newest frame, per axis. rate_radps (3,), velocity_mps (3,): of the camera in odom. slow (2,): delay and width of the colour
-    image (landmarks.DELAY, WIDTH); slow_covariance (2, 2).
+    image (landmarks.DELAY, WIDTH); slow_covariance (2, 2). track_variance (3,): of the place of the track itself, m² along the
+    axes of odom, which the covariance does not contain.
     """
 
     odom_from_depth: Pose
@@ -50,25 +67,47 @@ class MotionPrior:
     velocity_mps: FloatArray
     slow: FloatArray
     slow_covariance: FloatArray
+    track_variance: FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Registration:
     """The pose of a frame, and what supports it.
 
-    covariance (6, 6): of a rotation in odom axes about the camera, and of its place. points, known, inliers: depth points,
-    those in known space, those on a known surface. landmarks: number that fit. slow, slow_covariance: as in MotionPrior, after
-    this frame.
+    covariance (6, 6): of a rotation in odom axes about the camera, and of its place, against the track. shift_m (3,): of the
+    track, which the pose contains. track_variance (3,): as in MotionPrior, after this frame. points, known, inliers: depth
+    points, those in known space, those on a known surface. landmarks: number that fit. slow, slow_covariance: as in
+    MotionPrior, after this frame. depth_sigma_m: of the place by depth alone, in its worst direction; infinite where depth does
+    not determine it. match: sum of the weights of depth, larger for a better fit.
     """
 
     odom_from_depth: Pose
     covariance: FloatArray
+    shift_m: FloatArray
+    track_variance: FloatArray
     points: int
     known: int
     inliers: int
     landmarks: int
     slow: FloatArray
     slow_covariance: FloatArray
+    depth_sigma_m: float
+    match: float
+
+    @property
+    def variance(self) -> FloatArray:
+        """Variance (3,) of the place, m² along the axes of odom."""
+        return np.asarray(np.diagonal(self.covariance)[_PLACE] + self.track_variance)
+
+    @property
+    def sigma_m(self) -> float:
+        """Standard deviation of the place in its worst direction."""
+        return math.sqrt(float(np.linalg.eigvalsh(self.covariance[_PLACE, _PLACE] + np.diag(self.track_variance))[-1]))
+
+    @property
+    def sigma_against_track_m(self) -> float:
+        """Standard deviation of the place against the track, in its worst direction."""
+        return math.sqrt(float(np.linalg.eigvalsh(self.covariance[_PLACE, _PLACE])[-1]))
 
     @property
     def coverage(self) -> float:
@@ -81,15 +120,38 @@ class Registration:
         return self.inliers / max(self.known, 1)
 
 
-def search(view: RgbdView, volume: TsdfVolume, prior: MotionPrior, reach_m: float) -> Registration:
-    """Return the pose at which depth alone fits the map, near the predicted one. About 20 ms.
+def search(
+    view: RgbdView, volume: TsdfVolume, prior: MotionPrior, reach_m: FloatArray, most_variance: float = math.inf
+) -> tuple[Registration, float]:
+    """Return the pose at which depth alone fits the map best, and the share of the next best.
 
-    reach_m: of the search along each axis. From a far start most points lie off their surfaces: this says nothing against
-    depth there.
+    It looks near the predicted pose. The share is that of the match of the best pose elsewhere. reach_m (3,): of the search
+    along each axis of odom. most_variance: of the surfaces that count, m². From a far start most points lie off their surfaces:
+    this says nothing against depth there. About 20 ms.
     """
     place_m, rotation = prior.odom_from_depth.translation_m, prior.odom_from_depth.rotation()
-    fitting = [_inliers(view, volume, rotation, place_m + reach_m * shift) for shift in _SHIFTS]
-    return _converge(view, volume, Landmarks.none(), prior, reach_m * _SHIFTS[int(np.argmax(fitting))])
+    shifts_m = _shifts_m(reach_m)
+    fitting = np.array([_inliers(view, volume, rotation, place_m + shift_m, most_variance) for shift_m in shifts_m])
+    starts: list[FloatArray] = []
+    for number in np.argsort(-fitting, kind="stable"):
+        if all(np.linalg.norm(shifts_m[number] - start_m) > _APART_M for start_m in starts):
+            starts.append(shifts_m[number])
+        if len(starts) == _SEARCH_STARTS:
+            break
+    ends = [_converge(view, volume, Landmarks.none(), prior, start_m, most_variance) for start_m in starts]
+    best = max(ends, key=lambda end: end.match)
+    there_m = best.odom_from_depth.translation_m
+    others = [end.match for end in ends if np.linalg.norm(end.odom_from_depth.translation_m - there_m) > _APART_M]
+    return best, max(others, default=0.0) / max(best.match, _TINY)
+
+
+def _shifts_m(reach_m: FloatArray) -> FloatArray:
+    """Return the shifts (N, 3) of the starts of a search."""
+    steps = np.ceil(reach_m / _STEP_M - 0.5).clip(0).astype(int)
+    steps = np.minimum(steps, _MOST_STEPS[max(int(np.count_nonzero(steps)) - 1, 0)])
+    ends = zip(reach_m.tolist(), steps.tolist(), strict=True)
+    axes = [np.linspace(-reach, reach, 2 * number + 1) if number else np.zeros(1) for reach, number in ends]
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
 def register(view: RgbdView, volume: TsdfVolume, landmarks: Landmarks, prior: MotionPrior) -> Registration:
@@ -105,67 +167,113 @@ def register(view: RgbdView, volume: TsdfVolume, landmarks: Landmarks, prior: Mo
 
 
 def _converge(
-    view: RgbdView, volume: TsdfVolume, landmarks: Landmarks, prior: MotionPrior, shift_m: FloatArray | None = None
+    view: RgbdView,
+    volume: TsdfVolume,
+    landmarks: Landmarks,
+    prior: MotionPrior,
+    shift_m: FloatArray | None = None,
+    most_variance: float = math.inf,
 ) -> Registration:
     """Run Gauss-Newton from the predicted pose.
 
-    shift_m (3,): from a place farther by this instead; depth counts at first even where it does not fit.
+    shift_m (3,): from a place farther by this instead; depth counts at first even where it does not fit. most_variance: of the
+    surfaces that count.
     """
     rotation = prior.odom_from_depth.rotation()
     far, moved_m = shift_m is not None, np.zeros(3) if shift_m is None else shift_m
     place_m = prior.odom_from_depth.translation_m + moved_m
-    turned_rad, slow = np.zeros(3), prior.slow.copy()
+    turned_rad, slow, shifted_m = np.zeros(3), prior.slow.copy(), np.zeros(3)
     predicted = np.linalg.inv(prior.covariance)
     slow_information = np.linalg.inv(prior.slow_covariance)
     motion = np.concatenate((prior.rate_radps, prior.velocity_mps))
     known = inliers = fitting = 0
-    information = np.zeros((SIZE, SIZE))
+    match, depth_sigma_m = 0.0, math.inf
+    whole, track, surfaces = np.eye(_SHIFT.stop), prior.track_variance, prior.track_variance
     rounds = _ROUNDS + _FAR_ROUNDS if far else _ROUNDS
     for number in range(rounds):
         wide = _WIDER[0] if number < rounds - _ROUNDS else _WIDER[min(number - rounds + _ROUNDS, len(_WIDER) - 1)]
-        information, gradient = np.zeros((SIZE, SIZE)), np.zeros(SIZE)
+        information, gradient, errors = np.zeros((SIZE, SIZE)), np.zeros(SIZE), np.zeros((2, 3))
         known, inliers = add_depth_equations(
-            view.points, rotation, place_m, volume.index, volume.distance, volume.weight, _DEPTH_SHARE, wide,
-            information, gradient,
+            view.points, rotation, place_m, volume.index, volume.distance, volume.weight, volume.variance, track, most_variance,
+            _DEPTH_SHARE, wide, information, gradient, errors,
         )  # fmt: skip
+        match = float(np.trace(information[_PLACE, _PLACE]))
         support = 1.0 if far and number < _FAR_ROUNDS else _support(known, inliers)
         information *= support
         gradient *= support
-        _leave_weak_directions(information, gradient, prior.turn_sigma_rad)
+        depth_sigma_m = _leave_weak_directions(information, gradient, prior.turn_sigma_rad)
+        tracked, pull, shown = np.zeros((SIZE, SIZE)), np.zeros(SIZE), np.zeros((3, 3))
         eye = rotation @ view.depth_from_rgb.rotation(), rotation @ view.depth_from_rgb.translation_m + place_m
         fitting = add_landmark_equations(
-            landmarks.place_m, landmarks.slope, landmarks.texture, landmarks.at_px, view.camera, *eye, place_m, motion, slow,
-            slow - prior.slow, information, gradient,
+            landmarks.place_m + shifted_m, landmarks.slope, landmarks.texture, landmarks.at_px, view.camera, *eye, place_m,
+            motion, slow, slow - prior.slow, tracked, pull, shown,
         )  # fmt: skip
-        whole = information.copy()
-        whole[_POSE, _POSE] += predicted
-        whole[6:, 6:] += slow_information
-        gradient[_POSE] -= predicted @ np.concatenate((turned_rad, moved_m))
-        gradient[6:] -= slow_information @ (slow - prior.slow)
-        step = np.asarray(np.linalg.solve(whole, gradient), dtype=np.float64)
+        _leave_edges(tracked, pull, shown)
+        track = _track_variance(np.diagonal(tracked)[_PLACE], landmarks, np.diagonal(predicted)[_PLACE], prior.track_variance)
+        surfaces = (errors[0] + _NO_SURFACE * track) / (errors[1] + _NO_SURFACE)
+        tracked[_POSE, _POSE] += predicted
+        tracked[6:, 6:] += slow_information
+        pull[_POSE] -= predicted @ np.concatenate((turned_rad, moved_m - shifted_m))
+        pull[6:] -= slow_information @ (slow - prior.slow)
+        steady = 1.0 / (np.maximum(track - surfaces, 0.0) + _UNSHIFTED_M2)
+        whole = _with_shift(information, tracked, steady)
+        step = np.linalg.solve(whole, np.concatenate((gradient + pull, -pull[_PLACE] - steady * shifted_m)))
         rotation = Pose.from_rotation_vector(step[:3], np.zeros(3)).rotation() @ rotation
-        place_m = place_m + step[3:6]
-        turned_rad, moved_m, slow = turned_rad + step[:3], moved_m + step[3:6], slow + step[6:]
+        place_m = place_m + step[_PLACE]
+        turned_rad, moved_m, slow = turned_rad + step[:3], moved_m + step[_PLACE], slow + step[6:SIZE]
+        shifted_m = shifted_m + step[_SHIFT]
         if (
             wide == 1.0
             and number >= rounds - _ROUNDS + len(_WIDER) - 1
-            and math.hypot(*step[3:6].tolist()) < _STILL_M
+            and math.hypot(*step[_PLACE].tolist()) < _STILL_M
             and math.hypot(*step[:3].tolist()) < _STILL_RAD
         ):
             break
     covariance = np.asarray(np.linalg.inv(whole), dtype=np.float64)
+    left = np.minimum(track, surfaces) + np.diagonal(covariance)[_SHIFT]
+    covariance = _against_track(covariance)
     matrix = np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = rotation, place_m
     return Registration(
-        Pose.from_matrix(matrix), covariance[_POSE, _POSE], len(view.points), known, inliers, fitting, slow, covariance[6:, 6:],
+        Pose.from_matrix(matrix), covariance[_POSE, _POSE], shifted_m, left, len(view.points), known, inliers, fitting, slow,
+        covariance[6:, 6:], depth_sigma_m, match,
     )  # fmt: skip
 
 
-def _inliers(view: RgbdView, volume: TsdfVolume, rotation: FloatArray, place_m: FloatArray) -> int:
+def _track_variance(shown: FloatArray, landmarks: Landmarks, predicted: FloatArray, variance: FloatArray) -> FloatArray:
+    """Return the variance (3,) of the track: of landmarks and prediction, by their information.
+
+    shown, predicted (3,): information of both. variance (3,): of the prediction.
+    """
+    if not len(landmarks.variance):
+        return variance
+    return np.asarray((shown * landmarks.variance.mean(axis=0) + predicted * variance) / (shown + predicted))
+
+
+def _with_shift(surfaces: FloatArray, track: FloatArray, steady: FloatArray) -> FloatArray:
+    """Return the information (SIZE + 3, SIZE + 3) of pose, slow parameters and shift.
+
+    surfaces, track (SIZE, SIZE): information of both on the pose. steady (3,): of the track on its own shift.
+    """
+    out = np.zeros((_SHIFT.stop, _SHIFT.stop))
+    out[:SIZE, :SIZE] = surfaces + track
+    out[_SHIFT, :SIZE], out[:SIZE, _SHIFT] = -track[_PLACE], -track[:, _PLACE]
+    out[_SHIFT, _SHIFT] = track[_PLACE, _PLACE] + np.diag(steady)
+    return out
+
+
+def _against_track(covariance: FloatArray) -> FloatArray:
+    """Return the covariance (SIZE, SIZE) of the pose against the track, of that with its shift."""
+    change = np.eye(_SHIFT.stop)[:SIZE]
+    change[_PLACE, _SHIFT] = -np.eye(3)
+    return np.asarray(change @ covariance @ change.T)
+
+
+def _inliers(view: RgbdView, volume: TsdfVolume, rotation: FloatArray, place_m: FloatArray, most_variance: float) -> int:
     """Return the number of depth points on a known surface from a pose."""
-    unused = np.zeros((SIZE, SIZE)), np.zeros(SIZE)
-    seen = view.points, rotation, place_m, volume.index, volume.distance, volume.weight
-    return int(add_depth_equations(*seen, _DEPTH_SHARE, _WIDER[0], *unused)[1])
+    unused = np.zeros((SIZE, SIZE)), np.zeros(SIZE), np.zeros((2, 3))
+    seen = view.points, rotation, place_m, volume.index, volume.distance, volume.weight, volume.variance, np.zeros(3)
+    return int(add_depth_equations(*seen, most_variance, _DEPTH_SHARE, _WIDER[0], *unused)[1])
 
 
 def _support(known: int, inliers: int) -> float:
@@ -178,18 +286,35 @@ def _support(known: int, inliers: int) -> float:
     return max(fitting**2 * min(inliers / _ENOUGH_POINTS, 1.0) ** 2, 1e-6)
 
 
-def _leave_weak_directions(information: FloatArray, gradient: FloatArray, turn_sigma_rad: float) -> None:
+def _leave_weak_directions(information: FloatArray, gradient: FloatArray, turn_sigma_rad: float) -> float:
     """Remove from the equations of depth the translations that it does not determine.
 
+    Returns the standard deviation of the worst translation.
     Zhang, Kaess and Singh 2016, On Degeneracy of Optimization-based State Estimation Problems.
     """
     turn = information[:3, :3] + np.eye(3) * turn_sigma_rad**-2
     alone = information[3:6, 3:6] - information[3:6, :3] @ np.linalg.solve(turn, information[:3, 3:6])
     values, directions = np.linalg.eigh(0.5 * (alone + alone.T))
-    weak = directions[:, values < _WEAK_SHARE * values[-1]]
-    if not weak.size:
+    left = np.maximum(values - _WEAK_SHARE * values[-1], 0.0)
+    kept = np.eye(SIZE)
+    kept[_PLACE, _PLACE] = directions @ np.diag(np.sqrt(left / np.maximum(values, _TINY))) @ directions.T
+    information[:] = kept @ information @ kept
+    gradient[:] = kept @ kept @ gradient
+    return 1.0 / math.sqrt(max(float(left[0]), _TINY))
+
+
+def _leave_edges(information: FloatArray, gradient: FloatArray, shown: FloatArray) -> None:
+    """Remove from the equations of landmarks the translations along their edges.
+
+    The direction of an edge in an image is known to some degrees only. shown (3, 3): of add_landmark_equations().
+    """
+    perfect = shown + _LEAST_SHOWN * np.eye(3)
+    root = np.linalg.inv(np.linalg.cholesky(perfect))
+    values, vectors = np.linalg.eigh(root @ information[_PLACE, _PLACE] @ root.T)
+    along = root.T @ vectors[:, values < _EDGES_SHARE]
+    if not along.size:
         return
     kept = np.eye(SIZE)
-    kept[3:6, 3:6] -= weak @ weak.T
-    information[:] = kept @ information @ kept
-    gradient[:] = kept @ gradient
+    kept[_PLACE, _PLACE] -= along @ along.T @ perfect
+    information[:] = kept.T @ information @ kept
+    gradient[:] = kept.T @ gradient

@@ -13,8 +13,10 @@ from uav_recon.types.pose import Pose
 
 _WIDEST_PX = 640
 _NARROWEST_PX = 32
-_FARTHEST_M = 5.0
-_FLAT_SHARE = 0.04  # spread of the depths around a corner; more is the edge of an object
+_FARTHEST_M = 6.0
+# inverse depths around a corner that bend by more are those of two objects; noise of a D435i bends them by 0.01 per metre
+_MAX_BEND_PER_M = 0.03
+_MAX_BEND_SHARE = 0.02
 _SPAN_PX = 2
 _FIRST_M = 2.0  # first guess of a depth
 _ROUNDS = 4
@@ -105,13 +107,14 @@ def corner_places(
 
 @kernel
 def _is_flat(depth_m: AnyArray, u: int, v: int) -> bool:
-    """Return True if the depths around a pixel are those of one surface."""
-    z = float(depth_m[v, u])
-    low, high = z, z
-    for dv in range(-_SPAN_PX, _SPAN_PX + 1, _SPAN_PX):
-        for du in range(-_SPAN_PX, _SPAN_PX + 1, _SPAN_PX):
-            d = float(depth_m[v + dv, u + du])
-            if not d > 0.0:
-                return False
-            low, high = min(low, d), max(high, d)
-    return high - low <= _FLAT_SHARE * z
+    """Return True if the depths around a pixel are those of one plane, seen at any angle.
+
+    The inverse depth of a plane is linear in the image: it is the mean of those on opposite sides.
+    """
+    here = 1.0 / float(depth_m[v, u])
+    most = _MAX_BEND_PER_M + _MAX_BEND_SHARE * here
+    for dv, du in ((0, _SPAN_PX), (_SPAN_PX, 0), (_SPAN_PX, _SPAN_PX), (_SPAN_PX, -_SPAN_PX)):
+        before, after = float(depth_m[v - dv, u - du]), float(depth_m[v + dv, u + du])
+        if not (before > 0.0 and after > 0.0 and abs(1.0 / before + 1.0 / after - 2.0 * here) < most):
+            return False
+    return True

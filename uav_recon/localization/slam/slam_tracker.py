@@ -14,8 +14,9 @@ from typing import Protocol
 
 import numpy as np
 
+from uav_recon.localization.slam.attitude_filter import AttitudeFilter, PredictedAttitude
 from uav_recon.localization.slam.floor_level import level_by_floor
-from uav_recon.localization.slam.gyro_alignment import GyroAlignment
+from uav_recon.localization.slam.gyro_alignment import JITTER_S, GyroAlignment
 from uav_recon.localization.slam.landmarks import Landmarks, LandmarkTracker, project
 from uav_recon.localization.slam.motion_filter import MeasuredStep, MotionFilter
 from uav_recon.localization.slam.rest_detection import RestDetector
@@ -25,7 +26,9 @@ from uav_recon.localization.slam.tracking_monitor import TrackingFault, Tracking
 from uav_recon.localization.slam.tsdf_volume import TsdfVolume
 from uav_recon.types.camera import Frame, ImuSample, Intrinsics, body_from_camera
 from uav_recon.types.frames import Float32Array, FloatArray
-from uav_recon.types.pose import Pose, StampedPose
+from uav_recon.types.pose import Pose, PoseHealth, StampedPose
+from uav_recon.types.reason import Reason
+from uav_recon.types.reason_code import ReasonCode
 
 _BLIND_TURN_RADPS = math.radians(30.0)  # uncertainty of the turn rate without a gyro
 _FUSE_M = 0.05  # a frame is fused after this motion
@@ -40,11 +43,29 @@ _SLOW_WALK = np.array([0.0005, 0.0002])  # per root second
 _SLOW_FLOOR = np.array([0.001, 0.0005])
 _FUSION_FRAMES = 8  # frames in a row that must be believed before the map grows again after doubt
 _PROOF_FRAMES = 2  # frames that must be believed after doubt until poses are given again
-_MOST_SIGMA_M = 0.15  #: reject: no pose is given while the place is more uncertain than this in a direction
+_MOST_SIGMA_M = 0.12  #: reject: no pose is given while the place is more uncertain than this in a direction
+_MOST_ON_WAY_BACK_M = 0.20  #: reject: the same on the way back
+_WAY_BACK_S = 1.5  #: reject: time of the way back, after the newest pose that was sure
+#: retreat: the place has become more uncertain than this in a direction: back to a view in which it was not
+_DOUBT_M = 0.08
+_DRIFT_MPS = 0.004  # growth of the uncertainty with the flight, which no way back reduces
+_BLIND_M = 0.04  #: retreat: the place is more uncertain than this against the track: the view has not shown it for 0.7 s
+_SURE_AGAIN_SHARE = 0.85  #: retreat: until both are less than this share of their limits
+# a found error is taken out of the poses at this speed: faster, they would contradict the inertial samples of the autopilot
+_RELEASE_MPS = 0.1
 _SEARCHED = (TrackingFault.FIT, TrackingFault.STEP, TrackingFault.TURN)
 _SEARCH_SIGMAS = 3.0  # reach of the search, in standard deviations of the predicted place
 _LEAST_SEARCH_M = 0.05
 _MOST_SEARCH_M = 0.5
+_SEARCH_EVERY = 3  # frames between searches of the map while the place is not sure
+_AGREEING_SEARCHES = 3  # searches in a row that must find the same place
+_OLD_SHARE = 0.25  # of the variance of the track, up to which a surface is one from before
+_SAME_M = 0.04  # between two registrations of the same place
+_ALIKE_SHARE = 0.95  # of the match of a place: if another reaches it, the view does not tell them apart
+_DETERMINED_M = 0.02  # standard deviation of a place that depth alone determines
+_DETERMINED_FIT_SHARE = 0.85  # of its points in known space, those on a known surface
+_DETERMINED_POINTS = 250  # number of its points on known surfaces
+_UNSURE_M = 0.06  # standard deviation of a place that is not sure
 _BETTER = 1.02  # share of inliers by which another place must be better
 #: reject: after doubt, a frame with fewer of its depth points on known surfaces and fewer known landmarks than below
 _PROOF_SHARE = 0.4
@@ -56,6 +77,8 @@ _OUTSIDE_TURN_RAD = math.radians(0.3)
 _OUTSIDE_HEADING_RAD = math.radians(3.0)  # of a heading: weak, so that the view decides where it can
 _HEADING_SURPRISE = 25.0  # squared innovation of a heading, in standard deviations, beyond which it is not used
 _POSITION_SIGMA_M = 0.01
+_SCALE_SHARE = 0.01  # standard deviation of the depth scale: the whole map is as much too large
+_PLACED_M = 0.01  # error of a surface or a landmark against the camera, from the errors of its calibration
 _ROTATION_SIGMA_RAD = math.radians(0.3)
 
 
@@ -63,13 +86,12 @@ _ROTATION_SIGMA_RAD = math.radians(0.3)
 class TrackedState:
     """The newest believed frame.
 
-    stamp_s: of the frame. odom_from_body. velocity_mps (3,) in odom. turn_covariance (3, 3): of the attitude against the map.
+    stamp_s: of the frame. odom_from_body. velocity_mps (3,) in odom.
     """
 
     stamp_s: float
     odom_from_body: Pose
     velocity_mps: FloatArray
-    turn_covariance: FloatArray
 
 
 class OutsideMotion(Protocol):
@@ -123,14 +145,23 @@ class SlamTracker:
         self._monitor = TrackingMonitor()
         self._state: TrackedState | None = None
         self._motion = MotionFilter(np.zeros(3), np.zeros(3))
+        self._attitude = AttitudeFilter(Pose.identity(), _AT_REST)
+        self._turned = self._attitude.predict(np.zeros(3), 0.0, np.zeros(3), 0.0)
         self._predicted = self._motion.predict(0.0, Pose.identity(), None)
         self._fused: Pose | None = None
         self._believed = 0
-        self._launched = False
+        self._launched = self._unsure = False
+        self._sure_s = -math.inf
+        self._judged_s = math.inf
+        self._drifted_m = 0.0  # standard deviation of the place by the drift of the flight
+        self._unreleased_m = np.zeros(3)  # found error of the place that is still in the poses
         self._unproven = 0
         self._depth_m: Float32Array | None = None
         self._slow = np.zeros(2)
         self._slow_covariance = np.diag(_FIRST_SLOW_SIGMA**2)
+        self._track_variance = np.zeros(3)
+        self._frames = self._agreeing = 0
+        self._moved_m = np.zeros(3)
 
     @property
     def delay_s(self) -> float:
@@ -165,23 +196,46 @@ class SlamTracker:
         if self.fault not in (None, TrackingFault.LOOSE):
             self._coast(self._state, prior, frame.stamp_s, body_from_depth)
             return None
+        found = self._search_map(view, found, prior)
         self._settle(view, found, prior, self._state, body_from_depth)
         return self._pose(frame.stamp_s, found)
 
     def _search(self, view: RgbdView, found: Registration, prior: MotionPrior) -> Registration:
         """Return the best registration from places around the predicted one, by depth alone."""
-        reach_m = min(_SEARCH_SIGMAS * math.sqrt(float(np.diagonal(prior.covariance)[3:].max())), _MOST_SEARCH_M)
-        if reach_m < _LEAST_SEARCH_M:
+        reach_m = _reach_m(prior)
+        if reach_m.max() < _LEAST_SEARCH_M:
             return found
-        other = search(view, self.volume, prior, reach_m)
+        other, _ = search(view, self.volume, prior, reach_m)
         return other if other.inliers > found.inliers * _BETTER else found
+
+    def _search_map(self, view: RgbdView, found: Registration, prior: MotionPrior) -> Registration:
+        """Search the map from before while the track is not sure.
+
+        Returns another place if several searches have found it.
+        """
+        self._frames += 1
+        if found.sigma_m < _UNSURE_M or self._frames % _SEARCH_EVERY:
+            return found
+        other, next_best = search(view, self.volume, prior, _reach_m(prior), _OLD_SHARE * float(found.track_variance.max()))
+        if next_best > _ALIKE_SHARE or not _determined(other):
+            self._agreeing = 0
+            return found
+        moved_m, before_m = other.shift_m - found.shift_m, self._moved_m
+        agrees = self._agreeing and float(np.linalg.norm(moved_m - before_m)) < _SAME_M
+        self._agreeing = self._agreeing + 1 if agrees else 1
+        self._moved_m = moved_m
+        if self._agreeing < _AGREEING_SEARCHES:
+            return found
+        self._agreeing = 0
+        return other
 
     def _coast(self, state: TrackedState, prior: MotionPrior, stamp_s: float, body_from_depth: Pose) -> None:
         """Go on by the inertial samples alone: the frame is not believed."""
         odom_from_body = prior.odom_from_depth @ body_from_depth.inverse()
         self._motion.coast(self._predicted)
+        self._attitude.coast(self._turned)
         self._landmarks.recall()
-        self._state = TrackedState(stamp_s, odom_from_body, self._motion.velocity_mps, prior.covariance[:3, :3])
+        self._state = TrackedState(stamp_s, odom_from_body, self._motion.velocity_mps)
         self._believed = 0
         self._unproven = _PROOF_FRAMES
 
@@ -191,10 +245,11 @@ class SlamTracker:
             return None
         level = level_by_floor(view.frame, level, body_from_depth)
         self.gyro.rest(self._rest.gyro_bias_radps)
-        self._state = TrackedState(view.frame.stamp_s, level, np.zeros(3), _AT_REST)
+        self._state = TrackedState(view.frame.stamp_s, level, np.zeros(3))
+        self._attitude = AttitudeFilter(level, _AT_REST)
         self._motion = MotionFilter(level.translation_m, self._rest.force_offset_mps2(level))
         self._believed = _FUSION_FRAMES
-        self._add_to_map(view, level @ body_from_depth, np.zeros(3), np.zeros(3))
+        self._add_to_map(view, level @ body_from_depth, np.zeros(6), np.zeros(3))
         return self._stamped(view.frame.stamp_s)
 
     def _rests(self, stamp_s: float, found: Registration, prior: MotionPrior) -> bool:
@@ -210,7 +265,7 @@ class SlamTracker:
         self._motion.rest()
         odom_from_depth = state.odom_from_body @ body_from_depth
         self._fused = None
-        self._add_to_map(view, odom_from_depth, np.zeros(3), np.zeros(3))
+        self._add_to_map(view, odom_from_depth, np.zeros(6), np.zeros(3))
         return self._stamped(view.frame.stamp_s)
 
     def _predict(self, state: TrackedState, stamp_s: float, body_from_depth: Pose) -> MotionPrior:
@@ -219,41 +274,41 @@ class SlamTracker:
         outside = self._outside.moved(state.stamp_s - self.delay_s, stamp_s - self.delay_s)
         moved = self._motion.predict(
             step_s,
-            state.odom_from_body,
+            self._attitude.odom_from_body,
             self.gyro.track(state.stamp_s, stamp_s),
             _measured(state.odom_from_body, outside, step_s),
         )
-        self._predicted = moved
         turned, rate = self.gyro.turn(state.stamp_s, stamp_s), self.gyro.rate(stamp_s)
-        turn_sigma = self.gyro.turn_sigma_rad(state.stamp_s, stamp_s) if turned is not None else _BLIND_TURN_RADPS * step_s
-        if turned is None and outside is not None:
-            turned, turn_sigma = outside.rotation_vector(), _OUTSIDE_TURN_RAD
-        turn = Pose.from_rotation_vector(np.zeros(3) if turned is None else turned, np.zeros(3))
-        odom_from_body = Pose((state.odom_from_body @ turn).quat_wxyz, moved.place_m)
-        rate_odom = np.zeros(3) if rate is None else odom_from_body.rotation() @ rate
+        turn_sigma = drift_sigma = _BLIND_TURN_RADPS * step_s
+        if turned is not None:
+            turn_sigma = self.gyro.turn_sigma_rad(state.stamp_s, stamp_s)
+            drift_sigma = self.gyro.drift_sigma_rad(state.stamp_s, stamp_s)
+        elif outside is not None:
+            turned, turn_sigma, drift_sigma = outside.rotation_vector(), _OUTSIDE_TURN_RAD, _OUTSIDE_TURN_RAD
+        rate = np.zeros(3) if rate is None else rate
+        turned = np.zeros(3) if turned is None else turned
+        attitude = self._attitude.predict(turned, drift_sigma, rate, math.hypot(JITTER_S, self.gyro.delay_sigma_s))
+        attitude = self._take_heading(attitude, stamp_s)
+        self._predicted, self._turned = moved, attitude
+        odom_from_body = Pose(attitude.odom_from_body.quat_wxyz, moved.place_m)
+        rate_odom = odom_from_body.rotation() @ rate
         arm_m = odom_from_body.rotation() @ body_from_depth.translation_m
         covariance = np.zeros((6, 6))
-        covariance[:3, :3] = state.turn_covariance + turn_sigma**2 * np.eye(3)
-        odom_from_body = self._take_heading(odom_from_body, covariance, stamp_s)
-        covariance[3:, 3:] = moved.place_covariance
+        covariance[:3, :3], covariance[3:, 3:] = attitude.shown_covariance, moved.place_covariance
         velocity = moved.velocity_mps + np.cross(rate_odom, arm_m)
         return MotionPrior(
             odom_from_body @ body_from_depth, covariance, turn_sigma, rate_odom, velocity, self._slow,
-            self._slow_covariance,
+            self._slow_covariance, self._track_variance,
         )  # fmt: skip
 
-    def _take_heading(self, odom_from_body: Pose, covariance: FloatArray, stamp_s: float) -> Pose:
-        """Correct the predicted heading, and the covariance (6, 6), by that of the other source."""
+    def _take_heading(self, predicted: PredictedAttitude, stamp_s: float) -> PredictedAttitude:
+        """Return the predicted attitude with its heading corrected by that of the other source."""
         attitude = self._outside.attitude(stamp_s - self.delay_s)
         if attitude is None:
-            return odom_from_body
-        off_rad = float((attitude @ odom_from_body.inverse()).rotation_vector()[2])
-        variance = float(covariance[2, 2]) + _OUTSIDE_HEADING_RAD**2
-        if off_rad**2 > _HEADING_SURPRISE * variance:
-            return odom_from_body
-        turned = Pose.from_rotation_vector(covariance[:3, 2] / variance * off_rad, np.zeros(3))
-        covariance[:3, :3] -= np.outer(covariance[:3, 2], covariance[2, :3]) / variance
-        return Pose((turned @ odom_from_body).quat_wxyz, odom_from_body.translation_m)
+            return predicted
+        off_rad = float((attitude @ predicted.odom_from_body.inverse()).rotation_vector()[2])
+        variance = float(predicted.covariance[2, 2]) + _OUTSIDE_HEADING_RAD**2
+        return predicted if off_rad**2 > _HEADING_SURPRISE * variance else predicted.with_heading(off_rad, variance)
 
     def _follow(self, view: RgbdView, prior: MotionPrior) -> Landmarks:
         points = self._landmarks.points
@@ -278,7 +333,13 @@ class SlamTracker:
         stamp_s = view.frame.stamp_s
         step_s = stamp_s - state.stamp_s
         odom_from_body = found.odom_from_depth @ body_from_depth.inverse()
-        self._motion.update(self._predicted, odom_from_body.translation_m, found.covariance[3:, 3:])
+        self._motion.update(self._predicted, odom_from_body.translation_m - found.shift_m, found.covariance[3:, 3:])
+        self._motion.shift(found.shift_m)
+        unseen_m = odom_from_body.translation_m - self._predicted.place_m  # error of the time without a view
+        self._release(unseen_m if self._unsure else found.shift_m, step_s)
+        self._attitude.update(self._turned, odom_from_body, found.covariance[:3, :3])
+        self._landmarks.shift(found.shift_m, _left(found.track_variance, prior.track_variance))
+        self._track_variance = found.track_variance
         left = np.linalg.solve(prior.covariance[3:, 3:], found.covariance[3:, 3:])
         self.determined = np.eye(3) - 0.5 * (left + left.T)
         velocity = self._motion.velocity_mps
@@ -287,18 +348,19 @@ class SlamTracker:
         self._slow = found.slow
         grown = found.slow_covariance + np.diag(_SLOW_WALK**2 * step_s)
         self._slow_covariance = grown + np.diag(np.maximum(_SLOW_FLOOR**2 - np.diagonal(grown), 0.0))
-        self._state = TrackedState(stamp_s, odom_from_body, velocity, found.covariance[:3, :3])
+        self._state = TrackedState(stamp_s, odom_from_body, velocity)
         self._believed = self._believed + 1 if self.fault is None else 0
         self._unproven = max(self._unproven - 1, 0) if self.fault is None else self._unproven
         if self._unproven:  # new landmarks would confirm a wrong place in the next frame
             self._landmarks.recall()
         else:
-            self._add_to_map(view, found.odom_from_depth, prior.rate_radps, velocity)
+            variance = found.variance + _PLACED_M**2
+            self._add_to_map(view, found.odom_from_depth, np.concatenate((prior.rate_radps, velocity)), variance)
 
-    def _add_to_map(self, view: RgbdView, odom_from_depth: Pose, rate: FloatArray, velocity: FloatArray) -> None:
-        self._landmarks.settle(view, odom_from_depth, np.concatenate((rate, velocity)), self._slow)
+    def _add_to_map(self, view: RgbdView, odom_from_depth: Pose, motion: FloatArray, variance: FloatArray) -> None:
+        self._landmarks.settle(view, odom_from_depth, motion, self._slow, variance)
         if self._believed >= _FUSION_FRAMES and self._has_moved(odom_from_depth):
-            self.volume.integrate(view.frame, odom_from_depth)
+            self.volume.integrate(view.frame, odom_from_depth, variance)
             self._fused = odom_from_depth
 
     def _has_moved(self, odom_from_depth: Pose) -> bool:
@@ -307,19 +369,38 @@ class SlamTracker:
         between = self._fused.inverse() @ odom_from_depth
         return bool(np.linalg.norm(between.translation_m) > _FUSE_M or np.linalg.norm(between.rotation_vector()) > _FUSE_RAD)
 
+    def _release(self, found_m: FloatArray, step_s: float) -> None:
+        """Take a found error (3,) of the place into the poses, little by little."""
+        left_m = self._unreleased_m - found_m
+        length_m = float(np.linalg.norm(left_m))
+        self._unreleased_m = left_m * max(1.0 - _RELEASE_MPS * step_s / max(length_m, 1e-9), 0.0)
+
     def _pose(self, stamp_s: float, found: Registration) -> StampedPose | None:
         """Return the pose of a frame; None while it is not sure, or not yet again."""
-        sigma_m = math.sqrt(float(np.linalg.eigvalsh(found.covariance[3:, 3:])[-1]))
-        if sigma_m > _MOST_SIGMA_M or self._unproven:
+        sigma_m, limit = found.sigma_m, _SURE_AGAIN_SHARE if self._unsure else 1.0
+        self._drifted_m = min(self._drifted_m + _DRIFT_MPS * max(stamp_s - self._judged_s, 0.0), sigma_m)
+        self._judged_s = stamp_s
+        lately_m = math.sqrt(sigma_m**2 - self._drifted_m**2)
+        self._unsure = lately_m > limit * _DOUBT_M or found.sigma_against_track_m > limit * _BLIND_M
+        self._sure_s = self._sure_s if self._unsure else stamp_s
+        most_m = _MOST_ON_WAY_BACK_M if stamp_s - self._sure_s <= _WAY_BACK_S else _MOST_SIGMA_M
+        if sigma_m > most_m or self._unproven:
+            self._unreleased_m = np.zeros(3)
             return None
-        return replace(self._stamped(stamp_s, sigma_m), quality=_quality(found))
+        quality = max(round(_quality(found) * min(_DOUBT_M / sigma_m, 1.0)), 1)
+        pose = replace(self._stamped(stamp_s, sigma_m), quality=quality)
+        if not self._unsure:
+            return pose
+        return replace(pose, health=PoseHealth.DEGRADED, why=Reason(ReasonCode.PLACE_UNSURE, (sigma_m,)))
 
     def _stamped(self, stamp_s: float, sigma_m: float = 0.0) -> StampedPose:
         assert self._state is not None
-        place_m2 = _POSITION_SIGMA_M**2 + sigma_m**2
-        covariance = np.diag([place_m2] * 3 + [_ROTATION_SIGMA_RAD**2] * 3)
+        place_m2 = _POSITION_SIGMA_M**2 + sigma_m**2 + float(self._unreleased_m @ self._unreleased_m)
         state = self._state
-        return StampedPose(stamp_s - self.delay_s, state.odom_from_body, state.velocity_mps, covariance)
+        place_m2 += (_SCALE_SHARE * float(np.linalg.norm(state.odom_from_body.translation_m))) ** 2
+        covariance = np.diag([place_m2] * 3 + [_ROTATION_SIGMA_RAD**2] * 3)
+        shown = Pose(state.odom_from_body.quat_wxyz, state.odom_from_body.translation_m + self._unreleased_m)
+        return StampedPose(stamp_s - self.delay_s, shown, state.velocity_mps, covariance)
 
 
 def _measured(odom_from_body: Pose, outside: Pose | None, step_s: float) -> MeasuredStep | None:
@@ -342,6 +423,22 @@ def warm_up() -> None:
     for n in range(4):
         depth_m = depth_m + np.float32(1e-3)
         tracker.track(Frame(0.7 + 0.03 * n, n, depth_m, lens, colour, lens, Pose.identity()), level)
+
+
+def _reach_m(prior: MotionPrior) -> FloatArray:
+    """Return the reach (3,) of a search along each axis."""
+    variance = np.diagonal(prior.covariance)[3:] + prior.track_variance
+    return np.minimum(_SEARCH_SIGMAS * np.sqrt(variance), _MOST_SEARCH_M)
+
+
+def _determined(found: Registration) -> bool:
+    """Return True if depth alone shows the place."""
+    return found.depth_sigma_m <= _DETERMINED_M and found.fit >= _DETERMINED_FIT_SHARE and found.inliers >= _DETERMINED_POINTS
+
+
+def _left(variance: FloatArray, before: FloatArray) -> FloatArray:
+    """Return the share (3,) of a variance that is left, at most one."""
+    return np.minimum(variance / np.maximum(before, 1e-12), 1.0)
 
 
 def _proves(found: Registration) -> bool:

@@ -47,7 +47,8 @@ class TrackingMonitor:
         """Return why the frame is not believed, None if it is."""
         turned = (found.odom_from_depth @ prior.odom_from_depth.inverse()).quat_wxyz
         turn_rad = 2.0 * math.atan2(float(np.linalg.norm(turned[1:])), abs(float(turned[0])))
-        step_m = float(np.linalg.norm(found.odom_from_depth.translation_m - prior.odom_from_depth.translation_m))
+        moved_m = found.odom_from_depth.translation_m - prior.odom_from_depth.translation_m - found.shift_m
+        step_m = float(np.linalg.norm(moved_m))
         loose = (
             np.sqrt(np.linalg.eigvalsh(found.covariance[3:, 3:])[-1]),
             np.sqrt(np.linalg.eigvalsh(found.covariance[:3, :3])[-1]),

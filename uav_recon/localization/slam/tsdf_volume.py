@@ -3,6 +3,7 @@
 Curless and Levoy 1996, A Volumetric Method for Building Complex Models from Range Images.
 Only blocks near a surface exist. An index volume gives the block at a place; the blocks themselves lie in a pool that grows.
 A voxel holds the weighted mean of its distances to the planes through the measured points, positive in front of a surface.
+A block holds the error of its place, too: that of the camera when the block was seen.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ import numpy as np
 
 from uav_recon.geometry.jit import kernel
 from uav_recon.types.camera import Frame
-from uav_recon.types.frames import AnyArray
+from uav_recon.types.frames import AnyArray, FloatArray
 from uav_recon.types.pose import Pose
 
 VOXEL_M = 0.05
@@ -24,6 +25,9 @@ ORIGIN_M = np.array([-0.5 * BLOCK_M * n for n in BLOCKS])
 REACH_M = 4.5  # farther depth is too noisy to be fused
 MAX_WEIGHT = 60.0  # in frames seen from near; a larger one would keep a wall where it was first seen
 MIN_WEIGHT = 0.004  # a voxel with less is unknown: a grazing view from far away counts
+# share of the variance of a view, less than which, and by at least how much, a block is known better than the view shows it
+_BETTER_SHARE = 0.25
+_ALIKE_M2 = 0.02**2
 _STRIDE_PX = 4  # of the pixels that create blocks
 _FIRST_BLOCKS = 1024
 _UNIT_M2 = 1.0  # a depth of one metre, seen at a right angle, has weight one
@@ -42,20 +46,26 @@ class TsdfVolume:
     """The field in odom. Not thread-safe.
 
     ``index`` (BLOCKS): number of the block at a place, -1 for none. ``distance`` and ``weight`` (blocks, SIDE, SIDE, SIDE): in
-    metres, and in frames. ``count``: number of blocks in use.
+    metres, and in frames. ``variance`` (blocks, 3): of the place of a block, m² along the axes of odom. ``count``: number of
+    blocks in use.
     """
 
     def __init__(self) -> None:
         self.index = np.full(BLOCKS, _NONE, dtype=np.int32)
         self.distance = np.zeros((_FIRST_BLOCKS, SIDE, SIDE, SIDE), dtype=np.float32)
         self.weight = np.zeros_like(self.distance)
+        self.variance = np.zeros((_FIRST_BLOCKS, 3))
         self.count = 0
         self._place = np.zeros((_FIRST_BLOCKS, 3), dtype=np.int32)
         self._touched = np.zeros(_FIRST_BLOCKS, dtype=np.int64)
         self._fusions = 0
 
-    def integrate(self, frame: Frame, odom_from_depth: Pose) -> None:
-        """Fuse a depth image; about 3 ms for 424x240."""
+    def integrate(self, frame: Frame, odom_from_depth: Pose, variance: FloatArray) -> None:
+        """Fuse a depth image; about 3 ms for 424x240.
+
+        variance (3,): of the place of the camera, m² along the axes of odom. A block that is known much better stays as it is.
+        """
+        before = self.count
         self._fusions += 1
         camera, rotation, place_m = (
             frame.depth_intrinsics.pinhole_px(),
@@ -69,14 +79,18 @@ class TsdfVolume:
             if count <= len(self._place):
                 break
             self._grow()
-        blocks = np.flatnonzero(self._touched[: self.count] == self._fusions)
-        fuse_blocks(*seen, incidence(frame.depth_m, camera), blocks, self._place, self.distance, self.weight)
+        self.variance[before : self.count] = variance
+        better = self.variance[: self.count].max(axis=1) < _BETTER_SHARE * variance.max() - _ALIKE_M2
+        blocks = np.flatnonzero((self._touched[: self.count] == self._fusions) & ~better)
+        share = fuse_blocks(*seen, incidence(frame.depth_m, camera), blocks, self._place, self.distance, self.weight)
+        self.variance[blocks] += share[:, None] * (variance - self.variance[blocks])
 
     def _grow(self) -> None:
         self._place = np.concatenate((self._place, np.zeros_like(self._place)))
         self._touched = np.concatenate((self._touched, np.zeros_like(self._touched)))
         self.distance = np.concatenate((self.distance, np.zeros_like(self.distance)))
         self.weight = np.concatenate((self.weight, np.zeros_like(self.weight)))
+        self.variance = np.concatenate((self.variance, np.zeros_like(self.variance)))
 
 
 @kernel
@@ -173,10 +187,15 @@ def fuse_blocks(
     block_place: AnyArray,
     distance: AnyArray,
     weight: AnyArray,
-) -> None:
-    """Fuse a depth image into the voxels of some blocks. slope: of incidence()."""
+) -> AnyArray:
+    """Fuse a depth image into the voxels of some blocks; return its share (N,) in each of them.
+
+    slope: of incidence().
+    """
     height, width = depth_m.shape
-    for block in blocks:
+    share = np.zeros(blocks.shape[0])
+    for number in range(blocks.shape[0]):
+        block, added, whole = blocks[number], 0.0, 0.0
         corner0 = ORIGIN_M[0] + block_place[block, 0] * BLOCK_M + 0.5 * VOXEL_M - place_m[0]
         corner1 = ORIGIN_M[1] + block_place[block, 1] * BLOCK_M + 0.5 * VOXEL_M - place_m[1]
         corner2 = ORIGIN_M[2] + block_place[block, 2] * BLOCK_M + 0.5 * VOXEL_M - place_m[2]
@@ -207,13 +226,17 @@ def fuse_blocks(
                     old = weight[block, i, j, k]
                     distance[block, i, j, k] = (old * distance[block, i, j, k] + new * min(off_m, TRUNCATION_M)) / (old + new)
                     weight[block, i, j, k] = min(old + new, MAX_WEIGHT)
+                    added += new
+                    whole += old + new
+        share[number] = added / max(whole, MIN_WEIGHT)
+    return share
 
 
 @kernel
 def sample(point: AnyArray, index: AnyArray, distance: AnyArray, weight: AnyArray, out: AnyArray) -> bool:
-    """Interpolate the field at a point (3,) in odom: distance (m) and gradient into out (4,).
+    """Interpolate the field at a point (3,) in odom.
 
-    Returns False where a voxel around the point is unknown.
+    out (5,): distance (m), gradient, and number of the block. Returns False where a voxel around the point is unknown.
     """
     x = (point[0] - ORIGIN_M[0]) / VOXEL_M - 0.5
     y = (point[1] - ORIGIN_M[1]) / VOXEL_M - 0.5
@@ -244,4 +267,5 @@ def sample(point: AnyArray, index: AnyArray, distance: AnyArray, weight: AnyArra
                 gy += (d if b else -d) * wx * wz
                 gz += (d if c else -d) * wx * wy
     out[0], out[1], out[2], out[3] = value, gx / VOXEL_M, gy / VOXEL_M, gz / VOXEL_M
+    out[4] = index[i // SIDE, j // SIDE, k // SIDE]
     return True

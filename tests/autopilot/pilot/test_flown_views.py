@@ -1,0 +1,58 @@
+"""The way back through the views of the flight: positions and headings in reverse, within the guard's limits."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import numpy as np
+
+from uav_recon.autopilot.pilot.flown_views import FlownViews
+from uav_recon.autopilot.pilot.message_validation import trajectory_fault
+from uav_recon.types.pose import Pose
+from uav_recon.types.trajectory import Setpoint, Trajectory
+
+HEIGHT_M = 1.0
+
+
+def _flown(*views: tuple[float, float, float, float]) -> FlownViews:
+    """Straight between views (x, y, z, yaw)."""
+    out = FlownViews()
+    for a, b in itertools.pairwise(views):
+        for share in np.linspace(0.0, 1.0, 60):
+            x, y, z, yaw_rad = (np.array(a) + share * (np.array(b) - np.array(a))).tolist()
+            out.add(Pose.from_yaw(yaw_rad, np.array([x, y, z])))
+    return out
+
+
+def _back(views: FlownViews, x: float, yaw_rad: float) -> Trajectory:
+    return views.way_back(Setpoint.hold(np.array([x, 0.0, 1.1]), yaw_rad), HEIGHT_M, 50.0, 0.3, 0)
+
+
+def test_it_turns_back_on_the_spot_and_then_flies_back_as_it_looked() -> None:
+    """Two metres ahead, then a turn to a bare wall."""
+    way = _back(_flown((0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 1.1, 0.0), (2.0, 0.0, 1.1, 0.0), (2.0, 0.0, 1.1, 1.4)), 2.0, 1.4)
+    assert trajectory_fault(way) is None
+    np.testing.assert_allclose(way.position_m[0], [2.0, 0.0, 1.1])
+    turned = np.flatnonzero(np.abs(way.yaw_rad) < 0.1)[0]
+    assert way.position_m[turned, 0] > 1.85
+    assert turned * way.step_s < 1.4 / 0.7 + 1.4  # with its corners rounded
+    assert way.position_m[-1][0] < 0.1
+    np.testing.assert_allclose(way.yaw_rad[-1], 0.0, atol=0.06)
+    assert way.position_m[:, 2].min() >= HEIGHT_M
+    assert np.linalg.norm(way.velocity_mps, axis=1).max() <= 0.3
+    assert np.linalg.norm(way.acceleration_mps2, axis=1).max() <= 1.0
+    assert np.abs(way.yaw_rate_radps).max() <= 0.7 + 1e-6
+
+
+def test_headings_are_followed_the_short_way_round() -> None:
+    way = _back(_flown((0.0, 0.0, 1.1, math.pi - 0.2), (0.0, 0.0, 1.1, math.pi + 0.4)), 0.0, -math.pi + 0.4)
+    assert np.ptp(way.yaw_rad) < 0.7
+
+
+def test_without_views_it_holds() -> None:
+    views = _flown((0.0, 0.0, 1.1, 0.0), (2.0, 0.0, 1.1, 0.0))
+    views.forget()
+    way = _back(views, 2.0, 0.3)
+    assert not way.velocity_mps.any()
+    assert np.ptp(way.yaw_rad) == 0.0

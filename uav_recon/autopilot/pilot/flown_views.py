@@ -1,0 +1,65 @@
+"""Flown views: the way back with the headings of the flight, while the place is uncertain.
+
+A camera before a bare wall does not know where it moves along it. It knows what it saw before.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+
+import numpy as np
+
+from uav_recon.autopilot.pilot.breadcrumb_retreat import IDENTIFIER, STEP_S, smoothed
+from uav_recon.types.pose import Pose
+from uav_recon.types.trajectory import Setpoint, Trajectory
+
+_APART_M = 0.05  #: internal: distance between remembered views
+_APART_RAD = math.radians(3.0)  #: internal: or turn between them
+_MOST = 400  #: internal: remembered views, the newest: 20 m, or three turns
+_SHARE = 0.9  # of the allowed speed: sampling adds the rest
+_TURN_RADPS = 0.7  #: retreat: yaw rate on the way back
+_LONGEST_S = 20.0  #: retreat: longest way back
+
+
+class FlownViews:
+    """The newest positions (odom, m) and headings of the flight, and the way back through them."""
+
+    def __init__(self) -> None:
+        self._views: deque[tuple[float, float, float, float]] = deque(maxlen=_MOST)
+
+    def add(self, odom_from_body: Pose) -> None:
+        """Record the vehicle's position and heading."""
+        x, y, z = odom_from_body.translation_m.tolist()
+        yaw_rad = odom_from_body.yaw_rad()
+        if self._views:
+            x0, y0, z0, yaw0_rad = self._views[-1]
+            turn_rad = abs(math.remainder(yaw_rad - yaw0_rad, math.tau))
+            if math.hypot(x - x0, y - y0, z - z0) <= _APART_M and turn_rad <= _APART_RAD:
+                return
+        self._views.append((x, y, z, yaw_rad))
+
+    def forget(self) -> None:
+        """Forget all views after a jump of odom."""
+        self._views.clear()
+
+    def way_back(self, rest: Setpoint, height_m: float, start_s: float, speed_mps: float, map_epoch: int) -> Trajectory:
+        """Return a trajectory from rest back through the views, newest first; a hold without any.
+
+        It does not go below a height. Speed and yaw rate are limited, and corners rounded, as on the path along breadcrumbs.
+        """
+        rows = [(*rest.position_m.tolist(), rest.yaw_rad)]
+        for x, y, z, yaw_rad in reversed(self._views):
+            before = rows[-1]
+            if z < height_m:
+                break
+            turn_rad = math.remainder(yaw_rad - before[3], math.tau)
+            way_m = math.hypot(x - before[0], y - before[1], z - before[2])
+            steps = max(math.ceil(max(way_m / (_SHARE * speed_mps), abs(turn_rad) / _TURN_RADPS) / STEP_S), 1)
+            after = (x, y, z, before[3] + turn_rad)
+            rows += [
+                tuple(np.interp(n, (0, steps), ends) for ends in zip(before, after, strict=True)) for n in range(1, steps + 1)
+            ]
+            if len(rows) * STEP_S > _LONGEST_S:
+                break
+        return smoothed(np.array(rows), rest, start_s, map_epoch, IDENTIFIER)
