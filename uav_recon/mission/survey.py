@@ -74,9 +74,9 @@ class Survey:
         self._asked_revision = -1
 
     def stopped(self, now_s: float, reason: Reason) -> None:
-        """Record that the guard has stopped the vehicle, or that the pilot goes back, because the place is uncertain.
+        """Record that the guard has stopped the vehicle, or that the pilot goes back.
 
-        If the place is uncertain or space was not seen lately, the next plan chooses another view. Looking round would not
+        The pilot goes back where the place is uncertain. If the place is uncertain or space was not seen lately, the next plan chooses another view. Looking round would not
         help: it leads past the same bare wall, and a camera that looks ahead does not see where a climb leads. Only if it is
         stopped by space not seen again and again, the vehicle looks round.
         """

@@ -53,7 +53,7 @@ class ViewHistory:
     def evaluate_flown_views(self, request: PlanRequest) -> IntArray:
         """Evaluate the views flown since the last plan against the current map.
 
-        A view that is given up counts as flown in vain. Returns the flat indices (N,) of voxels that became exhausted.
+        A view that is given up counts as flown without a result. Returns the flat indices (N,) of voxels that became exhausted.
         """
         self._keep_frame(request)
         voxels = request.voxels

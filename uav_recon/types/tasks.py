@@ -95,7 +95,7 @@ class NothingLeft:
 
 
 class NextView(Enum):
-    """What became of the next view of a path, if no image of it will come."""
+    """Outcome of the next view of a path, and the reason if no image of it will come."""
 
     KEPT = "kept"
     REFUSED = "refused"  # the guard refused the motion to it, because space on it was not seen lately
