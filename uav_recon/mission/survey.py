@@ -76,9 +76,9 @@ class Survey:
     def stopped(self, now_s: float, reason: Reason) -> None:
         """Record that the guard has stopped the vehicle, or that the pilot goes back.
 
-        The pilot goes back where the place is uncertain. If the place is uncertain or space was not seen lately, the next plan chooses another view. Looking round would not
-        help: it leads past the same bare wall, and a camera that looks ahead does not see where a climb leads. Only if it is
-        stopped by space not seen again and again, the vehicle looks round.
+        The pilot goes back where the place is uncertain. If it is, or if space was not seen lately, the next plan chooses
+        another view. Looking round would not help: it leads past the same bare wall, and a camera that looks ahead does not
+        see where a climb leads. Only if it is stopped by space not seen again and again, the vehicle looks round.
         """
         codes, again = set(reason.codes()), False
         if ReasonCode.PLACE_UNSURE in codes:
