@@ -69,7 +69,7 @@ class Survey:
         self._asked_revision = -1
 
     def lost_its_place(self) -> None:
-        """Record that the pilot goes back, because the place is uncertain on the way to the next view."""
+        """Record that the pilot goes back: the place is uncertain on the way to the next view."""
         self._gives_up_view = True
         self._decision = None
 
