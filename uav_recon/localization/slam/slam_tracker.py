@@ -385,6 +385,7 @@ class SlamTracker:
         self._sure_s = self._sure_s if self._unsure else stamp_s
         most_m = _MOST_ON_WAY_BACK_M if stamp_s - self._sure_s <= _WAY_BACK_S else _MOST_SIGMA_M
         if sigma_m > most_m or self._unproven:
+            self._unreleased_m = np.zeros(3)
             return None
         quality = max(round(_quality(found) * min(_DOUBT_M / sigma_m, 1.0)), 1)
         pose = replace(self._stamped(stamp_s, sigma_m), quality=quality)
