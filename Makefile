@@ -6,10 +6,11 @@ WITHOUT_SHARED = $(if $(wildcard ../shared/scenes), , and not shared)# tests of 
 install:
 	./install.sh dev
 
-# The gate, as .ci/run runs it: fast tests, one mission in lockstep, then one short flight in real time.
+# The gate, as .ci/run runs it: kernels, fast tests, one mission in lockstep, then one short flight in real time.
 test:
+	$(PYTHON) -m uav_recon compile
 	$(PYTHON) -m pytest -n 2 --dist loadfile -m 'not nightly and not real_time$(WITHOUT_SHARED)'
-	$(PYTHON) -m pytest -m 'real_time and not nightly$(WITHOUT_SHARED)'
+	$(PYTHON) -m pytest -m 'real_time and not nightly' tests/scenarios/test_real_time_flight.py
 
 # Everything: all fault scenarios of the tests, 1,000 maps, real time, mutants of the guard, hostile input, a soak of five minutes.
 nightly: nightly-lockstep nightly-real-time safety hostile

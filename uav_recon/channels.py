@@ -12,12 +12,14 @@ import functools
 import hashlib
 import json
 import logging
+import math
 import mmap
 import os
 import struct
 import types
 import typing
 import zlib
+from collections.abc import Callable, Hashable
 from enum import Enum
 from pathlib import Path
 from typing import Any, Generic, TypeVar, cast
@@ -34,6 +36,10 @@ _EMPTY = bytes(8)  # in place of the format, in a file without a writer
 _UNFINISHED = -1  # in place of the second sequence number, while a record is written
 _DECODE_ERRORS = (struct.error, TypeError, IndexError, KeyError, AttributeError, OverflowError, RecursionError, SyntaxError)
 _UNIONS = (types.UnionType, typing.Union)
+_PLAIN = {float, int, str, bool, type(None)}  # JSON's own types
+
+Encoder = Callable[[Any, list[np.ndarray[Any, Any]]], Any]  # (value, list that receives its arrays) to a tree of JSON's types
+Decoder = Callable[[Any, list[np.ndarray[Any, Any]]], Any]  # (tree of JSON's types, arrays) to a value
 
 
 class ChannelError(Exception):
@@ -268,19 +274,31 @@ def encode(value: Any) -> bytes:
     return b"".join(parts)
 
 
+@functools.cache
+def _encoder(kind: type) -> Encoder:
+    """Return the function that turns values of a class into JSON's types."""
+    if issubclass(kind, np.ndarray):
+        return _encode_array
+    if issubclass(kind, Enum):
+        return lambda value, _: value.value
+    if dataclasses.is_dataclass(kind):
+        names = [field.name for field in dataclasses.fields(kind)]
+        return lambda value, arrays: [_encode(getattr(value, name), arrays) for name in names]
+    if issubclass(kind, tuple):
+        return lambda value, arrays: [_encode(item, arrays) for item in value]
+    if issubclass(kind, np.generic):
+        return lambda value, _: value.item()
+    return lambda value, _: value
+
+
 def _encode(value: Any, arrays: list[np.ndarray[Any, Any]]) -> Any:
-    if isinstance(value, np.ndarray):
-        arrays.append(value)
-        return len(arrays) - 1
-    if isinstance(value, Enum):
-        return value.value
-    if dataclasses.is_dataclass(value):
-        return [_encode(getattr(value, f.name), arrays) for f in dataclasses.fields(value)]
-    if isinstance(value, tuple):
-        return [_encode(item, arrays) for item in value]
-    if isinstance(value, np.generic):
-        return value.item()
-    return value
+    kind = type(value)
+    return value if kind in _PLAIN else _encoder(cast("Hashable", kind))(value, arrays)
+
+
+def _encode_array(value: np.ndarray[Any, Any], arrays: list[np.ndarray[Any, Any]]) -> int:
+    arrays.append(value)
+    return len(arrays) - 1
 
 
 def decode(data: bytes, kind: type[T]) -> T:
@@ -292,7 +310,7 @@ def decode(data: bytes, kind: type[T]) -> T:
         (length,) = struct.unpack_from("<I", data)
         tree = json.loads(data[4 : 4 + length])
         arrays = _read_arrays(data, 4 + length)
-        return cast("T", _decode(tree, kind, arrays))
+        return cast("T", _decoder(cast("Hashable", kind))(tree, arrays))
     except (*_DECODE_ERRORS, UnicodeDecodeError) as error:
         raise ValueError(f"not a {kind.__name__}: {error}") from None
 
@@ -308,8 +326,7 @@ def _read_arrays(data: bytes, offset: int) -> list[np.ndarray[Any, Any]]:
         dimensions = data[offset]
         shape = struct.unpack_from(f"<{dimensions}I", data, offset + 1)
         offset += 1 + 4 * dimensions
-        count = int(np.prod(shape, dtype=np.int64))
-        array = np.frombuffer(data, dtype, count, offset).reshape(shape)
+        array = np.frombuffer(data, dtype, math.prod(shape), offset).reshape(shape)
         array.setflags(write=False)
         arrays.append(array)
         offset += array.nbytes
@@ -322,42 +339,53 @@ def _fields(kind: type) -> list[tuple[str, Any]]:
     return [(f.name, hints[f.name]) for f in dataclasses.fields(kind)]
 
 
-def _decode(tree: Any, kind: Any, arrays: list[np.ndarray[Any, Any]]) -> Any:
-    origin = typing.get_origin(kind)
+@functools.cache
+def _decoder(kind: Any) -> Decoder:
+    """Return the function that makes a value of a declared type."""
+    origin, arguments = typing.get_origin(kind), typing.get_args(kind)
     if origin is np.ndarray:
-        return arrays[tree]
+        return lambda tree, arrays: arrays[tree]
     if origin in _UNIONS:
-        return _decode_union(tree, typing.get_args(kind), arrays)
+        return _union_decoder([argument for argument in arguments if argument is not type(None)])
     if origin is tuple:
-        return _decode_tuple(tree, typing.get_args(kind), arrays)
+        return _tuple_decoder(arguments)
     if dataclasses.is_dataclass(kind):
-        return _decode_dataclass(tree, kind, arrays)
-    return kind(tree)  # a number, text or an enum
+        return functools.partial(_decode_dataclass, cast("type", kind))
+    return lambda tree, _: kind(tree)  # a number, text or an enum
 
 
-def _decode_union(tree: Any, kinds: tuple[Any, ...], arrays: list[np.ndarray[Any, Any]]) -> Any:
-    """Decode a value of one type or None, or of several types that JSON distinguishes.
+def _union_decoder(kinds: list[Any]) -> Decoder:
+    """Return the function for one type or None, or for several types that JSON distinguishes.
 
     These are numbers and text.
     """
-    if tree is None:
-        return None
-    inner = [a for a in kinds if a is not type(None)]
-    if len(inner) == 1:
-        return _decode(tree, inner[0], arrays)
-    if type(tree) not in inner:
-        raise ValueError(f"{type(tree).__name__} is none of {inner}")
-    return tree
+
+    def decode_one(tree: Any, arrays: list[np.ndarray[Any, Any]]) -> Any:
+        return None if tree is None else _decoder(kinds[0])(tree, arrays)
+
+    def check(tree: Any, _: list[np.ndarray[Any, Any]]) -> Any:
+        if tree is not None and type(tree) not in kinds:
+            raise ValueError(f"{type(tree).__name__} is none of {kinds}")
+        return tree
+
+    return decode_one if len(kinds) == 1 else check
 
 
-def _decode_tuple(tree: Any, kinds: tuple[Any, ...], arrays: list[np.ndarray[Any, Any]]) -> tuple[Any, ...]:
+def _tuple_decoder(kinds: tuple[Any, ...]) -> Decoder:
     if len(kinds) == 2 and kinds[1] is Ellipsis:
-        return tuple(_decode(item, kinds[0], arrays) for item in tree)
-    return tuple(_decode(item, a, arrays) for item, a in zip(tree, kinds, strict=True))
+        item = _decoder(kinds[0])
+        return lambda tree, arrays: tuple(item(part, arrays) for part in tree)
+    items = [_decoder(kind) for kind in kinds]
+    return lambda tree, arrays: tuple(item(part, arrays) for item, part in zip(items, tree, strict=True))
 
 
-def _decode_dataclass(tree: Any, kind: Any, arrays: list[np.ndarray[Any, Any]]) -> Any:
-    fields = _fields(kind)
-    if len(fields) != len(tree):
-        raise ValueError(f"{kind} has {len(fields)} fields, got {len(tree)}")
-    return kind(**{name: _decode(item, hint, arrays) for (name, hint), item in zip(fields, tree, strict=True)})
+def _decode_dataclass(kind: type, tree: Any, arrays: list[np.ndarray[Any, Any]]) -> Any:
+    decoders = _field_decoders(kind)
+    if len(decoders) != len(tree):
+        raise ValueError(f"{kind} has {len(decoders)} fields, got {len(tree)}")
+    return kind(**{name: item(part, arrays) for (name, item), part in zip(decoders, tree, strict=True)})
+
+
+@functools.cache
+def _field_decoders(kind: type) -> list[tuple[str, Decoder]]:
+    return [(name, _decoder(hint)) for name, hint in _fields(kind)]

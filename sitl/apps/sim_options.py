@@ -137,7 +137,10 @@ class SimOptions:
 
     @property
     def textured(self) -> bool:
-        """True if the scene needs texture: the mapper learns colour, or the camera shows it."""
+        """True if the flight needs a scene with texture.
+
+        It does if the mapper learns colour, or the camera shows it.
+        """
         return self.mapper == "neural" or self.camera != "fast"
 
     def with_mount_for(self, scene: Scene) -> SimOptions:

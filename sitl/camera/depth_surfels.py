@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from sitl.runtime.jit import kernel
 
 NORMAL_BASE_M = 0.08  # half the baseline of the depth differences for normals: large against the depth noise
-MAX_RELATIVE_DEPTH_STEP = 0.12  # relative depth difference to either end of the baseline; more is an edge
+MAX_RELATIVE_DEPTH_STEP = 0.12  # relative depth difference from the middle of the baseline's ends; more is an edge
 SMALLEST_COSINE = 0.15
 PRIOR_SIGMA_M = 1.0  # standard deviation before any measurement
 INITIAL_CAPACITY = 4096  # initial capacity, in surface elements
@@ -95,6 +95,16 @@ def _elements(sums: F64) -> tuple[F64, F64, F64]:
 
 
 @kernel
+def _middle(before: float, before_px: int, after: float, after_px: int) -> float:
+    """Return the depth at 0 px of the plane through two depths; NaN if one has no return.
+
+    before_px <= 0 <= after_px: their pixels.
+    """
+    share = before_px / min(before_px - after_px, -1)
+    return 1.0 / ((1.0 - share) / before + share / after)
+
+
+@kernel
 def _look(
     depth: F32, lens: F64, rotation: F64, eye: F64, noise: float, low: F64, cell: float, cube: I32, sums: F64, seen: I32,
     view: int, count: int,
@@ -113,7 +123,8 @@ def _look(
             za, zb = np.float64(depth[v, u0]), np.float64(depth[v, u1])
             zc, zd = np.float64(depth[v0, u]), np.float64(depth[v1, u])
             edge = MAX_RELATIVE_DEPTH_STEP * z
-            if not (abs(za - z) < edge and abs(zb - z) < edge and abs(zc - z) < edge and abs(zd - z) < edge):
+            # a plane at a small angle, as a ceiling seen from below it, is no edge: the inverse depth of a plane is even
+            if not (abs(_middle(za, u0 - u, zb, u1 - u) - z) < edge and abs(_middle(zc, v0 - v, zd, v1 - v) - z) < edge):
                 continue
             x, y = (u - cx) / fx, (v - cy) / fy
             ax, ay, az = (u1 - cx) / fx * zb - (u0 - cx) / fx * za, y * (zb - za), zb - za

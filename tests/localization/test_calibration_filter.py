@@ -83,14 +83,16 @@ def _state(estimator: DriftRateEstimator) -> FloatArray:
     return estimator.calibration.state
 
 
-@pytest.mark.parametrize("delay_s", [0.0, 0.015, 0.03, -0.02])
+@pytest.mark.parametrize(
+    "delay_s", [pytest.param(0.0, marks=pytest.mark.nightly), pytest.param(0.015, marks=pytest.mark.nightly), 0.03, -0.02]
+)
 def test_the_age_of_frames_is_measured(delay_s: float) -> None:
     estimator, drifts, _ = _fly(Errors(delay_s=delay_s), 45.0)
     assert _state(estimator)[DELAY] == pytest.approx(delay_s, abs=0.006)
     assert not any(drifts)
 
 
-@pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize("axis", [pytest.param(0, marks=pytest.mark.nightly), 1, pytest.param(2, marks=pytest.mark.nightly)])
 def test_the_rotation_of_the_mount_is_measured(axis: int) -> None:
     rotation = np.radians(1.0) * np.eye(3)[axis]
     estimator, drifts, _ = _fly(Errors(rotation_rad=tuple(rotation.tolist())), 60.0)
@@ -99,7 +101,7 @@ def test_the_rotation_of_the_mount_is_measured(axis: int) -> None:
     assert not any(drifts)
 
 
-@pytest.mark.parametrize("scale", [0.015, -0.015])
+@pytest.mark.parametrize("scale", [0.015, pytest.param(-0.015, marks=pytest.mark.nightly)])
 def test_the_scale_of_depth_is_measured(scale: float) -> None:
     estimator, drifts, _ = _fly(Errors(scale=scale), 60.0)
     assert _state(estimator)[SCALE] == pytest.approx(scale, abs=0.008)
@@ -120,14 +122,22 @@ ALL = Errors(0.03, (0.015, -0.012, 0.010), (0.008, -0.008, 0.008), 0.012)
 OPPOSITE = Errors(-0.03, (-0.015, 0.012, -0.010), (-0.008, 0.008, -0.008), -0.012)
 
 
-@pytest.mark.parametrize("errors", [ALL, OPPOSITE])
+@pytest.mark.parametrize("errors", [pytest.param(ALL, marks=pytest.mark.nightly), OPPOSITE])
 def test_all_errors_together_are_no_drift(errors: Errors) -> None:
     _, drifts, drift_mps = _fly(errors, 60.0)
     assert not any(drifts)
     assert np.quantile(drift_mps, 0.9) < 0.02
 
 
-@pytest.mark.parametrize("drift", [(0.06, 0.0, 0.0), (0.0, -0.06, 0.0), (0.0, 0.0, 0.06), (0.2, 0.0, 0.0)])
+@pytest.mark.parametrize(
+    "drift",
+    [
+        (0.06, 0.0, 0.0),
+        pytest.param((0.0, -0.06, 0.0), marks=pytest.mark.nightly),
+        (0.0, 0.0, 0.06),
+        pytest.param((0.2, 0.0, 0.0), marks=pytest.mark.nightly),
+    ],
+)
 def test_a_drift_is_told_among_the_errors(drift: tuple[float, float, float]) -> None:
     _, drifts, _ = _fly(dataclasses.replace(ALL, drift_mps=drift), 40.0)
     begun = round(20.0 / PERIOD_S)

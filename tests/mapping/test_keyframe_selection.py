@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from uav_recon.mapping.keyframe_selection import FIXED_POINT_SCALE, OBSERVATIONS_PER_VOXEL, KeyframeSelection
+from uav_recon.mapping.keyframe_selection import FIXED_POINT_SCALE, OBSERVATIONS_PER_VOXEL, REPEATED, KeyframeSelection, _value
 from uav_recon.types.camera import Frame, Intrinsics, PosedFrame, body_from_camera
 from uav_recon.types.maps import GridSpec
 from uav_recon.types.pose import Pose
@@ -58,8 +58,18 @@ def test_the_sum_of_views_is_kept_and_a_query_changes_nothing(coverage: Keyframe
         np.testing.assert_array_equal(coverage._looks, before)
         if step % 2:
             coverage.keep(posed)
-    np.testing.assert_allclose(coverage.total_observation_weight(), coverage._looks.sum(dtype=np.int64) / FIXED_POINT_SCALE)
+    looks = coverage._looks[coverage._looks > 0].tolist()
+    np.testing.assert_allclose(coverage.total_observation_weight(), sum(_value(count) for count in looks))
     assert coverage.total_observation_weight() > 500 and coverage._looks.max() == OBSERVATIONS_PER_VOXEL * FIXED_POINT_SCALE
+
+
+def test_a_further_observation_counts_less_than_the_first(coverage: KeyframeSelection) -> None:
+    posed, given = wall_seen(0.0, 0.0), [0.0]
+    for _ in range(4):
+        coverage.keep(posed)
+        given.append(coverage.total_observation_weight())
+    gains = np.diff(given)
+    np.testing.assert_allclose(gains / gains[0], [1.0, REPEATED, REPEATED**2, 0.0], atol=1e-3)
 
 
 def test_noisy_depth_counts_for_less() -> None:

@@ -18,7 +18,7 @@ from uav_recon.recording.flight_log import read_timeline
 from uav_recon.types.pose import MapCorrection, Pose
 from uav_recon.types.reason import Reason, codes_of
 from uav_recon.types.reason_code import ReasonCode
-from uav_recon.types.tasks import NothingLeft, PlanRequest, ViewPath
+from uav_recon.types.tasks import NextView, NothingLeft, PlanRequest, ViewPath
 from uav_recon.types.trajectory import Goal
 from uav_recon.types.vehicle import FlightPhase
 
@@ -309,8 +309,29 @@ def test_a_view_on_whose_way_the_place_is_uncertain_is_given_up_once(desk: Desk)
         assert desk.intent.trajectory is not None
         turned_rad = max(turned_rad, float(np.ptp(desk.intent.trajectory.yaw_rad)))
     desk.run(2.0)
-    assert desk.planner.given_up == 1
+    assert [request.next_view for request in desk.planner.asked].count(NextView.LEFT) == 1
     assert turned_rad < 6.0, "it looks round, past the same wall again"
+
+
+def test_stopped_by_space_not_seen_it_asks_for_another_view_and_looks_round_at_the_third_time(desk: Desk) -> None:
+    desk.conductor.request_start()
+    desk.run(60.0, until=Phase.SURVEY)
+    while desk.speed_mps() < 0.3:
+        desk.run(0.1)
+    desk.planner.asked.clear()
+    desk.note = Reason(ReasonCode.REFUSED, details=(Reason(ReasonCode.NOT_SEEN_RECENTLY, (1.0, 0.0, 1.1)),))
+    turns = []
+    for _ in range(3):
+        desk.refusals += 1
+        desk.run(0.2)
+        turned_rad = 0.0
+        while desk.speed_mps() < 0.05 and turned_rad < 6.0:
+            desk.run(0.1)
+            assert desk.intent.trajectory is not None
+            turned_rad = float(np.ptp(desk.intent.trajectory.yaw_rad))
+        turns.append(turned_rad > 6.0)
+    assert turns == [False, False, True]
+    assert [request.next_view for request in desk.planner.asked] == [NextView.REFUSED, NextView.REFUSED]
 
 
 def test_no_views_are_taken_while_its_pilot_holds_the_vehicle_elsewhere(desk: Desk) -> None:

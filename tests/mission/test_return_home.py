@@ -35,6 +35,7 @@ def call_home(desk: Desk) -> None:
 def stop_on_the_way(desk: Desk) -> None:
     """As the guard does, once it flies there."""
     while not (flies_home(desk) and desk.speed_mps() > 0.05):
+        assert desk.conductor.phase is not Phase.DONE
         desk.run(0.1)
     desk.refusals += 1
     desk.run(0.1)
@@ -88,6 +89,26 @@ def test_a_way_home_that_the_guard_stopped_is_begun_again_a_few_times(desk: Desk
     desk.run(60.0, until=Phase.DONE)
     assert (desk.distance_m() < 0.1) is ends_at_home
     assert desk.conductor.close() == (None if ends_at_home else Reason(ReasonCode.RETURN_STOPPED, (4,)))
+
+
+def test_stops_with_progress_between_them_are_not_counted_together(desk: Desk) -> None:
+    desk.planner.left = [np.array([2.5, 0.0, 1.1])]
+    desk.conductor.request_start()
+    desk.run(60.0, until=Phase.SURVEY)
+    while desk.distance_m() < 2.4:
+        desk.run(0.1)
+    desk.conductor.request_return()
+    for _ in range(3):
+        stop_on_the_way(desk)
+    while desk.distance_m() > 1.2:
+        assert desk.conductor.phase is Phase.RETURN
+        desk.run(0.1)
+    for _ in range(3):
+        stop_on_the_way(desk)
+        assert desk.conductor.phase is Phase.RETURN
+    desk.run(120.0, until=Phase.DONE)
+    assert desk.distance_m() < 0.1
+    assert desk.conductor.close() is None
 
 
 def test_stopped_twice_on_the_way_home_it_looks_round(desk: Desk) -> None:

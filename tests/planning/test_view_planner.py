@@ -12,12 +12,13 @@ from uav_recon.config import PlannerConfig, VariantName
 from uav_recon.planning.camera_frustum import CameraGeometry
 from uav_recon.planning.task_generation import GeneratedTasks, TaskQuery
 from uav_recon.planning.tour.travel_time import YawWhileFlying
+from uav_recon.planning.view_history import ARRIVED_M
 from uav_recon.planning.view_planner import ViewPlanner
-from uav_recon.types.frames import ByteArray
+from uav_recon.types.frames import ByteArray, FloatArray
 from uav_recon.types.maps import FREE, OCCUPIED, UNKNOWN, SurfaceElements, VoxelMap
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
-from uav_recon.types.tasks import NothingLeft, PlanMode, PlanRequest, Task, TaskKind, ViewPath
+from uav_recon.types.tasks import NextView, NothingLeft, PlanMode, PlanRequest, Task, TaskKind, ViewPath
 
 
 def planner_for(state: ByteArray, camera: CameraGeometry = FIXED, variant: VariantName = "adaptive") -> ViewPlanner:
@@ -317,6 +318,36 @@ def test_a_frontier_that_no_view_can_resolve_is_given_up_after_two_views() -> No
     assert 1 < views <= 12
 
 
+def test_after_a_refused_motion_another_view_comes_first_and_each_place_is_tried_twice() -> None:
+    known = np.where(MEETING_ROOM, OCCUPIED, FREE).astype(np.uint8)
+    known[-12:-1, 30:, 1:-1] = 0
+    known[1:8, 1:8, 1:8] = 0
+    planner, position = planner_for(known), np.array([3.0, 2.0, 1.2])
+    places: list[FloatArray] = []
+    for revision in range(40):
+        after = NextView.REFUSED if revision > 0 else NextView.KEPT
+        request = PlanRequest(voxel_map(known, revision), None, position, 0.0, 20, next_view=after)
+        answer = planner.plan(request)
+        if isinstance(answer, NothingLeft):
+            break
+        planner.accept(answer)
+        places.append(answer.viewpoints[0].position_world)
+    assert isinstance(answer, NothingLeft)
+    near = np.linalg.norm(np.array(places)[:, None] - np.array(places), axis=-1) < ARRIVED_M
+    assert near.sum(axis=1).max() <= 2
+    assert not near[0, 1]
+
+
+@pytest.mark.parametrize(("low", "confined"), [(10, True), (4, False)])
+def test_where_the_vehicle_can_hardly_move_each_plan_has_one_view(low: int, confined: bool) -> None:
+    known = np.zeros(MEETING_ROOM.shape, dtype=np.uint8)
+    known[6:58, 2:19, low:16] = FREE  # seen all round from one position; from 10 on it is too flat to fly in
+    known[25:35, 5:15, 1:24] = FREE  # declared free over the pad
+    path = planner_for(known).plan(PlanRequest(voxel_map(known), None, np.array([2.9, 0.9, 1.2]), 0.0, 20))
+    assert isinstance(path, ViewPath)
+    assert (len(path.viewpoints) == 1) == confined
+
+
 def test_a_vehicle_that_does_not_fly_does_not_get_the_same_view_for_ever() -> None:
     known = np.where(MEETING_ROOM, OCCUPIED, FREE).astype(np.uint8)
     known[-12:-1, 30:, 1:-1] = 0
@@ -415,7 +446,7 @@ def test_what_a_view_that_was_given_up_should_settle_is_not_planned_again() -> N
     planner.accept(path)
     promised = planner.view_history.next_promised(path.waypoints_world[0][0], world.yaw_rad)
     assert promised is not None
-    again = planner.plan(dataclasses.replace(world.request(), gives_up_view=True))
+    again = planner.plan(dataclasses.replace(world.request(), next_view=NextView.LEFT))
     assert planner.view_history.exhausted.reshape(-1)[promised.promised].mean() > 0.9
     assert isinstance(again, ViewPath)
     assert all(task is not promised.task for task in again.tasks)

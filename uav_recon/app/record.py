@@ -1,4 +1,4 @@
-"""`uav-recon record`: write the camera stream that perception reads to a recording."""
+"""`uav-recon record`: write what the camera gives to a recording."""
 
 from __future__ import annotations
 
@@ -9,19 +9,22 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
 from rich.console import Console
 
-from uav_recon.app import camera_sources, factory
+from uav_recon.app import camera_sources, factory, pose_sources
+from uav_recon.app.flight_channels import read_only_channels
 from uav_recon.app.option_validation import UsageError, require_writable_file
 from uav_recon.clock import MonotonicClock, RateKeeper
+from uav_recon.config import Config
 from uav_recon.errors import UserError
-from uav_recon.interfaces import Clock
+from uav_recon.interfaces import Clock, DepthCamera, PoseSource
+from uav_recon.localization.camera_mount import FixedMount
 from uav_recon.sensors.recordings.mcap_writer import McapWriter
 from uav_recon.sensors.recordings.recording import RecordingError
+from uav_recon.sensors.recordings.recording_sources import CameraSource, RecordingSource, StreamSource, header_of
 from uav_recon.sensors.stream_camera import open_stream
-from uav_recon.sensors.stream_format import StreamError, StreamReader
-from uav_recon.types.pose import Pose
+from uav_recon.sensors.stream_format import StreamError, StreamHeader
+from uav_recon.types.camera import Frame
 
 POLL_HZ = 200.0  # the stream keeps four frames: no frame is missed below 50 frames a second
 STATUS_S = 5.0
@@ -51,70 +54,89 @@ def record(options: RecordOptions, console: Console, stopped: Callable[[], bool]
     require_writable_file("OUT", options.out)
     config, clock = factory.load_config(options.config), MonotonicClock()
     try:
-        reader = open_stream(camera_sources.stream_path(config), clock, camera_sources.CAMERA_WAIT_S, stopped)
-        mount = camera_sources.tilted_camera(config)
-        writer = McapWriter(options.out, reader.header, mount, int(options.max_gb * 1e9))
+        source, header = open_source(config, clock, stopped)
+        writer = McapWriter(options.out, header, camera_sources.tilted_camera(config), int(options.max_gb * 1e9))
     except (StreamError, RecordingError) as error:
         raise UserError(str(error), 0 if stopped() else None) from None
     except OSError as error:
         raise UserError(f"{options.out}: cannot be written ({error.strerror})") from None
-    recorder = StreamRecorder(reader, writer, options.out.parent, clock, options.seconds)
+    recorder = Recorder(source, writer, options.out.parent, clock, options.seconds)
     try:
         _loop(recorder, clock, stopped, lambda: console.print(recorder.status(), highlight=False, markup=False))
     except OSError as error:
         raise UserError(f"{options.out}: cannot be written ({error.strerror})") from None
     finally:
+        source.close()
         writer.close()
     console.print(f"{options.out}: {recorder.status()}; {recorder.ended or 'stopped'}", highlight=False, markup=False)
     return 0
 
 
-class StreamRecorder:
-    """Copy of a stream into a recording. ``ended``: reason of the end, '' before it."""
+def open_source(config: Config, clock: Clock, stopped: Callable[[], bool]) -> tuple[RecordingSource, StreamHeader]:
+    """Open what is recorded, and return it with its constants; a camera is waited for.
 
-    def __init__(self, reader: StreamReader, writer: McapWriter, folder: Path, clock: Clock, seconds: float) -> None:
-        self._reader, self._writer, self._folder, self._clock = reader, writer, folder, clock
-        self._frame = self._imu = self._pose = 0
+    A camera that is read directly gives its frames as they are, without the corrections of the config, and the poses of the
+    config's source. The embedded SLAM's are left out, because `uav-recon replay --pose slam` makes them from the recording.
+    Raises UserError or StreamError with one line.
+    """
+    if config.camera.source == "stream":
+        reader = open_stream(camera_sources.stream_path(config), clock, camera_sources.CAMERA_WAIT_S, stopped)
+        return StreamSource(reader), reader.header
+    as_it_is = config.camera.model_copy(update={"delay_s": 0.0, "depth_scale": 0.0})
+    camera = camera_sources.open_camera(config.model_copy(update={"camera": as_it_is}), clock, stopped)
+    try:
+        first = _first_frame(camera, clock, stopped)
+        return CameraSource(camera, _poses(config, clock, camera), first), header_of(first)
+    except UserError:
+        camera.close()
+        raise
+
+
+def _first_frame(camera: DepthCamera, clock: Clock, stopped: Callable[[], bool]) -> Frame:
+    begun_s = clock.now_s()
+    while (frame := camera.poll()) is None:
+        if stopped():
+            raise UserError("stopped before the first frame", 0)
+        if clock.now_s() - begun_s >= SILENT_S:
+            raise UserError(f"the camera gave no frame in {SILENT_S:g} s")
+        clock.sleep_until(clock.now_s() + 1.0 / POLL_HZ)
+    return frame
+
+
+def _poses(config: Config, clock: Clock, camera: DepthCamera) -> PoseSource | None:
+    if config.localization.source == "slam":
+        return None
+    mount, wires = FixedMount(camera_sources.tilted_camera(config)), read_only_channels(config.runtime.folder)
+    return pose_sources.open_poses(pose_sources.SourceContext(config, wires, clock, camera, mount))[1]
+
+
+class Recorder:
+    """Copy of a source into a recording. ``ended``: reason of the end, '' before it."""
+
+    def __init__(self, source: RecordingSource, writer: McapWriter, folder: Path, clock: Clock, seconds: float) -> None:
+        self._source, self._writer, self._folder, self._clock = source, writer, folder, clock
         self._begun_s = self._newest_s = clock.now_s()
         self._seconds = seconds
-        self.missed = 0
         self.ended = ""
 
     def step(self) -> None:
-        """Write every new record; at most one frame, because the stream gives the newest."""
+        """Write what is new."""
         if self.ended:
             return
-        before = self._frame, self._imu, self._pose
-        self._imu, samples = self._reader.imu(self._imu)
-        for sample in samples:
-            self._writer.write_imu(float(sample["stamp_s"]), sample["gyro_radps"], sample["specific_force_mps2"])
-        self._pose, poses = self._reader.poses(self._pose)
-        for pose in poses:
-            self._write_pose(pose)
-        raw = self._reader.frame(self._frame)
-        if raw is not None:
-            self.missed += raw.sequence - self._frame - 1 if self._frame else 0
-            self._frame = raw.sequence
-            self._writer.write_frame(raw.stamp_s, raw.depth_mm, raw.rgb)
+        new = self._source.copy_to(self._writer)
         now_s = self._clock.now_s()
-        if (self._frame, self._imu, self._pose) != before:
+        if new:
             self._newest_s = now_s
         self.ended = self._why_end(now_s)
 
     def status(self) -> str:
         """Return what was recorded, with rate and size, as one line."""
         span_s = max(self._clock.now_s() - self._begun_s, 1e-9)
-        size_mb, missed = self._writer.size_bytes / 1e6, f", {self.missed} missed" if self.missed else ""
+        size_mb, missed = self._writer.size_bytes / 1e6, f", {self._source.missed} missed" if self._source.missed else ""
         return (
             f"{span_s:.0f} s, {self._writer.frames} frames ({self._writer.frames / span_s:.1f}/s{missed}), "
             f"{self._writer.imu} inertial samples, {self._writer.poses} poses, {size_mb:.0f} MB ({size_mb / span_s:.1f} MB/s)"
         )
-
-    def _write_pose(self, pose: np.void) -> None:
-        numbers = np.concatenate([pose["quat_wxyz"], pose["position_m"], pose["variance"]])
-        if int(pose["quality"]) > 0 and np.isfinite(numbers).all() and np.linalg.norm(pose["quat_wxyz"]) > 0.5:
-            pose_of_body = Pose(np.array(pose["quat_wxyz"]), np.array(pose["position_m"]))
-            self._writer.write_pose(float(pose["stamp_s"]), pose_of_body, pose["variance"])
 
     def _why_end(self, now_s: float) -> str:
         if self._writer.full:
@@ -133,7 +155,7 @@ def default_name() -> Path:
     return Path(f"recording-{time.strftime('%Y%m%d-%H%M%S')}.mcap")
 
 
-def _loop(recorder: StreamRecorder, clock: MonotonicClock, stopped: Callable[[], bool], say: Callable[[], None]) -> None:
+def _loop(recorder: Recorder, clock: MonotonicClock, stopped: Callable[[], bool], say: Callable[[], None]) -> None:
     rate, status = RateKeeper(POLL_HZ, clock.now_s()), RateKeeper(1.0 / STATUS_S, clock.now_s() + STATUS_S)
     while not (stopped() or recorder.ended):
         recorder.step()

@@ -90,10 +90,11 @@ def record(
     max_gb: Annotated[float, typer.Option(min=0.01, max=10000.0, help="Size at most, in gigabytes.")] = 20.0,
     seconds: Annotated[float | None, typer.Option(min=1.0, max=86400.0, help="Time at most.")] = None,
 ) -> None:
-    """Record what perception reads: frames, inertial samples and poses of the camera stream.
+    """Record what the camera gives: frames, inertial samples and poses.
 
     The file is an MCAP with ROS 2 messages: Foxglove and the ros2 tools open it, `uav-recon replay` replays it. Ctrl-C ends it.
-    After a loss of power it is readable up to the last whole chunk (1 MB). It may run beside a flight: it only reads.
+    After a loss of power it is readable up to the last whole chunk (1 MB). A camera stream may be recorded beside a flight. A
+    RealSense has one reader: stop uav-recon-perception first.
     """
     from rich.console import Console
 

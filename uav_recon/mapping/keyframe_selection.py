@@ -1,10 +1,11 @@
 """Keyframe selection: score a frame by the surface that no keyframe has observed well yet.
 
 Each surface voxel needs OBSERVATIONS_PER_VOXEL good observations. An observation has a lower weight if its depth noise is
-larger. The gain of a frame is the sum, over its voxels, of the observation weight it adds where observations are still
-missing. A frame is selected if its gain reaches the share that each remaining view must contribute to cover the whole
-room. So the view budget lasts for the room and is spent on new surface. While there are openings to explore, a multiple of that
-share is asked for: the views of tasks that nobody knows yet must be left.
+larger, and each further one of a voxel counts REPEATED times as much as the one before: surface that no keyframe shows comes
+first. The gain of a frame is the sum, over its voxels, of what it adds. A frame is selected if its gain reaches the share that
+each remaining view must contribute to cover the whole room. So the view budget lasts for the room and is spent on new surface.
+While there are openings to explore, a multiple of that share is asked for: the views of tasks that nobody knows yet must be
+left.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from uav_recon.types.maps import GridSpec
 from uav_recon.types.pose import Pose
 
 OBSERVATIONS_PER_VOXEL = 3.0
+REPEATED = 1.0 / 3.0  # value of an observation of a voxel as a share of the value of the one before
 GOOD_SIGMA_M = 0.02  # depth noise (one sigma) up to which an observation has full weight
 PIXEL_STEP = 4
 FURNISHED_AREA_RATIO = 1.5  # ratio of the surface area of a furnished room to that of its bounding box
@@ -45,7 +47,13 @@ class KeyframeSelection:
         self._met = np.zeros(0, dtype=np.int64)
         self._given = 0.0
         a, b, c = np.asarray(fence_max_m, dtype=np.float64) - np.asarray(fence_min_m, dtype=np.float64)
-        self._wanted = OBSERVATIONS_PER_VOXEL * FURNISHED_AREA_RATIO * 2.0 * (a * b + b * c + c * a) / grid.resolution_m**2
+        self._wanted = (
+            _value(int(FIXED_POINT_SCALE * OBSERVATIONS_PER_VOXEL))
+            * FURNISHED_AREA_RATIO
+            * 2.0
+            * (a * b + b * c + c * a)
+            / grid.resolution_m**2
+        )
         self._last: Pose | None = None
 
     def worth(self, posed: PosedFrame, views_left: int, *, explored: bool) -> bool:
@@ -109,6 +117,20 @@ class PlannedViewsOnly:
 
 
 @kernel
+def _value(looks: int) -> float:
+    """Return the value of the observations of one voxel: 1 for one, 1 + REPEATED for two.
+
+    looks: in counts of FIXED_POINT_SCALE.
+    """
+    left, each, value = looks / FIXED_POINT_SCALE, 1.0, 0.0
+    while left > 0.0:
+        value += each * min(left, 1.0)
+        left -= 1.0
+        each *= REPEATED
+    return value
+
+
+@kernel
 def _gain(
     depth_m: AnyArray, lens: AnyArray, rotation: AnyArray, origin: AnyArray, sigma: float,
     shape: tuple[int, int, int], looks: AnyArray, met: AnyArray, keep: bool,
@@ -118,7 +140,7 @@ def _gain(
     Each voxel counts once per frame. looks: flat uint16, in counts of FIXED_POINT_SCALE per observation. met: scratch for the
     indices of the voxels hit.
     """
-    gain = number = 0
+    gain, number = 0.0, 0
     for v in range(0, depth_m.shape[0], PIXEL_STEP):
         for u in range(0, depth_m.shape[1], PIXEL_STEP):
             z = float(depth_m[v, u])
@@ -138,10 +160,10 @@ def _gain(
                 int(FIXED_POINT_SCALE * min(GOOD_SIGMA_M / (sigma * z * z), 1.0)),
                 int(FIXED_POINT_SCALE * OBSERVATIONS_PER_VOXEL) - given,
             )
-            gain += look
+            gain += _value(given + look) - _value(given)
             looks[index] = COUNTED_FLAG + given + (look if keep else 0)
             met[number] = index
             number += 1
     for n in range(number):
         looks[met[n]] -= COUNTED_FLAG
-    return gain / FIXED_POINT_SCALE
+    return gain

@@ -34,7 +34,7 @@ from uav_recon.mission.trajectory_execution import TrajectoryExecutor
 from uav_recon.mission.view_schedule import ViewSchedule
 from uav_recon.types.camera import PosedFrame
 from uav_recon.types.maps import VoxelMap
-from uav_recon.types.reason import Reason, codes_of
+from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.trajectory import Goal, Intent
 from uav_recon.types.vehicle import VehicleState
@@ -219,11 +219,8 @@ class Conductor:
         elif response is Response.REPLAN:
             self._log.refusal(now_s, reason)
             self._executor.hold(now_s, vehicle)
-            if ReasonCode.PLACE_UNSURE in codes_of(reason):
-                self._survey.lost_its_place()
-            else:
-                self._survey.stopped(now_s)
-            self._homeward.replan()
+            self._survey.stopped(now_s, reason)
+            self._homeward.replan(vehicle.world_from_body.translation_m)
         elif response is Response.NOTE:
             self._log.refusal(now_s, reason)
         elif response is Response.NOTE_IN_HOLD and self._hold:

@@ -25,7 +25,8 @@ from uav_recon.types.vehicle import VehicleState
 
 _PLACES = 3  #: land: landing positions that are tried; then home is the least bad
 _JUDGED_M = 2.0  #: plan: from farther away, level, no obstacle is recognised: noise of a floor at a flat angle looks like one
-_REFUSED = 3  #: land: elsewhere than at home, after the guard or the map stopped more paths than this
+_REFUSED = 3  #: land: elsewhere than at home, after the guard or the map stopped more paths than this without progress
+_PROGRESS_M = 1.0  #: plan: stops do not count once the vehicle is nearer to home by this than at their first
 _QUICK_S = 2.0  #: plan: the way home is planned again if a higher speed is allowed for this time and _WORTH_S remain
 _WORTH_S = 8.0  #: plan: with less time left a higher speed saves nothing
 
@@ -46,6 +47,7 @@ class ReturnHome:
         self._bad = tuple[FloatArray, ...]()
         self._decision: Pending[PlanResult] | None = None
         self._refused = 0
+        self._nearest_m = math.inf  # distance from home when stops were first counted
         self._looks = False
         # speed limit when planned, and when no higher one was last set
         self._planned_mps = math.inf
@@ -64,13 +66,17 @@ class ReturnHome:
         self.en_route = False
         self.no_path = False
 
-    def replan(self) -> None:
-        """Plan again after the guard or the map stopped the vehicle, a few times.
+    def replan(self, here_m: FloatArray) -> None:
+        """Plan again after the guard or the map stopped the vehicle at here_m (3,), a few times.
 
-        Except after the first stop, it looks round before: the space ahead may not have been seen lately.
+        Except after the first stop, it looks round before: the space ahead may not have been seen lately. On a long way home,
+        stops with progress in between are not counted together.
         """
         if self.en_route:
             self.en_route = False
+            left_m = float(np.linalg.norm((here_m - self._site.home)[:2]))
+            if self._aside is None and left_m < self._nearest_m - _PROGRESS_M:
+                self._refused, self._nearest_m = 0, left_m
             self._refused = self._refused + 1
             self._looks = 1 < self._refused <= _REFUSED
 
@@ -144,11 +150,11 @@ class ReturnHome:
         """
         resting = self._helm.course.at_rest(now_s)
         if not resting and self._helm.brake_if_blocked(now_s, voxels):
-            self.replan()
+            self.replan(vehicle.world_from_body.translation_m)
         elif resting and not self.has_arrived(now_s):
             self._account.refusal(now_s, Reason(ReasonCode.HELD_ON_WAY_HOME))
             self._helm.hold(now_s, vehicle)
-            self.replan()
+            self.replan(vehicle.world_from_body.translation_m)
         elif len(self._bad) < _PLACES and self._is_near(self._place) and self._site.is_occupied(voxels, self._place):
             self._bad = (*self._bad, self._place)
             x, y, _ = self._place.tolist()

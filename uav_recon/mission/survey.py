@@ -16,7 +16,7 @@ from uav_recon.mission.trajectory_execution import TrajectoryExecutor
 from uav_recon.types.maps import SurfaceElements, VoxelMap
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
-from uav_recon.types.tasks import NothingLeft, PlanRequest
+from uav_recon.types.tasks import NextView, NothingLeft, PlanRequest
 from uav_recon.types.trajectory import Setpoint, Trajectory
 from uav_recon.types.vehicle import VehicleState
 
@@ -25,8 +25,11 @@ MAX_FAILED_PLANS = 5  #: return: after this many plans in a row that could not b
 SAME_PLACE_M = 0.05  #: plan: a motion that ends nearer to the present one's end is not worth leaving it
 AHEAD_S = 1.6  #: plan: a plan leaves its predecessor this long before that one's end, so that it does not brake in between
 STOPPED_AGAIN_S = 5.0  #: plan: two stops within this time: the space ahead was not seen lately, so the vehicle looks round
+LOOK_AFTER_STOPS = 3  #: plan: stops by space not seen lately, without a view in between, after which the vehicle looks round
 LEAD_S = 0.25  #: plan: from a plan's start to the instant at which it leaves the present motion, added to its declared cost
 
+# the guard's reasons for which another view is chosen
+NOT_SEEN = frozenset({ReasonCode.NOT_SEEN_RECENTLY.value, ReasonCode.SPEED_OUT_OF_VIEW.value})
 NOTHING_LEARNED = SurfaceElements(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), 0)
 
 
@@ -51,8 +54,10 @@ class Survey:
         self._lead_s = LEAD_S + orders.plan_cost_s
         self._decision: Pending[PlanResult] | None = None
         self._departure = Departure(Setpoint.hold(np.zeros(3), 0.0))
-        self._looked_round = self._settled = self._looks_again = self._gives_up_view = False
+        self._looked_round = self._settled = self._looks_again = False
+        self._next_view = NextView.KEPT
         self._stopped_s = -np.inf
+        self._unseen_stops = self._stopped_with = 0  # stops by space not seen lately since the last view, views left then
         self._asked_revision = -1
         self.interrupt()
 
@@ -68,15 +73,24 @@ class Survey:
         self._looked_round = False
         self._asked_revision = -1
 
-    def lost_its_place(self) -> None:
-        """Record that the pilot goes back: the place is uncertain on the way to the next view."""
-        self._gives_up_view = True
-        self._decision = None
+    def stopped(self, now_s: float, reason: Reason) -> None:
+        """Record that the guard has stopped the vehicle, or that the pilot goes back.
 
-    def stopped(self, now_s: float) -> None:
-        """Record that the guard has stopped the vehicle."""
-        again = now_s - self._stopped_s < STOPPED_AGAIN_S
-        self._stopped_s = -np.inf if again else now_s
+        The pilot goes back where the place is uncertain. If it is, or if space was not seen lately, the next plan chooses
+        another view. Looking round would not help: it leads past the same bare wall, and a camera that looks ahead does not
+        see where a climb leads. Only if it is stopped by space not seen again and again, the vehicle looks round.
+        """
+        codes, again = set(reason.codes()), False
+        if ReasonCode.PLACE_UNSURE in codes:
+            self._next_view = NextView.LEFT
+        elif NOT_SEEN & codes:
+            self._next_view = NextView.REFUSED
+            self._unseen_stops = self._unseen_stops + 1 if self._account.views_left == self._stopped_with else 1
+            self._stopped_with = self._account.views_left
+            again = self._unseen_stops % LOOK_AFTER_STOPS == 0
+        else:
+            again = now_s - self._stopped_s < STOPPED_AGAIN_S
+            self._stopped_s = -np.inf if again else now_s
         self._looks_again = self._looks_again or again
         self._decision = None
 
@@ -124,9 +138,9 @@ class Survey:
         departure = self._helm.course.departure(now_s + self._lead_s, vehicle)
         start, surface = departure.setpoint, self._surface()
         request = PlanRequest(
-            voxels, surface, start.position_m, start.yaw_rad, self._account.views_left, start.velocity_mps, self._gives_up_view
+            voxels, surface, start.position_m, start.yaw_rad, self._account.views_left, start.velocity_mps, self._next_view
         )
-        self._gives_up_view = False
+        self._next_view = NextView.KEPT
         self._departure = departure
         self._decision = self._decider.next_views(request, departure, self._helm.course.next_identifier())
 

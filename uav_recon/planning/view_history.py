@@ -13,7 +13,7 @@ from uav_recon.geometry.jit import kernel
 from uav_recon.planning.candidate_view import CandidateView
 from uav_recon.types.frames import BoolArray, ByteArray, Float32Array, FloatArray, IntArray
 from uav_recon.types.maps import FREE, UNKNOWN, VoxelMap
-from uav_recon.types.tasks import PlanRequest, TaskKind, ViewPath
+from uav_recon.types.tasks import NextView, PlanRequest, TaskKind, ViewPath
 
 MAX_LOOKS = 2  # unsuccessful views after which a frontier voxel is exhausted
 HOPELESS_SHARE = 0.7  # if this share of the promised voxels is left after a view, another view will not settle them either
@@ -22,6 +22,7 @@ ARRIVED_RAD = 0.4  # ... and this heading difference
 WORTH_SHARE = 0.3  # if a smaller share of the promised frontier voxels is left, the view is no longer flown to
 # consecutive plans at the same position: the first view was refused by motion planning, so it counts as flown
 STALLED_PLANS = 3
+GIVEN_UP_LOOKS = 3.0  # looks at a right angle for which a view of surface counts whose motion is refused again
 
 
 class ViewHistory:
@@ -43,6 +44,8 @@ class ViewHistory:
     _proposals: tuple[CandidateView, ...]
     _position: FloatArray
     _waiting: list[tuple[int, IntArray]]  # map revision and frontier voxels of views flown and not yet evaluated
+    _refused: list[FloatArray]  # positions of views to which a motion was refused
+    _set_aside: list[FloatArray]  # those of them since the last flown view
 
     def __init__(self) -> None:
         self._reset((0, 0, 0), ())
@@ -50,16 +53,16 @@ class ViewHistory:
     def evaluate_flown_views(self, request: PlanRequest) -> IntArray:
         """Evaluate the views flown since the last plan against the current map.
 
-        A view that is given up counts as flown: what it should settle is not planned again and again. Returns the flat indices
-        (N,) of voxels that became exhausted.
+        A view that is given up counts as flown without a result. Returns the flat indices (N,) of voxels that became exhausted.
         """
         self._keep_frame(request)
         voxels = request.voxels
         flown = self._newly_flown(request)
+        self._set_aside = [] if flown else self._set_aside
+        given_up = None if request.next_view is NextView.KEPT else self._set_next_aside(request)
         for proposal in flown:
-            given_up = request.gives_up_view and proposal is flown[-1]  # no image of it will come
             if proposal.task.kind is TaskKind.EXPLORE:
-                self._waiting.append((voxels.revision - given_up, proposal.promised))
+                self._waiting.append((voxels.revision, proposal.promised))
             else:
                 self.surface_looks.reshape(-1)[proposal.promised] += proposal.view_cosine.astype(np.float32)
         # a view is evaluated by a map newer than the arrival, because the image taken there may still be in processing
@@ -67,6 +70,38 @@ class ViewHistory:
         self._waiting = [(revision, promised) for revision, promised in self._waiting if revision >= voxels.revision]
         self._position = np.array(request.position_world)
         newly: IntArray = np.concatenate([np.zeros(0, dtype=np.int64), *(self._in_vain(voxels, one) for one in due)])
+        return newly if given_up is None else np.concatenate([newly, self._give_up(given_up)])
+
+    def is_set_aside(self, proposal: CandidateView) -> bool:
+        """Return True if a motion to about this position was refused since a view was flown."""
+        return _among(proposal, self._set_aside)
+
+    def _set_next_aside(self, request: PlanRequest) -> CandidateView | None:
+        """Set the next view aside.
+
+        Returns it if it is given up: it was left, or a motion to about its position was refused before.
+        """
+        following = self.next_promised(request.position_world, request.yaw_rad)
+        self._path = None
+        if following is None:
+            return None
+        given_up = request.next_view is NextView.LEFT or _among(following, self._refused)
+        self._refused.append(following.task.viewpoint.position_world)
+        self._set_aside.append(following.task.viewpoint.position_world)
+        return following if given_up else None
+
+    def _give_up(self, proposal: CandidateView) -> IntArray:
+        """Count a view as flown without a result.
+
+        Returns the flat indices (N,) of voxels that became exhausted.
+        """
+        if proposal.task.kind is not TaskKind.EXPLORE:
+            self.surface_looks.reshape(-1)[proposal.promised] += GIVEN_UP_LOOKS
+            return np.zeros(0, dtype=np.int64)
+        exhausted = self.exhausted.reshape(-1)
+        newly: IntArray = np.unique(proposal.promised[exhausted[proposal.promised] == 0])
+        self.failed_views.reshape(-1)[newly] = MAX_LOOKS
+        exhausted[newly] = 1
         return newly
 
     def _in_vain(self, voxels: VoxelMap, promised: IntArray) -> IntArray:
@@ -117,6 +152,8 @@ class ViewHistory:
         self._position = np.zeros(3)
         self._stalls = 0
         self._waiting = []
+        self._refused = []
+        self._set_aside = []
 
     def _newly_flown(self, request: PlanRequest) -> tuple[CandidateView, ...]:
         if self._path is None:
@@ -127,7 +164,7 @@ class ViewHistory:
         if self._stalls >= STALLED_PLANS:
             self._stalls = 0
             flown = 1
-        return self._proposals[: flown + request.gives_up_view]
+        return self._proposals[:flown]
 
 
 @kernel
@@ -146,6 +183,12 @@ def _still_frontier(state: ByteArray, voxels: IntArray) -> BoolArray:
         beside = beside or (k > 0 and state[i, j, k - 1] == UNKNOWN)
         out[n] = beside or (k + 1 < nz and state[i, j, k + 1] == UNKNOWN)
     return out
+
+
+def _among(proposal: CandidateView, positions_world: list[FloatArray]) -> bool:
+    """Return True if a view is taken from about one of some positions."""
+    place_world = proposal.task.viewpoint.position_world
+    return any(float(np.linalg.norm(place_world - one)) < ARRIVED_M for one in positions_world)
 
 
 def warm_up() -> None:

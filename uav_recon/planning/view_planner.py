@@ -35,6 +35,7 @@ from uav_recon.planning.reconstruction.surface_views import SurfaceViews
 from uav_recon.planning.route_planning import route_to
 from uav_recon.planning.task_generation import ClusterTasks, GainField, GeneratedTasks, TaskQuery, TaskSource, view_positions
 from uav_recon.planning.tour import atsp, travel_time
+from uav_recon.planning.tour.task_ordering import best_by_rate
 from uav_recon.planning.tour.travel_time import TravelTimeModel, YawWhileFlying, time_costs
 from uav_recon.planning.variants import Variant, variant
 from uav_recon.planning.view_headings import suited_to_path
@@ -52,6 +53,8 @@ TOY_CAMERA = CameraGeometry(1.5, 1.0, np.zeros(3), -1.0, 1.0, 4.5)  # for warm_u
 TOY_CONFIG = PlannerConfig(clearance_m=0.3)
 MIN_UNKNOWN_VOXELS = 25  # voxels beyond the frontier that a last view must promise: a gap in a surface has fewer
 MIN_VISIBLE_SHARE = 0.4  # of planner.min_visible: surface elements that a last view must show
+CONFINED_M = 1.5  # along each axis from the vehicle: if there are fewer reachable positions than ...
+CONFINED_M3 = 1.5  # ... this, one view may open the way to others, and a plan has no more
 SAME_SHARE = 0.5  # a task is dropped if the committed view settles this share of its voxels
 
 
@@ -166,7 +169,7 @@ class ViewPlanner:
             )
         )
         committed = self._committed(situation, request)
-        tasks = _drop_duplicate_tasks(committed, harvest.proposals)
+        tasks = _drop_duplicate_tasks(committed, self._not_refused(harvest.proposals))
         tasks_made_s = self._timer()
         order, dropped = self._order(situation, request, tasks, len(committed))
         if not order:
@@ -176,6 +179,10 @@ class ViewPlanner:
         path = self._path(request, harvest, views, nodes, start_s, tasks_made_s)
         self._offered = path, tuple(views)
         return path
+
+    def _not_refused(self, proposals: list[CandidateView]) -> list[CandidateView]:
+        """Return the views to which no motion was just refused; all if there is no other."""
+        return [one for one in proposals if not self.view_history.is_set_aside(one)] or proposals
 
     def plan_views(
         self, voxels: VoxelMap, world_from_body: Pose, views: int, surface: SurfaceElements | None = None
@@ -260,10 +267,20 @@ class ViewPlanner:
         """
         self._ways.update(situation.exit_cells, request.position_world, view_positions(tasks))
         costs_s = time_costs(self._ways, tasks, request.yaw_rad, request.velocity_world_mps, self._price)
+        if self._is_confined(situation) and tasks:
+            return [1] if committed else [best_by_rate([one.task for one in tasks], costs_s)], 0
         # the tour begins at the committed view
         kept = self._variant.choice.order([one.task for one in tasks[committed:]], costs_s[committed:, committed:])
         order = [*range(1, committed + 1), *(int(node) + committed for node in kept.order)]
         return order[: request.views_left], kept.dropped
+
+    def _is_confined(self, situation: PlanningContext) -> bool:
+        """Return True if the vehicle can hardly move, as over its pad after the first look round."""
+        resolution_m = self.space.grid.resolution_m
+        at, reach = self.space.padded(situation.position_world), CONFINED_M / resolution_m
+        low, high = np.maximum(np.floor(at - reach), 0).astype(np.int64), np.floor(at + reach).astype(np.int64) + 1
+        around = self.space.reachable[low[0] : high[0], low[1] : high[1], low[2] : high[2]]
+        return bool(np.count_nonzero(around) * resolution_m**3 < CONFINED_M3)
 
     def _within_horizon(self, order: list[int], widening: float) -> list[int]:
         """Return the first nodes of the tour whose path is within L_exec; at least one."""

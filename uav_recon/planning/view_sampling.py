@@ -19,6 +19,8 @@ NEAREST_M = 0.5  # in tight rooms
 FARTHEST_M = 4.2  # a fixed mount sees high and low cells only from far away
 RANGE_MARGIN_M = 0.2
 _STEEPEST_RAD = np.radians(80.0)
+_SHELL_SHARE = 0.8  # of half the vertical angle of view: from there a target and what is around it are in the image ...
+_EDGE_SHARES = (0.87, 0.94)  # ... and from there it is at the edge, with what is farther away beside it
 _OFFSETS = (2048, 1024, 512)  # offsets in the shell itself, beyond it, and inside it
 _PLACES = (150, 50, 30)  # max. positions of each part that are evaluated
 # the generalised golden ratio of three dimensions: its powers give a sequence that fills a cube evenly for any length
@@ -30,15 +32,31 @@ def shell(camera: CameraGeometry, radii_m: tuple[float, ...], resolution_m: floa
 
     They form full circles at all elevations from which the mount can look at the target.
     """
-    half = camera.vfov_rad / 2 * 0.8
+    half = camera.vfov_rad / 2 * _SHELL_SHARE
     low, high = max(camera.pitch_min_rad - half, -_STEEPEST_RAD), min(camera.pitch_max_rad + half, _STEEPEST_RAD)
+    return _circles(radii_m, np.linspace(low, high, _ELEVATIONS)) / resolution_m
+
+
+def edge_shell(camera: CameraGeometry, radii_m: tuple[float, ...], resolution_m: float) -> FloatArray:
+    """Return offsets (K, 3) from a target to positions that see it at the edge of the image.
+
+    That is the upper or the lower edge; in voxels. A fixed mount sees a ceiling only there, from far away. None for a mount
+    that is turned up and down.
+    """
+    if camera.pitch_max_rad > camera.pitch_min_rad:
+        return np.zeros((0, 3))
+    edges = [camera.pitch_min_rad + side * share * camera.vfov_rad / 2 for share in _EDGE_SHARES for side in (-1.0, 1.0)]
+    return _circles(radii_m, np.clip(edges, -_STEEPEST_RAD, _STEEPEST_RAD)) / resolution_m
+
+
+def _circles(radii_m: tuple[float, ...], elevations_rad: FloatArray) -> FloatArray:
     rows = [
         (radius * np.cos(elevation) * np.cos(azimuth), radius * np.cos(elevation) * np.sin(azimuth), radius * np.sin(elevation))
         for radius in radii_m
-        for elevation in np.linspace(low, high, _ELEVATIONS)
+        for elevation in elevations_rad
         for azimuth in np.arange(_AZIMUTHS) * (2 * np.pi / _AZIMUTHS)
     ]
-    return np.array(rows) / resolution_m
+    return np.array(rows)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

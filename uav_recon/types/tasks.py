@@ -94,11 +94,19 @@ class NothingLeft:
     step_s: float
 
 
+class NextView(Enum):
+    """Outcome of the next view of a path, and the reason if no image of it will come."""
+
+    KEPT = "kept"
+    REFUSED = "refused"  # the guard refused the motion to it, because space on it was not seen lately
+    LEFT = "left"  # the vehicle left the way to it, because its place is uncertain there
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class PlanRequest:
     """All inputs of a plan; the same request gives the same plan.
 
-    gives_up_view: the vehicle left the way to the next view of the accepted path, because its place is uncertain there.
+    next_view: what became of the next view of the accepted path.
     """
 
     voxels: VoxelMap
@@ -107,4 +115,4 @@ class PlanRequest:
     yaw_rad: float
     views_left: int
     velocity_world_mps: FloatArray = field(default_factory=lambda: np.zeros(3))
-    gives_up_view: bool = False
+    next_view: NextView = NextView.KEPT

@@ -211,7 +211,7 @@ def test_postponed_searches_are_completed_in_later_plans() -> None:
     assert described(fresh.follow(voxels, START)) == described(rounds[-1])
 
 
-def test_a_task_covered_by_another_view_is_merged_into_it() -> None:
+def test_few_views_show_the_cells_of_all_clusters_and_each_promises_what_it_shows() -> None:
     world = explored(MEETING_ROOM, GIMBAL, 5)
     follower = Follower(world.grid)
     voxels = world.picture()
@@ -219,27 +219,18 @@ def test_a_task_covered_by_another_view_is_merged_into_it() -> None:
     rows, table = follower.rows(), follower.views.table
     assert len(found.proposals) < len(rows)
     promised = np.concatenate([proposal.promised for proposal in found.proposals])
-    own = np.concatenate([table.promised[row] for row in rows])
-    assert sorted(promised) == sorted(own)
+    own = [set(table.promised[row].tolist()) for row in rows]
+    assert len(set(promised.tolist())) == len(promised)
+    assert set(promised.tolist()) <= set().union(*own)
+    for of_one in own:
+        assert len(of_one & set(promised.tolist())) >= (COVERED_SHARE - 0.1) * len(of_one) - MIN_SEEN
     lens = oracle_lens(GIMBAL)
-    merged = 0
-    for row in rows:
-        for proposal in found.proposals:
-            place = np.array(
-                [
-                    *(proposal.task.viewpoint.position_world / 0.1 + 1.0),
-                    proposal.task.viewpoint.yaw_rad,
-                    proposal.task.viewpoint.pitch_down_rad,
-                ]
-            )
-            if np.allclose(place, table.view[row]) or not set(table.promised[row]) <= set(proposal.promised):
-                continue
-            merged += 1
-            cells = np.stack(np.unravel_index(table.promised[row], world.grid.shape), axis=-1)
-            target = view_oracle.OracleFrontier(cells, follower.low, follower.high)
-            shown = view_oracle.cells_seen(voxels.state, lens, oracle_view(place, GIMBAL), target)
-            assert shown >= (COVERED_SHARE - 0.1) * len(cells)
-    assert merged
+    for proposal in found.proposals:
+        view = proposal.task.viewpoint
+        place = np.array([*(view.position_world / 0.1 + 1.0), view.yaw_rad, view.pitch_down_rad])
+        shown = np.stack(np.unravel_index(proposal.promised, world.grid.shape), axis=-1)
+        target = view_oracle.OracleFrontier(shown, follower.low, follower.high)
+        assert view_oracle.cells_seen(voxels.state, lens, oracle_view(place, GIMBAL), target) >= 0.8 * len(shown)
 
 
 def test_every_frontier_without_a_view_has_a_reason() -> None:

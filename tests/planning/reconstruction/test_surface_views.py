@@ -10,6 +10,7 @@ from uav_recon.geometry.traversal import visible_targets
 from uav_recon.planning.camera_frustum import CameraGeometry
 from uav_recon.planning.reconstruction.surface_elements import Elements
 from uav_recon.planning.reconstruction.surface_views import LOOK_DISCOUNT, SurfaceViews
+from uav_recon.planning.reconstruction.view_gain import MIN_FACING
 from uav_recon.planning.view_sampling import shell
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.maps import SurfaceElements, VoxelMap
@@ -38,7 +39,7 @@ def cosines(voxels: VoxelMap, elements: Elements, camera: CameraGeometry, view: 
     inside &= np.abs(offset @ left) <= depth * np.tan(camera.hfov_rad / 2) * 0.95
     inside &= np.abs(offset @ up) <= depth * np.tan(camera.vfov_rad / 2) * 0.95
     cosine = -(elements.normal * offset).sum(axis=1) / distance
-    cosine[~inside | (cosine <= 0)] = 0.0
+    cosine[~inside | (cosine < MIN_FACING)] = 0.0
     found = np.flatnonzero(cosine)
     cosine[found[~visible_targets(voxels.state, eye, elements.position[found], 1.5)]] = 0.0
     return np.asarray(cosine)
@@ -113,6 +114,17 @@ def test_surface_in_the_map_but_not_in_the_model_is_viewed_first() -> None:
     assert np.count_nonzero((j == 0) & (i > 16) & (i < 44)) > 100
     whole = SurfaceViews(CONFIG, GIMBAL).propose(situation, surface, looks, 1.0)[0]
     assert whole.task.gain < 0.7 * first.task.gain
+
+
+def test_a_fixed_mount_views_a_bare_ceiling_from_far_away() -> None:
+    voxels, surface = seen_room(), elements_of(MEETING_ROOM)
+    situation, looks = situation_in(voxels, HERE), np.zeros(voxels.grid.shape, dtype=np.float32)
+    ceiling = surface.position_world[:, 2] > 2.35
+    seen = SurfaceElements(surface.position_world[~ceiling], surface.normal_world[~ceiling], np.zeros(int((~ceiling).sum())), 1)
+    proposals = SurfaceViews(CONFIG, FIXED).propose(situation, seen, looks, 3.0)
+    assert len(proposals) >= 3
+    for proposal in proposals:
+        assert np.count_nonzero(proposal.promised % voxels.grid.shape[2] >= 25) >= CONFIG.min_visible
 
 
 def test_tasks_run_out_as_they_are_viewed() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from uav_recon.planning.reconstruction.unmodelled_surface import BESIDE, unmodelled_surface
+from uav_recon.planning.reconstruction.unmodelled_surface import BESIDE, OUT, unmodelled_surface
 from uav_recon.types.maps import FREE, OCCUPIED, UNKNOWN
 
 CROSS = ndimage.generate_binary_structure(3, 1)
@@ -45,5 +45,5 @@ def test_a_walls_normal_points_into_the_room(axis: int, sign: int) -> None:
     face[6], face[6 + sign], face[6 + 2 * sign] = OCCUPIED, FREE, FREE
     position, normal = unmodelled_surface(state, np.full(3, 2), np.full(3, 10), np.zeros((0, 3), dtype=np.int64))
     assert len(position) == 64
-    assert (position[:, axis] == 6.5).all()
+    np.testing.assert_allclose(position[:, axis], 6.5 + OUT * sign)
     np.testing.assert_allclose(normal[:, axis], sign)

@@ -76,3 +76,16 @@ def test_edges_and_holes_give_no_elements() -> None:
     empty = memory()
     empty.look(np.full((120, 212), np.nan, np.float32), LENS, LOOK_X, np.zeros(3), NOISE)
     assert len(empty) == 0
+
+
+def test_a_ceiling_seen_at_a_small_angle_is_no_edge() -> None:
+    height_m, v = 0.5, (np.arange(120) - LENS[3]) / LENS[1]
+    depth = np.full((120, 212), np.nan, np.float32)
+    above = np.flatnonzero(-v > height_m / 5.0)
+    depth[above] = (height_m / -v[above])[:, None]
+    m = memory()
+    m.look(depth, LENS, LOOK_X, np.zeros(3), NOISE)
+    position, normal, _ = m.elements()
+    assert position[:, 2] == pytest.approx(height_m, abs=1e-4)
+    assert np.count_nonzero(position[:, 0] > 2.0) > 300
+    assert normal == pytest.approx(np.tile([0.0, 0.0, -1.0], (len(m), 1)), abs=1e-3)

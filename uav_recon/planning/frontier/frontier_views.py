@@ -21,7 +21,7 @@ from uav_recon.types.maps import FREE, UNKNOWN, GridSpec, VoxelMap
 from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.tasks import Task, TaskKind, Viewpoint
 
-COVERED_SHARE = 0.7  # a cluster is dropped if another view shows this share of what its own view shows
+COVERED_SHARE = 0.7  # a cluster has no task of its own if other views show this share of what its own view shows
 BATCH = 32  # clusters evaluated, nearest first; the number is doubled until there is a view
 MAX_MORE = 256  # ... by at most this number: the results of one round must fit into the table
 SEARCHES = 2  # searches per map revision since the last plan; if exceeded and a view exists, the rest is left for later plans
@@ -74,7 +74,6 @@ class FrontierViews:
     table: ViewCache
     _revision: int
     _centre: FloatArray
-    _tasks: dict[int, tuple[tuple[IntArray, ...], CandidateView]]
 
     def __init__(self, config: PlannerConfig, camera: CameraGeometry, demand: ViewDemand = USUAL) -> None:
         self._config = config
@@ -87,9 +86,9 @@ class FrontierViews:
     def update(self, voxels: VoxelMap, space: Flyable, frontiers: Frontiers, position_world: FloatArray) -> FrontierProposals:
         """Find views of the BATCH clusters nearest to a position, or of more while there is none.
 
-        A task is dropped if another task's view covers it; that view then promises its cells too. ``frontiers`` must be up
-        to date with ``voxels``. The tour executes only the first few metres, so distant clusters can wait. A cluster
-        without a reachable voxel in range of a view has no view and is not searched.
+        A cluster has no task of its own if the views of others cover it. ``frontiers`` must be up to date with ``voxels``. The
+        tour executes only the first few metres, so distant clusters can wait. A cluster without a reachable voxel in range of
+        a view has no view and is not searched.
         """
         grid, specks = voxels.grid, self._demand.specks
         self._keep_map(frontiers, grid.resolution_m)
@@ -125,7 +124,7 @@ class FrontierViews:
                     nearest = frontiers.table.nearest(here, total, specks=specks)
                 wanted = min(2 * wanted, wanted + MAX_MORE, total)
         openings_later = frontiers.openings - int(np.count_nonzero(frontiers.table.beyond[nearest[:asked]] >= OPENING))
-        proposals = self._proposals(voxels, space, found, lens)
+        proposals = self._proposals(voxels, found, lens)
         return FrontierProposals(proposals, without, total - asked + later, max(openings_later, 0))
 
     def reasons(self, voxels: VoxelMap, space: Flyable, frontiers: Frontiers) -> Counter[ReasonCode]:
@@ -160,45 +159,33 @@ class FrontierViews:
             int(table.key[cluster]), voxels.distance2, reachable, space.berth, lens, frontiers.faces,
             frontiers.flat(cluster), table.centre[cluster], revisions, self._plans,
         )  # fmt: skip
-        self._tasks.pop(row, None)
         self._centre[row] = table.centre[cluster]
         return row
 
     def _worth(self, row: int) -> bool:
         return bool(self.table.shown[row] >= self._demand.min_cells)
 
-    def _proposals(self, voxels: VoxelMap, space: Flyable, found: list[int], lens: FloatArray) -> list[CandidateView]:
-        """Return tasks for the rows, without those that a better view covers.
+    def _proposals(self, voxels: VoxelMap, found: list[int], lens: FloatArray) -> list[CandidateView]:
+        """Return tasks for the views that together cover the clusters.
 
-        The covering view then promises their cells too.
+        Those of the nearest clusters come first. A view from far away may show several clusters at once. A task promises the
+        cells that no larger one shows.
         """
         if not found:
             return []
-        best_first = sorted(range(len(found)), key=lambda n: (-int(self.table.shown[found[n]]), self.table.key[found[n]]))
-        rows = [found[n] for n in best_first]
-        groups: dict[int, list[int]] = {}
-        for n, by in enumerate(self.table.covered_by(rows, voxels.distance2, voxels.grid.shape, lens, COVERED_SHARE)):
-            groups.setdefault(by, []).append(rows[n])
-        return [self._proposal(voxels.grid, space, tuple(groups[n])) for _, n in sorted((best_first[n], n) for n in groups)]
+        best_first = sorted(found, key=lambda row: (-int(self.table.shown[row]), self.table.key[row]))
+        covering = self.table.covering(best_first, voxels.distance2, voxels.grid.shape, lens, COVERED_SHARE)
+        place = {row: n for n, row in enumerate(found)}
+        covering.sort(key=lambda one: place[one[0]])
+        return [self._proposal(voxels.grid, row, cells) for row, cells in covering if len(cells) >= self._demand.min_cells]
 
-    def _proposal(self, grid: GridSpec, space: Flyable, rows: tuple[int, ...]) -> CandidateView:
-        """Return the task of the first row, which promises the cells of all rows.
-
-        The same object is returned while the rows are unchanged.
-        """
-        promised = tuple(self.table.promised[row] for row in rows)
-        kept = self._tasks.get(rows[0])
-        if kept is not None and len(kept[0]) == len(promised) and all(a is b for a, b in zip(kept[0], promised, strict=True)):
-            return kept[1]
-        x, y, z, yaw, pitch = self.table.view[rows[0]].tolist()
+    def _proposal(self, grid: GridSpec, row: int, cells: IntArray) -> CandidateView:
+        x, y, z, yaw, pitch = self.table.view[row].tolist()
         place = np.array([x, y, z])
         viewpoint = Viewpoint(grid.origin_world_m + place * grid.resolution_m, yaw, pitch)
-        centroid_world = grid.origin_world_m + self._centre[rows[0]] * grid.resolution_m
-        task = Task(TaskKind.EXPLORE, centroid_world, viewpoint, float(self.table.shown[rows[0]]))
-        cells = np.concatenate(promised)
-        proposal = CandidateView(task, place + 1.0, cells, np.ones(len(cells)))
-        self._tasks[rows[0]] = (promised, proposal)
-        return proposal
+        centroid_world = grid.origin_world_m + self._centre[row] * grid.resolution_m
+        task = Task(TaskKind.EXPLORE, centroid_world, viewpoint, float(len(cells)))
+        return CandidateView(task, place + 1.0, cells, np.ones(len(cells)))
 
     def _reason(
         self, voxels: VoxelMap, space: Flyable, frontiers: Frontiers, cluster: int, lens: FloatArray
@@ -227,7 +214,6 @@ class FrontierViews:
         self.table = ViewCache(explore_shell(self._config, self._camera, resolution_m))
         self._reach = float(np.abs(self.table.shell.offsets).max(initial=0.0))  # of a place from its frontier, along an axis
         self._centre = np.zeros((len(self.table.shown), 3))  # cluster centres by row, voxels
-        self._tasks = {}  # by row
 
 
 def warm_up(config: PlannerConfig, camera: CameraGeometry) -> None:

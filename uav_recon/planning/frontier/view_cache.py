@@ -11,11 +11,11 @@ from uav_recon.planning.camera_frustum import LineOfSight, in_view, sight
 from uav_recon.planning.frontier.view_search import ROOM, best_view
 from uav_recon.planning.frontier.visibility_bound import Int32Array
 from uav_recon.planning.view_sampling import ViewShell
-from uav_recon.types.frames import ByteArray, FloatArray, IntArray
+from uav_recon.types.frames import BoolArray, ByteArray, FloatArray, IntArray
 
 ROWS = 512  # cached results; the oldest are replaced first
 MAX_BLOCKERS = 2048
-SAMPLE_CELLS = 40  # sample of the cells of a view, tested to find out if another view covers them
+SAMPLE_CELLS = 24  # sample of the cells of a view, tested to find out which other views show them
 SAMPLE_POINTS = 6 * SAMPLE_CELLS
 
 
@@ -110,18 +110,31 @@ class ViewCache:
         held: list[int] = rows.tolist()
         return held
 
-    def covered_by(
+    def covering(
         self, rows: list[int], distance2: ByteArray, shape: tuple[int, int, int], lens: FloatArray, share: float
-    ) -> list[int]:
-        """Return, for each row, the first row whose view shows a share of its cells; else itself.
+    ) -> list[tuple[int, IntArray]]:
+        """Return the rows of few views that together show a share of what each view shows.
 
-        Rows are given by their index in ``rows``.
+        Those that add most cells come first. Each is given with the flat indices of the cells that it shows and none before it
+        does.
         """
-        by: list[int] = _covered(
-            np.array(rows, dtype=np.int64), distance2.reshape(-1), shape, lens, self.view, self.points, self.first,
-            self.samples, share,
-        ).tolist()  # fmt: skip
-        return by
+        places, samples = np.array(rows, dtype=np.int64), self.samples[rows]
+        owner = np.full((len(rows), max(1, int(samples.max()))), -1, dtype=np.int64)
+        shows = _sights(
+            places, distance2.reshape(-1), shape, lens, self.view, self.points, self.first, self.samples, owner.shape[1]
+        )
+        chosen = _cover(shows, samples, self.shown[rows] / np.maximum(samples, 1), share, owner)
+        owners, cells = [], [self.promised[row] for row in rows]
+        for n, row in enumerate(rows):
+            ends = np.arange(self.samples[row] + 1) * len(cells[n]) // max(int(self.samples[row]), 1)
+            owners.append(
+                np.repeat(owner[n, : self.samples[row]], np.diff(ends))
+            )  # a sample stands for the cells up to the next
+        by = np.concatenate(owners)
+        order = np.argsort(by, kind="stable")
+        borders = np.searchsorted(by[order], np.arange(len(rows) + 1))
+        shown = np.concatenate(cells)[order]
+        return [(rows[n], shown[borders[n] : borders[n + 1]]) for n in chosen.tolist()]
 
 
 @kernel
@@ -239,7 +252,7 @@ def _still_hold(  # noqa: C901, PLR0912
 
 
 @kernel
-def _covered(
+def _sights(
     rows: IntArray,
     distance2: ByteArray,
     shape: tuple[int, int, int],
@@ -248,28 +261,66 @@ def _covered(
     points: FloatArray,
     first: IntArray,
     samples: IntArray,
-    share: float,
-) -> IntArray:
-    covered_by = np.arange(len(rows))
+    most: int,
+) -> BoolArray:
+    """Return a mask (N, N, most): the view of a row shows a sample of the cells of another.
+
+    Of its own cells it shows all.
+    """
+    shows = np.zeros((len(rows), len(rows), most), dtype=np.bool_)
     for n in range(len(rows)):
-        if covered_by[n] != n:
-            continue
         line = sight(lens, view[rows[n], :3], view[rows[n], 3], view[rows[n], 4])
-        for other in range(n + 1, len(rows)):
-            if covered_by[other] != other:
-                continue
+        for other in range(len(rows)):
             row = rows[other]
-            may_miss = int((1.0 - share) * samples[row])
-            # the ends before the middle, so that a cluster at the edge of the image is rejected early
-            for step in range(samples[row]):
-                cell = step // 2 if step % 2 == 0 else samples[row] - 1 - step // 2
-                if not _shows(distance2, shape, lens, line, points[row], first[row, cell], first[row, cell + 1]):
-                    may_miss -= 1
-                    if may_miss < 0:
-                        break
-            if may_miss >= 0:
-                covered_by[other] = n
-    return covered_by
+            for cell in range(samples[row]):
+                shows[n, other, cell] = n == other or _shows(
+                    distance2, shape, lens, line, points[row], first[row, cell], first[row, cell + 1]
+                )
+    return shows
+
+
+@kernel
+def _news(shows: BoolArray, owner: IntArray, left: IntArray, cells: FloatArray) -> float:
+    """Return the number of cells that a view shows and no chosen one does.
+
+    left: (N,) samples of each row that are still to be shown; rows without any do not count. shows: (N, S). owner: (N, S)
+    -1 = no chosen view shows it. cells: (N,) for which each sample of a row stands.
+    """
+    total = 0.0
+    for other in range(len(left)):
+        if left[other] > 0:
+            for cell in range(owner.shape[1]):
+                if shows[other, cell] and owner[other, cell] < 0:
+                    total += cells[other]
+    return total
+
+
+@kernel
+def _cover(shows: BoolArray, samples: IntArray, cells: FloatArray, share: float, owner: IntArray) -> IntArray:
+    """Return the chosen views: each time the one that shows most cells that no chosen one shows.
+
+    shows: see _sights(). samples, cells: (N,) samples of each row, and cells for which each stands.
+    owner: (N, S) filled with -1; output: the first chosen view that shows each sample.
+    """
+    chosen = np.empty(len(samples), dtype=np.int64)
+    left = np.maximum(np.ceil(share * samples), 1.0).astype(np.int64)  # of each row: samples that are still to be shown
+    count = 0
+    while count < len(chosen):
+        best, best_news = -1, 0.0
+        for n in range(len(samples)):
+            news = _news(shows[n], owner, left, cells)
+            if news > best_news:
+                best, best_news = n, news
+        if best < 0:
+            break
+        chosen[count] = best
+        count += 1
+        for other in range(len(samples)):
+            for cell in range(owner.shape[1]):
+                if shows[best, other, cell] and owner[other, cell] < 0:
+                    owner[other, cell] = best
+                    left[other] -= 1
+    return chosen[:count].copy()
 
 
 @kernel

@@ -71,7 +71,7 @@ class Elements:
     def with_bare(self, position: FloatArray, normal: FloatArray, grid: GridSpec) -> Elements:
         """Add surface that the model does not contain, with the largest uncertainty.
 
-        position, normal: (N, 3) centres and normals, in voxels.
+        position, normal: (N, 3) positions and normals, in voxels.
         """
         if not len(position):
             return self

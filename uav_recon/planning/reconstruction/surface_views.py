@@ -18,7 +18,7 @@ from uav_recon.planning.reconstruction.geodesic_neighbourhood import seen_from_n
 from uav_recon.planning.reconstruction.surface_elements import Elements, KeptElements, max_cosine_per_voxel, weigh, within
 from uav_recon.planning.reconstruction.unmodelled_surface import unmodelled_surface
 from uav_recon.planning.reconstruction.view_gain import best_view, patches_near, promising
-from uav_recon.planning.view_sampling import shell
+from uav_recon.planning.view_sampling import RANGE_MARGIN_M, edge_shell, shell
 from uav_recon.types.frames import Float32Array, FloatArray, IntArray
 from uav_recon.types.maps import SurfaceElements
 from uav_recon.types.tasks import Task, TaskKind, Viewpoint
@@ -41,7 +41,11 @@ class SurfaceViews:
         self._config = config
         self._camera = camera
         radii_m = (*_TIGHT_RADII_M, *np.linspace(config.shell_min_m, config.shell_max_m, 3))
-        self._offsets_m = shell(camera, tuple(float(r) for r in radii_m), 1.0)
+        farthest_m = min(camera.surface_range_m, camera.range_m) - RANGE_MARGIN_M
+        edge_m = tuple(float(r) for r in np.linspace(config.shell_max_m, max(farthest_m, config.shell_max_m), 2))
+        self._offsets_m = np.concatenate(
+            [shell(camera, tuple(float(r) for r in radii_m), 1.0), edge_shell(camera, edge_m, 1.0)]
+        )
         self._elements = KeptElements(config.downsample)
 
     def propose(

@@ -15,6 +15,7 @@ from uav_recon.geometry.jit import kernel
 from uav_recon.types.frames import BoolArray, ByteArray, FloatArray, IntArray
 from uav_recon.types.maps import FREE, OCCUPIED
 
+OUT = 0.45  # voxels
 BESIDE = 1  # voxels in each direction; an element this near belongs to the surface
 
 
@@ -34,10 +35,11 @@ def _any(held: BoolArray, i: int, j: int, k: int) -> bool:
 
 @kernel
 def unmodelled_surface(state: ByteArray, low: IntArray, high: IntArray, modelled: IntArray) -> tuple[FloatArray, FloatArray]:  # noqa: C901
-    """Return centres (N, 3) and outward unit normals (N, 3) of unmodelled surface.
+    """Return positions (N, 3) and outward unit normals (N, 3) of unmodelled surface.
 
     Units are voxels. Only voxels in [low, high) of the map are searched. The normal is the mean direction to the free ones
-    of the 26 surrounding voxels.
+    of the 26 surrounding voxels. The position is in the voxel, OUT of its centre along the normal: a line of sight at a small
+    angle to the surface would pass through several voxels of it on the way to a centre.
 
     state: (nx, ny, nz) uint8.
     modelled: (M, 3) voxels with an element of the model, inside or outside the map.
@@ -71,7 +73,12 @@ def unmodelled_surface(state: ByteArray, low: IntArray, high: IntArray, modelled
                 length = math.sqrt(x * x + y * y + z * z)
                 if length < 1.0:  # free on both sides: thinner than a voxel, so no side is the outer one
                     continue
-                position[count, 0], position[count, 1], position[count, 2] = i + 0.5, j + 0.5, k + 0.5
-                normal[count, 0], normal[count, 1], normal[count, 2] = x / length, y / length, z / length
+                x, y, z = x / length, y / length, z / length
+                position[count, 0], position[count, 1], position[count, 2] = (
+                    i + 0.5 + OUT * x,
+                    j + 0.5 + OUT * y,
+                    k + 0.5 + OUT * z,
+                )
+                normal[count, 0], normal[count, 1], normal[count, 2] = x, y, z
                 count += 1
     return position[:count].copy(), normal[:count].copy()

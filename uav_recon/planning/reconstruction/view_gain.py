@@ -16,6 +16,7 @@ from uav_recon.planning.camera_frustum import RANGE, TAN_H, TAN_V, LineOfSight, 
 from uav_recon.types.frames import ByteArray, FloatArray, IntArray
 
 TAIL = 1.5  # voxels in front of an element that may be occupied or unknown, because they belong to the element's own wall
+MIN_FACING = 0.18  # n.v; at a smaller angle to the surface, about 10 degrees, a depth camera measures nothing
 PATCH_SHARE = 0.95  # share of the weight in reach; the many cells of the rest are ignored
 _CELL_WIDTH = 5.2  # voxels; the diagonal of a cell, the max. distance of an element from its middle element
 
@@ -24,10 +25,11 @@ _CELL_WIDTH = 5.2  # voxels; the diagonal of a cell, the max. distance of an ele
 def _facing(line: LineOfSight, x: float, y: float, z: float, nx: float, ny: float, nz: float) -> float:
     """Return n.v, the cosine between an outward normal and the direction to the eye.
 
-    It is negative for an element seen from behind.
+    It is 0 for an element seen from behind, or at too small an angle.
     """
     dx, dy, dz = line[0] - x, line[1] - y, line[2] - z
-    return (nx * dx + ny * dy + nz * dz) / math.sqrt(dx * dx + dy * dy + dz * dz)
+    cosine = (nx * dx + ny * dy + nz * dz) / math.sqrt(dx * dx + dy * dy + dz * dz)
+    return cosine if cosine >= MIN_FACING else 0.0
 
 
 @kernel
@@ -97,7 +99,7 @@ def promising(  # noqa: C901, PLR0912
         for m in range(len(patches)):
             px, py, pz = patches[m, 0], patches[m, 1], patches[m, 2]
             if in_view(lens, line, px, py, pz):
-                bound[p] += max(_facing(line, px, py, pz, patches[m, 3], patches[m, 4], patches[m, 5]), 0.0) * patches[m, 6]
+                bound[p] += _facing(line, px, py, pz, patches[m, 3], patches[m, 4], patches[m, 5]) * patches[m, 6]
     best = np.full(wanted, -1, dtype=np.int64)
     score = np.zeros(wanted)
     for p in np.argsort(-bound, kind="mergesort"):

@@ -64,9 +64,14 @@ class Greedy:
 
     def order(self, tasks: Sequence[Task], costs_s: FloatArray) -> KeptTour:
         """See TaskOrdering."""
-        gain = np.array([task.gain for task in tasks])
-        best = np.argmax(gain / (costs_s[0, 1:] + VIEW_S)) + 1 if len(tasks) else np.zeros(0)
-        return self._worth.keep(tasks, costs_s, np.atleast_1d(best).astype(np.int64))
+        best = [best_by_rate(tasks, costs_s)] if len(tasks) else []
+        return self._worth.keep(tasks, costs_s, np.array(best, dtype=np.int64))
+
+
+def best_by_rate(tasks: Sequence[Task], costs_s: FloatArray) -> int:
+    """Return the node of the task with the most gain per second of the flight to it."""
+    gain = np.array([task.gain for task in tasks])
+    return int(np.argmax(gain / (costs_s[0, 1:] + VIEW_S))) + 1
 
 
 class FrontierWithDetours:
