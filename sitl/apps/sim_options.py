@@ -47,6 +47,7 @@ BLIND_MPS = 0.3  # default speed limit outside the camera's view; MAX_MPS disabl
 SLOWEST_MPS = 0.1  # its minimum
 # outside the view: full speed up to the first age of the last free sight, blind_speed_mps from the second on
 SIGHT_AGES_S = (3.0, 10.0)
+SIGHT_AGES_BY_SOURCE_S = {"slam": (0.0, 0.1)}  # the embedded SLAM loses its place in fast turns beside bare walls
 BLIND_MEMORY_S = 60.0  # space above and below a fixed camera's view was mostly seen more than 10 s ago
 COLUMN_MARGIN_M = 0.10  # beyond the planning clearance, round the column above the pad that the operator sees to be free
 COLUMN_TOP_M = 0.05  # below the ceiling: half a voxel
@@ -213,7 +214,7 @@ class SimOptions:
         gimbal = self.mount_pitch_down_deg is None
         noise_px = NOISE_PX[self.depth_noise] / (2.0 if self.camera in ("fast", "small") else 1.0)
         clearance_m = max(SMALLEST_CLEARANCE_M, self.radius_m + HULL_MARGIN_M)
-        fresh_s, stale_s = SIGHT_AGES_S
+        fresh_s, stale_s = SIGHT_AGES_BY_SOURCE_S.get(self.pose, SIGHT_AGES_S)
         tree = {
             "safety": {
                 "fence_min_m": [float(x) for x in scene.fence_min],
