@@ -25,8 +25,8 @@ def _flown(*views: tuple[float, float, float, float]) -> FlownViews:
     return out
 
 
-def _back(views: FlownViews, x: float, yaw_rad: float) -> Trajectory:
-    return views.way_back(Setpoint.hold(np.array([x, 0.0, 1.1]), yaw_rad), HEIGHT_M, 50.0, 0.3, 0)
+def _back(views: FlownViews, x: float, yaw_rad: float, z: float = 1.1) -> Trajectory:
+    return views.way_back(Setpoint.hold(np.array([x, 0.0, z]), yaw_rad), HEIGHT_M, 50.0, 0.3, 0)
 
 
 def test_it_turns_back_on_the_spot_and_then_flies_back_as_it_looked() -> None:
@@ -43,6 +43,19 @@ def test_it_turns_back_on_the_spot_and_then_flies_back_as_it_looked() -> None:
     assert np.linalg.norm(way.velocity_mps, axis=1).max() <= 0.3
     assert np.linalg.norm(way.acceleration_mps2, axis=1).max() <= 1.0
     assert np.abs(way.yaw_rate_radps).max() <= 0.7 + 1e-6
+
+
+def test_it_turns_back_on_the_spot_from_a_turn_in_a_climb() -> None:
+    way = _back(_flown((0.0, 0.0, 1.1, 0.0), (0.0, 0.0, 1.5, 1.4)), 0.0, 1.4, z=1.5)
+    turned = np.flatnonzero(np.abs(way.yaw_rad) < 0.1)[0]
+    assert turned * way.step_s < 1.4 / 0.7 + 1.4
+    np.testing.assert_allclose(way.position_m, np.tile([0.0, 0.0, 1.5], (len(way.position_m), 1)), atol=1e-9)
+
+
+def test_it_turns_back_below_the_hover_height() -> None:
+    way = _back(_flown((0.0, 0.0, 0.78, 0.0), (0.0, 0.0, 0.78, 1.4)), 0.0, 1.4, z=0.8)
+    np.testing.assert_allclose(way.yaw_rad[-1], 0.0, atol=0.06)
+    np.testing.assert_allclose(way.position_m[:, 2], 0.8)
 
 
 def test_headings_are_followed_the_short_way_round() -> None:

@@ -17,6 +17,7 @@ from uav_recon.types.trajectory import Setpoint, Trajectory
 _APART_M = 0.05  #: internal: distance between remembered views
 _APART_RAD = math.radians(3.0)  #: internal: or turn between them
 _MOST = 400  #: internal: remembered views, the newest: 20 m, or three turns
+_NEAR_M = 0.5  #: retreat: a heading shows from here what it showed from within this distance: no need to fly there
 _SHARE = 0.9  # of the allowed speed: sampling adds the rest
 _TURN_RADPS = 0.7  #: retreat: yaw rate on the way back
 _LONGEST_S = 20.0  #: retreat: longest way back
@@ -46,17 +47,19 @@ class FlownViews:
     def way_back(self, rest: Setpoint, height_m: float, start_s: float, speed_mps: float, map_epoch: int) -> Trajectory:
         """Return a trajectory from rest back through the views, newest first; a hold without any.
 
-        It does not go below a height. Speed and yaw rate are limited, and corners rounded, as on the path along breadcrumbs.
+        It turns on the spot while the views are near. It does not go below a height, or the present one. Speed and yaw rate are
+        limited, and corners rounded, as on the path along breadcrumbs.
         """
-        rows = [(*rest.position_m.tolist(), rest.yaw_rad)]
-        for x, y, z, yaw_rad in reversed(self._views):
-            before = rows[-1]
-            if z < height_m:
+        here = tuple(rest.position_m.tolist())
+        rows = [(*here, rest.yaw_rad)]
+        for *place, yaw_rad in reversed(self._views):
+            before, there = rows[-1], here if math.dist(place, here) < _NEAR_M else place
+            if there[2] < min(height_m, here[2]):
                 break
             turn_rad = math.remainder(yaw_rad - before[3], math.tau)
-            way_m = math.hypot(x - before[0], y - before[1], z - before[2])
+            way_m = math.dist(there, before[:3])
             steps = max(math.ceil(max(way_m / (_SHARE * speed_mps), abs(turn_rad) / _TURN_RADPS) / STEP_S), 1)
-            after = (x, y, z, before[3] + turn_rad)
+            after = (*there, before[3] + turn_rad)
             rows += [
                 tuple(np.interp(n, (0, steps), ends) for ends in zip(before, after, strict=True)) for n in range(1, steps + 1)
             ]
