@@ -19,6 +19,7 @@ from uav_recon.app.option_validation import UsageError, mount_pitch_deg, readabl
 from uav_recon.app.room_check import advise
 from uav_recon.config import Config, ConfigError, UncertaintyName, VariantName, parse
 from uav_recon.errors import EXIT_CONFIG, UserError
+from uav_recon.planning.mount_visibility import USUAL_DEG
 
 __all__ = ["SimOptions", "UsageError"]
 
@@ -39,7 +40,6 @@ HULL_MARGIN_M = 0.20
 SMALLEST_CLEARANCE_M = 0.35
 MAX_MPS = 1.2
 AUTO = "auto"  # mount: fixed, with a tilt for the size of the room
-USUAL_DEG = 15.0  # tilt of AUTO where the room has no space to fly
 # of --start and --fence
 MAX_COORDINATE_M = 1e5
 MAX_YAW_DEG = 360.0

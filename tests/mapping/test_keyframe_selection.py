@@ -7,7 +7,14 @@ import math
 import numpy as np
 import pytest
 
-from uav_recon.mapping.keyframe_selection import FIXED_POINT_SCALE, OBSERVATIONS_PER_VOXEL, REPEATED, KeyframeSelection, _value
+from uav_recon.mapping.keyframe_selection import (
+    BUDGET_RESERVE_FACTOR,
+    FIXED_POINT_SCALE,
+    OBSERVATIONS_PER_VOXEL,
+    REPEATED,
+    KeyframeSelection,
+    _value,
+)
 from uav_recon.types.camera import Frame, Intrinsics, PosedFrame, body_from_camera
 from uav_recon.types.maps import GridSpec
 from uav_recon.types.pose import Pose
@@ -99,4 +106,4 @@ def test_an_explored_room_keeps_no_views_for_tasks_to_come(coverage: KeyframeSel
     posed = wall_seen(0.0, 0.0, depth_m=1.0)
     views = next(n for n in range(5, 2000) if coverage.worth(posed, views_left=n, explored=True))
     assert not coverage.worth(posed, views_left=views, explored=False)
-    assert coverage.worth(posed, views_left=math.ceil(2.5 * views), explored=False)
+    assert coverage.worth(posed, views_left=math.ceil(BUDGET_RESERVE_FACTOR * views), explored=False)

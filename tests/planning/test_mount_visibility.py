@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from uav_recon.planning.mount_visibility import TILTS_DEG, DepthView, RoomVisibility
+from uav_recon.planning.mount_visibility import USUAL_DEG, DepthView, RoomVisibility
 
 SMALL_M, LARGE_M = (3.4, 2.6, 2.5), (8.0, 3.0, 2.5)
 
@@ -31,11 +31,11 @@ def test_a_ceiling_is_seen_from_far_enough_away() -> None:
 
 def test_a_small_room_asks_for_less_tilt_and_a_large_one_for_the_usual(small: RoomVisibility) -> None:
     assert small.recommended_deg() == 5.0
-    assert RoomVisibility(LARGE_M, 0.4, DepthView()).recommended_deg() == TILTS_DEG[0]
+    assert RoomVisibility(LARGE_M, 0.4, DepthView()).recommended_deg() == USUAL_DEG
 
 
 def test_a_wide_camera_needs_no_other_tilt() -> None:
-    assert RoomVisibility(SMALL_M, 0.4, DepthView(vertical_fov_rad=math.radians(100.0))).recommended_deg() == TILTS_DEG[0]
+    assert RoomVisibility(SMALL_M, 0.4, DepthView(vertical_fov_rad=math.radians(100.0))).recommended_deg() == USUAL_DEG
 
 
 def test_the_far_end_of_a_hall_changes_nothing() -> None:

@@ -116,7 +116,7 @@ def sim(
         str,
         typer.Option(
             metavar="auto|fixed:DEG|gimbal", autocompletion=choices.one_of(choices.SIM_MOUNTS), rich_help_panel=CAMERA,
-            help="Camera mount. DEG is the tilt in degrees, -60 to 60; positive looks down. auto: fixed:15, or less in a small "
+            help="Camera mount. DEG is the tilt in degrees, -60 to 60; positive looks down. auto: fixed:10, or less in a small "
             "room where that shows much more of it (`uav-recon check room`).",
         ),
     ] = "auto",

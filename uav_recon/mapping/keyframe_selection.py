@@ -28,7 +28,7 @@ FIXED_POINT_SCALE = (
     10_000  # fixed-point counts per observation; FIXED_POINT_SCALE * OBSERVATIONS_PER_VOXEL stays below COUNTED_FLAG
 )
 COUNTED_FLAG = 1 << 15  # flag bit of a voxel that was already counted in the current frame
-BUDGET_RESERVE_FACTOR = 2.5  # factor on the share of a view while the room is explored: leaves budget for the tasks to come
+BUDGET_RESERVE_FACTOR = 5.0  # factor on the share of a view while the room is explored: leaves budget for the tasks to come
 # a frame closer than both to the last keyframe adds nothing new
 BASELINE_M = 0.25
 BASELINE_RAD = 0.25

@@ -20,8 +20,9 @@ GIMBAL_RAD = math.radians(60.0)  # tilt of a gimbal, up and down
 MIN_PLACES = 0.08  # share of the positions; a flight misses surface that is seen from fewer ...
 MIN_VOLUME_M3 = 0.5  # ... or, in a large room, from less space than this
 LARGEST_M = 2.0 * FARTHEST_M  # of a side: in a larger room nothing is seen from elsewhere
-TILTS_DEG = (15.0, 10.0, 5.0, 0.0)  # compared, positive looks down; the first is the usual one
-WORTH = 0.04  # another tilt than the usual one is recommended if it shows this much more
+TILTS_DEG = (15.0, 10.0, 5.0, 0.0)  # compared, positive looks down
+USUAL_DEG = 10.0  # where each of them shows the room: from more places than a lower one it sees a ceiling
+WORTH = 0.04  # the room is not shown by each if one of TILTS_DEG shows this much more than the first
 AS_GOOD = 0.01  # of tilts whose shares differ by less, the one that looks lower is taken
 FLOOR, CEILING, WALLS = range(3)
 _PLACES = 11  # positions along each axis of the flown box
@@ -76,11 +77,11 @@ class RoomVisibility:
         return VisibleShares(share(self._side >= 0), floor, walls, ceiling)
 
     def recommended_deg(self) -> float:
-        """Return the usual tilt, unless another one of TILTS_DEG shows WORTH more."""
+        """Return the usual tilt; in a small room the first of TILTS_DEG that shows as much as any."""
         room = {tilt: self.shares(math.radians(tilt)).room for tilt in TILTS_DEG}
-        most, usual = max(room.values()), TILTS_DEG[0]
-        if most < room[usual] + WORTH:
-            return usual
+        most = max(room.values())
+        if most < room[TILTS_DEG[0]] + WORTH:
+            return USUAL_DEG
         return next(tilt for tilt in TILTS_DEG if room[tilt] > most - AS_GOOD)
 
     def _seen(self, lowest_tilt_rad: float, highest_tilt_rad: float) -> BoolArray:

@@ -209,7 +209,7 @@ def test_the_mount_follows_from_the_room_unless_it_is_given() -> None:
     small = dataclasses.replace(SCENE, fence_min=low, fence_max=high)
     assert SimOptions.parse(mount="auto").with_mount_for(small).mount == "fixed:5"
     assert SimOptions.parse(mount="auto").with_mount_for(small).mount_pitch_down_deg == 5.0
-    assert SimOptions.parse(mount="auto").with_mount_for(SCENE).mount == "fixed:15"
+    assert SimOptions.parse(mount="auto").with_mount_for(SCENE).mount == "fixed:10"
     assert SimOptions.parse(mount="fixed:15").with_mount_for(small).mount == "fixed:15"
     assert SimOptions.parse(mount="gimbal").with_mount_for(small).mount_pitch_down_deg is None
 
