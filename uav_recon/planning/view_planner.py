@@ -53,8 +53,6 @@ TOY_CAMERA = CameraGeometry(1.5, 1.0, np.zeros(3), -1.0, 1.0, 4.5)  # for warm_u
 TOY_CONFIG = PlannerConfig(clearance_m=0.3)
 MIN_UNKNOWN_VOXELS = 25  # voxels beyond the frontier that a last view must promise: a gap in a surface has fewer
 MIN_VISIBLE_SHARE = 0.4  # of planner.min_visible: surface elements that a last view must show
-CONFINED_M = 1.5  # along each axis from the vehicle: if there are fewer reachable positions than ...
-CONFINED_M3 = 1.5  # ... this, one view may open the way to others, and a plan has no more
 SAME_SHARE = 0.5  # a task is dropped if the committed view settles this share of its voxels
 
 
@@ -267,20 +265,13 @@ class ViewPlanner:
         """
         self._ways.update(situation.exit_cells, request.position_world, view_positions(tasks))
         costs_s = time_costs(self._ways, tasks, request.yaw_rad, request.velocity_world_mps, self._price)
-        if self._is_confined(situation) and tasks:
+        if self.space.is_confined(situation.position_world) and tasks:
+            # one view may open the way to others
             return [1] if committed else [best_by_rate([one.task for one in tasks], costs_s)], 0
         # the tour begins at the committed view
         kept = self._variant.choice.order([one.task for one in tasks[committed:]], costs_s[committed:, committed:])
         order = [*range(1, committed + 1), *(int(node) + committed for node in kept.order)]
         return order[: request.views_left], kept.dropped
-
-    def _is_confined(self, situation: PlanningContext) -> bool:
-        """Return True if the vehicle can hardly move, as over its pad after the first look round."""
-        resolution_m = self.space.grid.resolution_m
-        at, reach = self.space.padded(situation.position_world), CONFINED_M / resolution_m
-        low, high = np.maximum(np.floor(at - reach), 0).astype(np.int64), np.floor(at + reach).astype(np.int64) + 1
-        around = self.space.reachable[low[0] : high[0], low[1] : high[1], low[2] : high[2]]
-        return bool(np.count_nonzero(around) * resolution_m**3 < CONFINED_M3)
 
     def _within_horizon(self, order: list[int], widening: float) -> list[int]:
         """Return the first nodes of the tour whose path is within L_exec; at least one."""

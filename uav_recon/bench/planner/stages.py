@@ -26,6 +26,7 @@ from uav_recon.planning.frontier.frontiers import Frontiers, fence_box
 from uav_recon.planning.paths.path_cache import PathCache
 from uav_recon.planning.presets import derived
 from uav_recon.planning.task_generation import MAX_FRONTIERS, view_positions
+from uav_recon.planning.tour.task_ordering import best_by_rate
 from uav_recon.planning.tour.travel_time import YawWhileFlying, time_costs
 from uav_recon.planning.variants import variant
 from uav_recon.planning.view_headings import suited_to_path
@@ -206,7 +207,10 @@ class PlannerStages:
         self._ways.update(exit_cells, posed.world_from_depth.translation_m, view_positions(tasks))
         costs_s = time_costs(self._ways, tasks, heading_rad(posed), np.zeros(3), self._price)
         watch.lap("ways")
-        order = self._choice.order([one.task for one in tasks], costs_s).order
+        if self._space.is_confined(posed.world_from_depth.translation_m):
+            order = np.array([best_by_rate([one.task for one in tasks], costs_s)], dtype=np.int64)
+        else:
+            order = self._choice.order([one.task for one in tasks], costs_s).order
         watch.lap("order")
         return order - 1
 

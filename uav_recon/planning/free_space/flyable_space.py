@@ -16,6 +16,8 @@ from uav_recon.types.maps import FREE, TILE, GridSpec, VoxelMap
 
 NEVER = 256  # larger than any squared distance stored in a byte
 MAX_LEAPS = 12
+CONFINED_M = 1.5  # along each axis from the vehicle: if there are fewer reachable positions than ...
+CONFINED_M3 = 1.5  # ... this, it is confined
 
 
 class FlyableSpace:
@@ -115,6 +117,13 @@ class FlyableSpace:
         """Convert world points (3,) or (N, 3) to padded voxel units."""
         out: FloatArray = (points_world - self.grid.origin_world_m) / self.grid.resolution_m + 1.0
         return out
+
+    def is_confined(self, position_world: FloatArray) -> bool:
+        """Return True if the vehicle can hardly move, as over its pad after the first look round."""
+        at, reach = self.padded(position_world), CONFINED_M / self.grid.resolution_m
+        low, high = np.maximum(np.floor(at - reach), 0).astype(np.int64), np.floor(at + reach).astype(np.int64) + 1
+        around = self.reachable[low[0] : high[0], low[1] : high[1], low[2] : high[2]]
+        return bool(np.count_nonzero(around) * self.grid.resolution_m**3 < CONFINED_M3)
 
     def world(self, points_padded: FloatArray) -> FloatArray:
         """Convert padded voxel units to world points."""
