@@ -10,6 +10,7 @@ from scipy import ndimage
 
 from uav_recon.config import PlannerConfig, VariantName
 from uav_recon.planning.camera_frustum import CameraGeometry
+from uav_recon.planning.candidate_view import CandidateView
 from uav_recon.planning.task_generation import GeneratedTasks, TaskQuery
 from uav_recon.planning.tour.travel_time import YawWhileFlying
 from uav_recon.planning.view_history import ARRIVED_M
@@ -30,6 +31,21 @@ def looked_round(solid: np.ndarray[tuple[int, ...], np.dtype[np.bool_]], camera:
     world = BoxWorld(solid, camera, np.array([3.0, 1.0, 1.2]))
     world.look_round()
     return world
+
+
+def with_an_accepted_path() -> tuple[BoxWorld, ViewPlanner, ViewPath]:
+    world = looked_round(MEETING_ROOM)
+    planner = planner_for(world.state)
+    path = planner.plan(world.request())
+    assert isinstance(path, ViewPath)
+    planner.accept(path)
+    return world, planner, path
+
+
+def next_view(world: BoxWorld, planner: ViewPlanner, path: ViewPath) -> CandidateView:
+    promised = planner.view_history.next_promised(path.waypoints_world[0][0], world.yaw_rad)
+    assert promised is not None
+    return promised
 
 
 def surface_of(solid: np.ndarray[tuple[int, ...], np.dtype[np.bool_]], per_face: int = 6) -> SurfaceElements:
@@ -380,11 +396,7 @@ def test_a_new_epoch_forgets_the_views_of_the_old_one() -> None:
 
 def test_in_motion_the_current_goal_stays_the_next_view() -> None:
     """Otherwise a vehicle between two tasks would turn around at every plan and reach neither."""
-    world = looked_round(MEETING_ROOM)
-    planner = planner_for(world.state)
-    path = planner.plan(world.request())
-    assert isinstance(path, ViewPath)
-    planner.accept(path)
+    world, planner, path = with_an_accepted_path()
     goal, way = path.viewpoints[0], path.waypoints_world[0]
     back = path.viewpoints[0].position_world - way[0]
     asked = world.request()
@@ -403,13 +415,8 @@ def test_in_motion_the_current_goal_stays_the_next_view() -> None:
 def test_a_view_off_its_voxel_centre_is_kept_while_its_own_position_is_clear(
     beside: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    world = looked_round(MEETING_ROOM)
-    planner = planner_for(world.state)
-    path = planner.plan(world.request())
-    assert isinstance(path, ViewPath)
-    planner.accept(path)
-    promised = planner.view_history.next_promised(path.waypoints_world[0][0], world.yaw_rad)
-    assert promised is not None
+    world, planner, path = with_an_accepted_path()
+    promised = next_view(world, planner, path)
     centre = np.floor(promised.place) + 0.5
     moved = dataclasses.replace(promised, place=centre + np.array([0.0, 0.0, 0.45]))
     monkeypatch.setattr(planner.view_history, "next_promised", lambda *_: moved)
@@ -423,11 +430,7 @@ def test_a_view_off_its_voxel_centre_is_kept_while_its_own_position_is_clear(
 
 
 def test_a_view_without_remaining_gain_is_not_kept() -> None:
-    world = looked_round(MEETING_ROOM)
-    planner = planner_for(world.state)
-    path = planner.plan(world.request())
-    assert isinstance(path, ViewPath)
-    planner.accept(path)
+    world, planner, path = with_an_accepted_path()
     at, yaw = path.waypoints_world[0][0], world.yaw_rad + 2.0
     assert planner.next_view_has_gain(voxel_map(world.state.copy(), 50), at, yaw)
     seen = np.where(MEETING_ROOM, OCCUPIED, FREE).astype(np.uint8)
@@ -439,13 +442,8 @@ def test_a_view_without_remaining_gain_is_not_kept() -> None:
 
 
 def test_what_a_view_that_was_given_up_should_settle_is_not_planned_again() -> None:
-    world = looked_round(MEETING_ROOM)
-    planner = planner_for(world.state)
-    path = planner.plan(world.request())
-    assert isinstance(path, ViewPath)
-    planner.accept(path)
-    promised = planner.view_history.next_promised(path.waypoints_world[0][0], world.yaw_rad)
-    assert promised is not None
+    world, planner, path = with_an_accepted_path()
+    promised = next_view(world, planner, path)
     again = planner.plan(dataclasses.replace(world.request(), next_view=NextView.LEFT))
     assert planner.view_history.exhausted.reshape(-1)[promised.promised].mean() > 0.9
     assert isinstance(again, ViewPath)

@@ -127,9 +127,8 @@ class ViewCache:
         owners, cells = [], [self.promised[row] for row in rows]
         for n, row in enumerate(rows):
             ends = np.arange(self.samples[row] + 1) * len(cells[n]) // max(int(self.samples[row]), 1)
-            owners.append(
-                np.repeat(owner[n, : self.samples[row]], np.diff(ends))
-            )  # a sample stands for the cells up to the next
+            # a sample stands for the cells up to the next
+            owners.append(np.repeat(owner[n, : self.samples[row]], np.diff(ends)))
         by = np.concatenate(owners)
         order = np.argsort(by, kind="stable")
         borders = np.searchsorted(by[order], np.arange(len(rows) + 1))
