@@ -19,7 +19,6 @@ from uav_recon.types.trajectory import Setpoint, Trajectory
 
 HALF_TAN = (float(np.tan(np.radians(87.0) / 2)), float(np.tan(np.radians(58.0) / 2)))
 ALLOWED_MPS = 0.30  # by the guard
-EDGE = 1.02  # of the picture: motion planning samples it, and brakes within a tenth of a second of it
 BLIND_MPS = BLIND_SHARE * ALLOWED_MPS
 LIMIT = SightSpeedLimit(
     full_speed_mps=1.0, blind_speed_mps=BLIND_MPS, blind_fresh_s=3.0, blind_stale_s=10.0, blind_memory_s=60.0
@@ -54,7 +53,7 @@ def assert_slow_where_blind(trajectory: Trajectory) -> None:
     speed_mps = np.linalg.norm(trajectory.velocity_mps, axis=1)
     fast = speed_mps > ALLOWED_MPS
     way = leant(trajectory.acceleration_mps2[fast]).inv().apply(trajectory.velocity_mps[fast])
-    looks = in_picture(way, trajectory.yaw_rad[fast], trajectory.camera_pitch_down_rad[fast], EDGE)
+    looks = in_picture(way, trajectory.yaw_rad[fast], trajectory.camera_pitch_down_rad[fast], 1.0)
     assert looks.all(), f"{speed_mps[fast][~looks].max():.2f} m/s where it does not look"
 
 
