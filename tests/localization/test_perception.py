@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
@@ -9,7 +10,8 @@ from figure_eight import FigureEight, perfect_imu
 
 from uav_recon.channels import MemoryChannel
 from uav_recon.clock import ManualClock
-from uav_recon.localization.camera_mount import FixedMount
+from uav_recon.localization.camera_motion import CameraMotion
+from uav_recon.localization.camera_mount import FixedMount, Mount
 from uav_recon.localization.depth_consistency import DepthConsistencyMonitor
 from uav_recon.localization.fusion_filter import FusionFilter
 from uav_recon.localization.perception import Perception
@@ -88,12 +90,32 @@ class Seen:
     frames: list[tuple[float, PosedFrame]] = field(default_factory=list)
 
 
-def _run(world: World, duration_s: float = 4.0, frame_wait_s: float = 0.2) -> tuple[Perception, Seen]:
+@dataclass
+class SlowGimbal:
+    """A gimbal that turns by 1 rad/s, measured ten times a second, known 20 ms later, and held after its newest measurement."""
+
+    clock: ManualClock
+    newest_s: float = -math.inf
+
+    def observe(self) -> None:
+        since_s = self.clock.now_s() - MOTION.start_s - 0.02
+        self.newest_s = MOTION.start_s + math.floor(since_s * 10 + 1e-6) / 10
+
+    @property
+    def measured_until_s(self) -> float:
+        return self.newest_s
+
+    def body_from_depth(self, stamp_s: float) -> Pose | None:
+        return body_from_camera(np.zeros(3), min(stamp_s, self.newest_s) - MOTION.start_s)
+
+
+def _run(
+    world: World, duration_s: float = 4.0, frame_wait_s: float = 0.2, mount: Mount | None = None
+) -> tuple[Perception, Seen]:
     odom, frames, seen = MemoryChannel(StampedPose), MemoryChannel(PosedFrame), Seen()
-    mount = FixedMount(BODY_FROM_DEPTH)
     perception = Perception(
-        world, world, FusionFilter(), mount, odom, frames, MemoryChannel(MinRangeGrid), MemoryChannel(PerceptionStatus),
-        world.clock, frame_wait_s=frame_wait_s,
+        world, world, FusionFilter(), mount or FixedMount(BODY_FROM_DEPTH), odom, frames, MemoryChannel(MinRangeGrid),
+        MemoryChannel(PerceptionStatus), world.clock, frame_wait_s=frame_wait_s,
     )  # fmt: skip
     for step in range(int(duration_s * 100)):
         world.clock.advance_to(MOTION.start_s + step / 100)
@@ -151,6 +173,27 @@ def test_a_frame_waits_no_longer_than_allowed(world: World) -> None:
     waits = [at_s - posed.frame.stamp_s for at_s, posed in seen.frames if at_s > MOTION.start_s + 1.0]
     assert len(waits) > 20
     assert max(waits) < 0.12
+
+
+def test_a_frame_is_compared_with_the_angle_of_the_gimbal_at_its_own_stamp(
+    world: World, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    compared: list[tuple[float, float]] = []
+
+    def rejection(self: DepthConsistencyMonitor, frame: Frame, motion: CameraMotion | None, *rest: object) -> None:
+        if motion is not None:
+            body_from_depth = MOTION.pose(frame.stamp_s).inverse() @ motion.odom_from_depth
+            down_rad = math.asin(-float(body_from_depth.rotation()[2, 2]))
+            compared.append((frame.stamp_s - MOTION.start_s, down_rad))
+
+    monkeypatch.setattr(DepthConsistencyMonitor, "rejection", rejection)
+    _run(world, 1.5, mount=SlowGimbal(world.clock))
+    late = [(taken_s, down_rad) for taken_s, down_rad in compared if taken_s > 0.5]
+    assert len(late) > 10
+    for taken_s, down_rad in late:
+        waited_s = math.ceil(taken_s * 10 - 1e-6) / 10 + 0.02 - taken_s
+        slack_rad = 0.02 if waited_s < 0.08 else 0.06  # odometry turns by 0.01 rad against the pose that is extrapolated
+        assert down_rad == pytest.approx(taken_s, abs=slack_rad)
 
 
 def test_without_poses_quality_falls_and_then_nothing_is_said(world: World) -> None:

@@ -32,6 +32,7 @@ from uav_recon.types.vehicle import TurnRates
 _OLDEST_FRAME_S = 1.0  #: reject: an older frame
 _FUTURE_S = 0.01  #: reject: a frame stamped later than the clock by this
 _WAITING_FRAMES = 4  #: reject: the oldest of more frames that wait for a pose: at 15 Hz this is more than the longest wait
+_ANGLE_WAIT_S = 0.08  #: internal: a frame waits for the angle of the camera's mount at its stamp, not for longer
 _STATUS_RATE_HZ = 1.0
 _MOMENT_S = 0.03  #: internal: time over which the velocity of the camera is measured
 
@@ -47,7 +48,8 @@ class Perception:
     A frame waits until a pose at or after its stamp was fused, or frame_wait_s. It gets the pose of the instant that it shows,
     and depth at its true scale, as far as the camera's errors are known. A frame is dropped if its own pose is not known, if it
     is rejected as inconsistent, or if it is not newer than all before it: it was mapped already, or its turn has passed. The
-    minimum range grid of a frame is published at once, with or without a pose, valid or not.
+    minimum range grid of a frame is published with or without a pose, valid or not: at once, or with a gimbal once its angle at
+    the stamp has been measured.
 
     Odometry that depth contradicts has health WRONG; its quality stays, because it is better than none for landing.
     consistency: compares depth with earlier views; None: with poses that do not come from the frames.
@@ -98,7 +100,8 @@ class Perception:
         warm_up()
         self._rate = RateKeeper(rate_hz, clock.now_s())
         self._status_rate = RateKeeper(_STATUS_RATE_HZ, clock.now_s())
-        self._waiting: deque[Frame] = deque()
+        self._arrived: deque[Frame] = deque()  # wait for the angle of the mount
+        self._waiting: deque[Frame] = deque()  # wait for a pose
         self._newest_frame_s = -math.inf  # never later than now: no stamp of another clock can block the frames after it
         self._said_lost = True
         self.published_odom = self.published_frames = 0
@@ -163,8 +166,13 @@ class Perception:
 
     def _take_frame(self, now_s: float) -> None:
         frame = self._camera.poll()
-        if frame is None:
-            return
+        if frame is not None:
+            self._admit(frame, now_s)
+        if self._arrived and self._arrived[0].stamp_s <= max(self._mount.measured_until_s, now_s - _ANGLE_WAIT_S):
+            self._check(self._arrived.popleft(), now_s)
+
+    def _admit(self, frame: Frame, now_s: float) -> None:
+        """Take a frame with a stamp that is possible and new."""
         timely = now_s - _OLDEST_FRAME_S <= frame.stamp_s <= now_s + _FUTURE_S
         if not (timely and frame.stamp_s > self._newest_frame_s):
             self._drop(now_s, Reason(ReasonCode.DEPTH_FRAME_STAMP))
@@ -172,6 +180,10 @@ class Perception:
         self._newest_frame_s = frame.stamp_s
         if self._kept is not None:
             self._kept.begin(frame, self._depth_consistency.calibration_filter)
+        self._arrived.append(frame)
+
+    def _check(self, frame: Frame, now_s: float) -> None:
+        """Publish the frame's nearest returns, and let it wait for its pose if it is accepted."""
         body_from_depth = self._mount.body_from_depth(frame.stamp_s)
         if body_from_depth is not None:
             self._axes.add_frame(frame, body_from_depth)

@@ -30,7 +30,7 @@ class VehicleState:
     """Telemetry in our frames; world = odom at epoch 0.
 
     mode: '' until the autopilot has reported it and whether it is armed. battery_fraction: NaN if unknown.
-    camera_pitch_down_rad: measured gimbal pitch, NaN on a fixed mount.
+    camera_pitch_down_rad: measured gimbal pitch, NaN on a fixed mount. camera_pitch_s: when it was measured.
     trajectory_id: the trajectory being flown, -1 for none. refusals: number of proposals that the guard has rejected.
     note: the newest reason (refused arming, failsafe, refusal), None for none. max_speed_mps: the guard's speed limit now;
     slow_reason: why it is reduced, None if it is not.
@@ -54,6 +54,7 @@ class VehicleState:
     operator_received_s: float = -math.inf
     world_from_rest: Pose | None = None
     slow_reason: Reason | None = None
+    camera_pitch_s: float = math.nan
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "velocity_world_mps", frozen(np.asarray(self.velocity_world_mps, dtype=np.float64)))

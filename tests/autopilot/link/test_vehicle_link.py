@@ -151,6 +151,24 @@ def test_a_gimbal_may_speak_for_itself(pair: tuple[VehicleLink, Wire]) -> None:
     assert link.telemetry.camera_pitch_down_rad == pytest.approx(0.2, abs=1e-6)
 
 
+@pytest.mark.parametrize(
+    ("component", "ago_s", "stamp_ago_s"),
+    [(1, 0.03, 0.03), (1, 2.0, 0.0), (154, 0.03, 0.0)],
+    ids=["autopilot", "another clock", "gimbal with a clock of its own"],
+)
+def test_an_angle_has_the_time_of_its_measurement_where_the_clock_is_known(
+    pair: tuple[VehicleLink, Wire], component: int, ago_s: float, stamp_ago_s: float
+) -> None:
+    link, far = pair
+    far.update(heartbeat())
+    converge(link, far)
+    now_s = 60.0
+    boot_ms, quat = int((now_s - ago_s + 37.5) * 1000), [math.cos(0.1), 0, -math.sin(0.1), 0]
+    far.update(wire.MAVLink_gimbal_device_attitude_status_message(0, 0, boot_ms, 0, quat, 0, 0, 0, 0), 1, component)
+    link.receive(now_s)
+    assert link.telemetry.camera_pitch_s == pytest.approx(now_s - stamp_ago_s, abs=0.003)
+
+
 def test_nothing_but_a_cleared_setpoint_is_streamed(pair: tuple[VehicleLink, Wire]) -> None:
     link, far = pair
     with pytest.raises(AttributeError):

@@ -192,8 +192,9 @@ def test_where_the_autopilot_believes_to_be(p: FloatArray, v: FloatArray, quat: 
 @pytest.mark.parametrize("down", [-0.9, -0.2, 0.0, 0.4, 1.0])
 def test_gimbal_pitch_is_positive_down(down: float) -> None:
     quat = [math.cos(down / 2), 0.0, -math.sin(down / 2), 0.0]
-    heard = read(wire.MAVLink_gimbal_device_attitude_status_message(0, 0, 0, 0, quat, 0, 0, 0, 0))
+    heard = read(wire.MAVLink_gimbal_device_attitude_status_message(0, 0, 1234, 0, quat, 0, 0, 0, 0))
     assert isinstance(heard, GimbalAttitude)
+    assert heard.boot_ms == 1234
     assert heard.pitch_down_rad == pytest.approx(down, abs=1e-6)
 
 

@@ -50,7 +50,7 @@ KNOWN = changed(
         (LandedState(False), {"on_ground_s": -math.inf}),
         (Firmware((1, 17, 0), "a0"), {"version": (1, 17, 0)}),
         (StatusText(4, "no RC"), {"warning": "no RC"}),
-        (GimbalAttitude(0.2), {"camera_pitch_down_rad": 0.2}),
+        (GimbalAttitude(0.2), {"camera_pitch_down_rad": 0.2, "camera_pitch_s": 5.0}),
         (OTHER, {"parameters": {"A": VALUE, "B": OTHER}}),
     ],
 )

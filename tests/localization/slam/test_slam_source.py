@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 
 import numpy as np
 import pytest
@@ -53,6 +54,10 @@ class Mount:
     def body_from_depth(self, stamp_s: float) -> Pose | None:
         self.asked.append(stamp_s)
         return None if self._unknown[0] <= stamp_s <= self._unknown[1] else BODY_FROM_DEPTH
+
+    @property
+    def measured_until_s(self) -> float:
+        return math.inf
 
 
 class Delayed(SlamTracker):

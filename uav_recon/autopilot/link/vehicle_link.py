@@ -347,6 +347,8 @@ class VehicleLink:
                 message = self._in_odom(message)
             case Odometry() if self.status.time_known:
                 self._add_own(message, self._timesync.ours_from_us(message.boot_us, now_s), now_s)
+            case GimbalAttitude():
+                now_s = self._measured_s(message.boot_ms, now_s)
             case Firmware():
                 self._identity.told(message.uid)
                 self.status = replace(self.status, identity_fault=self._identity.fault)
@@ -358,6 +360,13 @@ class VehicleLink:
         """Give the navigation a message with a stamp in milliseconds, if that clock is known."""
         if boot_ms >= 0 and self.status.time_known:
             self._add_own(message, self._timesync.ours_s(boot_ms, now_s), now_s)
+
+    def _measured_s(self, boot_ms: int, now_s: float) -> float:
+        """Return when the autopilot measured something, on our clock; now_s if that is not known."""
+        if boot_ms < 0 or not self.status.time_known:
+            return now_s
+        stamp_s = self._timesync.ours_s(boot_ms, now_s)
+        return min(stamp_s, now_s) if now_s - stamp_s <= _OLD_RATE_S else now_s
 
     def _add_own(self, message: Message, stamp_s: float, now_s: float) -> None:
         if abs(now_s - stamp_s) <= _OLD_POSE_S and not self.status.duplicate_autopilot:

@@ -295,10 +295,10 @@ def _status_text(severity: int, text: bytes) -> Message:
     return StatusText(severity, "".join(c for c in text.split(b"\0")[0].decode(errors="replace") if c.isprintable()))
 
 
-def _gimbal(quat: tuple[float, float, float, float]) -> Message | None:
+def _gimbal(boot_ms: int, quat: tuple[float, float, float, float]) -> Message | None:
     w, x, y, z = quat
     sine = 2.0 * (w * y - z * x)  # FRD: positive pitch is nose up
-    return GimbalAttitude(-math.asin(min(max(sine, -1.0), 1.0))) if math.isfinite(sine) else None
+    return GimbalAttitude(-math.asin(min(max(sine, -1.0), 1.0)), boot_ms) if math.isfinite(sine) else None
 
 
 def _ekf(flags: int, horizontal: float) -> Message:
@@ -376,7 +376,7 @@ _READ: tuple[tuple[Any, tuple[str, ...], Callable[..., Message | None]], ...] = 
     (wire.MAVLink_home_position_message, (), _origin),
     (wire.MAVLink_autopilot_version_message, ("flight_sw_version", "uid", "uid2"), _firmware),
     (wire.MAVLink_statustext_message, ("severity", "text"), _status_text),
-    (wire.MAVLink_gimbal_device_attitude_status_message, ("q",), _gimbal),
+    (wire.MAVLink_gimbal_device_attitude_status_message, ("time_boot_ms", "q"), _gimbal),
     (wire.MAVLink_param_value_message, ("param_id", "param_value", "param_type"), _parameter),
 )
 _READERS = {kind.id: (MessageLayout(kind, *names), make) for kind, names, make in _READ}

@@ -154,9 +154,13 @@ class StatusText:
 
 @dataclass(frozen=True, slots=True)
 class GimbalAttitude:
-    """Measured camera pitch, positive down."""
+    """Measured camera pitch, positive down.
+
+    boot_ms: milliseconds since the sender's boot, a number of 32 bits; -1 if unknown.
+    """
 
     pitch_down_rad: float
+    boot_ms: int = -1
 
 
 @dataclass(frozen=True, slots=True)

@@ -89,6 +89,7 @@ class Telemetry:
     battery: BatteryReport = field(default_factory=BatteryReport)
     on_ground_s: float = -math.inf  # when its land detector last reported the ground, unless it has reported otherwise since
     camera_pitch_down_rad: float = math.nan
+    camera_pitch_s: float = math.nan  # when it was measured
     version: tuple[int, int, int] | None = None
     warning: str = ""  # newest text of severity warning or worse
     parameters: Mapping[str, ParameterValue] = field(default_factory=dict)  # those that were requested, by name
@@ -144,7 +145,7 @@ def _status_text(t: Telemetry, message: StatusText, now_s: float) -> Telemetry:
 
 
 def _gimbal_attitude(t: Telemetry, message: GimbalAttitude, now_s: float) -> Telemetry:
-    return replace(t, camera_pitch_down_rad=message.pitch_down_rad)
+    return replace(t, camera_pitch_down_rad=message.pitch_down_rad, camera_pitch_s=now_s)
 
 
 def _parameter_value(t: Telemetry, message: ParameterValue, now_s: float) -> Telemetry:

@@ -109,6 +109,7 @@ class SituationBuilder:
             max_speed_mps=math.inf if self.slow_reason is None else self._guard.bounds.retreat_speed_mps,
             world_from_rest=self._steering.odom_from_rest,
             slow_reason=self.slow_reason,
+            camera_pitch_s=t.camera_pitch_s if gimbal else math.nan,
         )
 
     @property
