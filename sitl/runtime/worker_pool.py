@@ -54,7 +54,7 @@ def worker_pool(jobs: int) -> Iterator[WorkerPool]:
         yield WorkerPool(pool)
     except BaseException:
         _terminate(set(multiprocessing.active_children()) - others)
-        pool.shutdown(wait=False, cancel_futures=True)
+        pool.shutdown(cancel_futures=True)  # waits: CPython closes the pipe of its thread while the interpreter's end uses it
         raise
     pool.shutdown()
 
