@@ -47,7 +47,11 @@ BLIND_MPS = 0.3  # default speed limit outside the camera's view; MAX_MPS disabl
 SLOWEST_MPS = 0.1  # its minimum
 # outside the view: full speed up to the first age of the last free sight, blind_speed_mps from the second on
 SIGHT_AGES_S = (3.0, 10.0)
-SIGHT_AGES_BY_SOURCE_S = {"slam": (0.0, 0.1)}  # the embedded SLAM loses its place in fast turns beside bare walls
+SIGHT_AGES_BY_SOURCE_S = {"slam": (0.0, 0.1)}  # the embedded SLAM needs a camera that looks ahead
+MAX_TURN_DEGPS = 60.0  # by the guard
+# the embedded SLAM knows its place for a second past a bare wall: it turns past it in half of that
+TURNS_BY_SOURCE = {"slam": {"yaw_rate_degps": 80.0, "yaw_acceleration_degps2": 200.0}}
+MAX_TURN_BY_SOURCE_DEGPS = {"slam": 100.0}
 BLIND_MEMORY_S = 60.0  # space above and below a fixed camera's view was mostly seen more than 10 s ago
 COLUMN_MARGIN_M = 0.10  # beyond the planning clearance, round the column above the pad that the operator sees to be free
 COLUMN_TOP_M = 0.05  # below the ceiling: half a voxel
@@ -223,7 +227,7 @@ class SimOptions:
                 "fence_inset_m": self.radius_m + FENCE_MARGIN_M,
                 "max_speed_mps": MAX_MPS,
                 "max_acceleration_mps2": 2.0,
-                "max_yaw_rate_degps": 60.0,
+                "max_yaw_rate_degps": MAX_TURN_BY_SOURCE_DEGPS.get(self.pose, MAX_TURN_DEGPS),
                 "vehicle_radius_m": self.radius_m,
                 "vehicle_height_m": HULL_HEIGHT_M,
                 "stop_clearance_m": 0.1,
@@ -262,6 +266,7 @@ class SimOptions:
                 "variant": self.variant,
                 "clearance_m": clearance_m,
             },
+            "motion": TURNS_BY_SOURCE.get(self.pose, {}),
             "mission": {"views": self.views, "autostart": True},
             "recording": {"folder": str(self.out), "live": self.live, "rerun": self.mapper == "neural" or self.live},
             "runtime": {"folder": str(runtime)},

@@ -25,6 +25,7 @@ from uav_recon.types.reason_code import ReasonCode
 MOTION = FigureEight(start_s=200.0)
 OPTICS = Intrinsics(10.0, 10.0, 3.5, 2.5, 8, 6)
 BODY_FROM_DEPTH = body_from_camera(np.array([0.1, 0.0, 0.0]), 0.26)
+UNSURE = Reason(ReasonCode.PLACE_UNSURE, (0.1,))
 
 
 @dataclass
@@ -35,6 +36,7 @@ class World:
     late_s: float = 0.06
     poses_until_s: float = 1e9
     moved_from_s: float = 1e9  # from then on the source's map is half a metre off
+    unsure_s: tuple[float, float] = (1e9, 1e9)  # of the flight: between them the source is uncertain of the place
     frame_stamp_shift_s: float = 0.0
     shift_from_s: float = 0.0  # of the flight
     shift_to_s: float = 1e9
@@ -78,7 +80,9 @@ class World:
             self._pose += 1
             if stamp_s < self.poses_until_s:
                 moved = Pose.from_yaw(0.0, np.array([0.5 * (stamp_s >= self.moved_from_s), 0.0, 0.0]))
-                out.append(StampedPose(stamp_s, moved @ MOTION.pose(stamp_s), np.zeros(3)))
+                pose = StampedPose(stamp_s, moved @ MOTION.pose(stamp_s), np.zeros(3))
+                unsure = self.unsure_s[0] <= stamp_s - MOTION.start_s < self.unsure_s[1]
+                out.append(replace(pose, health=PoseHealth.DEGRADED, why=UNSURE) if unsure else pose)
         return out
 
     def close(self) -> None: ...
@@ -194,6 +198,32 @@ def test_a_frame_is_compared_with_the_angle_of_the_gimbal_at_its_own_stamp(
         waited_s = math.ceil(taken_s * 10 - 1e-6) / 10 + 0.02 - taken_s
         slack_rad = 0.02 if waited_s < 0.08 else 0.06  # odometry turns by 0.01 rad against the pose that is extrapolated
         assert down_rad == pytest.approx(taken_s, abs=slack_rad)
+
+
+def test_frames_of_an_uncertain_place_are_marked_and_no_drift_is_measured(
+    world: World, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Depth would show the error of the place, and its correction, as drift."""
+    compared, forgotten = list[float](), list[float]()
+
+    def rejection(self: DepthConsistencyMonitor, frame: Frame, motion: CameraMotion | None, *rest: object) -> None:
+        if motion is not None:
+            compared.append(frame.stamp_s - MOTION.start_s)
+
+    monkeypatch.setattr(DepthConsistencyMonitor, "rejection", rejection)
+    monkeypatch.setattr(
+        DepthConsistencyMonitor, "forget_drift", lambda _: forgotten.append(world.clock.now_s() - MOTION.start_s)
+    )
+    world.unsure_s = (1.5, 2.5)
+    perception, seen = _run(world)
+    marked = [posed.frame.stamp_s - MOTION.start_s for _, posed in seen.frames if posed.unsure]
+    assert len(marked) == perception.dropped_frames[ReasonCode.DEPTH_FRAME_UNSURE] == 15
+    assert 1.4 < min(marked) < 1.6
+    assert 2.4 < max(marked) < 2.6
+    assert len(compared) > 40
+    assert not [taken_s for taken_s in compared if 1.6 < taken_s < 2.4]
+    assert 1.5 < min(forgotten) < 1.7
+    assert max(forgotten) < 2.7
 
 
 def test_without_poses_quality_falls_and_then_nothing_is_said(world: World) -> None:

@@ -185,6 +185,7 @@ class Desk:
         self.conductor = Conductor(stages, self.wires, orders, InlineExecutor(self.clock), self.journal, self.clock)
         self.phase = FlightPhase.READY
         self.frames = True
+        self.unsure = False
         self.refusals = 0
         self.human = False
         self.note: Reason | None = None
@@ -260,4 +261,4 @@ class Desk:
     def _frame(self) -> None:
         depth = np.full((4, 4), 2.0, np.float32)
         frame = Frame(self.clock.now_s() - 0.1, 1, depth, LENS, np.zeros((4, 4, 3), np.uint8), LENS, Pose.identity())
-        self.wires.frames.publish(PosedFrame(frame, Pose.identity(), self.epoch))
+        self.wires.frames.publish(PosedFrame(frame, Pose.identity(), self.epoch, self.unsure))

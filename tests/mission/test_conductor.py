@@ -230,6 +230,21 @@ def test_a_new_map_epoch_holds_maps_anew_and_goes_on(desk: Desk) -> None:
     assert {path.map_epoch for path in desk.planner.accepted[plans:]} == {1}
 
 
+def test_frames_of_an_uncertain_place_are_not_mapped_and_do_not_hold_it(desk: Desk) -> None:
+    desk.conductor.request_start()
+    desk.run(30.0, until=Phase.SURVEY)
+    desk.run(2.0)
+    desk.unsure = True
+    revision, views = desk.voxels.revision, len(desk.mapper.stamps)
+    desk.run(5.0)
+    assert (desk.voxels.revision, len(desk.mapper.stamps)) == (revision, views)
+    assert Phase.HOLD not in desk.seen
+    desk.unsure = False
+    desk.run(5.0)
+    assert desk.voxels.revision > revision
+    assert len(desk.mapper.stamps) > views
+
+
 def test_a_correction_from_before_the_flight_is_ignored(tmp_path: Path, desk: Desk) -> None:
     desk.wires.correction.publish(MapCorrection(9, np.zeros(0), ()))
     again = Conductor(

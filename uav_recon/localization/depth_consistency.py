@@ -180,6 +180,10 @@ class DepthConsistencyMonitor:
         """Return True if the frame fits a view that it would not fit with a shift."""
         return _fits(then) and self._past_views.loss_aside(then, *seen[1:]) >= _MIN_SHIFT_LOSS_SHARE
 
+    def forget_drift(self) -> None:
+        """Measure drift anew: the source of the poses corrects its place."""
+        self._drift_rate.forget()
+
     @property
     def calibration(self) -> CameraCalibration:
         """Errors of the depth imager to correct, as far as they are known."""

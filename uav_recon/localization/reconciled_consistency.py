@@ -36,6 +36,11 @@ class ReconciledConsistency:
         in_odom = self._plain.rejection(frame, motion if drift is None else drift.motion, reset_counter)
         return in_map if in_odom is not None else None
 
+    def forget_drift(self) -> None:
+        """Measure drift anew: the source of the poses corrects its place."""
+        self._mapped.forget_drift()
+        self._plain.forget_drift()
+
     def drift(self, now_s: float) -> Reason | None:
         """Return the drift of the pose that depth shows in both, None for nothing."""
         in_map = self._mapped.drift(now_s)

@@ -180,6 +180,8 @@ class Conductor:
         if posed.map_epoch != self._executor.map_epoch:
             return  # its pose does not fit the map, so it is ignored
         self._frame_s = now_s
+        if posed.unsure:
+            return  # it would draw surfaces where none are
         self._stages.voxels.integrate(posed)
         views = self._stages.recent_views.add(posed)
         if views is not None:

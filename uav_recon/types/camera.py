@@ -93,11 +93,15 @@ class Frame:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PosedFrame:
-    """A frame and the pose of its depth imager at its own stamp."""
+    """A frame and the pose of its depth imager at its own stamp.
+
+    unsure: the source of the poses is uncertain of the place. The frame shows that the camera works, and is not mapped.
+    """
 
     frame: Frame
     world_from_depth: Pose
     map_epoch: int = 0
+    unsure: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -158,6 +158,7 @@ class ReasonCode(str, Enum):
     )  # fmt: skip
     DEPTH_FRAME_STAMP = "depth-frame-stamp", "depth frame: wrong time stamp", "depth frame: too old, too new, or out of order"
     DEPTH_FRAME_UNPLACED = "depth-frame-unplaced", "depth frame: no pose", "depth frame: no pose at its stamp"
+    DEPTH_FRAME_UNSURE = "depth-frame-unsure", "depth frame: place uncertain", "depth frame: not mapped, the place is uncertain"
     PAD_AWAITED = (
         "pad-awaited", "waiting for rest on the pad",
         "no odometry yet: waiting until the pose source has been at rest on the pad for {0:.1f} s", (0.5,),

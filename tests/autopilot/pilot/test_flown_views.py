@@ -13,6 +13,7 @@ from uav_recon.types.pose import Pose
 from uav_recon.types.trajectory import Setpoint, Trajectory
 
 HEIGHT_M = 1.0
+TURN_RADPS = 1.2
 
 
 def _flown(*views: tuple[float, float, float, float]) -> FlownViews:
@@ -26,7 +27,7 @@ def _flown(*views: tuple[float, float, float, float]) -> FlownViews:
 
 
 def _back(views: FlownViews, x: float, yaw_rad: float, z: float = 1.1) -> Trajectory:
-    return views.way_back(Setpoint.hold(np.array([x, 0.0, z]), yaw_rad), HEIGHT_M, 50.0, 0.3, 0)
+    return views.way_back(Setpoint.hold(np.array([x, 0.0, z]), yaw_rad), HEIGHT_M, 50.0, 0.3, TURN_RADPS / 0.7, 0)
 
 
 def test_it_turns_back_on_the_spot_and_then_flies_back_as_it_looked() -> None:
@@ -36,19 +37,19 @@ def test_it_turns_back_on_the_spot_and_then_flies_back_as_it_looked() -> None:
     np.testing.assert_allclose(way.position_m[0], [2.0, 0.0, 1.1])
     turned = np.flatnonzero(np.abs(way.yaw_rad) < 0.1)[0]
     assert way.position_m[turned, 0] > 1.85
-    assert turned * way.step_s < 1.4 / 0.7 + 1.4  # with its corners rounded
+    assert turned * way.step_s < 1.4 / TURN_RADPS + 0.4  # with its corners rounded
     assert way.position_m[-1][0] < 0.1
     np.testing.assert_allclose(way.yaw_rad[-1], 0.0, atol=0.06)
     assert way.position_m[:, 2].min() >= HEIGHT_M
     assert np.linalg.norm(way.velocity_mps, axis=1).max() <= 0.3
     assert np.linalg.norm(way.acceleration_mps2, axis=1).max() <= 1.0
-    assert np.abs(way.yaw_rate_radps).max() <= 0.7 + 1e-6
+    assert np.abs(way.yaw_rate_radps).max() <= TURN_RADPS + 1e-6
 
 
 def test_it_turns_back_on_the_spot_from_a_turn_in_a_climb() -> None:
     way = _back(_flown((0.0, 0.0, 1.1, 0.0), (0.0, 0.0, 1.5, 1.4)), 0.0, 1.4, z=1.5)
     turned = np.flatnonzero(np.abs(way.yaw_rad) < 0.1)[0]
-    assert turned * way.step_s < 1.4 / 0.7 + 1.4
+    assert turned * way.step_s < 1.4 / TURN_RADPS + 0.4
     np.testing.assert_allclose(way.position_m, np.tile([0.0, 0.0, 1.5], (len(way.position_m), 1)), atol=1e-9)
 
 

@@ -74,7 +74,7 @@ def test_an_ignored_yaw_causes_no_turn() -> None:
     _, turn = once(controller(), ControlSetpoint(position=STILL))
     assert turn == 0.0
     _, turn = once(controller(), ControlSetpoint(position=STILL, yaw=3.0))
-    assert turn == pytest.approx(math.radians(45.0))  # MPC_YAWRAUTO_MAX
+    assert turn == pytest.approx(math.radians(90.0))  # MPC_YAWRAUTO_MAX
 
 
 def test_velocity_only_and_acceleration_only_are_flown() -> None:

@@ -100,15 +100,18 @@ def flown(
     return smoothed(np.column_stack([line, _followed(bearings, rest.yaw_rad)]), rest, start_s, map_epoch, identifier)
 
 
-def smoothed(rows: FloatArray, rest: Setpoint, start_s: float, map_epoch: int, identifier: int) -> Trajectory:
+def smoothed(
+    rows: FloatArray, rest: Setpoint, start_s: float, map_epoch: int, identifier: int, turn_smooth_s: float = _SMOOTH_S
+) -> Trajectory:
     """Return a trajectory that begins and ends at rest, with its corners rounded.
 
-    rows (M, 4): positions and unwrapped headings, STEP_S apart.
+    rows (M, 4): positions and unwrapped headings, STEP_S apart. turn_smooth_s: as _SMOOTH_S, of the headings; with less they
+    lead the positions.
     """
-    box = round(_SMOOTH_S / STEP_S)
+    box, turn_box = round(_SMOOTH_S / STEP_S), round(turn_smooth_s / STEP_S)
     padded = np.vstack([np.repeat(rows[:1], 2 * box, axis=0), rows, np.repeat(rows[-1:], 2 * box, axis=0)])
-    weights = np.convolve(np.ones(box) / box, np.ones(box) / box)
-    smooth = np.column_stack([np.convolve(padded[:, n], weights, mode="valid") for n in range(4)])
+    weights = [_rounding(box)] * 3 + [np.pad(_rounding(turn_box), (0, 2 * (box - turn_box)))]
+    smooth = np.column_stack([np.convolve(padded[:, n], weights[n], mode="valid") for n in range(4)])
     rate, change = np.zeros_like(smooth), np.zeros_like(smooth)
     rate[1:-1] = (smooth[2:] - smooth[:-2]) / (2 * STEP_S)
     change[1:-1] = np.diff(smooth, 2, axis=0) / STEP_S**2
@@ -117,6 +120,11 @@ def smoothed(rows: FloatArray, rest: Setpoint, start_s: float, map_epoch: int, i
         start_s, STEP_S, smooth[:, :3], rate[:, :3], change[:, :3], smooth[:, 3], rate[:, 3], pitch, np.zeros(0),
         map_epoch, identifier,
     )  # fmt: skip
+
+
+def _rounding(box: int) -> FloatArray:
+    """Return the weights (2 box - 1,) of two averages over box samples."""
+    return np.convolve(np.ones(box) / box, np.ones(box) / box)
 
 
 def _bearings(line: FloatArray, yaw_rad: float) -> list[float]:

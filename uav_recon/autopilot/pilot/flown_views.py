@@ -19,7 +19,8 @@ _APART_RAD = math.radians(3.0)  #: internal: or turn between them
 _MOST = 400  #: internal: remembered views, the newest: 20 m, or three turns
 _NEAR_M = 0.5  #: retreat: a heading shows from here what it showed from within this distance: no need to fly there
 _SHARE = 0.9  # of the allowed speed: sampling adds the rest
-_TURN_RADPS = 0.7  #: retreat: yaw rate on the way back
+_TURN_SHARE = 0.7  #: retreat: share of the guard's yaw rate on the way back
+_TURN_SMOOTH_S = 0.2  #: retreat: as the corners of a path back, of turns: the place is lost after two seconds
 _LONGEST_S = 20.0  #: retreat: longest way back
 
 
@@ -44,25 +45,24 @@ class FlownViews:
         """Forget all views after a jump of odom."""
         self._views.clear()
 
-    def way_back(self, rest: Setpoint, height_m: float, start_s: float, speed_mps: float, map_epoch: int) -> Trajectory:
+    def way_back(
+        self, rest: Setpoint, height_m: float, start_s: float, speed_mps: float, yaw_rate_radps: float, map_epoch: int
+    ) -> Trajectory:
         """Return a trajectory from rest back through the views, newest first; a hold without any.
 
-        It turns on the spot while the views are near. It does not go below a height, or the present one. Speed and yaw rate are
-        limited, and corners rounded, as on the path along breadcrumbs.
+        It turns on the spot while the views are near. It does not go below a height, or the present one. It stays
+        below a speed and a yaw rate. Corners are rounded as on the path along breadcrumbs.
         """
-        here = tuple(rest.position_m.tolist())
-        rows = [(*here, rest.yaw_rad)]
+        here, turn_radps = tuple(rest.position_m.tolist()), _TURN_SHARE * yaw_rate_radps
+        corners, at_s = [(*here, rest.yaw_rad)], [0.0]
         for *place, yaw_rad in reversed(self._views):
-            before, there = rows[-1], here if math.dist(place, here) < _NEAR_M else place
-            if there[2] < min(height_m, here[2]):
+            before, there = corners[-1], here if math.dist(place, here) < _NEAR_M else place
+            if there[2] < min(height_m, here[2]) or at_s[-1] > _LONGEST_S:
                 break
             turn_rad = math.remainder(yaw_rad - before[3], math.tau)
             way_m = math.dist(there, before[:3])
-            steps = max(math.ceil(max(way_m / (_SHARE * speed_mps), abs(turn_rad) / _TURN_RADPS) / STEP_S), 1)
-            after = (*there, before[3] + turn_rad)
-            rows += [
-                tuple(np.interp(n, (0, steps), ends) for ends in zip(before, after, strict=True)) for n in range(1, steps + 1)
-            ]
-            if len(rows) * STEP_S > _LONGEST_S:
-                break
-        return smoothed(np.array(rows), rest, start_s, map_epoch, IDENTIFIER)
+            at_s.append(at_s[-1] + max(way_m / (_SHARE * speed_mps), abs(turn_rad) / turn_radps))
+            corners.append((*there, before[3] + turn_rad))
+        samples_s = np.arange(0.0, at_s[-1] + STEP_S, STEP_S)
+        rows = np.column_stack([np.interp(samples_s, at_s, axis) for axis in zip(*corners, strict=True)])
+        return smoothed(rows, rest, start_s, map_epoch, IDENTIFIER, _TURN_SMOOTH_S)

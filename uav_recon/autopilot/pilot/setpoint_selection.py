@@ -240,10 +240,10 @@ class SetpointSelector:
 
     def _path_back(self, rest: Setpoint, situation: GuardInputs, unsure: bool) -> Trajectory:
         now_s, height_m = situation.now_s, _HOVER_SHARE * self._hover_height_m
-        speed_mps = self._guard.bounds.retreat_speed_mps
+        speed_mps, yaw_rate_radps = self._guard.bounds.retreat_speed_mps, self._guard.envelope.max_yaw_rate_radps
         if unsure:
             self._turn_down()
-            return self._views.way_back(rest, height_m, now_s, speed_mps, situation.map_epoch)
+            return self._views.way_back(rest, height_m, now_s, speed_mps, yaw_rate_radps, situation.map_epoch)
         seeing = situation.ahead is not None and now_s - situation.ahead.stamp_s <= self._guard.bounds.depth_timeout_s
         return self._crumbs.way_back(rest, height_m, now_s, speed_mps, situation.map_epoch, seeing)
 
