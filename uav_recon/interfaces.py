@@ -8,6 +8,7 @@ from typing import Protocol, TypeVar, runtime_checkable
 
 from uav_recon.types.camera import Frame, ImuSample, PosedFrame
 from uav_recon.types.frames import FloatArray
+from uav_recon.types.free_cone import FreeCone
 from uav_recon.types.maps import SurfaceElements, VoxelMap
 from uav_recon.types.perception_status import PerceptionStatus
 from uav_recon.types.pose import MapCorrection, Pose, StampedPose
@@ -252,6 +253,10 @@ class OccupancyMapInterface(Protocol):
 
     def integrate(self, posed: PosedFrame) -> int:
         """Fuse a frame and return the number of changed voxels."""
+        ...
+
+    def integrate_cone(self, cone: FreeCone) -> int:
+        """Fuse what a range finder found empty and return the number of voxels that became free."""
         ...
 
     def reset(self, map_epoch: int) -> None:

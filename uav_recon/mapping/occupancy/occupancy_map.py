@@ -16,13 +16,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from uav_recon.mapping.occupancy.cone_clearing import clear_cone
 from uav_recon.mapping.occupancy.depth_fusion import FrameScratch, fuse
 from uav_recon.mapping.occupancy.distance_field import DistanceField
 from uav_recon.mapping.occupancy.log_odds import FREE_AT, MIN_LOG_ODDS, copy_changed, new_states
 from uav_recon.mapping.occupancy.occlusion_reset import reset_behind_new_obstacles
 from uav_recon.mapping.occupancy.snapshot_pool import SnapshotPool
 from uav_recon.types.camera import Frame, Intrinsics, PosedFrame
-from uav_recon.types.frames import FloatArray
+from uav_recon.types.frames import FloatArray, IntArray
+from uav_recon.types.free_cone import FreeCone
 from uav_recon.types.maps import LARGEST_DISTANCE_VOXELS, TILE, GridSpec, VoxelMap
 from uav_recon.types.pose import Pose
 
@@ -118,6 +120,15 @@ class OccupancyMap:
             )
         )
 
+    def integrate_cone(self, cone: FreeCone) -> int:
+        """Integrate what a range finder found empty; returns the number of voxels that became free.
+
+        Occupied voxels stay as they are. Raises ValueError for a cone of another map epoch.
+        """
+        if cone.map_epoch != self._map_epoch:
+            raise ValueError(f"cone of map epoch {cone.map_epoch} given to voxels of epoch {self._map_epoch}")
+        return self._list_changes(clear_cone(cone, self.grid, self._odds))
+
     def declare_free(self, centre_world: FloatArray, radius_m: float, z_min_m: float, z_max_m: float) -> None:
         """Set the voxels in an upright cylinder free, as declared by the operator.
 
@@ -136,8 +147,7 @@ class OccupancyMap:
         flat = np.ravel_multi_index(tuple(index[inside].T), self.grid.shape)
         changing = flat[self._odds[flat] > FREE_AT]
         self._odds[flat] = MIN_LOG_ODDS
-        self._scratch.list(changing)
-        self._apply_state_changes(changing.size)
+        self._list_changes(changing)
 
     def snapshot(self) -> VoxelMap:
         """Return an immutable snapshot with its distance field.
@@ -167,6 +177,11 @@ class OccupancyMap:
             small.integrate(PosedFrame(frame, Pose.from_yaw(0.0, np.array([1.0, 1.0, 0.2]))))
             held.append(small.snapshot())
             small.declare_free(np.ones(3), 0.5 * len(held), 0.0, 2.0)
+
+    def _list_changes(self, flat: IntArray) -> int:
+        """Update the voxels (N,) of these flat indices; returns the number whose state changed."""
+        self._scratch.list(flat)
+        return self._apply_state_changes(flat.size)
 
     def _apply_state_changes(self, number: int) -> int:
         """Update the listed voxels whose state changed; returns their number."""
