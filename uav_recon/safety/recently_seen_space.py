@@ -10,7 +10,9 @@ import math
 import numpy as np
 
 from uav_recon.safety.envelope import Vec3
+from uav_recon.safety.free_cone_memory import FreeConeMemory
 from uav_recon.types.frames import FloatArray
+from uav_recon.types.free_cone import FreeCone
 from uav_recon.types.min_range_grid import MinRangeGrid, in_view
 from uav_recon.types.pose import Pose
 
@@ -19,7 +21,7 @@ _BEFORE_M = 0.05  #: refuse: a motion outside the view into space nearer to a se
 
 
 class RecentlySeenSpace:
-    """The last views, each with its cells' nearest returns, and the past positions of the hull."""
+    """The last views with their cells' nearest returns, past positions of the hull, free cones."""
 
     def __init__(self, *, blind_memory_s: float, vehicle_radius_m: float) -> None:
         self.memory_s = blind_memory_s
@@ -32,6 +34,7 @@ class RecentlySeenSpace:
         self._body_m = np.full((_VIEWS, 3), math.inf)
         self._range_m: FloatArray = np.zeros((_VIEWS, 1, 1))
         self._half_tan = np.ones(2)
+        self._cones = FreeConeMemory(blind_memory_s)
 
     def add(self, nearby: MinRangeGrid, odom_from_body: Pose) -> None:
         """Store a frame taken from this pose."""
@@ -48,9 +51,14 @@ class RecentlySeenSpace:
         self._depth_from_odom[n], self._place_m[n] = odom_from_depth.rotation().T, odom_from_depth.translation_m
         self._body_m[n], self._range_m[n] = odom_from_body.translation_m, nearby.range_m
 
+    def add_cone(self, cone: FreeCone) -> None:
+        """Store what the upward range finder found empty."""
+        self._cones.add(cone)
+
     def forget(self) -> None:
         """Forget all views after a jump of odom: none of them was seen in the new odom."""
         self._stamp_s[:] = -math.inf
+        self._cones.forget()
 
     def saw_free(self, place_m: Vec3, now_s: float) -> bool:
         """Return True if a view within the memory saw past this position, or the hull was there."""
@@ -59,7 +67,7 @@ class RecentlySeenSpace:
     def ages_s(self, places_m: FloatArray, now_s: float) -> FloatArray:
         """Return the ages (N,) of the newest views that saw past positions (N, 3) or were there.
 
-        Infinity where no view within the memory did.
+        A free cone around a position counts as such a view. Infinity where none within the memory did.
         """
         fresh = np.flatnonzero(now_s - self._stamp_s <= self.memory_s)
         off_m = places_m[None] - self._body_m[fresh, None]
@@ -70,4 +78,5 @@ class RecentlySeenSpace:
         nearest = self._range_m[fresh[view], row[view, n].astype(int), column[view, n].astype(int)]
         there[view, n] |= np.linalg.norm(seen[view, n], axis=1) <= nearest - _BEFORE_M
         age_s = np.where(there, (now_s - self._stamp_s[fresh])[:, None], math.inf)
-        return np.asarray(np.maximum(age_s.min(axis=0, initial=math.inf), 0.0))
+        newest_s = np.minimum(age_s.min(axis=0, initial=math.inf), self._cones.ages_s(places_m, now_s))
+        return np.asarray(np.maximum(newest_s, 0.0))

@@ -1,0 +1,50 @@
+"""Memory of the space above that a range finder found empty a short time ago."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from uav_recon.types.frames import FloatArray
+from uav_recon.types.free_cone import FreeCone
+
+_CONES = 160  #: internal: stored cones, spread over blind_memory_s
+_BEFORE_M = 0.05  #: refuse: a motion outside the view into space nearer than this to the end of a free cone
+
+
+class FreeConeMemory:
+    """The last free cones; empty without a range finder."""
+
+    def __init__(self, memory_s: float) -> None:
+        self._memory_s = memory_s
+        self._count = 0
+        self._stamp_s = np.full(_CONES, -math.inf)
+        self._apex_m = np.zeros((_CONES, 3))
+        self._axis = np.zeros((_CONES, 3))
+        self._cos = np.ones(_CONES)
+        self._reach_m = np.zeros(_CONES)
+
+    def add(self, cone: FreeCone) -> None:
+        """Store a cone, unless the newest one is almost as new."""
+        if cone.stamp_s - self._stamp_s[self._count % _CONES - 1] < self._memory_s / _CONES:
+            return
+        n = self._count % _CONES
+        self._count = self._count + 1
+        self._stamp_s[n] = cone.stamp_s
+        self._apex_m[n], self._axis[n] = cone.apex_odom_m, cone.axis_odom
+        self._cos[n], self._reach_m[n] = math.cos(cone.half_angle_rad), cone.reach_m - _BEFORE_M
+
+    def forget(self) -> None:
+        """Forget all cones after a jump of odom."""
+        self._stamp_s[:] = -math.inf
+
+    def ages_s(self, places_m: FloatArray, now_s: float) -> FloatArray:
+        """Return the ages (N,) of the newest cones around positions (N, 3); infinity for none."""
+        fresh = np.flatnonzero(now_s - self._stamp_s <= self._memory_s)
+        off_m = places_m[None] - self._apex_m[fresh, None]
+        along_m = np.einsum("vni,vi->vn", off_m, self._axis[fresh])
+        distance_m = np.linalg.norm(off_m, axis=2)
+        inside = (along_m >= self._cos[fresh, None] * distance_m) & (distance_m <= self._reach_m[fresh, None])
+        age_s = np.where(inside, (now_s - self._stamp_s[fresh])[:, None], math.inf)
+        return np.asarray(age_s.min(axis=0, initial=math.inf))
