@@ -222,6 +222,14 @@ class VoxelConfig(Section):
     margin_m: Annotated[float, Field(ge=0.0, le=1.0)] = 0.3  # map beyond the fence, so that walls there are mapped
 
 
+class RangeUpConfig(Section):
+    """A range finder of the autopilot that looks up along the body's z axis."""
+
+    fov_deg: Annotated[float, Field(gt=4.0, le=60.0)] | None = None  # whole angle of its cone; unset: there is no such sensor
+    position_body_m: Vec3 = (0.0, 0.0, 0.05)  # its position on the body
+    error_share: Annotated[float, Field(gt=0.0, le=0.2)] = 0.02  # rms error as a share of the range
+
+
 class MapperConfig(Section):
     """The neural surface."""
 
@@ -323,6 +331,7 @@ class Config(Section):
     localization: LocalizationConfig = LocalizationConfig()
     ros2: Ros2Config = Ros2Config()
     voxels: VoxelConfig = VoxelConfig()
+    range_up: RangeUpConfig = RangeUpConfig()
     mapper: MapperConfig = MapperConfig()
     planner: PlannerConfig = PlannerConfig()
     motion: MotionConfig = MotionConfig()

@@ -38,5 +38,5 @@ def direct_channels() -> FlightChannels:
     return FlightChannels(
         DirectChannel(), DirectChannel(), DirectChannel(), DirectChannel(), DirectChannel(), DirectChannel(),
         DirectChannel(), DirectChannel(), DirectChannel(), DirectChannel(), DirectChannel(), DirectChannel(),
-        DirectChannel(), DirectChannel(),
+        DirectChannel(), DirectChannel(), DirectChannel(),
     )  # fmt: skip

@@ -20,6 +20,7 @@ from uav_recon.motion.speed_limited_planner import SpeedLimitedPlanner
 from uav_recon.recording.flight_log import FlightLog
 from uav_recon.types.camera import Frame, Intrinsics, PosedFrame
 from uav_recon.types.frames import FloatArray
+from uav_recon.types.free_cone import FreeCone
 from uav_recon.types.maps import FREE, OCCUPIED, FreeSpace, GridSpec, SurfaceElements, VoxelMap
 from uav_recon.types.perception_status import PerceptionStatus
 from uav_recon.types.pose import MapCorrection, Pose
@@ -44,8 +45,17 @@ class OpenSpace:
     table: tuple[slice, slice, slice] | None = None
     revision = epoch = 0
 
+    def __init__(self) -> None:
+        self.cones: list[FreeCone] = []
+
     def integrate(self, posed: PosedFrame) -> int:
         assert posed.map_epoch == self.epoch
+        self.revision += 1
+        return 1
+
+    def integrate_cone(self, cone: FreeCone) -> int:
+        assert cone.map_epoch == self.epoch
+        self.cones.append(cone)
         self.revision += 1
         return 1
 
@@ -160,7 +170,7 @@ class Desk:
         self.wires = MissionChannels(
             MemoryChannel(PosedFrame), MemoryChannel(VehicleState), MemoryChannel(Intent), MemoryChannel(MissionProgress),
             MemoryChannel(VoxelMap), MemoryChannel(SurfaceElements), MemoryChannel(ViewPath),
-            MemoryChannel(MapCorrection), MemoryChannel(FreeSpace), MemoryChannel(PerceptionStatus),
+            MemoryChannel(MapCorrection), MemoryChannel(FreeSpace), MemoryChannel(PerceptionStatus), MemoryChannel(FreeCone),
         )  # fmt: skip
         self.voxels = OpenSpace()
         self.planner = ThreeViews()

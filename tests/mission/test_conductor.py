@@ -15,6 +15,7 @@ from uav_recon.clock import InlineExecutor
 from uav_recon.mission.conductor import Conductor
 from uav_recon.mission.state_machine import Phase
 from uav_recon.recording.flight_log import read_timeline
+from uav_recon.types.free_cone import FreeCone
 from uav_recon.types.pose import MapCorrection, Pose
 from uav_recon.types.reason import Reason, codes_of
 from uav_recon.types.reason_code import ReasonCode
@@ -471,3 +472,39 @@ def test_a_take_off_that_was_held_begins_again_where_it_is(desk: Desk) -> None:
     assert again is not None and again.identifier > first.identifier
     assert again.start_s == pytest.approx(desk.clock.now_s(), abs=0.2)
     desk.run(30.0, until=Phase.SURVEY)
+
+
+def cone(stamp_s: float, map_epoch: int = 0) -> FreeCone:
+    return FreeCone(stamp_s, map_epoch, np.array([0.0, 0.0, 1.1]), np.array([0.0, 0.0, 1.0]), 0.2, 1.0)
+
+
+def test_what_the_range_finder_found_empty_goes_into_the_map_once(desk: Desk) -> None:
+    desk.run(1.0)
+    desk.frames = False
+    before = desk.conductor.map
+    desk.wires.cones.publish(cone(101.0))
+    desk.run(1.0)
+    assert [one.stamp_s for one in desk.voxels.cones] == [101.0]
+    assert before is not None and desk.conductor.map is not None
+    assert desk.conductor.map.revision == before.revision + 1
+    free = desk.wires.free.latest()
+    assert free is not None
+    assert free.revision == desk.conductor.map.revision
+    desk.wires.cones.publish(cone(102.0))
+    desk.run(1.0)
+    assert [one.stamp_s for one in desk.voxels.cones] == [101.0, 102.0]
+
+
+def test_a_cone_of_another_map_is_not_used(desk: Desk) -> None:
+    desk.run(1.0)
+    desk.wires.cones.publish(cone(101.0, map_epoch=1))
+    desk.run(1.0)
+    assert desk.voxels.cones == []
+
+
+def test_cones_alone_are_no_map(desk: Desk) -> None:
+    desk.frames = False
+    desk.wires.cones.publish(cone(101.0))
+    desk.run(1.0)
+    assert desk.conductor.map is None
+    assert desk.voxels.cones == []

@@ -38,6 +38,7 @@ if TYPE_CHECKING:  # each process imports only the stages that it runs
     from uav_recon.autopilot.parameters.preflight_check import ParameterCheck
     from uav_recon.autopilot.parameters.reader import ParameterEncoding
     from uav_recon.autopilot.pilot.pilot import HullGeometry, Pilot
+    from uav_recon.autopilot.pilot.upward_range_finder import RangeFinderModel
     from uav_recon.localization.camera_mount import Mount
     from uav_recon.localization.depth_consistency import DepthConsistencyMonitor
     from uav_recon.localization.fusion_filter import FusionFilter
@@ -115,14 +116,29 @@ def make_pilot(
 
     sight = recently_seen_space(config)
     guard = Guard(envelope(config), guard_bounds(config), sight)
-    channels = PilotChannels(wires.odom, wires.intent, wires.vehicle, wires.free, wires.nearby, wires.rates, wires.reported)
+    channels = PilotChannels(
+        wires.odom, wires.intent, wires.vehicle, wires.free, wires.nearby, wires.rates, wires.reported, wires.cones
+    )
     origin = Origin(config.link.origin_lat_deg, config.link.origin_lon_deg, config.link.origin_alt_m)
     (personality, _), rate_hz = firmware(config.link.autopilot), config.link.setpoint_rate_hz
     parameters = make_parameter_check(config)
     return wire_pilot(
         link, personality, guard, sight, failsafe_timeouts(config), channels, clock, origin, hull_geometry(config), rate_hz,
         log, parameters, gate or make_allow_list_filter(config.link, clock), make_navigation(config),
+        range_finder_model(config),
     )  # fmt: skip
+
+
+def range_finder_model(config: Config) -> RangeFinderModel | None:
+    """Return the upward range finder that the operator declares, None without one."""
+    from uav_recon.autopilot.pilot.upward_range_finder import RangeFinderModel
+
+    up = config.range_up
+    if up.fov_deg is None:
+        return None
+    return RangeFinderModel(
+        fov_rad=math.radians(up.fov_deg), position_body_m=np.array(up.position_body_m), error_share=up.error_share
+    )
 
 
 def make_navigation(config: Config) -> Navigation:
@@ -478,7 +494,7 @@ def make_conductor(
     voxels, planner, orders = make_occupancy_map(config), make_planner(config, timer), mission_parameters(config)
     channels = MissionChannels(
         wires.frames, wires.vehicle, wires.intent, wires.progress, wires.voxels, wires.surface, wires.plan,
-        wires.correction, wires.free, wires.perception,
+        wires.correction, wires.free, wires.perception, wires.cones,
     )  # fmt: skip
     motion, retreat = (make_motion(config, kept_m) for kept_m in (orders.clearance_m, orders.clear_radius_m))
     budget, sight = make_keyframe_selection(config, voxels), make_recent_view_memory(config)

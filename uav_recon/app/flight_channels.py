@@ -12,6 +12,7 @@ from uav_recon.channels import ChannelError, FileChannel, MemoryChannel, ReadOnl
 from uav_recon.errors import EXIT_CONFIG, UserError
 from uav_recon.interfaces import Channel
 from uav_recon.types.camera import PosedFrame
+from uav_recon.types.free_cone import FreeCone
 from uav_recon.types.maps import FreeSpace, SurfaceElements, VoxelMap
 from uav_recon.types.min_range_grid import MinRangeGrid
 from uav_recon.types.perception_status import PerceptionStatus
@@ -39,10 +40,11 @@ class FlightChannels:
     perception: Channel[PerceptionStatus]
     rates: Channel[TurnRates]
     reported: Channel[ReportedPoses]
+    cones: Channel[FreeCone]
 
 
 PERCEPTION_WRITES = frozenset({"odom", "frames", "correction", "nearby", "perception"})
-PILOT_WRITES = frozenset({"vehicle", "rates", "reported"})
+PILOT_WRITES = frozenset({"vehicle", "rates", "reported", "cones"})
 MISSION_WRITES = frozenset({"intent", "progress", "voxels", "surface", "plan", "free"})
 _KIBIBYTE = 1 << 10
 _MEBIBYTE = 1 << 20
@@ -61,6 +63,7 @@ _FILES: dict[str, tuple[Any, int]] = {  # type of the value and capacity in byte
     "perception": (PerceptionStatus, 64 * _KIBIBYTE),
     "rates": (TurnRates, 64 * _KIBIBYTE),
     "reported": (ReportedPoses, 64 * _KIBIBYTE),
+    "cones": (FreeCone, 64 * _KIBIBYTE),
 }
 
 
@@ -70,7 +73,7 @@ def memory_channels() -> FlightChannels:
         MemoryChannel(StampedPose), MemoryChannel(PosedFrame), MemoryChannel(VehicleState), MemoryChannel(Intent),
         MemoryChannel(MissionProgress), MemoryChannel(VoxelMap), MemoryChannel(SurfaceElements), MemoryChannel(ViewPath),
         MemoryChannel(MapCorrection), MemoryChannel(FreeSpace), MemoryChannel(MinRangeGrid),
-        MemoryChannel(PerceptionStatus), MemoryChannel(TurnRates), MemoryChannel(ReportedPoses),
+        MemoryChannel(PerceptionStatus), MemoryChannel(TurnRates), MemoryChannel(ReportedPoses), MemoryChannel(FreeCone),
     )  # fmt: skip
 
 

@@ -90,6 +90,7 @@ class Conductor:
         self.map: VoxelMap | None = None
         self._frame_sequence = 0
         self._frame_s = -np.inf
+        self._cone_sequence = 0
         self._map_publisher = MapPublisher(wires)
         self._reported_s = -np.inf
         self._go_home: Reason | None = None  # the reason to go home, whichever other reasons there are
@@ -133,6 +134,7 @@ class Conductor:
         vehicle = self._channels.vehicle.latest()
         self._rebuild_corrected_map(now_s, vehicle)
         self._map_newest_frame(now_s)
+        self._map_newest_cone()
         if vehicle is not None:
             self._follow(now_s, vehicle)
             for detector in self._detectors:
@@ -192,6 +194,16 @@ class Conductor:
         if self._log.views_left > 0 and (promised or self._worth_a_view(posed)) and self._stages.mapper.add(posed):
             self._stages.budget.keep(posed)
             self._log.view(posed)
+
+    def _map_newest_cone(self) -> None:
+        """Free what the upward range finder found empty. The first map needs a depth frame."""
+        sequence = self._channels.cones.sequence()
+        cone = self._channels.cones.latest() if sequence != self._cone_sequence else None
+        self._cone_sequence = sequence
+        if cone is None or self.map is None or cone.map_epoch != self._executor.map_epoch:
+            return
+        if self._stages.voxels.integrate_cone(cone):
+            self.map = self._stages.voxels.snapshot()
 
     def _worth_a_view(self, posed: PosedFrame) -> bool:
         """Return True if a frame shows enough that is new.

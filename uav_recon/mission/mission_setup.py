@@ -15,6 +15,7 @@ from uav_recon.interfaces import (
     ViewBudget,
 )
 from uav_recon.types.camera import PosedFrame
+from uav_recon.types.free_cone import FreeCone
 from uav_recon.types.maps import FreeSpace, SurfaceElements, VoxelMap
 from uav_recon.types.perception_status import PerceptionStatus
 from uav_recon.types.pose import MapCorrection
@@ -53,6 +54,7 @@ class MissionChannels:
     correction: Channel[MapCorrection]
     free: Channel[FreeSpace]
     perception: Channel[PerceptionStatus]
+    cones: Channel[FreeCone]
 
 
 @dataclass(frozen=True)

@@ -151,6 +151,34 @@ def test_a_gimbal_may_speak_for_itself(pair: tuple[VehicleLink, Wire]) -> None:
     assert link.telemetry.camera_pitch_down_rad == pytest.approx(0.2, abs=1e-6)
 
 
+def distance_up(boot_ms: int, current_cm: int) -> Any:
+    return wire.MAVLink_distance_sensor_message(boot_ms, 5, 400, current_cm, 0, 0, wire.MAV_SENSOR_ROTATION_PITCH_90, 0)
+
+
+def test_a_range_has_the_time_of_its_measurement_on_our_clock(pair: tuple[VehicleLink, Wire]) -> None:
+    link, far = pair
+    far.update(heartbeat())
+    far.update(distance_up(37_500, 120))
+    link.receive(0.3)
+    assert link.telemetry.range_up is not None
+    assert link.telemetry.range_up.measured_s == 0.3, "its arrival, while the autopilot's clock is not known"
+    converge(link, far)
+    far.update(distance_up(40_400, 130))
+    link.receive(3.0)
+    assert link.telemetry.range_up.reading.range_m == 1.3
+    assert link.telemetry.range_up.measured_s == pytest.approx(2.9, abs=0.003)
+
+
+@pytest.mark.parametrize("stranger", [(1, 154), (1, 2), (2, 1), (255, 190)])
+def test_only_the_autopilot_tells_a_range(pair: tuple[VehicleLink, Wire], stranger: tuple[int, int]) -> None:
+    link, far = pair
+    far.update(heartbeat())
+    link.receive(0.0)
+    far.update(distance_up(500, 130), *stranger)
+    link.receive(0.1)
+    assert link.telemetry.range_up is None
+
+
 @pytest.mark.parametrize(
     ("component", "ago_s", "stamp_ago_s"),
     [(1, 0.03, 0.03), (1, 2.0, 0.0), (154, 0.03, 0.0)],

@@ -26,6 +26,7 @@ from uav_recon.autopilot.mavlink.messages import (
     StatusText,
     SystemStatus,
     TimesyncMessage,
+    UpwardRange,
 )
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.pose import Pose, StampedPose
@@ -255,3 +256,44 @@ def test_a_megabyte_of_noise_is_digested_in_bounded_memory() -> None:
     for _ in range(16):
         assert not [r for r in decoder.feed(rng.bytes(1 << 14)) if r.message is not None]
         assert len(decoder._buffer) < 300
+
+
+def distance_sensor(current_cm: int = 130, **changes: Any) -> Any:
+    """A sensor of 5 cm to 4 m that looks up, as PX4 and ArduPilot send it: without field of view and quality."""
+    fields = {
+        "time_boot_ms": 1234, "min_distance": 5, "max_distance": 400, "current_distance": current_cm, "type": 0, "id": 2,
+        "orientation": wire.MAV_SENSOR_ROTATION_PITCH_90, "covariance": 0, "horizontal_fov": 0.0, "vertical_fov": 0.0,
+        "quaternion": [0.0] * 4, "signal_quality": 0,
+    }  # fmt: skip
+    return wire.MAVLink_distance_sensor_message(**(fields | changes))
+
+
+def test_a_range_that_looks_up_is_read() -> None:
+    assert read(distance_sensor()) == UpwardRange(2, 1.3, math.inf, 1234)
+    assert read(distance_sensor(5)) == UpwardRange(2, 0.05, math.inf, 1234)
+    assert read(distance_sensor(399, signal_quality=2)) == UpwardRange(2, 3.99, math.inf, 1234)
+    for wide, high, fov_rad in ((0.5, 0.25, 0.25), (0.25, 0.5, 0.25), (0.5, 0.0, 0.5), (0.0, 0.5, 0.5)):
+        assert read(distance_sensor(horizontal_fov=wide, vertical_fov=high)) == UpwardRange(2, 1.3, fov_rad, 1234)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"orientation": wire.MAV_SENSOR_ROTATION_PITCH_270},
+        {"orientation": wire.MAV_SENSOR_ROTATION_NONE},
+        {"orientation": wire.MAV_SENSOR_ROTATION_CUSTOM, "quaternion": [1.0, 0.0, 0.0, 0.0]},
+        {"signal_quality": 1},
+        {"current_cm": 4},
+        {"current_cm": 400},
+        {"current_cm": 65535},
+        {"current_cm": 0, "min_distance": 0},
+        {"min_distance": 400, "max_distance": 5},
+        {"max_distance": 0},
+        {"horizontal_fov": math.nan},
+        {"vertical_fov": math.inf},
+        {"horizontal_fov": -0.1},
+        {"vertical_fov": 3.2},
+    ],
+)
+def test_a_range_that_is_none_is_not_read(changes: dict[str, Any]) -> None:
+    assert read(distance_sensor(**changes)) is None

@@ -34,6 +34,7 @@ from uav_recon.safety.obstacle_speed_limit import Margins
 from uav_recon.safety.recently_seen_space import RecentlySeenSpace
 from uav_recon.types.camera import body_from_camera
 from uav_recon.types.frames import FloatArray
+from uav_recon.types.free_cone import FreeCone
 from uav_recon.types.maps import FreeSpace, GridSpec
 from uav_recon.types.min_range_grid import MinRangeGrid
 from uav_recon.types.polygon import Polygon
@@ -136,6 +137,7 @@ class Rig:
         self.channels = PilotChannels(
             MemoryChannel(StampedPose), MemoryChannel(Intent), MemoryChannel(VehicleState), MemoryChannel(FreeSpace),
             MemoryChannel(MinRangeGrid), MemoryChannel(TurnRates), MemoryChannel(ReportedPoses),
+            MemoryChannel(FreeCone),
         )  # fmt: skip
         self.free = np.ones(GRID.shape, dtype=np.bool_)
         self.publish_free()

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Protocol
 
@@ -73,6 +73,10 @@ class FirmwareProfile:
     streams_hz: tuple[tuple[int, float], ...]
     asked_once: tuple[int, ...]
     polled_hz: tuple[tuple[int, float], ...]
+
+    def with_stream(self, identifier: int, rate_hz: float) -> FirmwareProfile:
+        """Return the profile with one more requested message."""
+        return replace(self, streams_hz=(*self.streams_hz, (identifier, rate_hz)))
 
 
 @dataclass(frozen=True, slots=True)

@@ -32,6 +32,7 @@ from uav_recon.autopilot.mavlink.messages import (
     ParameterValue,
     Received,
     TimesyncMessage,
+    UpwardRange,
 )
 from uav_recon.autopilot.mavlink.telemetry import Telemetry, rebooted, updated
 from uav_recon.autopilot.mavlink.tlog import FrameLog
@@ -347,7 +348,7 @@ class VehicleLink:
                 message = self._in_odom(message)
             case Odometry() if self.status.time_known:
                 self._add_own(message, self._timesync.ours_from_us(message.boot_us, now_s), now_s)
-            case GimbalAttitude():
+            case GimbalAttitude() | UpwardRange():
                 now_s = self._measured_s(message.boot_ms, now_s)
             case Firmware():
                 self._identity.told(message.uid)

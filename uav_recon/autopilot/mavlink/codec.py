@@ -41,6 +41,7 @@ from uav_recon.autopilot.mavlink.messages import (
     StatusText,
     SystemStatus,
     TimesyncMessage,
+    UpwardRange,
 )
 from uav_recon.types.frames import FloatArray, frozen
 from uav_recon.types.pose import Pose, StampedPose
@@ -301,6 +302,21 @@ def _gimbal(boot_ms: int, quat: tuple[float, float, float, float]) -> Message | 
     return GimbalAttitude(-math.asin(min(max(sine, -1.0), 1.0)), boot_ms) if math.isfinite(sine) else None
 
 
+def _upward_range(
+    boot_ms: int, min_cm: int, max_cm: int, current_cm: int, sensor: int, orientation: int, wide_rad: float, high_rad: float,
+    signal: int,
+) -> Message | None:  # fmt: skip
+    """Convert DISTANCE_SENSOR with orientation up.
+
+    A reading at or beyond the maximum is none: the message does not tell a clear view from a lost echo.
+    """
+    angles = [angle for angle in (wide_rad, high_rad) if angle != 0.0]  # 0 is unknown
+    good = all(0.0 < angle < math.pi for angle in angles) and min_cm <= current_cm < max_cm and current_cm > 0
+    if orientation != wire.MAV_SENSOR_ROTATION_PITCH_90 or signal == _INVALID_SIGNAL or not good:
+        return None
+    return UpwardRange(sensor, current_cm / 100.0, min(angles, default=math.inf), boot_ms)
+
+
 def _ekf(flags: int, horizontal: float) -> Message:
     """Convert ArduPilot's EKF_STATUS_REPORT.
 
@@ -317,6 +333,7 @@ def _origin() -> Message:
     return OriginSet()
 
 
+_INVALID_SIGNAL = 1  # signal_quality of DISTANCE_SENSOR; 0 is unknown, 2 to 100 a share
 _EKF_FOLLOWS = 0x33F  # attitude, velocities, positions and their predictions (measured)
 _EKF_DOES_NOT = wire.EKF_CONST_POS_MODE | wire.EKF_UNINITIALIZED
 _LOCAL_FRAMES = (wire.MAV_FRAME_LOCAL_NED, wire.MAV_FRAME_LOCAL_FRD)
@@ -377,6 +394,21 @@ _READ: tuple[tuple[Any, tuple[str, ...], Callable[..., Message | None]], ...] = 
     (wire.MAVLink_autopilot_version_message, ("flight_sw_version", "uid", "uid2"), _firmware),
     (wire.MAVLink_statustext_message, ("severity", "text"), _status_text),
     (wire.MAVLink_gimbal_device_attitude_status_message, ("time_boot_ms", "q"), _gimbal),
+    (
+        wire.MAVLink_distance_sensor_message,
+        (
+            "time_boot_ms",
+            "min_distance",
+            "max_distance",
+            "current_distance",
+            "id",
+            "orientation",
+            "horizontal_fov",
+            "vertical_fov",
+            "signal_quality",
+        ),
+        _upward_range,
+    ),
     (wire.MAVLink_param_value_message, ("param_id", "param_value", "param_type"), _parameter),
 )
 _READERS = {kind.id: (MessageLayout(kind, *names), make) for kind, names, make in _READ}

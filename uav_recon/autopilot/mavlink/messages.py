@@ -164,6 +164,20 @@ class GimbalAttitude:
 
 
 @dataclass(frozen=True, slots=True)
+class UpwardRange:
+    """DISTANCE_SENSOR of a sensor that looks up along the body's z axis, with a valid reading.
+
+    sensor: number of the sensor. fov_rad: whole angle of its cone, the smaller one of two; infinity if unknown. boot_ms:
+    milliseconds since the autopilot's boot, a number of 32 bits; of the measurement (PX4) or of the message (ArduPilot).
+    """
+
+    sensor: int
+    range_m: float
+    fov_rad: float
+    boot_ms: int
+
+
+@dataclass(frozen=True, slots=True)
 class ParameterValue:
     """One of the firmware's parameters.
 
@@ -190,6 +204,7 @@ Message = (
     | Firmware
     | StatusText
     | GimbalAttitude
+    | UpwardRange
     | ParameterValue
 )
 

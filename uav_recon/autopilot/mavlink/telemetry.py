@@ -25,6 +25,7 @@ from uav_recon.autopilot.mavlink.messages import (
     ParameterValue,
     StatusText,
     SystemStatus,
+    UpwardRange,
 )
 from uav_recon.types.frames import FloatArray, frozen
 
@@ -77,6 +78,14 @@ class BatteryReport:
         return self.fraction if now_s - self.reported_s <= _BATTERY_FRESH_S else math.nan
 
 
+@dataclass(frozen=True, slots=True)
+class RangeReport:
+    """The newest reading of a range finder, and when it was measured."""
+
+    reading: UpwardRange
+    measured_s: float
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Telemetry:
     """The newest values that the autopilot reported until one moment."""
@@ -90,6 +99,7 @@ class Telemetry:
     on_ground_s: float = -math.inf  # when its land detector last reported the ground, unless it has reported otherwise since
     camera_pitch_down_rad: float = math.nan
     camera_pitch_s: float = math.nan  # when it was measured
+    range_up: RangeReport | None = None
     version: tuple[int, int, int] | None = None
     warning: str = ""  # newest text of severity warning or worse
     parameters: Mapping[str, ParameterValue] = field(default_factory=dict)  # those that were requested, by name
@@ -148,6 +158,10 @@ def _gimbal_attitude(t: Telemetry, message: GimbalAttitude, now_s: float) -> Tel
     return replace(t, camera_pitch_down_rad=message.pitch_down_rad, camera_pitch_s=now_s)
 
 
+def _upward_range(t: Telemetry, message: UpwardRange, now_s: float) -> Telemetry:
+    return replace(t, range_up=RangeReport(message, now_s))
+
+
 def _parameter_value(t: Telemetry, message: ParameterValue, now_s: float) -> Telemetry:
     return replace(t, parameters={**t.parameters, message.name: message})
 
@@ -163,5 +177,6 @@ _UPDATES: dict[type[Message], Callable[[Telemetry, Any, float], Telemetry]] = {
     Firmware: _firmware,
     StatusText: _status_text,
     GimbalAttitude: _gimbal_attitude,
+    UpwardRange: _upward_range,
     ParameterValue: _parameter_value,
 }

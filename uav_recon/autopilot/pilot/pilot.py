@@ -24,12 +24,14 @@ from uav_recon.autopilot.pilot.situation import SituationBuilder
 from uav_recon.autopilot.pilot.statustext_reporter import StatusTextReporter
 from uav_recon.autopilot.pilot.surroundings import Surroundings
 from uav_recon.autopilot.pilot.takeoff_sequence import TakeoffSequence
+from uav_recon.autopilot.pilot.upward_range_finder import STREAM, NoRangeFinder, RangeFinderModel, UpwardRangeFinder
 from uav_recon.clock import RateKeeper
 from uav_recon.interfaces import ByteLink, Channel, Clock
 from uav_recon.safety.failsafe import FailsafeAction, FailsafeTimeouts
 from uav_recon.safety.guard import Guard, GuardInputs
 from uav_recon.safety.pose_gate import PoseGate
 from uav_recon.safety.recently_seen_space import RecentlySeenSpace
+from uav_recon.types.free_cone import FreeCone
 from uav_recon.types.maps import FreeSpace
 from uav_recon.types.min_range_grid import MinRangeGrid
 from uav_recon.types.pose import StampedPose
@@ -56,6 +58,7 @@ class PilotChannels:
     nearby: Channel[MinRangeGrid]
     rates: Channel[TurnRates]
     reported: Channel[ReportedPoses]
+    cones: Channel[FreeCone]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -90,6 +93,7 @@ class Pilot:
         airframe: HullGeometry,
         setpoint_rate_hz: float = 30.0,
         parameters: ParameterCheck | NoParameterCheck | None = None,
+        range_finder: RangeFinderModel | None = None,
     ) -> None:
         self._link = link
         self._guard = guard
@@ -107,6 +111,9 @@ class Pilot:
         self._mission_input = MissionInput(channels.intent, patience.intent_timeout_s)
         hull = (airframe.vehicle_radius_m, airframe.vehicle_height_m)
         self._surroundings = Surroundings(channels.free, channels.nearby, sight, *hull)
+        self._range_finder = (
+            NoRangeFinder() if range_finder is None else UpwardRangeFinder(range_finder, link, sight, channels.cones)
+        )
         self._authority = ControlAuthority(link.firmware)
         self._selector = SetpointSelector(
             guard, self._mission_input, airframe.hover_height_m, vehicle_radius_m=airframe.vehicle_radius_m
@@ -182,10 +189,12 @@ class Pilot:
             self._note = Reason(ReasonCode.POSE_SOURCE_RESET)
             self._selector.rebase(self._situation.situation(now_s), _RESET_REST_S)
             self._surroundings.forget()
+            self._range_finder.forget()
             self._estimate.forget()
             self._again_s = min(self._again_s, now_s) if self.in_flight else math.inf
         self._estimate.update(self._poses.pose, now_s)
         self._surroundings.step(self._poses.pose, now_s)
+        self._range_finder.step(self._poses.pose, now_s)
         if self.phase in IN_THE_AIR:  # while it arms it stands, and does not evade
             self._selector.evasion.update(self._surroundings.sudden_obstacle, self._surroundings.ghost_s)
 
@@ -411,10 +420,13 @@ def make_pilot(
     parameters: ParameterCheck | None = None,
     gate: AllowListFilter | None = None,
     navigation: Navigation | None = None,
+    range_finder: RangeFinderModel | None = None,
 ) -> Pilot:
     """Build a pilot for a firmware on the given byte link.
 
     gate: filter for senders; None: system 1. navigation: who tells the autopilot where it is; None: the poses are fed to it.
+    range_finder: one that looks up, if the vehicle has it.
     """
+    firmware = firmware if range_finder is None else firmware.with_stream(*STREAM)
     link = VehicleLink(bytes_link, log or NoLog(), clock.now_s(), firmware, gate or AllowListFilter(), navigation=navigation)
-    return Pilot(link, guard, sight, patience, channels, clock, origin, airframe, setpoint_rate_hz, parameters)
+    return Pilot(link, guard, sight, patience, channels, clock, origin, airframe, setpoint_rate_hz, parameters, range_finder)

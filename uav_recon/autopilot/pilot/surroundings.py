@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections import deque
 
 from uav_recon.autopilot.pilot.message_validation import is_valid_free_space, is_valid_range_grid
 from uav_recon.autopilot.pilot.pose_feed import newest
+from uav_recon.autopilot.pilot.recent_poses import RecentPoses
 from uav_recon.autopilot.pilot.sudden_obstacle import SuddenObstacle, SuddenObstacleDetector
 from uav_recon.interfaces import Channel
 from uav_recon.safety.free_space_check import FreeSpaceCheck
@@ -17,7 +17,6 @@ from uav_recon.types.min_range_grid import MinRangeGrid
 from uav_recon.types.pose import StampedPose
 
 _FUTURE_S = 0.1  #: reject: depth stamped later than the clock by this
-_PAST_S = 0.5  #: internal: poses are stored for this time, to be matched with frames
 _BESIDE_S = 0.04  #: reject: depth farther in time from every pose: it shows neither seen space nor sudden obstacles
 
 
@@ -46,7 +45,7 @@ class Surroundings:
         self.ahead: ForwardDepth | None = None
         self._believed_s = -math.inf
         self._neighbourhood = SuddenObstacleDetector()
-        self._past: deque[StampedPose] = deque()
+        self._past = RecentPoses()
         self.sudden_obstacle: SuddenObstacle | None = None  # in the newest valid frame
 
     def step(self, pose: StampedPose | None, now_s: float) -> None:
@@ -54,10 +53,7 @@ class Surroundings:
 
         A frame comes tenths of a second late, so it is used with the pose at its stamp.
         """
-        if pose is not None and not (self._past and self._past[-1].stamp_s >= pose.stamp_s):
-            self._past.append(pose)
-        while self._past and now_s - self._past[0].stamp_s > _PAST_S:
-            self._past.popleft()
+        self._past.add(pose, now_s)
         free = newest(self._free, self._free_received)
         if free is not None:
             self._free_received = free
@@ -74,8 +70,8 @@ class Surroundings:
         if self.ahead is None or nearby.stamp_s > self.ahead.stamp_s:
             self.ahead = ForwardDepth(nearby, self._radius_m)
             self._believed_s = nearby.stamp_s if nearby.believed else self._believed_s
-            then = min(self._past, key=lambda past: abs(past.stamp_s - nearby.stamp_s), default=None)
-            if then is not None and abs(then.stamp_s - nearby.stamp_s) <= _BESIDE_S and nearby.believed:
+            then = self._past.at(nearby.stamp_s, _BESIDE_S)
+            if then is not None and nearby.believed:
                 self._sight.add(nearby, then.odom_from_body)
                 self.sudden_obstacle = self._neighbourhood.look(nearby, then.odom_from_body)
 
@@ -88,7 +84,7 @@ class Surroundings:
         """Forget everything after a jump of odom: what was seen and mapped before is elsewhere now."""
         self.known_free = None
         self._neighbourhood.forget()
-        self._past.clear()
+        self._past.forget()
         self.sudden_obstacle = None
 
     def depth_age_s(self, now_s: float) -> float:
