@@ -15,6 +15,7 @@ from sitl.camera.camera_errors import scale_of
 from sitl.camera.d435i import Model, Noise
 from sitl.real_firmware.px4 import COMPANION_PORT as PX4_PORT
 from sitl.scene.scene import HULL_HEIGHT_M, Scene, free_height_m
+from sitl.world.range_finder import MOUNT_M
 from uav_recon.app.option_validation import UsageError, mount_pitch_deg, readable
 from uav_recon.app.room_check import advise
 from uav_recon.config import Config, ConfigError, UncertaintyName, VariantName, parse
@@ -56,6 +57,7 @@ BLIND_MEMORY_S = 60.0  # space above and below a fixed camera's view was mostly 
 COLUMN_MARGIN_M = 0.10  # beyond the planning clearance, round the column above the pad that the operator sees to be free
 COLUMN_TOP_M = 0.05  # below the ceiling: half a voxel
 FENCE_MARGIN_M = 0.10  # between hull and fence, for position errors of the vehicle
+RANGE_UP_DEG = (5.0, 60.0)  # whole angle of the cone of a range finder that looks up
 JOB_GB = 0.8  # memory of a process that flies in lockstep
 NOISE_PX = {"d435i": 0.04, "paper": 0.004, "kinect": 0.02, "none": 0.001}  # rms disparity error at 424 pixels
 
@@ -87,6 +89,7 @@ class SimOptions:
     pose: str  # source of the poses
     camera_errors: float  # scale of the errors of the camera that the seed draws; 0: the exact camera
     calibration: Path | None = None  # file of the camera's errors, read and written; None: the flight begins without
+    range_up_deg: float | None = None  # angle of the cone of a range finder that looks up; None: there is none
     dated: bool = False  # the flight folder was not given: it has the date, and is made by this process alone
 
     @staticmethod
@@ -97,6 +100,7 @@ class SimOptions:
         radius: float = RADIUS_M, lockstep: bool = False, live: bool = False, port: int = 14540,
         uncertainty: str = "agreement", firmware: Path | None = None, blind_speed: float = BLIND_MPS,
         camera_errors: str | None = None, pose: str = "stream", calibration: Path | None = None,
+        range_up: float | None = None,
     ) -> SimOptions:  # fmt: skip
         """Validate the options of the command line. Raises UsageError with one line."""
         mapper = OLD_NAMES.get(mapper, mapper)
@@ -116,8 +120,9 @@ class SimOptions:
             raise UsageError(f"--radius {radius}: want {RADII_M[0]} to {RADII_M[1]} metres")
         if not SLOWEST_MPS <= blind_speed <= MAX_MPS:
             raise UsageError(f"--blind-speed {blind_speed}: want {SLOWEST_MPS} to {MAX_MPS} m/s")
+        check_range_up(range_up)
         if firmware is not None:
-            _check_firmware(firmware, autopilot, mount, port, lockstep, pose)
+            _check_firmware(firmware, autopilot, mount, port, lockstep, pose, range_up)
         s = _numbers("start", "X,Y,Z,YAW", start, 4)
         f = _numbers("fence", "X0,Y0,Z0,X1,Y1,Z1", fence, 6)
         if s is not None and not abs(s[3]) <= MAX_YAW_DEG:
@@ -137,7 +142,7 @@ class SimOptions:
             lockstep=lockstep, live=live, port=port, uncertainty=uncertainty,
             firmware=None if firmware is None else firmware.absolute(), blind_speed_mps=blind_speed,
             pose=pose, camera_errors=camera_error_scale(camera_errors), dated=out is None,
-            calibration=None if calibration is None else calibration.absolute(),
+            calibration=None if calibration is None else calibration.absolute(), range_up_deg=range_up,
         )  # fmt: skip
 
     @property
@@ -210,7 +215,7 @@ class SimOptions:
             depth_noise=cast("Noise", self.depth_noise), camera=cast("Model", self.camera), port=self.port,
             stream=str(runtime / "camera.stream"),
             truth=str(self.out / "truth.npz"), firmware=None if self.firmware is None else str(self.firmware),
-            camera_errors=self.camera_errors, onboard_poses=self.pose == "autopilot",
+            camera_errors=self.camera_errors, onboard_poses=self.pose == "autopilot", range_up_deg=self.range_up_deg,
         )  # fmt: skip
 
     def config(self, scene: Scene, runtime: Path) -> Config:
@@ -261,6 +266,7 @@ class SimOptions:
                 **({} if self.calibration is None else {"calibration": str(self.calibration)}),
             },
             "voxels": {"takeoff_top_m": max(free_height_m(scene, clearance_m + COLUMN_MARGIN_M) - COLUMN_TOP_M, 0.1)},
+            "range_up": {} if self.range_up_deg is None else {"fov_deg": self.range_up_deg, "position_body_m": list(MOUNT_M)},
             "mapper": {"seed": self.seed, "uncertainty": self.uncertainty},
             "planner": {
                 "variant": self.variant,
@@ -298,6 +304,12 @@ def memory_gb() -> float:
     return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / 1e9
 
 
+def check_range_up(fov_deg: float | None) -> None:
+    """Check the cone of a range finder that looks up. Raises UsageError."""
+    if fov_deg is not None and not RANGE_UP_DEG[0] <= fov_deg <= RANGE_UP_DEG[1]:
+        raise UsageError(f"--range-up {fov_deg:g}: want {RANGE_UP_DEG[0]:g} to {RANGE_UP_DEG[1]:g} degrees")
+
+
 def check_program(firmware: Path) -> None:
     """Check a firmware binary. Raises UsageError if it cannot be started."""
     with readable(f"--firmware {firmware}"):
@@ -308,13 +320,17 @@ def check_program(firmware: Path) -> None:
         raise UsageError(f"--firmware {firmware}: not executable")
 
 
-def _check_firmware(firmware: Path, autopilot: str, mount: str, port: int, lockstep: bool, pose: str) -> None:
+def _check_firmware(
+    firmware: Path, autopilot: str, mount: str, port: int, lockstep: bool, pose: str, range_up: float | None
+) -> None:
     """Check a firmware with the other options. Raises UsageError if it cannot fly with them."""
     check_program(firmware)
     if lockstep:
         raise UsageError("--firmware: flies in real time only; leave out --lockstep")
     if pose == "autopilot":
         raise UsageError("--pose autopilot: needs the simulated autopilot; leave out --firmware")
+    if range_up is not None:
+        raise UsageError("--range-up: needs the simulated autopilot; leave out --firmware")
     if mount == "gimbal":
         raise UsageError("--firmware: needs --mount fixed:DEG; the firmware's simulation has no gimbal")
     if autopilot == "px4" and port != PX4_PORT:

@@ -26,6 +26,7 @@ from sitl.apps.sim_options import (
     UsageError,
     camera_error_scale,
     check_jobs,
+    check_range_up,
 )
 from sitl.apps.sweep_case import Case, Record, fly_case, one_thread
 from sitl.runtime.worker_pool import worker_pool
@@ -66,13 +67,14 @@ class SweepOptions:
     json: Path | None
     truth: bool
     camera_errors: float
+    range_up_deg: float | None = None
 
     @staticmethod
     def parse(
         *, flights: int = 500, seed0: int = 0, scenes: str = RANDOM, radii: str = "0.20", variants: str = "adaptive",
         mount: str = "fixed:15", autopilot: str = "px4", pose: str = "stream", camera: str = "fast",
         views: int | None = None, jobs: int = 2, json: Path | None = None, truth: bool = False,
-        camera_errors: str | None = None,
+        camera_errors: str | None = None, range_up: float | None = None,
     ) -> SweepOptions:  # fmt: skip
         """Validate the options of the command line. Raises UsageError with one line."""
         try:
@@ -94,11 +96,12 @@ class SweepOptions:
                 mount_pitch_deg(word)
         autopilots = AUTOPILOTS if autopilot == BOTH else (autopilot,)
         errors = camera_error_scale(camera_errors)
+        check_range_up(range_up)
         words, jobs = tuple(scenes.split(",")), check_jobs(jobs)
         for word in words:
             _check_scene(word)
         return SweepOptions(
-            flights, seed0, words, sizes, names, mounts, autopilots, pose, camera, views, jobs, json, truth, errors
+            flights, seed0, words, sizes, names, mounts, autopilots, pose, camera, views, jobs, json, truth, errors, range_up
         )
 
     def cases(self) -> Iterator[Case]:
@@ -108,7 +111,19 @@ class SweepOptions:
             seed, place = self.seed0 + number // len(round_of), round_of[number % len(round_of)]
             autopilot, mount, variant, radius_m, word = place
             scene = f"{word}:{seed}" if word in KINDS else None if word == BUILT_IN else word
-            yield Case(scene, seed, radius_m, variant, mount, self.camera, self.views, autopilot, self.camera_errors, self.pose)
+            yield Case(
+                scene,
+                seed,
+                radius_m,
+                variant,
+                mount,
+                self.camera,
+                self.views,
+                autopilot,
+                self.camera_errors,
+                self.pose,
+                self.range_up_deg,
+            )
 
 
 def _check_scene(word: str) -> None:

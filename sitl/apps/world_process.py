@@ -38,6 +38,7 @@ from sitl.truth.hull_clearance import HullClearance
 from sitl.world.onboard_tracker import OnboardTracker
 from sitl.world.pose_tracker import SimulatedTracker
 from sitl.world.quadrotor import AirframeDynamics, Quadrotor
+from sitl.world.range_finder import UpwardRangeFinder
 from sitl.world.step_sizes import FINE_STEPS, StepSizes
 from uav_recon import json_codec
 from uav_recon.sensors.stream_format import StreamWriter
@@ -67,6 +68,7 @@ class WorldOptions:
     truth: str
     firmware: str | None = None  # path of a real firmware, which flies in real time
     onboard_poses: bool = False  # the poses go to the autopilot in place of the stream
+    range_up_deg: float | None = None  # angle of the cone of a range finder that looks up; None: there is none
     camera_errors: float = 0.0  # scale of the errors of the camera, which the seed draws; 0: the exact camera
 
     def save(self, path: Path) -> None:
@@ -122,6 +124,8 @@ def _assemble(
     pitch_rad = None if options.mount_pitch_down_deg is None else math.radians(options.mount_pitch_down_deg)
     stream = StreamWriter(Path(options.stream), camera.header)
     tracker = SimulatedTracker(options.seed)
+    if options.range_up_deg is not None and isinstance(flyer, Autopilot):
+        flyer.mount_range_finder(UpwardRangeFinder(scene, options.seed, math.radians(options.range_up_deg)))
     onboard = OnboardTracker(options.seed, flyer.fuse_own) if options.onboard_poses and isinstance(flyer, Autopilot) else None
     return OutsideWorld(flyer, camera, tracker, clearance, stream, now_s(), pitch_rad, pace, errors, onboard)
 

@@ -19,6 +19,7 @@ from sitl.geometry.quaternion import Quat, Vec3, conjugate, rotate
 from sitl.world.imu import Imu
 from sitl.world.pose_tracker import PoseRecord
 from sitl.world.quadrotor import Quadrotor
+from sitl.world.range_finder import UpwardRangeFinder
 
 _SLOW_S = 0.02  # period of commander and barometer (50 Hz)
 
@@ -177,6 +178,10 @@ class Autopilot(ABC):
         """Set the state of charge, 0 to 1."""
         self._board.battery.fraction = fraction
 
+    def mount_range_finder(self, sensor: UpwardRangeFinder) -> None:
+        """Connect a range finder that looks up."""
+        self._board.range_finder = sensor
+
     def fuse_own(self, pose: PoseRecord) -> None:
         """Fuse a pose of the autopilot's own tracking system: z up, stamp on the world clock."""
         b = self._board
@@ -243,8 +248,10 @@ class Autopilot(ABC):
         v.step(self._step_s, rotate(v.quat_wxyz, in_body), -turn, self._commander.armed)
 
     def _sense_slowly(self, dt_s: float) -> None:
-        """Update barometer and battery."""
+        """Update barometer, range finder and battery."""
         b = self._board
+        if b.range_finder is not None:
+            b.range_finder.step(b.now_s, self.vehicle.position, self.vehicle.quat_wxyz)
         b.estimator.correct_baro(self._imu.altitude(self.vehicle.position[2]), dt_s)
         b.battery.step(dt_s, self._commander.armed and not self._landed)
 

@@ -10,6 +10,7 @@ from sitl.autopilots.autopilot_state import AutopilotState
 from sitl.autopilots.mavlink_codec import Packet, packet
 from sitl.autopilots.position_controller import ControlSetpoint
 from sitl.geometry.quaternion import euler_of
+from sitl.world.range_finder import RANGE_M, UpwardRangeFinder
 
 SENSORS = (
     mavlink.MAV_SYS_STATUS_SENSOR_3D_GYRO
@@ -89,6 +90,13 @@ class BaseMessages:
             0, 0, self._board.boot_ms, mavlink.GIMBAL_DEVICE_FLAGS_YAW_IN_VEHICLE_FRAME,
             [math.cos(half), 0.0, math.sin(half), 0.0], 0.0, g.pitch_rate, 0.0, 0, 0.0, 0.0, 1,
         )  # fmt: skip
+
+    def _distance_up(self, sensor: UpwardRangeFinder, boot_ms: int) -> Packet:
+        """Return DISTANCE_SENSOR of a sensor that looks up, without field of view and quality."""
+        low_m, high_m = RANGE_M
+        kind, up = mavlink.MAV_DISTANCE_SENSOR_LASER, mavlink.MAV_SENSOR_ROTATION_PITCH_90
+        cm = (round(100.0 * low_m), round(100.0 * high_m), round(100.0 * sensor.range_m))
+        return packet(mavlink.MAVLink_distance_sensor_message, boot_ms, *cm, kind, 0, up, 0)
 
     def _health(self, ready: bool, more: int = 0, healthy: int = 0) -> Packet:
         """Return SYS_STATUS: sensors, battery and the PREARM bit.

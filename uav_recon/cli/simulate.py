@@ -104,6 +104,14 @@ def sim(
             "direction of travel on long segments. 1.2 disables the limit; flights are then about a third shorter.",
         ),
     ] = 0.3,
+    range_up: Annotated[
+        float | None,
+        typer.Option(
+            metavar="DEG", rich_help_panel=VEHICLE,
+            help="Add a range finder of 4 m that looks up. DEG is the whole angle of its cone, 5 to 60 degrees: 27 is that of "
+            "a small time-of-flight sensor. What it finds empty becomes known free space.",
+        ),
+    ] = None,
     camera: Annotated[
         str | None,
         typer.Option(
@@ -223,7 +231,7 @@ def sim(
                 scene=scene, start=start, fence=fence, views=views, seed=seed, out=out, autopilot=autopilot, variant=variant,
                 mount=mount, depth_noise=depth_noise, camera=camera, mapper=mapper, uncertainty=uncertainty, radius=radius,
                 lockstep=lockstep, live=live, port=port, firmware=firmware, blind_speed=blind_speed,
-                camera_errors=camera_errors, pose=pose, calibration=calibration,
+                camera_errors=camera_errors, pose=pose, calibration=calibration, range_up=range_up,
             ),
             json,
         )
@@ -274,6 +282,9 @@ def sweep(
     ] = "stream",
     camera: CameraOption = "fast",
     camera_errors: CameraErrorsOption = None,
+    range_up: Annotated[
+        float | None, typer.Option(metavar="DEG", help="Add a range finder that looks up; see `sim --help`.")
+    ] = None,
     views: Annotated[int | None, typer.Option(min=4, max=5000, help="View budget. Default: as `sim`.")] = None,
     jobs: Annotated[int, typer.Option(min=1, max=256, help="Parallel processes; each uses one core.")] = 2,
     json: Annotated[
@@ -298,7 +309,8 @@ def sweep(
         lambda: fly_all(
             SweepOptions.parse(
                 flights=flights, seed0=seed0, scenes=scenes, radii=radii, variants=variants, mount=mount, autopilot=autopilot,
-                pose=pose, camera=camera, views=views, jobs=jobs, json=json, truth=truth, camera_errors=camera_errors,
+                pose=pose, camera=camera, views=views, jobs=jobs, json=json, truth=truth,
+                camera_errors=camera_errors, range_up=range_up,
             )
         )
     )  # fmt: skip

@@ -52,6 +52,7 @@ class ArduPilotMessages(BaseMessages):
             mavlink.MAVLINK_MSG_ID_HOME_POSITION: (self.home_position, 0.0),
             mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: (self.global_origin, 0.0),
             mavlink.MAVLINK_MSG_ID_GIMBAL_DEVICE_ATTITUDE_STATUS: (self.gimbal_attitude, 0.0),
+            mavlink.MAVLINK_MSG_ID_DISTANCE_SENSOR: (self.distance_sensor, 0.0),
             mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION: (self.version, 0.0),
         }
 
@@ -107,6 +108,11 @@ class ArduPilotMessages(BaseMessages):
         elif self._s.commander.mode is ArduPilotMode.LAND:
             half = mavlink.MAV_LANDED_STATE_LANDING
         return self._landed_state(flight.landed, half)
+
+    def distance_sensor(self) -> Packet | None:
+        """Return DISTANCE_SENSOR: newest measurement, time of sending; None without a sensor."""
+        sensor = self._s.range_finder
+        return None if sensor is None or sensor.measured_s < 0.0 else self._distance_up(sensor, self._s.boot_ms)
 
     def version(self) -> Packet:
         """Return AUTOPILOT_VERSION of ArduCopter 4.8.0-dev."""

@@ -32,6 +32,7 @@ class Px4Messages(BaseMessages):
     def __init__(self, state: Px4State) -> None:
         super().__init__(state)
         self._s = state
+        self._range_sent_s = -math.inf
 
     def rates(self) -> dict[int, tuple[Callable[[], Packet | None], float]]:
         """Return (builder, default rate in Hz) by message id; rate 0 is sent on request only."""
@@ -50,6 +51,7 @@ class Px4Messages(BaseMessages):
             mavlink.MAVLINK_MSG_ID_HOME_POSITION: (self.home_position, 0.5),
             mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: (self.global_origin, 1.0),
             mavlink.MAVLINK_MSG_ID_GIMBAL_DEVICE_ATTITUDE_STATUS: (self.gimbal_attitude, 30.0),
+            mavlink.MAVLINK_MSG_ID_DISTANCE_SENSOR: (self.distance_sensor, 10.0),
             mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION: (self.version, 0.0),
         }
 
@@ -110,6 +112,14 @@ class Px4Messages(BaseMessages):
     def extended_sys_state(self) -> Packet:
         """Return EXTENDED_SYS_STATE: the landed state."""
         return self._landed_state(self._s.flight.landed, _HALF_LIFTED.get(self._s.commander.mode))
+
+    def distance_sensor(self) -> Packet | None:
+        """Return DISTANCE_SENSOR with the time of the measurement, once for each; None without one."""
+        sensor = self._s.range_finder
+        if sensor is None or not sensor.measured_s > self._range_sent_s:
+            return None
+        self._range_sent_s = sensor.measured_s
+        return self._distance_up(sensor, round((sensor.measured_s - self._s.boot_s) * 1e3) & 0xFFFFFFFF)
 
     def version(self) -> Packet:
         """Return AUTOPILOT_VERSION of PX4 1.17.0."""

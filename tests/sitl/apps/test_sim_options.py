@@ -14,7 +14,7 @@ from sitl.apps.sim_options import BUILT_IN_VIEWS, SCENE_VIEWS, SimOptions, Usage
 from sitl.apps.world_process import WorldOptions
 from sitl.camera.camera_errors import DEFAULT_SCALE, CameraErrors
 from sitl.scene.scene import Scene
-from uav_recon.config import load
+from uav_recon.config import RangeUpConfig, load
 from uav_recon.motion.yaw_policy import AT_VIEWS, YawAlongPath, yaw_policy_of
 
 SCENE = Scene(
@@ -36,6 +36,8 @@ def test_the_defaults_are_the_built_in_room_with_a_tilted_d435i() -> None:
     [
         ({"mount": "fixed:61"}, "-60 to 60"),
         ({"mount": "swivel"}, "gimbal"),
+        ({"range_up": 4.9}, "--range-up 4.9: want 5 to 60 degrees"),
+        ({"range_up": math.nan}, "--range-up nan: want 5 to 60 degrees"),
         ({"mapper": "none"}, "neural, depth-only"),
         ({"mapper": "depth-only"}, "lockstep"),
         ({"mapper": "stand-in"}, "--mapper depth-only: needs --lockstep"),
@@ -105,6 +107,7 @@ def test_an_unusable_firmware_is_a_one_line_error(tmp_path: Path) -> None:
         ({"firmware": program, "lockstep": True}, "real time"),
         ({"firmware": program, "mount": "gimbal"}, "fixed:DEG"),
         ({"firmware": program, "port": 15000}, "14540"),
+        ({"firmware": program, "range_up": 27.0}, "--range-up: needs the simulated autopilot"),
     ):
         with pytest.raises(UsageError, match=named) as failure:
             SimOptions.parse(**words)
@@ -141,6 +144,14 @@ def test_a_gimbal_is_set_in_world_and_product(tmp_path: Path) -> None:
     options = SimOptions.parse(mount="gimbal")
     assert options.world(tmp_path).mount_pitch_down_deg is None
     assert options.config(SCENE, tmp_path).camera.mount == "gimbal"
+
+
+def test_a_range_finder_is_set_in_world_and_product(tmp_path: Path) -> None:
+    options = SimOptions.parse(range_up=27.0)
+    assert options.world(tmp_path).range_up_deg == 27.0
+    assert options.config(SCENE, tmp_path).range_up == RangeUpConfig(fov_deg=27.0, position_body_m=(0.0, 0.0, 0.05))
+    assert SimOptions.parse().world(tmp_path).range_up_deg is None
+    assert SimOptions.parse().config(SCENE, tmp_path).range_up == RangeUpConfig()
 
 
 def test_the_world_options_are_read_back_unchanged(tmp_path: Path) -> None:

@@ -54,6 +54,7 @@ def test_mounts_and_autopilots_are_combined_and_each_case_repeats_its_own() -> N
     [
         ({"radii": "0.2,x"}, "radii"),
         ({"radii": "9"}, "radii"),
+        ({"range_up": 61.0}, "--range-up 61: want 5 to 60 degrees"),
         ({"variants": "fast"}, "variants"),
         ({"camera": "d415"}, "camera"),
         ({"camera_errors": "many"}, "--camera-errors many: want none, default or a factor of 0 to 2"),
@@ -92,6 +93,16 @@ def test_the_cases_have_the_camera_errors_of_the_sweep_and_old_records_have_none
     tree = json_codec.to_tree(BROKEN)
     del tree["camera_errors"]
     assert json_codec.from_tree(Case, tree).camera_errors == 0.0
+
+
+def test_the_cases_have_the_range_finder_of_the_sweep_and_old_records_have_none() -> None:
+    (case,) = SweepOptions.parse(flights=1, range_up=27.0).cases()
+    assert "--range-up 27" in case.command()
+    (without,) = SweepOptions.parse(flights=1).cases()
+    assert "--range-up" not in without.command()
+    tree = json_codec.to_tree(BROKEN)
+    del tree["range_up_deg"]
+    assert json_codec.from_tree(Case, tree).range_up_deg is None
 
 
 def test_a_record_is_read_back_unchanged() -> None:
