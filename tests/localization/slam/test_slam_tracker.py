@@ -268,6 +268,19 @@ def test_a_found_error_enters_the_poses_slowly() -> None:
     assert shown_m[-1] == pytest.approx(0.12)
 
 
+def test_poses_that_still_contain_a_found_error_are_doubted() -> None:
+    """Depth does not fit earlier views while an error of 12 cm is taken out of the poses at 0.1 m/s."""
+    tracker, told = SlamTracker(), list[PoseHealth]()
+    fly(tracker, frames(0.8))
+    tracker._release(np.array([0.12, 0.0, 0.0]), 0.1)
+    for n in range(10):
+        pose = tracker._pose(10.0 + 0.1 * n, _found(0.01, 0.005))
+        assert pose is not None
+        told.append(pose.health)
+        tracker._release(np.zeros(3), 0.1)
+    assert told == [PoseHealth.DEGRADED] * 6 + [PoseHealth.GOOD] * 4
+
+
 @pytest.mark.parametrize("unsure", [False, True])
 def test_what_a_view_corrects_after_doubt_enters_the_poses_slowly(unsure: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """While the place is sure, the view corrects the prediction by millimetres in each frame, and the poses follow at once."""

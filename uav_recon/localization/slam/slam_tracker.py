@@ -50,6 +50,7 @@ _WAY_BACK_S = 1.5  #: reject: time of the way back, after the newest pose that w
 _DOUBT_M = 0.08
 _DRIFT_MPS = 0.004  # growth of the uncertainty with the flight, which no way back reduces
 _BLIND_M = 0.04  #: retreat: the place is more uncertain than this against the track: the view has not shown it for 0.7 s
+_LEFT_M = 0.05  #: retreat: until less than this of a found error is not yet in the poses
 _SURE_AGAIN_SHARE = 0.85  #: retreat: until both are less than this share of their limits
 # a found error is taken out of the poses at this speed: faster, they would contradict the inertial samples of the autopilot
 _RELEASE_MPS = 0.1
@@ -389,9 +390,10 @@ class SlamTracker:
             return None
         quality = max(round(_quality(found) * min(_DOUBT_M / sigma_m, 1.0)), 1)
         pose = replace(self._stamped(stamp_s, sigma_m), quality=quality)
-        if not self._unsure:
+        left_m = float(np.linalg.norm(self._unreleased_m))
+        if not self._unsure and left_m <= _LEFT_M:
             return pose
-        return replace(pose, health=PoseHealth.DEGRADED, why=Reason(ReasonCode.PLACE_UNSURE, (sigma_m,)))
+        return replace(pose, health=PoseHealth.DEGRADED, why=Reason(ReasonCode.PLACE_UNSURE, (math.hypot(sigma_m, left_m),)))
 
     def _stamped(self, stamp_s: float, sigma_m: float = 0.0) -> StampedPose:
         assert self._state is not None
