@@ -181,7 +181,7 @@ class DepthConsistencyMonitor:
         return _fits(then) and self._past_views.loss_aside(then, *seen[1:]) >= _MIN_SHIFT_LOSS_SHARE
 
     def forget_drift(self) -> None:
-        """Measure drift anew: the source of the poses corrects its place."""
+        """Forget the drift that was measured: the source of the poses corrects its place."""
         self._drift_rate.forget()
 
     @property

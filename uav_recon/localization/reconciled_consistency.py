@@ -37,7 +37,7 @@ class ReconciledConsistency:
         return in_map if in_odom is not None else None
 
     def forget_drift(self) -> None:
-        """Measure drift anew: the source of the poses corrects its place."""
+        """Forget the drift that was measured: the source of the poses corrects its place."""
         self._mapped.forget_drift()
         self._plain.forget_drift()
 
