@@ -6,7 +6,7 @@ import itertools
 import math
 import os
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import cast, get_args
 
@@ -46,13 +46,6 @@ MAX_COORDINATE_M = 1e5
 MAX_YAW_DEG = 360.0
 BLIND_MPS = 0.3  # default speed limit outside the camera's view; MAX_MPS disables it
 SLOWEST_MPS = 0.1  # its minimum
-# outside the view: full speed up to the first age of the last free sight, blind_speed_mps from the second on
-SIGHT_AGES_S = (3.0, 10.0)
-SIGHT_AGES_BY_SOURCE_S = {"slam": (0.0, 0.1)}  # the embedded SLAM needs a camera that looks ahead
-MAX_TURN_DEGPS = 60.0  # by the guard
-# the embedded SLAM knows its place for a second past a bare wall: it turns past it in half of that
-TURNS_BY_SOURCE = {"slam": {"yaw_rate_degps": 80.0, "yaw_acceleration_degps2": 200.0}}
-MAX_TURN_BY_SOURCE_DEGPS = {"slam": 100.0}
 BLIND_MEMORY_S = 60.0  # space above and below a fixed camera's view was mostly seen more than 10 s ago
 COLUMN_MARGIN_M = 0.10  # beyond the planning clearance, round the column above the pad that the operator sees to be free
 COLUMN_TOP_M = 0.05  # below the ceiling: half a voxel
@@ -60,6 +53,25 @@ FENCE_MARGIN_M = 0.10  # between hull and fence, for position errors of the vehi
 RANGE_UP_DEG = (5.0, 60.0)  # whole angle of the cone of a range finder that looks up
 JOB_GB = 0.8  # memory of a process that flies in lockstep
 NOISE_PX = {"d435i": 0.04, "paper": 0.004, "kinect": 0.02, "none": 0.001}  # rms disparity error at 424 pixels
+
+
+@dataclass(frozen=True)
+class FlightLimits:
+    """Limits that a pose source needs.
+
+    fresh_s, stale_s: outside the view, full speed up to the first age of the last free sight, blind_speed_mps from the second
+    on. max_yaw_rate_degps: of the guard. motion: of the config.
+    """
+
+    fresh_s: float = 3.0
+    stale_s: float = 10.0
+    max_yaw_rate_degps: float = 60.0
+    motion: dict[str, float] = field(default_factory=dict)
+
+
+# the embedded SLAM needs a camera that looks ahead, and knows its place for a second past a bare wall: it turns past it in half
+# of that
+LIMITS_BY_SOURCE = {"slam": FlightLimits(0.0, 0.1, 100.0, {"yaw_rate_degps": 80.0, "yaw_acceleration_degps2": 200.0})}
 
 
 @dataclass(frozen=True)
@@ -223,7 +235,7 @@ class SimOptions:
         gimbal = self.mount_pitch_down_deg is None
         noise_px = NOISE_PX[self.depth_noise] / (2.0 if self.camera in ("fast", "small") else 1.0)
         clearance_m = max(SMALLEST_CLEARANCE_M, self.radius_m + HULL_MARGIN_M)
-        fresh_s, stale_s = SIGHT_AGES_BY_SOURCE_S.get(self.pose, SIGHT_AGES_S)
+        limits = LIMITS_BY_SOURCE.get(self.pose, FlightLimits())
         tree = {
             "safety": {
                 "fence_min_m": [float(x) for x in scene.fence_min],
@@ -232,14 +244,14 @@ class SimOptions:
                 "fence_inset_m": self.radius_m + FENCE_MARGIN_M,
                 "max_speed_mps": MAX_MPS,
                 "max_acceleration_mps2": 2.0,
-                "max_yaw_rate_degps": MAX_TURN_BY_SOURCE_DEGPS.get(self.pose, MAX_TURN_DEGPS),
+                "max_yaw_rate_degps": limits.max_yaw_rate_degps,
                 "vehicle_radius_m": self.radius_m,
                 "vehicle_height_m": HULL_HEIGHT_M,
                 "stop_clearance_m": 0.1,
                 "fast_clearance_m": 0.4,
                 "blind_speed_mps": self.blind_speed_mps,
-                "blind_fresh_s": fresh_s,
-                "blind_stale_s": stale_s,
+                "blind_fresh_s": limits.fresh_s,
+                "blind_stale_s": limits.stale_s,
                 "blind_memory_s": BLIND_MEMORY_S,
                 "retreat_speed_mps": 0.3,
                 "silence_way_m": 0.45,
@@ -272,7 +284,7 @@ class SimOptions:
                 "variant": self.variant,
                 "clearance_m": clearance_m,
             },
-            "motion": TURNS_BY_SOURCE.get(self.pose, {}),
+            "motion": limits.motion,
             "mission": {"views": self.views, "autostart": True},
             "recording": {"folder": str(self.out), "live": self.live, "rerun": self.mapper == "neural" or self.live},
             "runtime": {"folder": str(runtime)},

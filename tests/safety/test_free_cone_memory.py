@@ -41,13 +41,13 @@ def age_s(memory: FreeConeMemory, place_m: tuple[float, float, float], now_s: fl
     ],
 )
 def test_free_is_inside_the_cone_and_a_margin_before_its_end(place_m: tuple[float, float, float], inside: bool) -> None:
-    memory = FreeConeMemory(10.0)
+    memory = FreeConeMemory(10.0, before_m=0.05)
     memory.add(cone())
     assert age_s(memory, place_m, 6.0) == (1.0 if inside else math.inf)
 
 
 def test_the_newest_cone_around_a_place_counts_and_old_ones_do_not() -> None:
-    memory = FreeConeMemory(10.0)
+    memory = FreeConeMemory(10.0, before_m=0.05)
     place_m = (1.0, 0.0, 2.0)
     assert age_s(memory, place_m, 5.0) == math.inf
     memory.add(cone(5.0))
@@ -60,7 +60,7 @@ def test_the_newest_cone_around_a_place_counts_and_old_ones_do_not() -> None:
 
 
 def test_cones_are_stored_apart_and_last_for_the_whole_memory() -> None:
-    memory = FreeConeMemory(10.0)
+    memory = FreeConeMemory(10.0, before_m=0.05)
     memory.add(cone(5.0))
     memory.add(cone(5.05, (3.0, 0.0, 1.0)))
     assert age_s(memory, (3.0, 0.0, 2.0), 5.1) == math.inf, "it came too early after the one before"

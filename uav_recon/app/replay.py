@@ -165,8 +165,7 @@ class _Mapping:
         self._share = share
         sequence = self._wires.frames.sequence()
         posed = self._wires.frames.latest() if sequence != self._sequence else None
-        if posed is not None:
-            self._sequence = sequence
+        self._sequence = sequence
         if posed is not None and not posed.unsure:
             self._map(posed, posed.world_from_depth @ body_from_depth.inverse())
         if self.path_m and self._plan_rate.due(now_s):

@@ -205,7 +205,7 @@ class Perception:
         estimate = self._fusion.odom_at(frame.stamp_s)
         if estimate is None or estimate.quality == 0:
             return self._depth_consistency.rejection(frame, None)
-        if _is_unsure(estimate):
+        if estimate.unsure:
             self._depth_consistency.forget_drift()
             return self._depth_consistency.rejection(frame, None)
         motion = self._motion(frame.stamp_s, self._correction.registered(estimate), body_from_depth, self._registered_at)
@@ -260,10 +260,9 @@ class Perception:
         # Maps are in odom, which never jumps: near obstacles fit the recent map, even if the source corrects its map.
         # The mission would have to re-pose its keyframes by estimate.correction before it could map in the world.
         odom_from_depth = estimate.odom_from_body @ body_from_depth @ calibration.nominal_from_true
-        self._frames.publish(
-            PosedFrame(calibration.corrected(frame), odom_from_depth, estimate.map_epoch, _is_unsure(estimate))
-        )
-        if _is_unsure(estimate):
+        unsure = estimate.unsure is not None
+        self._frames.publish(PosedFrame(calibration.corrected(frame), odom_from_depth, estimate.map_epoch, unsure))
+        if unsure:
             self._drop(now_s, Reason(ReasonCode.DEPTH_FRAME_UNSURE))
         else:
             self.published_frames += 1
@@ -272,11 +271,6 @@ class Perception:
         body_from_depth = self._mount.body_from_depth(frame.stamp_s)
         if body_from_depth is not None:
             self._correction.add_frame(frame, body_from_depth)
-
-
-def _is_unsure(estimate: StampedPose) -> bool:
-    """Return True if the source of the poses is uncertain of the place."""
-    return estimate.why is not None and estimate.why.code is ReasonCode.PLACE_UNSURE
 
 
 def warm_up() -> None:

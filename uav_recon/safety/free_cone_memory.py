@@ -10,14 +10,17 @@ from uav_recon.types.frames import FloatArray
 from uav_recon.types.free_cone import FreeCone
 
 _CONES = 160  #: internal: stored cones, spread over blind_memory_s
-_BEFORE_M = 0.05  #: refuse: a motion outside the view into space nearer than this to the end of a free cone
 
 
 class FreeConeMemory:
-    """The last free cones; empty without a range finder."""
+    """The last free cones; empty without a range finder.
 
-    def __init__(self, memory_s: float) -> None:
+    before_m: what is nearer than this to the end of a cone does not count as free.
+    """
+
+    def __init__(self, memory_s: float, *, before_m: float) -> None:
         self._memory_s = memory_s
+        self._before_m = before_m
         self._count = 0
         self._stamp_s = np.full(_CONES, -math.inf)
         self._apex_m = np.zeros((_CONES, 3))
@@ -33,7 +36,7 @@ class FreeConeMemory:
         self._count = self._count + 1
         self._stamp_s[n] = cone.stamp_s
         self._apex_m[n], self._axis[n] = cone.apex_odom_m, cone.axis_odom
-        self._cos[n], self._reach_m[n] = math.cos(cone.half_angle_rad), cone.reach_m - _BEFORE_M
+        self._cos[n], self._reach_m[n] = math.cos(cone.half_angle_rad), cone.reach_m - self._before_m
 
     def forget(self) -> None:
         """Forget all cones after a jump of odom."""

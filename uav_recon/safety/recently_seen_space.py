@@ -34,7 +34,7 @@ class RecentlySeenSpace:
         self._body_m = np.full((_VIEWS, 3), math.inf)
         self._range_m: FloatArray = np.zeros((_VIEWS, 1, 1))
         self._half_tan = np.ones(2)
-        self._cones = FreeConeMemory(blind_memory_s)
+        self._cones = FreeConeMemory(blind_memory_s, before_m=_BEFORE_M)
 
     def add(self, nearby: MinRangeGrid, odom_from_body: Pose) -> None:
         """Store a frame taken from this pose."""

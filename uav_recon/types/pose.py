@@ -12,6 +12,7 @@ import numpy as np
 
 from uav_recon.types.frames import FloatArray, frozen
 from uav_recon.types.reason import Reason
+from uav_recon.types.reason_code import ReasonCode
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -179,6 +180,12 @@ class StampedPose:
     def __post_init__(self) -> None:
         object.__setattr__(self, "velocity_odom_mps", frozen(np.asarray(self.velocity_odom_mps, dtype=np.float64)))
         object.__setattr__(self, "covariance", frozen(np.asarray(self.covariance, dtype=np.float64)))
+
+    @property
+    def unsure(self) -> Reason | None:
+        """Reason why the source is uncertain of the place, None if it is not."""
+        told = self.health is PoseHealth.DEGRADED and self.why is not None and self.why.code is ReasonCode.PLACE_UNSURE
+        return self.why if told else None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -15,7 +15,7 @@ from uav_recon.interfaces import Channel
 from uav_recon.safety.pose_gate import PoseGate
 from uav_recon.types.pose import PoseHealth, StampedPose
 from uav_recon.types.reason import Reason
-from uav_recon.types.reason_code import AXES, ReasonCode
+from uav_recon.types.reason_code import AXES
 
 T = TypeVar("T")
 
@@ -72,8 +72,7 @@ class PoseFeed:
     @property
     def unsure(self) -> Reason | None:
         """Reason why the source of the poses is uncertain of the place, None if it is not."""
-        why = self._why(PoseHealth.DEGRADED)
-        return why if why is not None and why.code is ReasonCode.PLACE_UNSURE else None
+        return None if self.pose is None else self.pose.unsure
 
     @property
     def misleads(self) -> bool:

@@ -25,7 +25,7 @@ _MAX_TILT_DEG = 10.0  #: reject: a reading of the upward range finder while the 
 _AIM_DEG = 2.0
 #: reject: what the upward range finder sees free nearer to its reading, at the speed of flight: ArduPilot sends it again as new
 _LATE_S = 0.1
-_ERROR_SIGMAS = 3.0  #: reject: what the upward range finder sees free nearer to its reading, in range_up.error_share
+_ERROR_SIGMAS = 3.0  #: reject: what the upward range finder sees free nearer to its reading, in errors of the sensor
 #: reject: a reading of the upward range finder that equals as many before it: a frozen one frees no voxel, as that takes four
 _MAX_EQUAL = 3
 

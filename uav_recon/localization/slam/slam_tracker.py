@@ -50,7 +50,7 @@ _WAY_BACK_S = 1.5  #: reject: time of the way back, after the newest pose that w
 _DOUBT_M = 0.08
 _DRIFT_MPS = 0.004  # growth of the uncertainty with the flight, which no way back reduces
 _BLIND_M = 0.04  #: retreat: the place is more uncertain than this against the track: the view has not shown it for 0.7 s
-_LEFT_M = 0.05  #: retreat: until less than this of a found error is not yet in the poses
+_LEFT_M = 0.05  #: retreat: while more than this of a found error is not yet in the poses; not tuned
 _SURE_AGAIN_SHARE = 0.85  #: retreat: until both are less than this share of their limits
 # a found error is taken out of the poses at this speed: faster, they would contradict the inertial samples of the autopilot
 _RELEASE_MPS = 0.1
