@@ -89,6 +89,14 @@ def test_waiting_counts_from_take_off_to_the_last_view(tmp_path: Path) -> None:
     assert report.waiting_share == pytest.approx((0.5 + 1.0 + 0.1) / 20.0)
 
 
+def test_what_only_a_simulator_knows_is_not_given(tmp_path: Path) -> None:
+    FlightLog(tmp_path).close()
+    report = build_report(tmp_path, CARD, 1.0)
+    assert (report.safety.contacts, report.safety.failsafes, report.stream.rate_hz) == (None, None, None)
+    publish(report, tmp_path)
+    assert "<th>Failsafes of the autopilot</th><td>–</td>" in (tmp_path / "report.html").read_text(encoding="utf-8")
+
+
 def test_without_a_view_there_is_no_waiting_share(tmp_path: Path) -> None:
     log = FlightLog(tmp_path)
     log.phase(10.0, "take-off", None)

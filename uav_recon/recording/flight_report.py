@@ -61,7 +61,7 @@ def build_report(folder: Path, card: FlightInfo, wall_s: float) -> Report:
         quality=None,
         planning=_planning(timeline),
         stream=ReportStream(None, None, None),
-        safety=ReportSafety(None, None, None, None, None, refusals=len(timeline.refusals), failsafes=0),
+        safety=ReportSafety(None, None, None, None, None, refusals=len(timeline.refusals), failsafes=None),
         refused_views=dict(timeline.refused_views[-1].counts) if timeline.refused_views else None,
         reduced_speed_s=timeline.reduced_speed_s(min(stamps_s), max(stamps_s)) if stamps_s else {},
         rejected_by_perception=dict(timeline.perception[-1].counts) if timeline.perception else None,

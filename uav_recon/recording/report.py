@@ -105,9 +105,9 @@ class ReportStream:
 class ReportSafety:
     """Clearance, contacts, rejections and failsafes of a flight.
 
-    Clearance and contacts are measured from the hull against the simulator's ground truth (null without it). way_in_sight:
-    share of the path inside the camera's field of view; way_in_sight_nose_first: the share if the vehicle always yawed into
-    the direction of motion (both null without ground truth, or with a gimbal).
+    Clearance and contacts are measured from the hull against the simulator's ground truth; failsafes are those of the simulated
+    autopilot (all null without a simulator). way_in_sight: share of the path inside the camera's field of view;
+    way_in_sight_nose_first: the share if the vehicle always yawed into the direction of motion (both null without ground truth, or with a gimbal).
     """
 
     min_clearance_m: float | None
@@ -116,7 +116,7 @@ class ReportSafety:
     way_in_sight: float | None
     way_in_sight_nose_first: float | None
     refusals: int
-    failsafes: int
+    failsafes: int | None
 
 
 @dataclass(frozen=True, slots=True)

@@ -225,7 +225,7 @@ def _safety(report: Report) -> str:
             ("Proposals the guard refused", str(safety.refusals)),
             ("Way into the camera's sight", _percent(safety.way_in_sight)),
             ("... with the nose ahead it would be", _percent(safety.way_in_sight_nose_first)),
-            ("Failsafes", str(safety.failsafes)),
+            ("Failsafes of the autopilot", _number(safety.failsafes, 0, "")),
             ("Setpoint rate", _number(stream.rate_hz, 1, " Hz")),
             ("Gap, 99th percentile", _number(stream.gap_p99_ms, 0, " ms")),
             ("Gap, longest", _number(stream.gap_max_ms, 0, " ms")),

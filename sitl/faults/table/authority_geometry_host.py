@@ -149,7 +149,7 @@ TABLE_E = (
         "a second autopilot with the vehicle's own ID sends for 10 s: in our mode, armed and disarmed",
         lambda n: [SecondAutopilot(SecondAutopilot.OURS, armed=n % 2 == 0)],
         (holds(1.0), told(codes.TWO_AUTOPILOTS, within_s=1.0), NO_FAILSAFE, COMPLETES),
-        observe_s=180.0,
+        observe_s=240.0,
         views=SHORT_VIEWS,
     ),
     Scenario(
