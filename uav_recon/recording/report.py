@@ -107,7 +107,8 @@ class ReportSafety:
 
     Clearance and contacts are measured from the hull against the simulator's ground truth; failsafes are those of the simulated
     autopilot (all null without a simulator). way_in_sight: share of the path inside the camera's field of view;
-    way_in_sight_nose_first: the share if the vehicle always yawed into the direction of motion (both null without ground truth, or with a gimbal).
+    way_in_sight_nose_first: the share if the vehicle always yawed into the direction of motion (both null without ground truth,
+    or with a gimbal).
     """
 
     min_clearance_m: float | None
