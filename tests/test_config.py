@@ -1,6 +1,8 @@
 from __future__ import annotations
 
 import copy
+import errno
+import os
 from pathlib import Path
 from typing import Any
 
@@ -8,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from uav_recon.config import Config, ConfigError, SafetyConfig, Section, load, parse, save
+from uav_recon.config import Config, ConfigError, SafetyConfig, Section, load, parse, replace_text, save
 
 FLOWN = Path(__file__).parents[1] / "systemd" / "config.toml"
 
@@ -53,7 +55,23 @@ def _refused(tree: dict[str, Any]) -> str:
         ("link", "url", "udp:0.0.0.0:14540", "link.url: want one address"),
         ("link", "url", "serial:/dev/ttyS0:12345", "link.url: want one of 9600, 19200,"),
         ("link", "url", "serial:/dev/ttyS0:٩٦٠٠", "link.url: want udp:HOST:PORT or serial:DEVICE:BAUD"),
-        ("link", "peer_host", "anybody", "link.peer_host: want four numbers with dots between them (got 'anybody')"),
+        ("link", "peer_host", "any", "link.peer_host: want four numbers of 0 to 255 with dots between them (got 'any')"),
+        ("link", "peer_host", "999.999.999.999", "link.peer_host: want four numbers of 0 to 255 with dots between them"),
+        ("link", "peer_host", "1.2.3.٤", "link.peer_host: want four numbers of 0 to 255 with dots between them"),
+        ("safety", "max_speed_mps", True, "safety.max_speed_mps: want a number (got True)"),
+        ("safety", "max_speed_mps", "1.0", "safety.max_speed_mps: want a number (got '1.0')"),
+        ("safety", "fence_corners_m", [[True, 0.0]], "safety.fence_corners_m.0.0: want a number (got True)"),
+        ("camera", "position_body_m", [100, 0, 0], "camera.position_body_m.0: input should be less than or equal to 1 (got"),
+        ("camera", "position_body_m", [0, 0, "0"], "camera.position_body_m.2: want a number (got '0')"),
+        ("range_up", "position_body_m", [0, 0, -1.01], "range_up.position_body_m.2: input should be greater than or equal to"),
+        ("mapper", "seed", -1, "mapper.seed: input should be greater than or equal to 0 (got -1)"),
+        ("mission", "views", "20", "mission.views: want an integer (got '20')"),
+        ("mission", "views", True, "mission.views: want an integer (got True)"),
+        ("mission", "views", 20.5, "mission.views: want an integer (got 20.5)"),
+        pytest.param("mission", "views", 16**6000, "mission.views: ", id="many digits"),
+        pytest.param("safety", "max_speed_mps", 16**6000, "safety.max_speed_mps: ", id="many digits of a float"),
+        ("mission", "autostart", "true", "mission.autostart: want true or false (got 'true')"),
+        ("mission", "a\nb", 1, "mission.'a\\nb': unknown key (got 1)"),
         ("planner", "clearance_m", 0.2, "planner.clearance_m: "),
         ("planner", "variant", "best", "planner.variant: input should be 'adaptive', 'merged', "),
         ("planner", "preset", "mine", "planner.preset: input should be 'auto', 'bhxhp', 'rosser' or 'convoy'"),
@@ -115,6 +133,7 @@ def test_no_input_crashes_the_parser(extra: dict[str, Any]) -> None:
         (b"\xff\xfe\x00", "not TOML"),
         (b"", "safety: field required"),
         (b"a = " + b"[" * 100_000, "nested too deeply"),
+        (b"a = " + b"9" * 5000, "not TOML: a number has too many digits"),
     ],
 )
 def test_an_invalid_config_file_is_a_one_line_error(tmp_path: Path, content: bytes, wanted: str) -> None:
@@ -124,6 +143,42 @@ def test_an_invalid_config_file_is_a_one_line_error(tmp_path: Path, content: byt
         load(path)
     assert str(error.value).startswith(f"{path}: ")
     assert "\n" not in str(error.value)
+
+
+def test_a_key_of_two_lines_is_named_in_one(tree: dict[str, Any]) -> None:
+    tree["a\nb"] = 1
+    assert "config.toml: 'a\\nb': unknown key (got 1)" in _refused(tree)
+
+
+def test_whole_numbers_and_lists_are_accepted_where_toml_gives_them(tree: dict[str, Any]) -> None:
+    tree["safety"]["max_speed_mps"] = 2
+    tree.setdefault("camera", {})["position_body_m"] = [0, -1, 1]
+    config = parse(tree, "x")
+    assert (config.safety.max_speed_mps, config.camera.position_body_m) == (2.0, (0.0, -1.0, 1.0))
+
+
+def test_a_config_that_cannot_be_written_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "config.toml"
+    path.write_text("old", encoding="ascii")
+    monkeypatch.setattr(os, "fsync", _full)
+    with pytest.raises(OSError, match="No space left on device"):
+        save(load(FLOWN), path)
+    assert path.read_text(encoding="ascii") == "old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def _full(_: int) -> None:
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+def test_a_replaced_config_keeps_its_mode_and_its_link(tmp_path: Path) -> None:
+    path, link = tmp_path / "config.toml", tmp_path / "link.toml"
+    path.write_text("old", encoding="ascii")
+    path.chmod(0o600)
+    link.symlink_to(path.name)
+    replace_text(link, "new")
+    assert link.is_symlink()
+    assert (path.read_text(encoding="utf-8"), path.stat().st_mode & 0o777) == ("new", 0o600)
 
 
 def test_a_missing_file_is_a_one_line_error(tmp_path: Path) -> None:

@@ -6,7 +6,10 @@ numbers are in [safety], which has no defaults: the operator must write them dow
 
 from __future__ import annotations
 
+import ipaddress
+import os
 import re
+import shutil
 import sys
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -24,7 +27,12 @@ else:
     import tomli as tomllib
 
 Coordinate = Annotated[float, Field(ge=-500.0, le=500.0)]  # metres
-Vec3 = tuple[Coordinate, Coordinate, Coordinate]
+NearCoordinate = Annotated[float, Field(ge=-1.0, le=1.0)]  # metres from the body's origin
+LAX = Field(strict=False)  # a list for a tuple, or text for a path: TOML has neither
+Vec3 = Annotated[tuple[Coordinate, Coordinate, Coordinate], LAX]
+BodyVec3 = Annotated[tuple[NearCoordinate, NearCoordinate, NearCoordinate], LAX]
+Corners = Annotated[tuple[Annotated[tuple[float, float], LAX], ...], LAX]
+File = Annotated[Path, LAX]  # or a folder
 
 
 def _hexadecimal(text: str) -> str:
@@ -45,14 +53,26 @@ def _topic_name(text: str) -> str:
     return text
 
 
+def _ipv4_address(text: str) -> str:
+    try:
+        return str(ipaddress.IPv4Address(text))
+    except ValueError:
+        raise ValueError("want four numbers of 0 to 255 with dots between them") from None
+
+
 Uid = Annotated[str, AfterValidator(_hexadecimal)]
 LinkUrl = Annotated[str, AfterValidator(link_address)]
 TopicName = Annotated[str, AfterValidator(_topic_name)]
-Host = Annotated[str, Field(pattern=r"^\d{1,3}(\.\d{1,3}){3}$")]
+Host = Annotated[str, AfterValidator(_ipv4_address)]
 VariantName = Literal["adaptive", "merged", "reconstruct", "explore", "explore-yaw", "explore-then-refine", "evpp", "vpp"]
 UncertaintyName = Literal["agreement", "paper", "colour", "information", "product"]
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
-ERROR_TEXT = {"extra_forbidden": "unknown key", "string_pattern_mismatch": "want four numbers with dots between them"}
+ERROR_TEXT = {
+    "extra_forbidden": "unknown key",
+    "float_type": "want a number",
+    "int_type": "want an integer",
+    "bool_type": "want true or false",
+}
 
 
 class ConfigError(Exception):
@@ -60,9 +80,12 @@ class ConfigError(Exception):
 
 
 class Section(BaseModel):
-    """A table of the file. It is frozen, and an unknown key is an error."""
+    """A table of the file. It is frozen, and an unknown key is an error.
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    So is text, or true, in place of a number.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
 
 class SafetyConfig(Section):
@@ -70,7 +93,7 @@ class SafetyConfig(Section):
 
     fence_min_m: Vec3  # lower corner of the fence box, world frame
     fence_max_m: Vec3  # upper corner of the fence box, world frame
-    fence_corners_m: tuple[tuple[float, float], ...]  # floor plan inside the box, corners (x, y) in order; [] = the whole box
+    fence_corners_m: Corners  # floor plan inside the box, corners (x, y) in order; [] = the whole box
     fence_inset_m: Annotated[float, Field(ge=0.0, le=2.0)]  # distance that the guard keeps from the fence to the body's centre
     max_speed_mps: Annotated[float, Field(gt=0.0, le=3.0)]  # speed limit in any direction
     max_acceleration_mps2: Annotated[float, Field(gt=0.0, le=5.0)]  # acceleration limit in any direction
@@ -151,10 +174,10 @@ class LinkConfig(Section):
     vehicle_component: Annotated[int, Field(ge=1, le=255)] = 1  # MAVLink component id of its autopilot
     gimbal_component: Annotated[int, Field(ge=1, le=255)] = 154  # component id of its gimbal, accepted for gimbal angles only
     autopilot_uid: Uid = ""  # hardware id in hex, as reported in AUTOPILOT_VERSION; unset: any autopilot
-    signing_key: Path | None = None  # key file, mode 0600: 32 bytes or a passphrase; rejects unsigned frames; ArduPilot only
+    signing_key: File | None = None  # key file, mode 0600: 32 bytes or a passphrase; rejects unsigned frames; ArduPilot only
     signing_link_id: Annotated[int, Field(ge=0, le=255)] = 1  # link id of our signed frames; unique per link and key
-    signing_stamps: Path = Path("/var/lib/uav_recon/signing.json")  # used timestamps: prevents replay after a restart
-    parameters: Path | None = None  # file of required vehicle parameters; unset: the one of firmware_params/ for this autopilot
+    signing_stamps: File = Path("/var/lib/uav_recon/signing.json")  # used timestamps: prevents replay after a restart
+    parameters: File | None = None  # file of required vehicle parameters; unset: the one of firmware_params/ for this autopilot
     setpoint_rate_hz: Annotated[float, Field(ge=10.0, le=100.0)] = 30.0  # rate of the setpoints sent
     origin_lat_deg: Annotated[float, Field(ge=-90.0, le=90.0)] = 47.3977  # latitude of the origin sent to the autopilot
     origin_lon_deg: Annotated[float, Field(ge=-180.0, le=180.0)] = 8.5456  # its longitude; any location works indoors
@@ -165,10 +188,10 @@ class CameraConfig(Section):
     """The camera and its mount on the body."""
 
     source: Literal["stream", "realsense", "recorded", "ros2"] = "realsense"  # stream = through a memory-mapped file
-    stream: Path = Path("camera.stream")  # stream file, in the runtime directory unless absolute
-    recording: Path | None = None  # for "recorded": a flight folder; for "realsense": a RealSense recording
+    stream: File = Path("camera.stream")  # stream file, in the runtime directory unless absolute
+    recording: File | None = None  # for "recorded": a flight folder; for "realsense": a RealSense recording
     mount: Literal["fixed", "gimbal"] = "fixed"  # gimbal = pitch is set through MAVLink
-    position_body_m: Vec3 = (0.10, 0.0, 0.0)  # position of the depth imager on the body
+    position_body_m: BodyVec3 = (0.10, 0.0, 0.0)  # position of the depth imager on the body
     pitch_down_deg: Annotated[float, Field(ge=-60.0, le=60.0)] = 15.0  # tilt of a fixed mount, positive looks down
     roll_deg: Annotated[float, Field(ge=-10.0, le=10.0)] = 0.0  # roll of a fixed mount about its optical axis, right down
     yaw_deg: Annotated[float, Field(ge=-10.0, le=10.0)] = 0.0  # yaw of a fixed mount, positive looks left
@@ -195,7 +218,7 @@ class LocalizationConfig(Section):
     pose_lost_s: Annotated[float, Field(gt=0.0, le=2.0)] = 0.5  # no pose for longer: quality 0
     frame_wait_s: Annotated[float, Field(ge=0.0, le=0.5)] = 0.2  # max. time a frame waits for the next pose
     correct_drift: bool = False  # source not slam: correct a drift of the poses by a tracker beside them (docs/pose-sources)
-    calibration: Path | None = None  # file of the camera's errors: written in flight, read by the next; unset: none is kept
+    calibration: File | None = None  # file of the camera's errors: written in flight, read by the next; unset: none is kept
 
 
 class Ros2Config(Section):
@@ -226,7 +249,7 @@ class RangeUpConfig(Section):
     """A range finder of the autopilot that looks up along the body's z axis."""
 
     fov_deg: Annotated[float, Field(gt=4.0, le=60.0)] | None = None  # whole angle of its cone; unset: there is no such sensor
-    position_body_m: Vec3 = (0.0, 0.0, 0.05)  # its position on the body
+    position_body_m: BodyVec3 = (0.0, 0.0, 0.05)  # its position on the body
     error_share: Annotated[float, Field(gt=0.0, le=0.2)] = 0.02  # rms error as a share of the range
 
 
@@ -239,8 +262,8 @@ class MapperConfig(Section):
     mesh_voxel_m: Annotated[float, Field(ge=0.005, le=0.1)] = 0.02  # voxel edge of the final mesh
     surface_voxel_m: Annotated[float, Field(ge=0.01, le=0.2)] = 0.05  # spacing of the surface elements sent to the planner
     uncertainty: UncertaintyName = "agreement"  # uncertainty measure of the elements, see `uav-recon bench uncertainty`
-    seed: int = 0  # seed of random sampling
-    prior_model: Path | None = None  # ONNX model that predicts normals or depth from colour, for rays without a normal
+    seed: Annotated[int, Field(ge=0)] = 0  # seed of random sampling
+    prior_model: File | None = None  # ONNX model that predicts normals or depth from colour, for rays without a normal
 
 
 class PlannerConfig(Section):
@@ -310,7 +333,7 @@ class MissionConfig(Section):
 class RecordingConfig(Section):
     """Outputs of the flight."""
 
-    folder: Path = Path("/var/lib/uav_recon/flights")  # folder of the flight folders
+    folder: File = Path("/var/lib/uav_recon/flights")  # folder of the flight folders
     rerun: bool = True  # write flight.rrd
     live: bool = False  # stream to a viewer on this machine
 
@@ -318,12 +341,14 @@ class RecordingConfig(Section):
 class RuntimeConfig(Section):
     """Files through which the processes communicate."""
 
-    folder: Path = Path("/run/uav_recon")  # channels and stream files
-    operator: Path = Path("operator.socket")  # socket of the operator commands, in the folder unless absolute
+    folder: File = Path("/run/uav_recon")  # channels and stream files
+    operator: File = Path("operator.socket")  # socket of the operator commands, in the folder unless absolute
 
 
 class Config(Section):
     """The whole configuration."""
+
+    model_config = ConfigDict(strict=False)
 
     safety: SafetyConfig
     link: LinkConfig = LinkConfig()
@@ -358,6 +383,8 @@ def load(path: Path) -> Config:
         raise ConfigError(f"{path}: cannot be read ({error.strerror})") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ConfigError(f"{path}: not TOML: {error}") from None
+    except ValueError:
+        raise ConfigError(f"{path}: not TOML: a number has too many digits") from None
     except RecursionError:
         raise ConfigError(f"{path}: not TOML: nested too deeply") from None
     return parse(tree, str(path))
@@ -369,13 +396,43 @@ def parse(tree: dict[str, Any], source: str) -> Config:
         return Config.model_validate(tree)
     except ValidationError as error:
         first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"])
+        where = ".".join(str(part) if str(part).isprintable() else repr(part) for part in first["loc"])
         value = first.get("input")
-        shown = "" if isinstance(value, dict) or value is None else f" (got {value!r})"
+        shown = "" if isinstance(value, dict) or value is None else f" (got {_shown(value)})"
         fault = ERROR_TEXT.get(first["type"], first["msg"].removeprefix("Value error, "))
         raise ConfigError(f"{source}: {where}{where and ': '}{fault[0].lower()}{fault[1:]}{shown}") from None
 
 
 def save(config: Config, path: Path) -> None:
-    """Write the effective config as TOML."""
-    path.write_text(tomli_w.dumps(config.model_dump(mode="json", exclude_none=True)), encoding="utf-8")
+    """Write the effective config as TOML. Raises OSError; see replace_text."""
+    replace_text(path, tomli_w.dumps(config.model_dump(mode="json", exclude_none=True)))
+
+
+def replace_text(path: Path, text: str) -> None:
+    """Replace a file atomically; its mode stays.
+
+    Raises OSError, for example on a full disk, and then leaves the old file.
+    """
+    file = path.resolve()
+    if file.exists() and not file.is_file():
+        file.write_text(text, encoding="utf-8")
+        return
+    temporary = file.with_name(file.name + ".part")
+    try:
+        with temporary.open("w", encoding="utf-8") as out:
+            out.write(text)
+            out.flush()
+            os.fsync(out.fileno())
+        if file.exists():
+            shutil.copymode(file, temporary)
+        temporary.replace(file)
+    except OSError:
+        temporary.unlink(missing_ok=True)
+        raise
+
+
+def _shown(value: object) -> str:
+    try:
+        return repr(value)
+    except ValueError:  # Python prints no number of more than 4300 digits
+        return "a very large number"

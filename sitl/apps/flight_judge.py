@@ -27,6 +27,7 @@ from uav_recon.evaluation import metrics
 from uav_recon.evaluation.path_visibility import PathVisibility, path_visibility
 from uav_recon.evaluation.recall import ElementRecall, time_to
 from uav_recon.evaluation.triangle_surface import TriangleSurface
+from uav_recon.recording.blueprint import RECORDING
 from uav_recon.recording.flight_log import read_timeline
 from uav_recon.recording.flight_report import FlightInfo, build_report, publish
 from uav_recon.recording.map_file import load_map
@@ -316,9 +317,16 @@ def summary(report: Report, folder: Path) -> str:
             f"accuracy {figure(quality.accuracy_cm, ' cm')}, completion {figure(quality.completion_cm, ' cm')}, "
             f"recall at 5 cm {figure(quality.recall_5cm, '', 3)}, PSNR {figure(quality.psnr_db, ' dB', 1)}"
         )
-    lines.append(f"results: {folder / 'report.html'}")
-    lines.append(f"replay the flight: uav-recon review {folder}")
-    return "\n".join(lines)
+    return "\n".join((*lines, *results_of(folder)))
+
+
+def results_of(folder: Path) -> list[str]:
+    """Return the lines that say where the results are.
+
+    A flight with the depth-only mapper leaves no recording.
+    """
+    review = [f"replay the flight: uav-recon review {folder}"] if (folder / RECORDING).exists() else []
+    return [f"results: {folder / 'report.html'}", *review]
 
 
 def _time_to_recall(report: Report, recall: str) -> str:

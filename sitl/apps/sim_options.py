@@ -16,10 +16,11 @@ from sitl.camera.d435i import Model, Noise
 from sitl.real_firmware.px4 import COMPANION_PORT as PX4_PORT
 from sitl.scene.scene import HULL_HEIGHT_M, Scene, free_height_m
 from sitl.world.range_finder import MOUNT_M
-from uav_recon.app.option_validation import UsageError, mount_pitch_deg, readable
+from uav_recon.app.option_validation import OUTPUTS, UsageError, mount_pitch_deg, readable, require_writable_folder
 from uav_recon.app.room_check import advise
 from uav_recon.config import Config, ConfigError, UncertaintyName, VariantName, parse
 from uav_recon.errors import EXIT_CONFIG, UserError
+from uav_recon.localization.kept_calibration import is_calibration
 from uav_recon.planning.mount_visibility import USUAL_DEG
 
 __all__ = ["SimOptions", "UsageError"]
@@ -133,6 +134,7 @@ class SimOptions:
         if not SLOWEST_MPS <= blind_speed <= MAX_MPS:
             raise UsageError(f"--blind-speed {blind_speed}: want {SLOWEST_MPS} to {MAX_MPS} m/s")
         check_range_up(range_up)
+        check_calibration(calibration)
         if firmware is not None:
             _check_firmware(firmware, autopilot, mount, port, lockstep, pose, range_up)
         s = _numbers("start", "X,Y,Z,YAW", start, 4)
@@ -176,11 +178,11 @@ class SimOptions:
     def check_folder(self) -> None:
         """Check the flight folder before the work.
 
-        Raises UsageError if it cannot be made or already contains a flight.
+        Raises UsageError if it cannot be made or already contains a file that a flight would replace.
         """
         with readable(f"--out {self.out}"):
-            if (self.out / "report.json").exists() or (self.out / "timeline.jsonl").exists():
-                raise UsageError(f"--out {self.out}: already contains a flight")
+            if taken := next((name for name in OUTPUTS if (self.out / name).exists()), None):
+                raise UsageError(f"--out {self.out}: already contains {taken}; name another folder")
             there = next(folder for folder in (self.out, *self.out.parents) if folder.exists())
             if not there.is_dir():
                 raise UsageError(f"--out {self.out}: cannot be written ({there} is not a folder)")
@@ -210,7 +212,7 @@ class SimOptions:
     def make_folder(self) -> None:
         """Make the flight folder.
 
-        Raises UsageError if it cannot be written or already contains a flight.
+        Raises UsageError; see check_folder.
         """
         self.check_folder()
         try:
@@ -320,6 +322,23 @@ def check_range_up(fov_deg: float | None) -> None:
     """Check the cone of a range finder that looks up. Raises UsageError."""
     if fov_deg is not None and not RANGE_UP_DEG[0] <= fov_deg <= RANGE_UP_DEG[1]:
         raise UsageError(f"--range-up {fov_deg:g}: want {RANGE_UP_DEG[0]:g} to {RANGE_UP_DEG[1]:g} degrees")
+
+
+def check_calibration(file: Path | None) -> None:
+    """Check the file of the camera's errors before the flight.
+
+    It need not exist. Raises UserError with exit code 2.
+    """
+    if file is None:
+        return
+    with readable(f"--calibration {file}"):
+        if file.is_dir():
+            raise UsageError(f"--calibration {file}: is a folder")
+        if not file.parent.is_dir():
+            raise UsageError(f"--calibration {file}: folder {file.parent} does not exist")
+        if file.exists() and not (file.is_file() and is_calibration(file)):
+            raise UsageError(f"--calibration {file}: not a calibration file")
+    require_writable_folder("--calibration", file.parent)
 
 
 def check_program(firmware: Path) -> None:

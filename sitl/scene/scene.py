@@ -215,6 +215,8 @@ def _read(path: Path) -> tuple[str, Mesh, Numbers | None]:
             raise SceneError(f"{description}: not a scene description (nested too deeply)") from None
         except ValueError as error:
             raise SceneError(f"{description}: not a scene description ({error})") from None
+        except OverflowError:
+            raise SceneError(f"{description}: not a scene description (a number of start is too large)") from None
         except (KeyError, TypeError):
             raise SceneError(
                 f"{description}: not a scene description (want name, file and a start with x, y, z, yaw)"

@@ -153,9 +153,10 @@ def contradictions() -> Iterator[Mutant]:
         [[-3, -3], [9, -3], [0, 3]],
     ):
         yield Mutant(flown("safety", "fence_corners_m", corners), ("fence",))
-    for section, key in (("safety", "fence_min_m"), ("safety", "fence_max_m"), ("camera", "position_body_m")):
-        for value in (math.nan, math.inf, 500.1, -500.1):
-            yield Mutant(flown(section, key, [0.1, value, 0.1]), (f"{section}.{key}.1", "500"))
+    for key, most in (("safety.fence_min_m", 500), ("safety.fence_max_m", 500), ("camera.position_body_m", 1)):
+        for value in (math.nan, math.inf, most + 0.1, -most - 0.1):
+            section, _, name = key.partition(".")
+            yield Mutant(flown(section, name, [0.1, value, 0.1]), (f"{key}.1", f"{most} "))
     for url in ("", "tcp:127.0.0.1:5760", "udp:127.0.0.1", "serial:/dev/fc", "udp:127.0.0.1:ten", "/dev/ttyACM0"):
         yield Mutant(flown("link", "url", url), ("link.url", "want "))
     for host in ("", "anybody", "10.41.1", "0.0.0.0/0"):

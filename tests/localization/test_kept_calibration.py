@@ -103,7 +103,7 @@ def test_a_file_that_is_broken_is_not_used(tmp_path: Path) -> None:
     texts = ("", "null", "[]", "{}", '{"format": 1}', "\xff", '{"format": 1, "camera": "x", "elements": {"delay_s": 3}}')
     for text in texts:
         file.write_text(text, encoding="latin-1")
-        assert _fail(file) == "the file is broken"
+        assert _fail(file) == "it is not a calibration file"
     for name, value, sigma in (
         ("delay_s", 1.0, 0.01),
         ("delay_s", math.nan, 0.01),
@@ -112,6 +112,17 @@ def test_a_file_that_is_broken_is_not_used(tmp_path: Path) -> None:
     ):
         write(file, camera, ((name, value, sigma),))
         assert name in _fail(file)
+
+
+@pytest.mark.parametrize("text", ["notes\n", '{"my": "settings"}'])
+def test_a_file_that_is_no_calibration_is_not_replaced(tmp_path: Path, text: str) -> None:
+    file, calibration = tmp_path / "notes.txt", _observed()
+    file.write_text(text, encoding="ascii")
+    kept = _kept(file)
+    kept.begin(FRAME, calibration)
+    kept.update(0.0, calibration, at_rest=False, wrong=False)
+    kept.close(calibration)
+    assert file.read_text(encoding="ascii") == text
 
 
 def test_a_file_of_another_camera_is_not_used(tmp_path: Path) -> None:

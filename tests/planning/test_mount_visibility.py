@@ -46,3 +46,5 @@ def test_the_far_end_of_a_hall_changes_nothing() -> None:
 def test_a_room_without_space_to_fly_is_an_error() -> None:
     with pytest.raises(ValueError, match=r"no position in a room of 0\.7 x 3 x 2\.5 m"):
         RoomVisibility((0.7, 3.0, 2.5), 0.4, DepthView())
+    with pytest.raises(ValueError, match=r"no position in a room of 100 x 0\.5 x 0\.5 m"):
+        RoomVisibility((100.0, 0.5, 0.5), 0.1, DepthView())

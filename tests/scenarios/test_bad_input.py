@@ -73,7 +73,7 @@ def test_an_output_folder_that_cannot_be_written() -> None:
 
 def test_a_folder_that_holds_a_flight_is_not_overwritten(tmp_path: Path) -> None:
     (tmp_path / "timeline.jsonl").write_text("")
-    says_one_line(uav_recon("sim", "--out", str(tmp_path)), 2, "already contains a flight")
+    says_one_line(uav_recon("sim", "--out", str(tmp_path)), 2, "already contains timeline.jsonl; name another folder")
 
 
 def test_a_port_in_use(tmp_path: Path) -> None:

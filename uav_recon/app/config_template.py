@@ -18,7 +18,8 @@ from pydantic.fields import FieldInfo
 
 from uav_recon.app import factory
 from uav_recon.app.option_validation import UsageError, require_writable_file
-from uav_recon.config import Config
+from uav_recon.config import Config, replace_text
+from uav_recon.errors import UserError
 
 HEAD = """\
 # Configuration of uav_recon, every key with its default. A key that is commented out has the value shown.
@@ -31,7 +32,7 @@ STANDARD_OUTPUT = Path("-")
 def write(path: Path, force: bool) -> int:
     """Write the commented config, to standard output for `-`; returns the exit code.
 
-    Raises UsageError.
+    Raises UsageError, or UserError if there is no space.
     """
     if path == STANDARD_OUTPUT:
         sys.stdout.write(text())
@@ -39,7 +40,10 @@ def write(path: Path, force: bool) -> int:
     require_writable_file("FILE", path)
     if path.exists() and not force:
         raise UsageError(f"FILE {path}: exists already; --force replaces it")
-    path.write_text(text(), encoding="utf-8")
+    try:
+        replace_text(path, text())
+    except OSError as error:
+        raise UserError(f"{path}: cannot be written ({error.strerror or error})") from None
     print(f"{path}: written. Enter the numbers of [safety], then run: uav-recon config check {path}")
     return 0
 

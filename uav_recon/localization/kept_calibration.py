@@ -2,7 +2,7 @@
 
 A flight begins from what the last one with this camera has observed, less sure of it. It writes what it has observed itself,
 from time to time and once the camera stands at rest after a motion. A flight whose odometry was found wrong writes nothing
-more, and what was learned in the last seconds before is not written either.
+more, and what was learned in the last seconds before is not written either. A file of something else is never replaced.
 """
 
 from __future__ import annotations
@@ -25,6 +25,10 @@ _WRITE_COST_S = 0.01  # declared cost of a write on a simulated clock
 _LOG = logging.getLogger(__name__)
 
 
+class ForeignFileError(ValueError):
+    """A file that is not a calibration file: never replaced."""
+
+
 class KeptCalibration:
     """The file of one camera. Reads it at once; writes beside the control loop. Not thread-safe.
 
@@ -39,7 +43,7 @@ class KeptCalibration:
         self._camera = ""
         self._pending: Pending[None] | None = None
         self._waiting: tuple[float, Elements] | None = None
-        self._moved = self._wrong = False
+        self._moved = self._wrong = self._foreign = False
         self.reason: Reason | None = None
 
     def begin(self, frame: Frame, calibration: CalibrationFilter) -> None:
@@ -52,6 +56,7 @@ class KeptCalibration:
         except FileNotFoundError:
             return
         except (OSError, ValueError) as error:
+            self._foreign = isinstance(error, ForeignFileError)
             self.reason = Reason(ReasonCode.CALIBRATION_IGNORED, (str(error),))
         else:
             calibration.begin(kept)
@@ -87,7 +92,7 @@ class KeptCalibration:
         """Start a write. Return False if the one before is not done yet."""
         if self._pending is not None and not self._pending.done():
             return False
-        if elements:
+        if elements and not self._foreign:
             file, camera = self._file, self._camera
             self._pending = self._executor.submit(lambda: write(file, camera, elements), _WRITE_COST_S)
         return True
@@ -117,20 +122,37 @@ def write(file: Path, camera: str, elements: Elements) -> None:
         _LOG.warning("%s: cannot be written (%s)", file, error.strerror)
 
 
+def is_calibration(file: Path) -> bool:
+    """Return True if a flight could have left this file, with any camera. Raises OSError."""
+    try:
+        _parse(file)
+    except ForeignFileError:
+        return False
+    return True
+
+
 def _read(file: Path, camera: str) -> Elements:
     """Return the errors in a file.
 
     Raises FileNotFoundError if there is none; OSError, or ValueError with a short text, if it cannot be used.
     """
-    try:
-        tree = json.loads(file.read_bytes())
-        found = tree["format"], tree["camera"]
-        kept = tuple((str(name), float(value), float(sigma)) for name, (value, sigma) in tree["elements"].items())
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
-        raise ValueError("the file is broken") from None
+    found, kept = _parse(file)
     if found != (_FORMAT, camera):
         raise ValueError("it is of another camera or mount")
     fault = kept_fault(kept)
     if fault:
         raise ValueError(fault)
     return kept
+
+
+def _parse(file: Path) -> tuple[tuple[object, object], Elements]:
+    """Return format and camera of a file, and the errors in it.
+
+    Raises OSError or ForeignFileError.
+    """
+    try:
+        tree = json.loads(file.read_bytes())
+        kept = tuple((str(name), float(value), float(sigma)) for name, (value, sigma) in tree["elements"].items())
+        return (tree["format"], tree["camera"]), kept
+    except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError):
+        raise ForeignFileError("it is not a calibration file") from None

@@ -58,6 +58,7 @@ class RoomVisibility:
 
     def __init__(self, size_m: Size, clearance_m: float, view: DepthView) -> None:
         self._half_rad = 0.5 * view.vertical_fov_rad
+        _require_space(size_m, clearance_m)
         box_m = (min(size_m[0], LARGEST_M), min(size_m[1], LARGEST_M), size_m[2])
         points, normals, self._area, self._side = _surface(box_m)
         places = _places(box_m, clearance_m)
@@ -111,13 +112,18 @@ def _surface(size_m: Size) -> tuple[Float32Array, Float32Array, FloatArray, IntA
     return xyz, inward, np.concatenate(areas), np.concatenate(sides)
 
 
+def _require_space(size_m: Size, clearance_m: float) -> None:
+    """Raise ValueError if there is no position for the body's centre."""
+    length_m, width_m, height_m = size_m
+    if min(length_m, width_m, height_m + clearance_m - LOWEST_M) < 2.0 * clearance_m:
+        named = " x ".join(f"{side_m:g}" for side_m in size_m)
+        raise ValueError(f"no position in a room of {named} m is {clearance_m:g} m from walls and ceiling, over furniture")
+
+
 def _places(size_m: Size, clearance_m: float) -> Float32Array:
-    """Return positions (P, 3) of the body's centre. Raises ValueError if there is none."""
+    """Return positions (P, 3) of the body's centre."""
     low = np.array([clearance_m, clearance_m, LOWEST_M])
     high = np.array(size_m) - clearance_m
-    if not (high >= low).all():
-        named = " x ".join(f"{length:g}" for length in size_m)
-        raise ValueError(f"no position in a room of {named} m is {clearance_m:g} m from walls and ceiling, over furniture")
     axes = [np.linspace(a, b, _PLACES) for a, b in zip(low, high, strict=True)]
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3).astype(np.float32)
 

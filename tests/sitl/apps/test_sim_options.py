@@ -15,6 +15,8 @@ from sitl.apps.world_process import WorldOptions
 from sitl.camera.camera_errors import DEFAULT_SCALE, CameraErrors
 from sitl.scene.scene import Scene
 from uav_recon.config import RangeUpConfig, load
+from uav_recon.errors import UserError
+from uav_recon.localization import kept_calibration
 from uav_recon.motion.yaw_policy import AT_VIEWS, YawAlongPath, yaw_policy_of
 
 SCENE = Scene(
@@ -75,11 +77,45 @@ def test_a_folder_that_cannot_be_used_is_refused_before_the_scene_is_loaded(tmp_
     (tmp_path / "file").touch()
     (tmp_path / "flown").mkdir()
     (tmp_path / "flown" / "timeline.jsonl").touch()
-    for out, named in (("file/x", "is not a folder"), ("file", "is not a folder"), ("flown", "already contains a flight")):
+    for out, named in (
+        ("file/x", "is not a folder"),
+        ("file", "is not a folder"),
+        ("flown", "already contains timeline.jsonl"),
+    ):
         with pytest.raises(UsageError, match=named):
             SimOptions.parse(out=tmp_path / out).check_folder()
     SimOptions.parse(out=tmp_path / "a" / "b").check_folder()
     assert not (tmp_path / "a").exists()
+
+
+@pytest.mark.parametrize("name", ["config.toml", "keyframes", "mesh.ply", "report.json", "timeline.jsonl"])
+def test_a_folder_with_something_that_a_flight_would_replace_is_refused(tmp_path: Path, name: str) -> None:
+    (tmp_path / name).touch()
+    with pytest.raises(UsageError, match=rf"--out .*: already contains {name}; name another folder") as failure:
+        SimOptions.parse(out=tmp_path).check_folder()
+    assert failure.value.code == 2
+    (tmp_path / name).rename(tmp_path / "notes.txt")
+    SimOptions.parse(out=tmp_path).check_folder()
+
+
+def test_a_calibration_file_that_cannot_be_used_is_refused_before_the_flight(tmp_path: Path) -> None:
+    notes, kept, new = tmp_path / "notes.txt", tmp_path / "kept.json", tmp_path / "new.json"
+    notes.write_text("notes\n", encoding="ascii")
+    kept_calibration.write(kept, "a camera", (("delay_s", 0.02, 0.004),))
+    for file, named in (
+        (notes, f"--calibration {notes}: not a calibration file"),
+        (tmp_path / "no" / "c.json", f"--calibration {tmp_path / 'no' / 'c.json'}: folder {tmp_path / 'no'} does not exist"),
+        (tmp_path, f"--calibration {tmp_path}: is a folder"),
+        (Path("/dev/null"), "--calibration /dev/null: not a calibration file"),
+        (notes / "c.json", f"--calibration {notes / 'c.json'}: folder {notes} does not exist"),
+        (tmp_path / ("x" * 300), f"--calibration {tmp_path / ('x' * 300)}: cannot be read (File name too long)"),
+    ):
+        with pytest.raises(UserError) as failure:
+            SimOptions.parse(calibration=file)
+        assert (str(failure.value), failure.value.code) == (named, 2)
+    for file in (kept, new):
+        assert SimOptions.parse(calibration=file).calibration == file
+    assert sorted(tmp_path.iterdir()) == [kept, notes]
 
 
 def test_flights_that_begin_in_the_same_second_get_folders_of_their_own(

@@ -141,6 +141,8 @@ def test_invalid_files_are_one_line_errors(tmp_path: Path) -> None:
         "nested": "[" * 100_000,
         "pointless": '{"name": "x"}',
         "gone": '{"name": "x", "file": "x.ply"}',
+        "far": f'{{"name": "x", "file": "x.ply", "start": {{"x": 1{"0" * 400}, "y": 0, "z": 0, "yaw": 0}}}}',
+        "long": f'{{"name": "x", "file": "x.ply", "start": {{"x": 1{"0" * 5000}, "y": 0, "z": 0, "yaw": 0}}}}',
     }
     for name, text in folders.items():
         (tmp_path / name).mkdir()
