@@ -12,15 +12,17 @@ import cv2
 import numpy as np
 import pytest
 
+from uav_recon.app import calibrate as calibrating
 from uav_recon.app import camera_sources
 from uav_recon.app.calibrate import PLOT, CalibrateOptions, calibrate, config_lines
 from uav_recon.clock import ManualClock
 from uav_recon.config import Config, load, save
 from uav_recon.errors import UserError
 from uav_recon.localization.calibration_filter import CameraCalibration
+from uav_recon.sensors.npz_recording import NpzRecording
 from uav_recon.sensors.recordings.mcap_writer import McapWriter
 from uav_recon.sensors.recordings.recording import LEVEL_MOUNT
-from uav_recon.sensors.stream_format import CameraSpec, StreamHeader, StreamWriter
+from uav_recon.sensors.stream_format import CameraSpec, StreamError, StreamHeader, StreamWriter
 from uav_recon.types.pose import Pose
 
 sys.path.append(str(Path(__file__).parents[1] / "localization"))
@@ -228,3 +230,48 @@ def test_the_lines_are_the_true_mount(camera: dict[str, float]) -> None:
     calibrated = _lines(config, calibration)
     np.testing.assert_allclose(camera_sources.tilted_camera(calibrated).matrix(), true.matrix(), atol=3e-4)
     assert calibrated.camera.delay_s == pytest.approx(config.camera.delay_s + 0.02)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "said"),
+    [
+        ("frame_stamp_s", [0.0, 1e9], "gap of 1e\\+09 s after 0.000 s"),
+        ("frame_stamp_s", [0.0, np.inf], "not finite"),
+        ("pose_stamp_s", 3.0, "of shape \\(\\); want"),
+        ("depth_mm", np.zeros((1, 48, 64), np.uint16), "of shape \\(1, 48, 64\\); want uint16 of shape \\(2, 48, 64\\)"),
+        ("depth_mm", np.full((2, 48, 64), -1), "is int64 of shape"),
+        ("rgb", np.zeros((2, 48, 64), np.uint8), "want uint8 of shape"),
+        ("depth_intrinsics", [60.0, 60, 32, 24, 64, 0], "want fx fy cx cy width height"),
+        ("rgb_from_depth", np.zeros(3), "want float64 of shape \\(7,\\)"),
+        ("pose_quat_wxyz", np.zeros((2, 4)), "without a direction"),
+        ("pose_position_m", np.full((2, 3), np.nan), "not finite"),
+        ("imu_stamp_s", [0.0, 1.0], "is missing"),
+        ("frame_stamp_s", np.array([None, None]), "Object arrays cannot be loaded"),
+    ],
+)
+def test_a_damaged_array_is_one_line_that_names_file_and_array(tmp_path: Path, name: str, value: Any, said: str) -> None:
+    lens, stamps_s = [60.0, 60, 32, 24, 64, 48], [0.0, 0.1]
+    arrays: dict[str, Any] = {
+        "frame_stamp_s": stamps_s, "depth_mm": np.zeros((2, 48, 64), np.uint16), "rgb": np.zeros((2, 2, 4, 3), np.uint8),
+        "depth_intrinsics": lens, "rgb_intrinsics": lens, "rgb_from_depth": [1.0, 0, 0, 0, 0, 0, 0], "pose_stamp_s": stamps_s,
+        "pose_position_m": np.zeros((2, 3)), "pose_quat_wxyz": [[1.0, 0, 0, 0]] * 2,
+    }  # fmt: skip
+    file = tmp_path / "hand.npz"
+    np.savez(file, **arrays)
+    NpzRecording(file, ManualClock(), 0.3, 6.0)
+    np.savez(file, **(arrays | {name: value}))
+    where = "gyro_radps" if name == "imu_stamp_s" else name
+    with pytest.raises(StreamError, match=rf"hand\.npz: {where}: .*{said}") as error:
+        NpzRecording(file, ManualClock(), 0.3, 6.0)
+    assert "\n" not in str(error.value)
+
+
+def test_a_pose_long_after_the_last_frame_does_not_lengthen_the_calibration(tmp_path: Path) -> None:
+    npz = _recording(tmp_path, 2.0)
+    with np.load(npz) as data:
+        arrays = dict(data)
+    arrays["pose_stamp_s"][-1] = 1e6
+    np.savez(npz, **arrays)
+    path = _as_mcap(npz, camera_sources.tilted_camera(load(FLOWN)))
+    _, _, begin_s, end_s = calibrating._open_recording(path, load(FLOWN), ManualClock(-math.inf))
+    assert end_s - begin_s < 4.0

@@ -17,6 +17,7 @@ from uav_recon.app.recording_survey import floor_normal, survey_recording
 from uav_recon.app.replay import POSES, ReplayOptions, replay, replay_config
 from uav_recon.errors import UserError
 from uav_recon.sensors.recordings.detection import ReadOptions, open_recording
+from uav_recon.sensors.recordings.recording import PlaybackCamera, RecordingError
 from uav_recon.types.camera import body_from_camera
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.pose import Pose
@@ -127,10 +128,32 @@ def test_wrong_options_are_one_line(tmp_path: Path, name: str, value: str) -> No
         replay(ReplayOptions(tmp_path, tmp_path / "out", **{name: value}), Console(quiet=True))  # type: ignore[arg-type]
 
 
-def test_results_are_not_overwritten(tmp_path: Path) -> None:
-    (tmp_path / "report.json").write_text("{}")
-    with pytest.raises(UserError, match="already contains"):
-        replay(ReplayOptions(tmp_path, tmp_path), Console(quiet=True))
+@pytest.mark.parametrize("name", ["report.json", "config.toml", "keyframes"])
+def test_results_are_not_overwritten(tmp_path: Path, name: str) -> None:
+    (tmp_path / name).touch()
+    with pytest.raises(UserError, match=f"already contains {name}"):
+        replay(ReplayOptions(tmp_path / "r", tmp_path), Console(quiet=True))
+
+
+def test_a_recording_is_not_its_own_output(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match="is the recording itself"):
+        replay(ReplayOptions(tmp_path, tmp_path / "." / ""), Console(quiet=True))
+
+
+@pytest.mark.parametrize("text", ["", '{"keyframes": []}', '{"keyframes": [{"world_from_depth": {}, "sequence": Infinity}]}'])
+def test_a_damaged_flight_folder_is_one_line(tmp_path: Path, text: str) -> None:
+    (tmp_path / "r").mkdir()
+    (tmp_path / "r/poses.json").write_text(text)
+    with pytest.raises(UserError, match=r"poses\.json: ") as error:
+        replay(ReplayOptions(tmp_path / "r", tmp_path / "out"), Console(quiet=True))
+    assert "\n" not in str(error.value)
+
+
+def test_a_recording_without_depth_within_the_range_is_one_line(tmp_path: Path) -> None:
+    write_recording(tmp_path / "r", SOURCE_FROM_WORLD)
+    read = ReadOptions(depth_min_m=15.0, depth_max_m=20.0)
+    with pytest.raises(UserError, match="no depth within --depth-range"):
+        replay(ReplayOptions(tmp_path / "r", tmp_path / "out", read), Console(quiet=True))
 
 
 @settings(max_examples=50, deadline=None)
@@ -144,3 +167,22 @@ def test_floor_normal_among_walls_and_clutter(roll_rad: float, pitch_rad: float,
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     start = np.array([math.sin(pitch_rad), math.sin(roll_rad) * math.cos(pitch_rad), math.cos(roll_rad) * math.cos(pitch_rad)])
     assert floor_normal(normals, start)[2] > math.cos(math.radians(1.5))
+
+
+@pytest.mark.parametrize("failure", [RecordingError("r: damaged"), KeyboardInterrupt()])
+def test_a_replay_that_failed_can_be_repeated(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, failure: BaseException) -> None:
+    write_recording(tmp_path / "r", SOURCE_FROM_WORLD)
+    polls: list[int] = []
+
+    def fails_late(camera: PlaybackCamera) -> None:
+        polls.append(len(polls))
+        if len(polls) > 20:
+            assert (tmp_path / "out/timeline.jsonl").exists()
+            raise failure
+
+    with monkeypatch.context() as patch:
+        patch.setattr(PlaybackCamera, "poll", fails_late)
+        with pytest.raises((UserError, KeyboardInterrupt)):
+            run(tmp_path)
+    assert not {"config.toml", "timeline.jsonl"} & {path.name for path in (tmp_path / "out").iterdir()}
+    assert run(tmp_path)["frames_used"] == FRAMES

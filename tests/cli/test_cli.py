@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import ast
+import errno
 import json
+import os
 import re
 import subprocess
 import sys
@@ -61,6 +63,16 @@ def test_an_interrupt_is_reported(capsys: pytest.CaptureFixture[str]) -> None:
         exit_with(work)
     assert ended.value.exit_code == 130
     assert capsys.readouterr().err == "uav-recon: interrupted\n"
+
+
+def test_a_file_that_the_system_refuses_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    def work() -> int:
+        raise PermissionError(13, "Permission denied", "walk.mcap")
+
+    with pytest.raises(typer.Exit) as ended:
+        exit_with(work)
+    assert ended.value.exit_code == 1
+    assert capsys.readouterr().err == "uav-recon: walk.mcap: cannot be read or written (Permission denied)\n"
 
 
 @pytest.mark.parametrize(
@@ -217,6 +229,19 @@ def test_the_config_that_is_written_has_every_key_and_waits_for_the_protective_n
     assert "exists already" in again.stderr
     flown = Path(__file__).parents[2] / "systemd" / "config.toml"
     assert CliRunner().invoke(app, ["config", "check", str(flown)]).output == f"{flown}: valid\n"
+
+
+def test_a_full_disk_leaves_the_old_config(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(_: int) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    path = tmp_path / "config.toml"
+    path.write_text("old", encoding="ascii")
+    monkeypatch.setattr(os, "fsync", full)
+    refused = CliRunner().invoke(app, ["config", "write", str(path), "--force"])
+    assert refused.exit_code == 1
+    assert refused.stderr == f"uav-recon: {path}: cannot be written (No space left on device)\n"
+    assert path.read_text(encoding="ascii") == "old"
 
 
 def test_what_the_template_shows_is_what_the_config_takes() -> None:

@@ -147,3 +147,12 @@ def test_a_new_map_epoch_moves_keyframes_or_leaves_them_without_a_pose(tmp_path:
 def test_a_correction_has_a_pose_for_each_stamp() -> None:
     with pytest.raises(ValueError, match="1 poses for stamps of shape"):
         MapCorrection(1, np.array([0.0, 1.0]), (Pose.identity(),))
+
+
+@pytest.mark.parametrize("name", ["sequence", "map_epoch"])
+def test_a_number_without_bound_is_a_damaged_keyframe(tmp_path: Path, name: str) -> None:
+    KeyframeFolder(tmp_path).save(_view(0))
+    path = tmp_path / "poses.json"
+    path.write_text(path.read_text().replace(f'"{name}": 0', f'"{name}": Infinity'))
+    with pytest.raises(KeyframeError, match="keyframe 0: cannot convert float infinity"):
+        KeyframeFolder(tmp_path).load(0)

@@ -7,7 +7,8 @@ import pytest
 
 from uav_recon.clock import ManualClock
 from uav_recon.mapping.keyframe_store import KeyframeFolder
-from uav_recon.sensors.recorded_camera import RecordedCamera, RecordedPoses, RecordingError
+from uav_recon.sensors.recorded_camera import RecordedCamera, RecordedPoses
+from uav_recon.sensors.recordings.recording import RecordingError
 from uav_recon.types.camera import Frame, Intrinsics, PosedFrame, body_from_camera
 from uav_recon.types.pose import Pose
 

@@ -30,6 +30,7 @@ _STEP_S = 0.01
 _SAID_S = 2.0  # between two lines of advice
 _SECONDS = (5.0, 600.0)
 _SILENT_S = 10.0  # without a frame or a pose for this time after the start nothing can be calibrated
+_AFTER_S = 1.0  # after the last frame, for the pose that follows it
 PLOT = "calibration.png"
 
 
@@ -154,7 +155,7 @@ def _open_recording(path: Path, config: Config, clock: ManualClock) -> tuple[Dep
     clock.advance_to(info.first_s)
     camera = PlaybackCamera(recording, clock)
     playback = PlaybackPoses(recording, clock, camera.shift_s, Pose.identity())
-    return camera, playback, info.first_s, max(info.last_s, poses[-1].stamp_s)
+    return camera, playback, info.first_s, info.last_s + _AFTER_S  # later poses have no frame
 
 
 def _live(options: CalibrateOptions, config: Config, console: Console) -> Any:

@@ -6,12 +6,15 @@ Errors are one line with exit code 2.
 from __future__ import annotations
 
 import math
+import shutil
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from uav_recon.errors import EXIT_USAGE, UserError
+
+OUTPUTS = ("config.toml", "report.json", "timeline.jsonl", "mesh.ply", "keyframes")  # of a flight or replay, never overwritten
 
 
 class UsageError(UserError):
@@ -58,6 +61,15 @@ def require_writable_folder(option: str, path: Path | None) -> None:
             pass
     except OSError as error:
         raise UsageError(f"{option} {path}: cannot be written ({error.strerror})") from None
+
+
+def remove_outputs(path: Path) -> None:
+    """Remove what a run began in a folder that had no outputs before it. Raises OSError."""
+    for name in OUTPUTS:
+        if (path / name).is_dir():
+            shutil.rmtree(path / name)
+        else:
+            (path / name).unlink(missing_ok=True)
 
 
 def mount_pitch_deg(text: str) -> float | None:

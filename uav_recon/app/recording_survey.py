@@ -63,6 +63,10 @@ def survey_recording(recording: Recording, up: str, *, use_poses: bool) -> Recor
     first = level_from_source @ poses[0].odom_from_body
     odom_from_source = Pose.from_yaw(first.yaw_rad(), first.translation_m).inverse() @ level_from_source
     seen = np.concatenate([_points(frame, odom_from_source @ pose @ info.body_from_depth) for frame, pose in views])
+    if not len(seen):
+        raise UsageError(
+            f"no depth within --depth-range in any of {len(views)} frames of {info.first_s:.3f} to {info.last_s:.3f} s"
+        )
     floor_m = float(np.quantile(seen[:, 2], _OUTSIDE_SHARE))
     odom_from_source = Pose(Pose.identity().quat_wxyz, np.array([0.0, 0.0, -floor_m])) @ odom_from_source
     seen[:, 2] -= floor_m

@@ -21,7 +21,7 @@ from rich.table import Table
 from uav_recon import config as configuration
 from uav_recon.app import factory, pose_sources
 from uav_recon.app.flight_channels import FlightChannels, memory_channels
-from uav_recon.app.option_validation import UsageError, require_writable_folder
+from uav_recon.app.option_validation import OUTPUTS, UsageError, readable, remove_outputs, require_writable_folder
 from uav_recon.app.recording_survey import UPS, RecordingSurvey, survey_recording
 from uav_recon.app.step_display import Report, StepDisplay
 from uav_recon.clock import ManualClock, RateKeeper
@@ -79,8 +79,11 @@ class ReplayOptions:
         for name, value, allowed in (("pose", self.pose, POSES), ("mapper", self.mapper, MAPPERS), ("up", self.up, UPS)):
             if value not in allowed:
                 raise UsageError(f"--{name} {value}: want one of {', '.join(allowed)}")
-        if (self.out / "report.json").exists() or (self.out / "timeline.jsonl").exists():
-            raise UsageError(f"--out {self.out}: already contains a flight or a replay")
+        with readable(f"--out {self.out}"):
+            if self.source.exists() and self.out.exists() and self.out.samefile(self.source):
+                raise UsageError(f"--out {self.out}: is the recording itself; name another folder")
+            if taken := next((name for name in OUTPUTS if (self.out / name).exists()), None):
+                raise UsageError(f"--out {self.out}: already contains {taken}; name another folder")
 
 
 @dataclass
@@ -242,7 +245,7 @@ class _Alarms:
 def replay(options: ReplayOptions, console: Console) -> int:
     """Replay a recording and write its results to options.out; returns exit code 0.
 
-    Raises UserError with one line.
+    A replay that fails or is interrupted removes what it wrote, so that it can be repeated. Raises UserError with one line.
     """
     options.check()
     display = StepDisplay(console)
@@ -254,20 +257,28 @@ def replay(options: ReplayOptions, console: Console) -> int:
                 raise UserError(f"{options.source}: {recording.info.kind} without poses; --pose slam tracks the images instead")
             survey = survey_recording(recording, options.up, use_poses=use_poses)
         require_writable_folder("--out", options.out)
-        config = replay_config(options, recording, survey)
-        configuration.save(config, options.out / "config.toml")
-        with display.step("compiling kernels"):
-            factory.warm_up(config)
-            mapper = _mapper(options.mapper, config, options.out)
-        with display.step(f"replaying {options.source}") as report:
-            run = _Replay(options, config, recording, survey, mapper)
-            run.run(report)
-        with display.step("training the final model and meshing"):
-            summary = run.save()
+        try:
+            summary = _replayed(options, recording, survey, display)
+        except BaseException:
+            remove_outputs(options.out)
+            raise
     except RecordingError as error:
         raise UserError(str(error)) from None
     _print(summary, options, console)
     return 0
+
+
+def _replayed(options: ReplayOptions, recording: Recording, survey: RecordingSurvey, display: StepDisplay) -> ReplaySummary:
+    config = replay_config(options, recording, survey)
+    configuration.save(config, options.out / "config.toml")
+    with display.step("compiling kernels"):
+        factory.warm_up(config)
+        mapper = _mapper(options.mapper, config, options.out)
+    with display.step(f"replaying {options.source}") as report:
+        run = _Replay(options, config, recording, survey, mapper)
+        run.run(report)
+    with display.step("training the final model and meshing"):
+        return run.save()
 
 
 class _Replay:

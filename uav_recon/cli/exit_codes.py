@@ -5,13 +5,14 @@ The line names something that a person can act on.
 
 from __future__ import annotations
 
+import errno
 import sys
 from collections.abc import Callable
 from typing import Any, cast
 
 import typer
 
-from uav_recon.errors import EXIT_USAGE, UserError
+from uav_recon.errors import EXIT_FAILURE, EXIT_USAGE, UserError
 
 EXIT_INTERRUPTED = 130
 ParserError: type[Exception] = cast(Any, typer.BadParameter).__bases__[0]  # click's UsageError, or typer's newer class
@@ -20,13 +21,18 @@ ParserError: type[Exception] = cast(Any, typer.BadParameter).__bases__[0]  # cli
 def exit_with(work: Callable[[], Any]) -> None:
     """Run the work and exit with the code it returns.
 
-    A UserError is printed and gives its own code.
+    A UserError is printed and gives its own code, so is a file that the system refuses.
     """
     try:
         code = work()
     except UserError as failure:
         print(f"uav-recon: {failure}", file=sys.stderr)
         raise typer.Exit(failure.code) from None
+    except OSError as failure:
+        if not isinstance(failure, PermissionError) and failure.errno != errno.ENOSPC:
+            raise
+        print(f"uav-recon: {failure.filename or 'a file'}: cannot be read or written ({failure.strerror})", file=sys.stderr)
+        raise typer.Exit(EXIT_FAILURE) from None
     except KeyboardInterrupt:
         print("uav-recon: interrupted", file=sys.stderr)
         raise typer.Exit(EXIT_INTERRUPTED) from None

@@ -86,7 +86,7 @@ class KeyframeFolder:
         try:
             entry = self._entries[number]["world_from_depth"]
             return None if entry is None else _read_pose(entry)
-        except (IndexError, KeyError, TypeError, ValueError) as error:
+        except (IndexError, KeyError, TypeError, ValueError, OverflowError) as error:
             raise KeyframeError(f"{self.folder}: keyframe {number}: {error}") from None
 
     def repose(self, correction: MapCorrection) -> None:
@@ -158,7 +158,7 @@ class KeyframeFolder:
                 _read_pose(entry["rgb_from_depth"]),
             )
             return PosedFrame(frame, pose, int(entry["map_epoch"]))
-        except (IndexError, KeyError, TypeError, ValueError) as error:
+        except (IndexError, KeyError, TypeError, ValueError, OverflowError) as error:
             raise KeyframeError(f"{self.folder}: keyframe {number}: {error}") from None
 
     def _image(self, name: str) -> Path:

@@ -13,6 +13,8 @@ from zipfile import BadZipFile
 import numpy as np
 
 from uav_recon.interfaces import Clock
+from uav_recon.sensors.recordings.checked_recording import faults_of
+from uav_recon.sensors.recordings.recording import require_increasing
 from uav_recon.sensors.stream_camera import depth_lookup_table
 from uav_recon.sensors.stream_format import StreamError
 from uav_recon.types.camera import Frame, ImuSample, Intrinsics
@@ -23,6 +25,7 @@ _NEEDED = (
     "frame_stamp_s", "depth_mm", "rgb", "depth_intrinsics", "rgb_intrinsics", "rgb_from_depth", "pose_stamp_s",
     "pose_position_m", "pose_quat_wxyz",
 )  # fmt: skip
+_NO_TURN_SHARE = 1e-6  #: reject: a quaternion that is shorter has no direction
 
 
 class NpzRecording:
@@ -34,20 +37,21 @@ class NpzRecording:
     """
 
     def __init__(self, path: Path, clock: Clock, depth_min_m: float, depth_max_m: float) -> None:
-        try:
-            with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
-                data = {name: file[name] for name in file.files}
-        except OSError as error:
-            raise StreamError(f"{path}: cannot be read ({error.strerror or error})") from None
-        except (ValueError, BadZipFile, EOFError):
-            raise StreamError(f"{path}: not a recording: want an .npz file") from None
-        missing = [name for name in _NEEDED if name not in data]
-        if missing:
-            raise StreamError(f"{path}: not a recording: no array {missing[0]}")
-        self._data: dict[str, AnyArray] = data
+        data = self._data = _load(path)
         self._frame_s, self._pose_s = _stamps(path, data, "frame_stamp_s"), _stamps(path, data, "pose_stamp_s")
         self._imu_s = _stamps(path, data, "imu_stamp_s") if "imu_stamp_s" in data else np.empty(0)
         self._lenses = _lens(path, data, "depth_intrinsics"), _lens(path, data, "rgb_intrinsics")
+        frames, poses, samples = len(self._frame_s), len(self._pose_s), len(self._imu_s)
+        _require(path, data, "depth_mm", (frames, self._lenses[0].height, self._lenses[0].width), np.uint16)
+        _require(path, data, "rgb", (frames, *data["rgb"].shape[1:3], 3), np.uint8)  # of any size: it is not used
+        _require(path, data, "pose_position_m", (poses, 3))
+        _require(path, data, "pose_quat_wxyz", (poses, 4))
+        _require(path, data, "rgb_from_depth", (7,))
+        for name in ("gyro_radps", "specific_force_mps2") if samples else ():
+            _require(path, data, name, (samples, 3))
+        for name, quats in (("pose_quat_wxyz", data["pose_quat_wxyz"]), ("rgb_from_depth", data["rgb_from_depth"][None, :4])):
+            if np.linalg.norm(quats, axis=1).min() < _NO_TURN_SHARE:
+                raise StreamError(f"{path}: {name}: has a quaternion without a direction")
         self._rgb_from_depth = Pose(data["rgb_from_depth"][:4], data["rgb_from_depth"][4:])
         self._table = depth_lookup_table(depth_min_m, depth_max_m)
         self._clock = clock
@@ -84,16 +88,46 @@ class NpzRecording:
         """Do nothing: no resource is open."""
 
 
+def _load(path: Path) -> dict[str, AnyArray]:
+    """Return the arrays of a file. Raises StreamError."""
+    data: dict[str, AnyArray] = {}
+    with faults_of(path), path.open("rb") as opened:
+        try:
+            file = np.load(opened, allow_pickle=False)
+        except (ValueError, BadZipFile, EOFError):
+            raise StreamError(f"{path}: not a recording: want an .npz file") from None
+        if not isinstance(file, np.lib.npyio.NpzFile):
+            raise StreamError(f"{path}: not a recording: want an .npz file")
+        for name in file.files:
+            with faults_of(f"{path}: {name}"):
+                data[name] = file[name]
+    missing = [name for name in _NEEDED if name not in data]
+    if missing:
+        raise StreamError(f"{path}: not a recording: no array {missing[0]}")
+    return data
+
+
+def _require(path: Path, data: dict[str, AnyArray], name: str, shape: tuple[int, ...], kind: type = np.float64) -> None:
+    """Raise StreamError unless an array exists, has this shape and fits the kind, with finite numbers."""
+    array = data.get(name)
+    if array is None or array.shape != shape or not np.can_cast(array.dtype, kind):
+        found = "missing" if array is None else f"{array.dtype} of shape {array.shape}"
+        raise StreamError(f"{path}: {name}: is {found}; want {np.dtype(kind)} of shape {shape}")
+    if not np.isfinite(array).all():
+        raise StreamError(f"{path}: {name}: has a number that is not finite")
+
+
 def _stamps(path: Path, data: dict[str, AnyArray], name: str) -> FloatArray:
+    _require(path, data, name, (data[name].size,))
     stamps_s = np.asarray(data[name], dtype=np.float64)
-    if stamps_s.ndim != 1 or not len(stamps_s) or not np.all(np.diff(stamps_s) > 0.0):
-        raise StreamError(f"{path}: {name}: want stamps that increase")
+    require_increasing(Path(f"{path}: {name}"), stamps_s.tolist())
     return stamps_s
 
 
 def _lens(path: Path, data: dict[str, AnyArray], name: str) -> Intrinsics:
+    _require(path, data, name, (6,))
     numbers = np.asarray(data[name], dtype=np.float64)
-    if numbers.shape != (6,) or not np.all(np.isfinite(numbers)) or min(numbers[0], numbers[1]) <= 0.0:
-        raise StreamError(f"{path}: {name}: want fx fy cx cy width height")
+    if min(*numbers[:2], *numbers[4:]) <= 0.0:
+        raise StreamError(f"{path}: {name}: want fx fy cx cy width height, with positive focal lengths and sizes")
     fx, fy, cx, cy, width, height = numbers.tolist()
     return Intrinsics(fx, fy, cx, cy, int(width), int(height))

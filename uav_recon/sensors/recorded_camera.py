@@ -17,17 +17,13 @@ import cv2
 import numpy as np
 
 from uav_recon.interfaces import Clock
+from uav_recon.sensors.recordings.recording import RecordingError, require_increasing
 from uav_recon.sensors.stream_camera import depth_lookup_table
-from uav_recon.sensors.stream_format import StreamError
 from uav_recon.types.camera import Frame, ImuSample, Intrinsics
 from uav_recon.types.frames import Float32Array
 from uav_recon.types.pose import Pose, StampedPose
 
 _POSE_RATE_HZ = 15.0
-
-
-class RecordingError(StreamError):
-    """Raised for a folder without readable keyframes; the text is one line."""
 
 
 @dataclass(frozen=True)
@@ -79,10 +75,11 @@ def read_keyframes(folder: Path) -> list[Keyframe]:
         frames = [Keyframe.read(images, entry) for entry in tree["keyframes"] if entry["world_from_depth"] is not None]
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read ({error.strerror})") from None
-    except (ValueError, KeyError, TypeError, RecursionError) as error:
+    except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
         raise RecordingError(f"{path}: not a keyframe list: {' '.join(repr(error).split())}") from None
     if not frames or any(not a.stamp_s < b.stamp_s for a, b in itertools.pairwise(frames)):
         raise RecordingError(f"{path}: wants at least one keyframe, with stamps that increase")
+    require_increasing(path, [frame.stamp_s for frame in frames])
     return frames
 
 

@@ -11,7 +11,14 @@ from recording_folders import K, depth_mm, rgb, world_from_optical, write_seven_
 
 from uav_recon.clock import ManualClock
 from uav_recon.sensors.recordings.detection import ReadOptions, open_recording
-from uav_recon.sensors.recordings.recording import DepthUnit, PlaybackCamera, PlaybackPoses, Recording, RecordingError
+from uav_recon.sensors.recordings.recording import (
+    DepthUnit,
+    PlaybackCamera,
+    PlaybackPoses,
+    Recording,
+    RecordingError,
+    require_increasing,
+)
 from uav_recon.types.pose import Pose
 
 
@@ -159,3 +166,54 @@ def test_other_things_say_what_was_found_and_what_is_wanted(tmp_path: Path) -> N
     assert "a file that begins with" in one_line(tmp_path / "holiday.jpg")
     (tmp_path / "old.bag").write_bytes(b"#ROSBAG V2.0\n" + bytes(20))
     assert "a ROS 1 bag" in one_line(tmp_path / "old.bag")
+
+
+@pytest.mark.parametrize(
+    ("stamps_s", "said"),
+    [
+        ([2.0, 2.1, 1.7e9], r"gap of 1.7e\+09 s after 2.100 s; want at most 600 s"),
+        ([float("nan")], "the first stamp is nan"),
+        ([2.0, 2.0], "stamps must increase"),
+        ([], "has no depth frame"),
+    ],
+)
+def test_stamps_increase_without_a_jump_of_the_clock(stamps_s: list[float], said: str) -> None:
+    with pytest.raises(RecordingError, match=f"walk: {said}"):
+        require_increasing(Path("walk"), stamps_s)
+
+
+def test_frames_without_leading_zeros_are_in_the_order_of_their_numbers(tmp_path: Path) -> None:
+    write_seven_scenes(tmp_path, 12)
+    for file in list(tmp_path.glob("frame-*")):
+        number, kind = file.name.removeprefix("frame-").split(".", 1)
+        file.rename(tmp_path / f"frame-{int(number)}.{kind}")
+    assert [frame.sequence for frame in opened(tmp_path).frames()] == list(range(12))
+
+
+def test_a_mirrored_pose_is_no_pose(tmp_path: Path) -> None:
+    write_seven_scenes(tmp_path, 2)
+    np.savetxt(tmp_path / "frame-000001.pose.txt", np.diag([1.0, -1.0, 1.0, 1.0]))
+    assert len(opened(tmp_path).poses()) == 1
+
+
+def test_a_tum_pose_without_a_rotation_is_skipped_and_counted(tmp_path: Path) -> None:
+    write_tum(tmp_path / "r", 3)
+    file = tmp_path / "r/groundtruth.txt"
+    head, _, *rest = file.read_text().splitlines()
+    file.write_text("\n".join((head, "100 0 0 0 0 0 0 0", *rest)))
+    recording = opened(tmp_path / "r")
+    assert len(recording.poses()) == 2
+    assert dict(recording.info.skipped) == {"poses without a rotation": 1}
+
+
+def test_what_the_system_refuses_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "a.mcap").mkdir()
+    assert one_line(tmp_path) == f"{tmp_path / 'a.mcap'}: cannot be read (Is a directory)"
+    assert one_line(tmp_path / ("x" * 300)).endswith(": cannot be read (File name too long)")
+    (tmp_path / "b.mcap").touch()
+
+    def refused(path: Path, *_: object) -> None:
+        raise PermissionError(13, "Permission denied", str(path))
+
+    monkeypatch.setattr(Path, "open", refused)
+    assert one_line(tmp_path / "b.mcap") == f"{tmp_path / 'b.mcap'}: cannot be read (Permission denied)"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import sqlite3
+from contextlib import closing
 from pathlib import Path
 
 import librealsense_writer as source
@@ -100,3 +101,14 @@ def test_a_bag_of_ros_1_by_others_is_one_line(tmp_path: Path) -> None:
         writer.write(connection, 1, store.serialize_ros1(message, "std_msgs/msg/String"))
     with pytest.raises(RecordingError, match="librealsense did not write; convert it to ROS 2"):
         open_recording(tmp_path / "other.bag", ReadOptions())
+
+
+def test_an_image_without_its_metadata_is_one_line(db3: Path, tmp_path: Path) -> None:
+    path = tmp_path / "run#1.db3"
+    path.write_bytes(db3.read_bytes())
+    with closing(sqlite3.connect(path)) as database, database:
+        (topic,) = database.execute("SELECT id FROM topics WHERE name LIKE '%Depth_0/image/metadata'").fetchone()
+        database.execute("DELETE FROM messages WHERE id = (SELECT MAX(id) FROM messages WHERE topic_id = ?)", (topic,))
+    with pytest.raises(RecordingError, match=r"run#1\.db3: damaged or cut \(KeyError: ") as failure:
+        open_recording(path, ReadOptions())
+    assert "\n" not in str(failure.value)

@@ -235,3 +235,82 @@ def test_sqlite_that_is_no_bag_is_one_line(tmp_path: Path) -> None:
         database.execute("CREATE TABLE other (a)")
     with pytest.raises(RecordingError, match="no ROS 2 bag"):
         open_recording(tmp_path / "x.db3", ReadOptions())
+
+
+def said_of(path: Path) -> str:
+    with pytest.raises(RecordingError) as error:
+        list(open_recording(path, ReadOptions()).frames())
+    assert "\n" not in str(error.value)
+    return str(error.value)
+
+
+@pytest.mark.parametrize("broken", [0.0, float("nan")])
+def test_a_first_pose_that_is_none_is_skipped_as_a_later_one(tmp_path: Path, broken: float) -> None:
+    messages = usual()
+    turn = messages[4][2].pose.orientation
+    for name in "wxyz":
+        object.__setattr__(turn, name, broken)
+    recording = open_recording(bag(tmp_path / "b", StoragePlugin.MCAP, messages), ReadOptions())
+    assert len(recording.poses()) == 2
+    assert dict(recording.info.skipped) == {"poses that are not finite": 1}
+
+
+def test_a_static_transform_that_is_none_is_one_line(tmp_path: Path) -> None:
+    vector, turn = (
+        T["geometry_msgs/msg/Vector3"](x=0.0, y=0.0, z=0.0),
+        T["geometry_msgs/msg/Quaternion"](x=0.0, y=0.0, z=0.0, w=0.0),
+    )
+    zero = T["geometry_msgs/msg/TransformStamped"](
+        header=head(1.0, "base"), child_frame_id="optical",
+        transform=T["geometry_msgs/msg/Transform"](translation=vector, rotation=turn),
+    )  # fmt: skip
+    static = ("/tf_static", 1.0, T["tf2_msgs/msg/TFMessage"](transforms=[zero]))
+    assert "/tf_static: 'optical' in 'base': pose is not finite" in said_of(
+        bag(tmp_path / "b", StoragePlugin.MCAP, [static, *usual()])
+    )
+
+
+@pytest.mark.parametrize("name", ["run#1", "50%41", "a?b"])
+@pytest.mark.parametrize("plugin", [StoragePlugin.SQLITE3, StoragePlugin.MCAP])
+def test_a_path_may_have_the_special_characters_of_an_address(tmp_path: Path, name: str, plugin: StoragePlugin) -> None:
+    bag(tmp_path / "b", plugin, usual())
+    (tmp_path / name).mkdir()
+    (file,) = (path for path in (tmp_path / "b").iterdir() if path.suffix in (".db3", ".mcap"))
+    assert len(list(open_recording(file.rename(tmp_path / name / file.name), ReadOptions()).frames())) == 3
+
+
+def test_a_damaged_chunk_is_one_line_that_names_the_file(tmp_path: Path) -> None:
+    record(tmp_path / "r.mcap", 8).close()
+    data = bytearray((tmp_path / "r.mcap").read_bytes())
+    at = data.index(b"\x28\xb5\x2f\xfd") + 200  # in a block of zstd
+    data[at : at + 8] = bytes(8)
+    (tmp_path / "r.mcap").write_bytes(data)
+    assert said_of(tmp_path / "r.mcap").startswith(f"{tmp_path / 'r.mcap'}: damaged or cut (")
+
+
+def test_a_bag_that_was_cut_before_its_messages_is_one_line(tmp_path: Path) -> None:
+    (file,) = bag(tmp_path / "b", StoragePlugin.SQLITE3, usual(frames=20)).glob("*.db3")
+    file.write_bytes(file.read_bytes()[:-50000])
+    assert said_of(file) == f"{file}: damaged or cut (database disk image is malformed)"
+
+
+@pytest.mark.parametrize(
+    ("coefficients", "said"),
+    [
+        ([0.1, 0.2, 0.3], "d has 3 numbers; want one of 0, 4, 5, 8, 12, 14"),
+        ([np.nan] * 5, "k or d has a number that is not finite"),
+    ],
+)
+def test_a_lens_that_is_none_is_one_line(tmp_path: Path, coefficients: list[float], said: str) -> None:
+    messages = usual()
+    for _, _, info in messages[:2]:
+        object.__setattr__(info, "d", np.array(coefficients))
+    assert f"/d/camera_info: {said}" in said_of(bag(tmp_path / "b", StoragePlugin.MCAP, messages))
+
+
+def test_an_empty_compressed_image_is_one_line(tmp_path: Path) -> None:
+    empty = T["sensor_msgs/msg/CompressedImage"](header=head(2.0, "optical"), format="jpeg", data=np.zeros(0, np.uint8))
+    messages = [("/c/image_raw/compressed", 2.0, empty), *without(usual(), "/c/image_raw")]
+    assert "/c/image_raw/compressed: compressed image of format 'jpeg'" in said_of(
+        bag(tmp_path / "b", StoragePlugin.MCAP, messages)
+    )

@@ -23,6 +23,7 @@ POSES = ("nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseStamped", "geometry_msg
 TF = "tf2_msgs/msg/TFMessage"
 _PNG = b"\x89PNG"
 _DISTORTED_SHARE = 1e-9  #: internal: smaller coefficients of a lens are none
+_COEFFICIENTS = (0, 4, 5, 8, 12, 14)  #: internal: of the distortion models of OpenCV
 _DEPTH_ENCODINGS = {"16UC1": np.uint16, "mono16": np.uint16, "32FC1": np.float32}
 _CHANNELS = {"rgb8": (3, None), "bgr8": (3, cv2.COLOR_BGR2RGB), "rgba8": (4, cv2.COLOR_RGBA2RGB),
              "bgra8": (4, cv2.COLOR_BGRA2RGB), "mono8": (1, cv2.COLOR_GRAY2RGB)}  # fmt: skip
@@ -85,7 +86,8 @@ def depth_image(message: Any, where: str) -> AnyArray:
 def rgb_image(message: Any, where: str) -> AnyArray:
     """Return the colour (h, w, 3) uint8 RGB of an image. Raises RecordingError."""
     if not hasattr(message, "encoding"):
-        bgr = cv2.imdecode(np.frombuffer(bytes(message.data), np.uint8), cv2.IMREAD_COLOR)
+        data = np.frombuffer(bytes(message.data), np.uint8)
+        bgr = cv2.imdecode(data, cv2.IMREAD_COLOR) if data.size else None
         if bgr is None:
             raise RecordingError(f"{where}: compressed image of format {message.format!r} cannot be read")
         return np.ascontiguousarray(bgr[..., ::-1])
@@ -108,12 +110,17 @@ def _pixels(message: Any, kind: np.dtype[Any], channels: int, where: str) -> Any
 class Lens:
     """Intrinsics of a CameraInfo, and the correction of its distortion.
 
-    Raises RecordingError for a distortion model that is not known.
+    Raises RecordingError for a distortion model that is not known, and for numbers that make no lens.
     """
 
     def __init__(self, info: Any, where: str) -> None:
         k, coefficients = np.asarray(info.k, dtype=np.float64).reshape(3, 3), np.asarray(info.d, dtype=np.float64)
-        if not (np.isfinite(k).all() and k[0, 0] > 0 and k[1, 1] > 0):
+        if not (np.isfinite(k).all() and np.isfinite(coefficients).all()):
+            raise RecordingError(f"{where}: k or d has a number that is not finite")
+        if coefficients.size not in _COEFFICIENTS:
+            counts = ", ".join(map(str, _COEFFICIENTS))
+            raise RecordingError(f"{where}: d has {coefficients.size} numbers; want one of {counts}")
+        if not (k[0, 0] > 0 and k[1, 1] > 0):
             raise RecordingError(f"{where}: fx {k[0, 0]:g} and fy {k[1, 1]:g} must be positive")
         self.intrinsics = Intrinsics(
             float(k[0, 0]), float(k[1, 1]), float(k[0, 2]), float(k[1, 2]), int(info.width), int(info.height)
@@ -148,10 +155,13 @@ class StaticTransforms:
     def __init__(self) -> None:
         self._from: dict[str, dict[str, Pose]] = {}
 
-    def add(self, message: Any) -> None:
-        """Add the transforms of a TFMessage."""
+    def add(self, message: Any, where: str) -> None:
+        """Add the transforms of a TFMessage. Raises RecordingError for one that is no rigid transform."""
         for one in message.transforms:
-            parent_from_child = pose_of(one.transform.translation, one.transform.rotation)
+            try:
+                parent_from_child = pose_of(one.transform.translation, one.transform.rotation)
+            except ValueError as error:
+                raise RecordingError(f"{where}: {one.child_frame_id!r} in {one.header.frame_id!r}: {error}") from None
             parent, child = one.header.frame_id.lstrip("/"), one.child_frame_id.lstrip("/")
             self._from.setdefault(child, {})[parent] = parent_from_child
             self._from.setdefault(parent, {})[child] = parent_from_child.inverse()
@@ -179,13 +189,18 @@ def pose_of(position: Any, rotation: Any) -> Pose:
     return Pose(np.array([rotation.w, rotation.x, rotation.y, rotation.z]), np.array([position.x, position.y, position.z]))
 
 
-def stamped_pose_of(message: Any) -> tuple[Pose, str]:
-    """Return the pose of an Odometry, PoseStamped or TransformStamped, and its frame or ''.
+def body_frame_of(message: Any) -> str:
+    """Return the frame whose pose an Odometry, PoseStamped or TransformStamped tells, or ''."""
+    return str(getattr(message, "child_frame_id", ""))
+
+
+def stamped_pose_of(message: Any) -> Pose:
+    """Return the pose of an Odometry, PoseStamped or TransformStamped.
 
     Raises ValueError for a pose that is not finite or has no rotation.
     """
     if hasattr(message, "transform"):
-        return pose_of(message.transform.translation, message.transform.rotation), message.child_frame_id
+        return pose_of(message.transform.translation, message.transform.rotation)
     if hasattr(message, "child_frame_id"):
-        return pose_of(message.pose.pose.position, message.pose.pose.orientation), message.child_frame_id
-    return pose_of(message.pose.position, message.pose.orientation), ""
+        return pose_of(message.pose.pose.position, message.pose.pose.orientation)
+    return pose_of(message.pose.position, message.pose.orientation)

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from uav_recon.sensors.recordings.bag_messages import BagTopics
+from uav_recon.sensors.recordings.checked_recording import CheckedRecording, faults_of
 from uav_recon.sensors.recordings.flight_folder import FlightFolder, is_flight_folder
 from uav_recon.sensors.recordings.realsense_file import RealSenseFile, is_realsense_file
 from uav_recon.sensors.recordings.recording import Pinhole, Recording, RecordingError
@@ -35,8 +36,13 @@ class ReadOptions:
 def open_recording(path: Path, options: ReadOptions) -> Recording:
     """Open a recording.
 
-    Raises RecordingError (one line) that says what was found and what is wanted.
+    Raises RecordingError (one line) that says what was found and what is wanted. The calls of the recording raise no other.
     """
+    with faults_of(path):
+        return CheckedRecording(path, _opened(path, options))
+
+
+def _opened(path: Path, options: ReadOptions) -> Recording:
     span_m = options.depth_min_m, options.depth_max_m
     if not path.exists():
         raise RecordingError(f"{path}: does not exist; {WANTED}")

@@ -178,7 +178,7 @@ class _Db3:
 
     def messages(self, file: Path) -> Iterator[_Message]:
         """Yield the messages of the streams in their order; a file that was cut ends there."""
-        with closing(sqlite3.connect(f"file:{file}?mode=ro", uri=True)) as database:
+        with closing(read_only(file)) as database:
             try:
                 for topic, kind, file_ns, data in database.execute(
                     "SELECT topics.name, topics.type, messages.timestamp, messages.data FROM messages JOIN topics "
@@ -295,12 +295,17 @@ def is_realsense_file(file: Path) -> bool:
         if b"/device_0/" not in file.read_bytes():
             raise RecordingError(f"{file}: a ROS 1 bag that librealsense did not write; convert it to ROS 2: rosbags-convert")
         return True
-    with closing(sqlite3.connect(f"file:{file}?mode=ro", uri=True)) as database:
+    with closing(read_only(file)) as database:
         try:
             rows = database.execute("SELECT 1 FROM topics WHERE name LIKE '/device_0/sensor_%' LIMIT 1").fetchall()
         except sqlite3.DatabaseError:
             return False
     return bool(rows)
+
+
+def read_only(file: Path) -> sqlite3.Connection:
+    """Open an SQLite file for reading. Raises sqlite3.Error."""
+    return sqlite3.connect(f"{file.absolute().as_uri()}?mode=ro", uri=True)
 
 
 def _format_of(file: Path) -> _Db3 | _Bag1:

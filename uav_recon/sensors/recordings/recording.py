@@ -22,6 +22,9 @@ Pinhole = tuple[float, float, float, float]  # fx, fy, cx, cy in pixels
 LEVEL_MOUNT = Pose.from_matrix(BODY_FROM_OPTICAL)  # body_from_depth where the recording is of a camera without a body
 
 
+_MAX_GAP_S = 600.0  #: reject: a recording with a longer gap between two frames: its clock has jumped
+
+
 class RecordingError(StreamError):
     """Raised for a recording that cannot be read; the text is one line."""
 
@@ -165,13 +168,19 @@ class PlaybackPoses:
 def require_increasing(path: Path, stamps_s: list[float]) -> None:
     """Check the stamps of frames.
 
-    Raises RecordingError if there are none, or if they do not increase.
+    Raises RecordingError if there are none, if they do not increase, or for a jump of the clock.
     """
     if not stamps_s:
         raise RecordingError(f"{path}: has no depth frame")
+    if not math.isfinite(stamps_s[0]):
+        raise RecordingError(f"{path}: the first stamp is {stamps_s[0]}")
     for before_s, after_s in itertools.pairwise(stamps_s):
         if not before_s < after_s or not math.isfinite(after_s):
             raise RecordingError(f"{path}: stamps must increase, and {after_s:.6f} s follows {before_s:.6f} s")
+        if after_s - before_s > _MAX_GAP_S:
+            raise RecordingError(
+                f"{path}: gap of {after_s - before_s:.4g} s after {before_s:.3f} s; want at most {_MAX_GAP_S:g} s"
+            )
 
 
 def read_depth(path: Path) -> AnyArray:

@@ -28,6 +28,7 @@ from uav_recon.sensors.recordings.bag_messages import (
     BagTopics,
     Lens,
     StaticTransforms,
+    body_frame_of,
     depth_image,
     is_depth,
     only_topic,
@@ -35,7 +36,7 @@ from uav_recon.sensors.recordings.bag_messages import (
     stamped_pose_of,
 )
 from uav_recon.sensors.recordings.frame_pairing import paired
-from uav_recon.sensors.recordings.realsense_file import ROS1_MAGIC
+from uav_recon.sensors.recordings.realsense_file import ROS1_MAGIC, read_only
 from uav_recon.sensors.recordings.recording import LEVEL_MOUNT, DepthUnit, RecordingError, RecordingInfo, require_increasing
 from uav_recon.types.camera import Frame, ImuSample
 from uav_recon.types.frames import AnyArray
@@ -150,7 +151,7 @@ class RosBag:
         found = _Contents()
         readers: dict[str, Callable[[RawMessage], None]] = {
             CAMERA_INFO: lambda one: self._note_info(found, one),
-            TF: lambda one: found.transforms.add(self._decode(one)) if one.topic.endswith("tf_static") else None,
+            TF: lambda one: self._note_transforms(found, one) if one.topic.endswith("tf_static") else None,
             IMU: lambda one: found.imu.setdefault(one.topic, []).append(self._decode(one)),
             **dict.fromkeys(POSES, lambda one: found.poses.setdefault(one.topic, []).append(self._decode(one))),
             **dict.fromkeys(IMAGES, lambda one: self._note_image(found, one)),
@@ -163,6 +164,9 @@ class RosBag:
     def _note_info(self, found: _Contents, message: RawMessage) -> None:
         if message.topic not in found.infos:
             found.infos[message.topic] = self._decode(message)
+
+    def _note_transforms(self, found: _Contents, message: RawMessage) -> None:
+        found.transforms.add(self._decode(message), f"{self._file}: {message.topic}")
 
     def _note_image(self, found: _Contents, message: RawMessage) -> None:
         topic = message.topic
@@ -193,7 +197,7 @@ class RosBag:
     def _placed(self, pose_of: str) -> tuple[list[StampedPose], Pose, str]:
         """Return the poses of the body, body_from_depth, and the name of the body's frame."""
         messages, depth_frame = self._contents.poses.get(self._pose or "", []), self._contents.frame_ids[self._depth]
-        first = stamped_pose_of(messages[0])[1] if messages else ""
+        first = body_frame_of(messages[0]) if messages else ""
         body_from_depth = self._contents.transforms.between(first, depth_frame) if first else None
         optical = first.lstrip("/") == depth_frame.lstrip("/") or (body_from_depth is None and pose_of == "camera")
         optical_from_body = LEVEL_MOUNT.inverse() if optical else Pose.identity()
@@ -202,7 +206,7 @@ class RosBag:
         out = []
         for message in messages:
             try:
-                world_from_told, _ = stamped_pose_of(message)
+                world_from_told = stamped_pose_of(message)
             except ValueError:
                 self.skipped["poses that are not finite"] += 1
                 continue
@@ -254,15 +258,19 @@ def _mcap_messages(file: Path) -> Iterator[RawMessage]:
 
 
 def _sqlite_messages(file: Path) -> Iterator[RawMessage]:
-    with closing(sqlite3.connect(f"file:{file}?mode=ro", uri=True)) as database:
+    read = False
+    with closing(read_only(file)) as database:
         try:
             rows = database.execute("SELECT topics.name, topics.type, messages.data FROM messages JOIN topics ON topics.id = "
                                     "messages.topic_id ORDER BY messages.timestamp, messages.id")  # fmt: skip
             for topic, kind, data in rows:
+                read = True
                 yield RawMessage(topic, kind, data)
         except sqlite3.OperationalError as error:
             raise RecordingError(f"{file}: an SQLite file, but no ROS 2 bag ({error})") from None
-        except sqlite3.DatabaseError:
+        except sqlite3.DatabaseError as error:
+            if not read:
+                raise RecordingError(f"{file}: damaged or cut ({error})") from None
             return  # the file was cut here
 
 

@@ -22,6 +22,7 @@ from uav_recon.sensors.recordings.recording import (
     pinhole,
     read_depth,
     read_rgb,
+    require_increasing,
 )
 from uav_recon.types.camera import Frame, ImuSample
 from uav_recon.types.frames import FloatArray
@@ -44,13 +45,13 @@ class SevenScenesFolder:
     def __init__(self, folder: Path, depth_min_m: float, depth_max_m: float, k: Pinhole | None) -> None:
         self._unit = DepthUnit.of(0.001, depth_min_m, depth_max_m)
         self._k = k or (read_intrinsics(folder / INTRINSICS) if (folder / INTRINSICS).exists() else DEFAULT_K)
-        self._depth = sorted(folder.glob("frame-*.depth.png"))
-        if not self._depth:
-            raise RecordingError(f"{folder}: has no file frame-NNNNNN.depth.png")
+        files = folder.glob("frame-*.depth.png")
         try:
-            self._numbers = [int(path.name.split(".")[0].removeprefix("frame-")) for path in self._depth]
+            numbered = sorted((int(path.name.split(".")[0].removeprefix("frame-")), path) for path in files)
         except ValueError:
             raise RecordingError(f"{folder}: want frame-NNNNNN.depth.png with a number") from None
+        self._numbers, self._depth = [number for number, _ in numbered], [path for _, path in numbered]
+        require_increasing(folder, [number / RATE_HZ for number in self._numbers])
 
     @property
     def info(self) -> RecordingInfo:
@@ -108,6 +109,8 @@ def _read_pose(depth: Path) -> Pose | None:
     path = depth.with_name(depth.name.removesuffix("depth.png") + "pose.txt")
     matrix = _matrix(path, 4) if path.exists() else None
     if matrix is None or np.abs(matrix[:3, :3] @ matrix[:3, :3].T - np.eye(3)).max() > _NO_ROTATION_SHARE:
+        return None
+    if np.linalg.det(matrix[:3, :3]) < 0.0:  # mirrored
         return None
     return Pose.from_matrix(matrix)
 

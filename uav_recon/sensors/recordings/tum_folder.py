@@ -30,6 +30,7 @@ from uav_recon.types.pose import Pose, StampedPose
 
 UNITS_PER_M = 5000.0
 PAIR_S = 0.02  #: reject: a depth image whose nearest colour image is farther away is skipped, as by the benchmark's own tool
+_NO_TURN_SHARE = 1e-6  #: reject: a pose whose quaternion is shorter has no direction
 #: internal: fx, fy, cx, cy that the benchmark names for depth registered by its driver (no distortion)
 DEFAULT_K = (525.0, 525.0, 319.5, 239.5)
 
@@ -50,13 +51,13 @@ class TumFolder:
         self._pairs = _paired(depth, rgb)
         require_increasing(folder / "depth.txt", [stamp_s for stamp_s, _, _ in self._pairs])
         counts = ("images listed but missing", missing), ("depth images without colour", len(depth) - len(self._pairs))
-        self._skipped = tuple(one for one in counts if one[1])
+        self._skipped = {what: count for what, count in counts if count}
 
     @property
     def info(self) -> RecordingInfo:
         """Return the head of the recording."""
-        first_s, last_s = self._pairs[0][0], self._pairs[-1][0]
-        return RecordingInfo("TUM RGB-D folder", len(self._pairs), first_s, last_s, LEVEL_MOUNT, True, self._skipped)
+        first_s, last_s, skipped = self._pairs[0][0], self._pairs[-1][0], tuple(self._skipped.items())
+        return RecordingInfo("TUM RGB-D folder", len(self._pairs), first_s, last_s, LEVEL_MOUNT, True, skipped)
 
     def frames(self, step: int = 1) -> Iterator[Frame]:
         """Yield every step-th depth image that has a colour image. Raises RecordingError."""
@@ -66,13 +67,20 @@ class TumFolder:
             yield Frame(stamp_s, number, self._unit.metres(depth), lens, rgb, pinhole(self._k, rgb.shape), Pose.identity())
 
     def poses(self) -> list[StampedPose]:
-        """Return the poses of groundtruth.txt as poses of the body; empty without the file."""
+        """Return the poses of groundtruth.txt as poses of the body; empty without the file.
+
+        A line whose quaternion has no direction is skipped and counted. Raises RecordingError.
+        """
         path = self._folder / "groundtruth.txt"
         if not path.exists():
             return []
         optical_from_body = LEVEL_MOUNT.inverse()
+        rows = list(_numbers(path, 8))
+        turned = [row for row in rows if np.linalg.norm(row[4:]) > _NO_TURN_SHARE]
+        if len(turned) < len(rows):
+            self._skipped["poses without a rotation"] = len(rows) - len(turned)
         out = []
-        for row in _numbers(path, 8):
+        for row in turned:
             world_from_optical = Pose(row[[7, 4, 5, 6]], row[1:4])
             out.append(StampedPose(float(row[0]), world_from_optical @ optical_from_body, np.zeros(3)))
         return sorted(out, key=lambda pose: pose.stamp_s)
