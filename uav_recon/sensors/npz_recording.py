@@ -108,7 +108,7 @@ def _load(path: Path) -> dict[str, AnyArray]:
 
 
 def _require(path: Path, data: dict[str, AnyArray], name: str, shape: tuple[int, ...], kind: type = np.float64) -> None:
-    """Raise StreamError unless an array exists, has this shape and fits the kind, with finite numbers."""
+    """Raise StreamError unless an array has this shape and kind, and finite numbers."""
     array = data.get(name)
     if array is None or array.shape != shape or not np.can_cast(array.dtype, kind):
         found = "missing" if array is None else f"{array.dtype} of shape {array.shape}"

@@ -156,7 +156,10 @@ class StaticTransforms:
         self._from: dict[str, dict[str, Pose]] = {}
 
     def add(self, message: Any, where: str) -> None:
-        """Add the transforms of a TFMessage. Raises RecordingError for one that is no rigid transform."""
+        """Add the transforms of a TFMessage.
+
+        Raises RecordingError for one that is no rigid transform.
+        """
         for one in message.transforms:
             try:
                 parent_from_child = pose_of(one.transform.translation, one.transform.rotation)

@@ -1,4 +1,4 @@
-"""Boundary around the readers: what a damaged file raises becomes one line that names the file."""
+"""Boundary around the readers: a damaged file becomes an error that names it."""
 
 from __future__ import annotations
 
