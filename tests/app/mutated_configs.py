@@ -153,11 +153,7 @@ def contradictions() -> Iterator[Mutant]:
         [[-3, -3], [9, -3], [0, 3]],
     ):
         yield Mutant(flown("safety", "fence_corners_m", corners), ("fence",))
-    for section, key, most in (
-        ("safety", "fence_min_m", 500),
-        ("safety", "fence_max_m", 500),
-        ("camera", "position_body_m", 1),
-    ):
+    for key, most in (("safety.fence_min_m", 500), ("safety.fence_max_m", 500), ("camera.position_body_m", 1)):
         for value in (math.nan, math.inf, most + 0.1, -most - 0.1):
             section, _, name = key.partition(".")
             yield Mutant(flown(section, name, [0.1, value, 0.1]), (f"{key}.1", f"{most} "))
