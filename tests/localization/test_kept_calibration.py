@@ -103,7 +103,7 @@ def test_a_file_that_is_broken_is_not_used(tmp_path: Path) -> None:
     texts = ("", "null", "[]", "{}", '{"format": 1}', "\xff", '{"format": 1, "camera": "x", "elements": {"delay_s": 3}}')
     for text in texts:
         file.write_text(text, encoding="latin-1")
-        assert _fail(file) == "it is not a calibration file"
+        assert _fail(file) == "no calibration file"
     for name, value, sigma in (
         ("delay_s", 1.0, 0.01),
         ("delay_s", math.nan, 0.01),

@@ -155,4 +155,4 @@ def _parse(file: Path) -> tuple[tuple[object, object], Elements]:
         kept = tuple((str(name), float(value), float(sigma)) for name, (value, sigma) in tree["elements"].items())
         return (tree["format"], tree["camera"]), kept
     except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError):
-        raise ForeignFileError("it is not a calibration file") from None
+        raise ForeignFileError("no calibration file") from None

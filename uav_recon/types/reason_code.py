@@ -194,7 +194,7 @@ class ReasonCode(str, Enum):
     )  # fmt: skip
     CALIBRATION_IGNORED = (
         "calibration-ignored", "kept camera errors not used: {0}", "the kept errors of the camera are not used: {0}",
-        ("it is not a calibration file",),
+        ("no calibration file",),
     )  # fmt: skip
     ODOMETRY_RESTARTED = "odometry-restarted", "odometry restarted, the map does not fit it"
     POSE_SOURCE_RESET = "pose-source-reset", "pose source was reset, holding"
