@@ -20,8 +20,6 @@ from uav_recon.types.pose import Pose, StampedPose
 
 Pinhole = tuple[float, float, float, float]  # fx, fy, cx, cy in pixels
 LEVEL_MOUNT = Pose.from_matrix(BODY_FROM_OPTICAL)  # body_from_depth where the recording is of a camera without a body
-
-
 _MAX_GAP_S = 600.0  #: reject: a recording with a longer gap between two frames: its clock has jumped
 
 
