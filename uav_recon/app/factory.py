@@ -41,7 +41,7 @@ if TYPE_CHECKING:  # each process imports only the stages that it runs
     from uav_recon.autopilot.pilot.upward_range_finder import RangeFinderModel
     from uav_recon.localization.camera_mount import Mount
     from uav_recon.localization.depth_consistency import DepthConsistencyMonitor
-    from uav_recon.localization.fusion_filter import FusionFilter
+    from uav_recon.localization.fusion.fusion_filter import FusionFilter
     from uav_recon.localization.odometry_correction import OdometryCorrection
     from uav_recon.localization.perception import Perception
     from uav_recon.localization.reconciled_consistency import ReconciledConsistency
@@ -312,7 +312,7 @@ def connect_perception(
     origin: where the take-off pad is, if not at the pose source's origin. remarks: of the camera. writer: writes the kept
     calibration.
     """
-    from uav_recon.localization.fusion_filter import FusionFilter
+    from uav_recon.localization.fusion.fusion_filter import FusionFilter
     from uav_recon.localization.kept_calibration import KeptCalibration
     from uav_recon.localization.odometry_correction import NoCorrection
     from uav_recon.localization.perception import Perception

@@ -20,7 +20,7 @@ from uav_recon.localization.calibration_filter import (
 )
 from uav_recon.localization.camera_motion import CameraMotion
 from uav_recon.localization.camera_mount import Mount
-from uav_recon.localization.fusion_filter import FusionFilter
+from uav_recon.localization.fusion.fusion_filter import FusionFilter
 from uav_recon.localization.odometry_drift_rate import DriftRateEstimator
 from uav_recon.localization.planar_patches import patches
 from uav_recon.types.camera import Frame

@@ -11,13 +11,14 @@ from uav_recon.clock import RateKeeper
 from uav_recon.geometry import min_range_binning
 from uav_recon.geometry.min_range_binning import nearest_in_cells
 from uav_recon.interfaces import Channel, Clock, DepthCamera, PoseSource
-from uav_recon.localization import axis_monitor, error_propagation, planar_patches
+from uav_recon.localization import axis_monitor, planar_patches
 from uav_recon.localization.axis_monitor import AxisMonitor
 from uav_recon.localization.camera_motion import CameraMotion
 from uav_recon.localization.camera_mount import Mount
 from uav_recon.localization.depth_consistency import CorrectedDrift, DepthConsistencyMonitor
-from uav_recon.localization.fusion_filter import FusionFilter
-from uav_recon.localization.inertial_selection import InertialSelection
+from uav_recon.localization.fusion import error_propagation
+from uav_recon.localization.fusion.fusion_filter import FusionFilter
+from uav_recon.localization.fusion.inertial_selection import InertialSelection
 from uav_recon.localization.kept_calibration import KeptCalibration
 from uav_recon.localization.odometry_correction import NoCorrection, OdometryCorrection
 from uav_recon.localization.reconciled_consistency import ReconciledConsistency

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from uav_recon.localization.imu_integration import GRAVITY_MPS2, InertialTrack
+from uav_recon.localization.fusion.imu_integration import GRAVITY_MPS2, InertialTrack
 from uav_recon.localization.slam.motion_filter import MeasuredStep, MotionFilter, PredictedMotion
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.pose import Pose

@@ -12,7 +12,7 @@ from collections import deque
 
 import numpy as np
 
-from uav_recon.localization.imu_integration import InertialState, InertialTrack, conjugate, logarithm, multiply
+from uav_recon.localization.fusion.imu_integration import InertialState, InertialTrack, conjugate, logarithm, multiply
 from uav_recon.types.camera import ImuSample
 from uav_recon.types.frames import FloatArray
 

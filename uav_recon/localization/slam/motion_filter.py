@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from uav_recon.localization.imu_integration import GRAVITY_MPS2, InertialState, conjugate
+from uav_recon.localization.fusion.imu_integration import GRAVITY_MPS2, InertialState, conjugate
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.pose import Pose
 

@@ -7,7 +7,7 @@ from collections import deque
 
 import numpy as np
 
-from uav_recon.localization.imu_integration import GRAVITY_MPS2
+from uav_recon.localization.fusion.imu_integration import GRAVITY_MPS2
 from uav_recon.types.camera import ImuSample
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.pose import Pose

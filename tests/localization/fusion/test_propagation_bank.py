@@ -10,8 +10,8 @@ import pytest
 from faulty_pose_flight import MOTION, ONSET_S, Told, fly
 from numpy.typing import NDArray
 
-from uav_recon.localization.fusion_filter import FusionFilter
-from uav_recon.localization.imu_integration import GRAVITY_MPS2
+from uav_recon.localization.fusion.fusion_filter import FusionFilter
+from uav_recon.localization.fusion.imu_integration import GRAVITY_MPS2
 from uav_recon.types.camera import ImuSample
 from uav_recon.types.pose import Pose, PoseHealth, StampedPose
 from uav_recon.types.reason_code import ReasonCode

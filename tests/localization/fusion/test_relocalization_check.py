@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from uav_recon.localization.filter_pose_gates import PoseMeasurement
-from uav_recon.localization.imu_integration import exponential, multiply, rotate
-from uav_recon.localization.relocalization_check import AFTER_LOSS, MAP_STEP, RelocalizationCheck
+from uav_recon.localization.fusion.filter_pose_gates import PoseMeasurement
+from uav_recon.localization.fusion.imu_integration import exponential, multiply, rotate
+from uav_recon.localization.fusion.relocalization_check import AFTER_LOSS, MAP_STEP, RelocalizationCheck
 from uav_recon.types.pose import Pose, StampedPose
 
 SOURCE = StampedPose(0.0, Pose.identity(), np.zeros(3))

@@ -12,7 +12,7 @@ from test_propagation_bank import undisturbed
 
 from uav_recon.channels import MemoryChannel
 from uav_recon.clock import ManualClock
-from uav_recon.localization.inertial_selection import InertialSelection
+from uav_recon.localization.fusion.inertial_selection import InertialSelection
 from uav_recon.types.camera import ImuSample
 from uav_recon.types.pose import PoseHealth
 from uav_recon.types.reason_code import ReasonCode

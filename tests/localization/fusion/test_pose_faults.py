@@ -10,7 +10,7 @@ import pytest
 from faulty_pose_flight import MOTION, ONSET_S, Trouble, fly, shifted
 from scipy.spatial.transform import Rotation
 
-from uav_recon.localization.filter_pose_gates import PoseRejection
+from uav_recon.localization.fusion.filter_pose_gates import PoseRejection
 from uav_recon.types.camera import ImuSample
 from uav_recon.types.pose import Pose, PoseHealth, StampedPose
 from uav_recon.types.reason import Reason

@@ -8,8 +8,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from uav_recon.localization.filter_pose_gates import PoseMeasurement
-from uav_recon.localization.imu_integration import conjugate, logarithm, multiply, rotate
+from uav_recon.localization.fusion.filter_pose_gates import PoseMeasurement
+from uav_recon.localization.fusion.imu_integration import conjugate, logarithm, multiply, rotate
 
 _SLIP_M = 0.05  #: reject: poses of a new track that differ by more from the motion of the old one between them
 _SLIP_MPS = 0.1  #: reject: ... beyond what the track itself drifts in more than _MAP_STEP_S

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from uav_recon.localization.pose_stream_health import OdometryHealthMonitor
+from uav_recon.localization.fusion.pose_stream_health import OdometryHealthMonitor
 from uav_recon.types.pose import PoseHealth
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode

@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 
 from uav_recon.geometry.jit import kernel
-from uav_recon.localization.imu_integration import Quaternion, Vector
+from uav_recon.localization.fusion.imu_integration import Quaternion, Vector
 from uav_recon.types.frames import FloatArray
 
 # index of the first element of each in the error

@@ -23,8 +23,8 @@ from typing import NamedTuple
 import numpy as np
 from filterpy.kalman import predict, update
 
-from uav_recon.localization.error_propagation import dynamics
-from uav_recon.localization.imu_integration import (
+from uav_recon.localization.fusion.error_propagation import dynamics
+from uav_recon.localization.fusion.imu_integration import (
     GRAVITY_MPS2,
     InertialState,
     Quaternion,
@@ -36,7 +36,7 @@ from uav_recon.localization.imu_integration import (
     normalised,
     rotate,
 )
-from uav_recon.localization.propagation_model import PropagationModel
+from uav_recon.localization.fusion.propagation_model import PropagationModel
 from uav_recon.types.frames import FloatArray
 
 WHITE_SHARE = 0.15  # share of white noise in a claimed variance; the rest is drift

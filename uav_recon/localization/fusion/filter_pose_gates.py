@@ -11,7 +11,7 @@ from enum import Enum
 
 import numpy as np
 
-from uav_recon.localization.imu_integration import Quaternion, Vector
+from uav_recon.localization.fusion.imu_integration import Quaternion, Vector
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.pose import Pose, StampedPose
 

@@ -18,8 +18,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from uav_recon.localization.eskf import SEEN, WHITE_SHARE, Estimate, PoseNoise
-from uav_recon.localization.filter_pose_gates import (
+from uav_recon.localization.fusion.eskf import SEEN, WHITE_SHARE, Estimate, PoseNoise
+from uav_recon.localization.fusion.filter_pose_gates import (
     CONTRADICTIONS,
     FrozenPoseGate,
     PoseGates,
@@ -27,11 +27,11 @@ from uav_recon.localization.filter_pose_gates import (
     PoseRejection,
     pose_fault,
 )
-from uav_recon.localization.fusion_history import Arrival, FusedPose, pose_innovation
-from uav_recon.localization.imu_integration import Quaternion, Vector, conjugate, multiply, normalised, rotate
-from uav_recon.localization.pose_stream_health import OdometryHealthMonitor
-from uav_recon.localization.propagation_bank import PropagationBank
-from uav_recon.localization.relocalization_check import AFTER_LOSS, MAP_STEP, RelocalizationCheck
+from uav_recon.localization.fusion.fusion_history import Arrival, FusedPose, pose_innovation
+from uav_recon.localization.fusion.imu_integration import Quaternion, Vector, conjugate, multiply, normalised, rotate
+from uav_recon.localization.fusion.pose_stream_health import OdometryHealthMonitor
+from uav_recon.localization.fusion.propagation_bank import PropagationBank
+from uav_recon.localization.fusion.relocalization_check import AFTER_LOSS, MAP_STEP, RelocalizationCheck
 from uav_recon.types.camera import ImuSample
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.pose import Pose, PoseHealth, StampedPose, WorldFromOdom

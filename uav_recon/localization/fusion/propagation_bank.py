@@ -14,12 +14,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from uav_recon.localization.eskf import Estimate, PoseNoise
-from uav_recon.localization.filter_pose_gates import PoseMeasurement, PoseRejection
-from uav_recon.localization.fusion_history import Arrival, FusedPose, FusionHistory, pose_innovation
-from uav_recon.localization.imu_integration import InertialState, Vector
-from uav_recon.localization.imu_sample_gate import ImuSampleGate
-from uav_recon.localization.propagation_model import GYRO, INERTIAL, KINEMATIC
+from uav_recon.localization.fusion.eskf import Estimate, PoseNoise
+from uav_recon.localization.fusion.filter_pose_gates import PoseMeasurement, PoseRejection
+from uav_recon.localization.fusion.fusion_history import Arrival, FusedPose, FusionHistory, pose_innovation
+from uav_recon.localization.fusion.imu_integration import InertialState, Vector
+from uav_recon.localization.fusion.imu_sample_gate import ImuSampleGate
+from uav_recon.localization.fusion.propagation_model import GYRO, INERTIAL, KINEMATIC
 from uav_recon.types.camera import ImuSample
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode

@@ -6,8 +6,8 @@ import math
 from collections import Counter
 from typing import NamedTuple
 
-from uav_recon.localization.filter_pose_gates import PoseRejection
-from uav_recon.localization.imu_integration import Vector
+from uav_recon.localization.fusion.filter_pose_gates import PoseRejection
+from uav_recon.localization.fusion.imu_integration import Vector
 from uav_recon.types.camera import ImuSample
 from uav_recon.types.frames import FloatArray
 

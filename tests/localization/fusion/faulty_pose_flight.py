@@ -10,7 +10,7 @@ from figure_eight import Event, FigureEight, events
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from uav_recon.localization.fusion_filter import FusionFilter
+from uav_recon.localization.fusion.fusion_filter import FusionFilter
 from uav_recon.types.camera import ImuSample
 from uav_recon.types.pose import Pose, PoseHealth, StampedPose
 

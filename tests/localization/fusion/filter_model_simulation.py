@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from uav_recon.localization.eskf import Estimate
-from uav_recon.localization.fusion_filter import FusionFilter
-from uav_recon.localization.propagation_model import INERTIAL
+from uav_recon.localization.fusion.eskf import Estimate
+from uav_recon.localization.fusion.fusion_filter import FusionFilter
+from uav_recon.localization.fusion.propagation_model import INERTIAL
 from uav_recon.types.camera import ImuSample
 from uav_recon.types.pose import Pose, StampedPose
 

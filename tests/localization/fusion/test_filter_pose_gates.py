@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from uav_recon.localization.filter_pose_gates import (
+from uav_recon.localization.fusion.filter_pose_gates import (
     FrozenPoseGate,
     PoseGates,
     PoseMeasurement,

@@ -7,7 +7,7 @@ import pytest
 from figure_eight import FigureEight, perfect_imu
 from numpy.typing import NDArray
 
-from uav_recon.localization.eskf import (
+from uav_recon.localization.fusion.eskf import (
     Estimate,
     PoseNoise,
     innovation,
@@ -16,8 +16,8 @@ from uav_recon.localization.eskf import (
     spread,
     update_estimate,
 )
-from uav_recon.localization.imu_integration import InertialTrack, Vector, exponential, logarithm, multiply
-from uav_recon.localization.propagation_model import GYRO, INERTIAL, KINEMATIC
+from uav_recon.localization.fusion.imu_integration import InertialTrack, Vector, exponential, logarithm, multiply
+from uav_recon.localization.fusion.propagation_model import GYRO, INERTIAL, KINEMATIC
 
 MOTION = FigureEight()
 QUIET = PoseNoise(1e-9, 1e-9, 0.0, 0.0)

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from uav_recon.localization.imu_integration import (
+from uav_recon.localization.fusion.imu_integration import (
     InertialState,
     InertialTrack,
     Vector,

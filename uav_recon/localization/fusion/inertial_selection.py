@@ -13,7 +13,7 @@ from collections.abc import Callable
 import numpy as np
 
 from uav_recon.interfaces import Channel
-from uav_recon.localization.imu_sample_gate import ImuSampleGate
+from uav_recon.localization.fusion.imu_sample_gate import ImuSampleGate
 from uav_recon.types.camera import ImuSample
 from uav_recon.types.vehicle import TurnRates
 

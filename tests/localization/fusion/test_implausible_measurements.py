@@ -12,8 +12,8 @@ from figure_eight import FigureEight, events
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from uav_recon.localization.filter_pose_gates import PoseRejection
-from uav_recon.localization.fusion_filter import FusionFilter
+from uav_recon.localization.fusion.filter_pose_gates import PoseRejection
+from uav_recon.localization.fusion.fusion_filter import FusionFilter
 from uav_recon.types.pose import Pose, StampedPose
 
 MOTION = FigureEight()

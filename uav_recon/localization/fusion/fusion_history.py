@@ -7,8 +7,16 @@ import math
 from collections import deque
 from dataclasses import dataclass
 
-from uav_recon.localization.eskf import Estimate, PoseNoise, innovation, propagate, propagate_mean, spread, update_estimate
-from uav_recon.localization.filter_pose_gates import (
+from uav_recon.localization.fusion.eskf import (
+    Estimate,
+    PoseNoise,
+    innovation,
+    propagate,
+    propagate_mean,
+    spread,
+    update_estimate,
+)
+from uav_recon.localization.fusion.filter_pose_gates import (
     PoseMeasurement,
     PoseRejection,
     max_step_noise_scale,
@@ -16,7 +24,7 @@ from uav_recon.localization.filter_pose_gates import (
     outlier_noise_scale,
     same_stamp,
 )
-from uav_recon.localization.imu_integration import (
+from uav_recon.localization.fusion.imu_integration import (
     GRAVITY_MPS2,
     InertialState,
     InertialTrack,
@@ -27,8 +35,8 @@ from uav_recon.localization.imu_integration import (
     multiply,
     rotate,
 )
-from uav_recon.localization.imu_sample_gate import InertialReading
-from uav_recon.localization.propagation_model import KINEMATIC, PropagationModel
+from uav_recon.localization.fusion.imu_sample_gate import InertialReading
+from uav_recon.localization.fusion.propagation_model import KINEMATIC, PropagationModel
 from uav_recon.types.frames import FloatArray
 
 _HISTORY_S = 2.0  #: reject: late poses and frames are possible for this time
