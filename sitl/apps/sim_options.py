@@ -20,7 +20,7 @@ from uav_recon.app.option_validation import OUTPUTS, UsageError, mount_pitch_deg
 from uav_recon.app.room_check import advise
 from uav_recon.config import Config, ConfigError, UncertaintyName, VariantName, parse
 from uav_recon.errors import EXIT_CONFIG, UserError
-from uav_recon.localization.kept_calibration import is_calibration
+from uav_recon.localization.calibration.kept_calibration import is_calibration
 from uav_recon.planning.mount_visibility import USUAL_DEG
 
 __all__ = ["SimOptions", "UsageError"]

@@ -18,7 +18,7 @@ from uav_recon.app.calibrate import PLOT, CalibrateOptions, calibrate, config_li
 from uav_recon.clock import ManualClock
 from uav_recon.config import Config, load, save
 from uav_recon.errors import UserError
-from uav_recon.localization.calibration_filter import CameraCalibration
+from uav_recon.localization.calibration.calibration_filter import CameraCalibration
 from uav_recon.sensors.npz_recording import NpzRecording
 from uav_recon.sensors.recordings.mcap_writer import McapWriter
 from uav_recon.sensors.recordings.recording import LEVEL_MOUNT

@@ -9,7 +9,7 @@ from software_realsense import Rig, SoftwareRealSense
 from uav_recon.app.flight_channels import memory_channels
 from uav_recon.app.processes import run_perception
 from uav_recon.clock import ManualClock
-from uav_recon.localization.camera_mount import FixedMount
+from uav_recon.localization.calibration.camera_mount import FixedMount
 from uav_recon.localization.fusion.fusion_filter import FusionFilter
 from uav_recon.localization.perception import Perception
 from uav_recon.types.camera import body_from_camera

@@ -10,8 +10,8 @@ from figure_eight import FigureEight, perfect_imu
 
 from uav_recon.channels import MemoryChannel
 from uav_recon.clock import ManualClock
-from uav_recon.localization.camera_motion import CameraMotion
-from uav_recon.localization.camera_mount import FixedMount, Mount
+from uav_recon.localization.calibration.camera_motion import CameraMotion
+from uav_recon.localization.calibration.camera_mount import FixedMount, Mount
 from uav_recon.localization.depth_consistency import DepthConsistencyMonitor
 from uav_recon.localization.fusion.fusion_filter import FusionFilter
 from uav_recon.localization.perception import Perception

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from uav_recon.localization.camera_motion import CameraMotion
+from uav_recon.localization.calibration.camera_motion import CameraMotion
 from uav_recon.localization.depth_consistency import CorrectedDrift
 from uav_recon.localization.reconciled_consistency import ReconciledConsistency
 from uav_recon.types.camera import Frame, Intrinsics

@@ -62,8 +62,8 @@ def calibrate(options: CalibrateOptions) -> int:
     Exit code 0: all elements are known; 1: some are not, and the motions that would show them are printed. Raises UserError
     with one line for input that cannot be used.
     """
-    from uav_recon.localization.calibration_filter import CameraCalibration, observed
-    from uav_recon.localization.camera_calibration import known_calibration
+    from uav_recon.localization.calibration.calibration_filter import CameraCalibration, observed
+    from uav_recon.localization.hand_calibration import known_calibration
     from uav_recon.recording.calibration_plot import residuals_over_time
 
     config, console = factory.load_config(options.config), Console()
@@ -115,8 +115,8 @@ def config_lines(config: Config, calibration: Any) -> dict[str, Any]:
 
 
 def _from_recording(options: CalibrateOptions, config: Config) -> Any:
-    from uav_recon.localization.camera_calibration import CameraCalibrator
-    from uav_recon.localization.camera_mount import FixedMount
+    from uav_recon.localization.calibration.camera_mount import FixedMount
+    from uav_recon.localization.hand_calibration import CameraCalibrator
     from uav_recon.sensors.corrected_camera import CorrectedCamera
 
     assert options.recording is not None
@@ -159,8 +159,8 @@ def _open_recording(path: Path, config: Config, clock: ManualClock) -> tuple[Dep
 
 
 def _live(options: CalibrateOptions, config: Config, console: Console) -> Any:
-    from uav_recon.localization.camera_calibration import CameraCalibrator
-    from uav_recon.localization.camera_mount import FixedMount
+    from uav_recon.localization.calibration.camera_mount import FixedMount
+    from uav_recon.localization.hand_calibration import CameraCalibrator
 
     clock, mount = MonotonicClock(), FixedMount(camera_sources.tilted_camera(config))
     camera = camera_sources.open_camera(config, clock)

@@ -39,7 +39,7 @@ if TYPE_CHECKING:  # each process imports only the stages that it runs
     from uav_recon.autopilot.parameters.reader import ParameterEncoding
     from uav_recon.autopilot.pilot.pilot import HullGeometry, Pilot
     from uav_recon.autopilot.pilot.upward_range_finder import RangeFinderModel
-    from uav_recon.localization.camera_mount import Mount
+    from uav_recon.localization.calibration.camera_mount import Mount
     from uav_recon.localization.depth_consistency import DepthConsistencyMonitor
     from uav_recon.localization.fusion.fusion_filter import FusionFilter
     from uav_recon.localization.odometry_correction import OdometryCorrection
@@ -271,7 +271,7 @@ def make_perception(
 
     Raises UserError if there is no camera; with exit code 0 if stopped() becomes true while it waits for one.
     """
-    from uav_recon.localization.camera_mount import FixedMount, GimbalMount
+    from uav_recon.localization.calibration.camera_mount import FixedMount, GimbalMount
     from uav_recon.localization.pad_origin import PadOrigin
 
     camera = camera_sources.open_camera(config, clock, stopped)
@@ -312,8 +312,8 @@ def connect_perception(
     origin: where the take-off pad is, if not at the pose source's origin. remarks: of the camera. writer: writes the kept
     calibration.
     """
+    from uav_recon.localization.calibration.kept_calibration import KeptCalibration
     from uav_recon.localization.fusion.fusion_filter import FusionFilter
-    from uav_recon.localization.kept_calibration import KeptCalibration
     from uav_recon.localization.odometry_correction import NoCorrection
     from uav_recon.localization.perception import Perception
 

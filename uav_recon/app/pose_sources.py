@@ -14,7 +14,7 @@ from uav_recon.interfaces import Clock, DepthCamera, PoseSource
 from uav_recon.sensors.stream_format import StreamError
 
 if TYPE_CHECKING:  # the pilot's process imports no stage of perception
-    from uav_recon.localization.camera_mount import Mount
+    from uav_recon.localization.calibration.camera_mount import Mount
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from uav_recon.clock import MonotonicClock, RateKeeper
 from uav_recon.config import Config
 from uav_recon.errors import UserError
 from uav_recon.interfaces import Clock, DepthCamera, PoseSource
-from uav_recon.localization.camera_mount import FixedMount
+from uav_recon.localization.calibration.camera_mount import FixedMount
 from uav_recon.sensors.recordings.mcap_writer import McapWriter
 from uav_recon.sensors.recordings.recording import RecordingError
 from uav_recon.sensors.recordings.recording_sources import CameraSource, RecordingSource, StreamSource, header_of

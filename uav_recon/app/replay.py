@@ -28,7 +28,7 @@ from uav_recon.clock import ManualClock, RateKeeper
 from uav_recon.config import Config, ConfigError, parse
 from uav_recon.errors import EXIT_CONFIG, UserError
 from uav_recon.interfaces import Mapper, PoseSource
-from uav_recon.localization.camera_mount import FixedMount
+from uav_recon.localization.calibration.camera_mount import FixedMount
 from uav_recon.mission.mission_log import MissionLog
 from uav_recon.mission.perception_log import PerceptionLog
 from uav_recon.mission.state_machine import Phase

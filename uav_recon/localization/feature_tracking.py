@@ -15,7 +15,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from uav_recon.localization.camera_motion import CameraMotion
+from uav_recon.localization.calibration.camera_motion import CameraMotion
 from uav_recon.localization.optical_flow import brightness, followed, inside
 from uav_recon.localization.planar_patches import patches
 from uav_recon.types.camera import Frame

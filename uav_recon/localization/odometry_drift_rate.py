@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from uav_recon.localization.calibration_filter import COLOUR_DELAY, DRIFT, GEOMETRY, SIZE, CalibrationFilter
-from uav_recon.localization.camera_motion import CameraMotion
+from uav_recon.localization.calibration.calibration_filter import COLOUR_DELAY, DRIFT, GEOMETRY, SIZE, CalibrationFilter
+from uav_recon.localization.calibration.camera_motion import CameraMotion
 from uav_recon.localization.feature_tracking import FeatureTracker, TrackedPoints
 from uav_recon.localization.planar_patches import (
     REACH_M,

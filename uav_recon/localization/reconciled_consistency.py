@@ -5,8 +5,8 @@ A fault is what neither the tracker's map nor the odometry of the source explain
 
 from __future__ import annotations
 
-from uav_recon.localization.calibration_filter import CalibrationFilter, CameraCalibration
-from uav_recon.localization.camera_motion import CameraMotion
+from uav_recon.localization.calibration.calibration_filter import CalibrationFilter, CameraCalibration
+from uav_recon.localization.calibration.camera_motion import CameraMotion
 from uav_recon.localization.depth_consistency import CorrectedDrift, DepthConsistencyMonitor
 from uav_recon.types.camera import Frame
 from uav_recon.types.frames import FloatArray

@@ -9,7 +9,7 @@ import pytest
 from slam_flight import BODY_FROM_DEPTH, REST_S, Tracked, fly, frames
 from test_slam_source import Camera
 
-from uav_recon.localization.camera_mount import FixedMount
+from uav_recon.localization.calibration.camera_mount import FixedMount
 from uav_recon.localization.slam.slam_source import SlamSource
 from uav_recon.localization.slam.slam_tracker import SlamTracker
 from uav_recon.localization.slam.tracking_monitor import TrackingFault

@@ -16,7 +16,7 @@ from sitl.camera.camera_errors import DEFAULT_SCALE, CameraErrors
 from sitl.scene.scene import Scene
 from uav_recon.config import RangeUpConfig, load
 from uav_recon.errors import UserError
-from uav_recon.localization import kept_calibration
+from uav_recon.localization.calibration import kept_calibration
 from uav_recon.motion.yaw_policy import AT_VIEWS, YawAlongPath, yaw_policy_of
 
 SCENE = Scene(

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from uav_recon.interfaces import DepthCamera
-from uav_recon.localization.camera_mount import Mount
+from uav_recon.localization.calibration.camera_mount import Mount
 from uav_recon.localization.slam.slam_tracker import SlamTracker
 from uav_recon.types.camera import Frame, ImuSample
 from uav_recon.types.pose import StampedPose

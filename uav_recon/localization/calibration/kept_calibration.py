@@ -14,7 +14,7 @@ import os
 from pathlib import Path
 
 from uav_recon.interfaces import Executor, Pending
-from uav_recon.localization.calibration_filter import CalibrationFilter, Elements, kept_fault, observed
+from uav_recon.localization.calibration.calibration_filter import CalibrationFilter, Elements, kept_fault, observed
 from uav_recon.types.camera import Frame
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode

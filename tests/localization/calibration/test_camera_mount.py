@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from uav_recon.channels import MemoryChannel
-from uav_recon.localization.camera_mount import FixedMount, GimbalMount
+from uav_recon.localization.calibration.camera_mount import FixedMount, GimbalMount
 from uav_recon.types.camera import body_from_camera
 from uav_recon.types.pose import Pose
 from uav_recon.types.vehicle import FlightPhase, VehicleState

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from uav_recon.interfaces import Clock, DepthCamera, PoseSource
-from uav_recon.localization.calibration_filter import (
+from uav_recon.localization.calibration.calibration_filter import (
     NAMES,
     CalibrationFilter,
     CameraCalibration,
@@ -18,8 +18,8 @@ from uav_recon.localization.calibration_filter import (
     observed,
     prior_sigma,
 )
-from uav_recon.localization.camera_motion import CameraMotion
-from uav_recon.localization.camera_mount import Mount
+from uav_recon.localization.calibration.camera_motion import CameraMotion
+from uav_recon.localization.calibration.camera_mount import Mount
 from uav_recon.localization.fusion.fusion_filter import FusionFilter
 from uav_recon.localization.odometry_drift_rate import DriftRateEstimator
 from uav_recon.localization.planar_patches import patches

@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from uav_recon.geometry.jit import kernel
-from uav_recon.localization.camera_motion import CameraMotion
+from uav_recon.localization.calibration.camera_motion import CameraMotion
 from uav_recon.types.camera import Frame
 from uav_recon.types.frames import AnyArray, FloatArray
 from uav_recon.types.pose import Pose

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from textured_room import BARE, LENS, camera_at, depth_of, frame_of, moved, plaster, rgb_of
 
-from uav_recon.localization.calibration_filter import (
+from uav_recon.localization.calibration.calibration_filter import (
     COLOUR_DELAY,
     DELAY,
     ROTATION,
@@ -22,7 +22,7 @@ from uav_recon.localization.calibration_filter import (
     CalibrationFilter,
     CameraCalibration,
 )
-from uav_recon.localization.camera_motion import CameraMotion
+from uav_recon.localization.calibration.camera_motion import CameraMotion
 from uav_recon.localization.odometry_drift_rate import DriftRateEstimator
 from uav_recon.types.camera import Frame
 from uav_recon.types.frames import Float32Array, FloatArray
