@@ -12,7 +12,7 @@ from uav_recon.channels import MemoryChannel
 from uav_recon.clock import ManualClock
 from uav_recon.localization.calibration.camera_motion import CameraMotion
 from uav_recon.localization.calibration.camera_mount import FixedMount, Mount
-from uav_recon.localization.depth_consistency import DepthConsistencyMonitor
+from uav_recon.localization.consistency.depth_consistency import DepthConsistencyMonitor
 from uav_recon.localization.fusion.fusion_filter import FusionFilter
 from uav_recon.localization.perception import Perception
 from uav_recon.types.camera import Frame, ImuSample, Intrinsics, PosedFrame, body_from_camera

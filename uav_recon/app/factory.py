@@ -40,11 +40,11 @@ if TYPE_CHECKING:  # each process imports only the stages that it runs
     from uav_recon.autopilot.pilot.pilot import HullGeometry, Pilot
     from uav_recon.autopilot.pilot.upward_range_finder import RangeFinderModel
     from uav_recon.localization.calibration.camera_mount import Mount
-    from uav_recon.localization.depth_consistency import DepthConsistencyMonitor
+    from uav_recon.localization.consistency.depth_consistency import DepthConsistencyMonitor
+    from uav_recon.localization.consistency.reconciled_consistency import ReconciledConsistency
     from uav_recon.localization.fusion.fusion_filter import FusionFilter
     from uav_recon.localization.odometry_correction import OdometryCorrection
     from uav_recon.localization.perception import Perception
-    from uav_recon.localization.reconciled_consistency import ReconciledConsistency
     from uav_recon.mapping.keyframe_selection import KeyframeSelection, PlannedViewsOnly
     from uav_recon.mapping.neural.neural_mapper import NeuralMapper
     from uav_recon.mapping.occupancy.occupancy_map import OccupancyMap
@@ -335,8 +335,8 @@ def _consistency(config: Config) -> DepthConsistencyMonitor | ReconciledConsiste
 
     Poses that come from the frames themselves contain the errors of their mount.
     """
-    from uav_recon.localization.depth_consistency import DepthConsistencyMonitor
-    from uav_recon.localization.reconciled_consistency import ReconciledConsistency
+    from uav_recon.localization.consistency.depth_consistency import DepthConsistencyMonitor
+    from uav_recon.localization.consistency.reconciled_consistency import ReconciledConsistency
 
     if corrects_drift(config):
         return ReconciledConsistency()

@@ -20,9 +20,9 @@ from uav_recon.localization.calibration.calibration_filter import (
 )
 from uav_recon.localization.calibration.camera_motion import CameraMotion
 from uav_recon.localization.calibration.camera_mount import Mount
+from uav_recon.localization.consistency.odometry_drift_rate import DriftRateEstimator
+from uav_recon.localization.consistency.planar_patches import patches
 from uav_recon.localization.fusion.fusion_filter import FusionFilter
-from uav_recon.localization.odometry_drift_rate import DriftRateEstimator
-from uav_recon.localization.planar_patches import patches
 from uav_recon.types.camera import Frame
 from uav_recon.types.frames import AnyArray, FloatArray
 from uav_recon.types.pose import Pose

@@ -11,17 +11,17 @@ from uav_recon.clock import RateKeeper
 from uav_recon.geometry import min_range_binning
 from uav_recon.geometry.min_range_binning import nearest_in_cells
 from uav_recon.interfaces import Channel, Clock, DepthCamera, PoseSource
-from uav_recon.localization import axis_monitor, planar_patches
-from uav_recon.localization.axis_monitor import AxisMonitor
 from uav_recon.localization.calibration.camera_motion import CameraMotion
 from uav_recon.localization.calibration.camera_mount import Mount
 from uav_recon.localization.calibration.kept_calibration import KeptCalibration
-from uav_recon.localization.depth_consistency import CorrectedDrift, DepthConsistencyMonitor
+from uav_recon.localization.consistency import axis_monitor, planar_patches
+from uav_recon.localization.consistency.axis_monitor import AxisMonitor
+from uav_recon.localization.consistency.depth_consistency import CorrectedDrift, DepthConsistencyMonitor
+from uav_recon.localization.consistency.reconciled_consistency import ReconciledConsistency
 from uav_recon.localization.fusion import error_propagation
 from uav_recon.localization.fusion.fusion_filter import FusionFilter
 from uav_recon.localization.fusion.inertial_selection import InertialSelection
 from uav_recon.localization.odometry_correction import NoCorrection, OdometryCorrection
-from uav_recon.localization.reconciled_consistency import ReconciledConsistency
 from uav_recon.types.camera import Frame, PosedFrame
 from uav_recon.types.min_range_grid import MinRangeGrid
 from uav_recon.types.perception_status import PerceptionStatus

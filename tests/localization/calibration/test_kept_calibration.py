@@ -15,7 +15,7 @@ from textured_room import BARE, LENS, frame_of
 from uav_recon.clock import InlineExecutor, ManualClock
 from uav_recon.localization.calibration.calibration_filter import DELAY, ROTATION, CalibrationFilter, observed
 from uav_recon.localization.calibration.kept_calibration import KeptCalibration, camera_id, write
-from uav_recon.localization.odometry_drift_rate import DriftRateEstimator
+from uav_recon.localization.consistency.odometry_drift_rate import DriftRateEstimator
 from uav_recon.types.camera import Frame
 from uav_recon.types.reason_code import ReasonCode
 

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from uav_recon.geometry.jit import kernel
-from uav_recon.localization.optical_flow import followed, inside
+from uav_recon.localization.slam.optical_flow import followed, inside
 from uav_recon.localization.slam.rgbd_view import RgbdView
 from uav_recon.types.frames import AnyArray, BoolArray, ByteArray, FloatArray
 from uav_recon.types.pose import Pose

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from uav_recon.geometry.jit import kernel
-from uav_recon.localization.optical_flow import brightness
 from uav_recon.localization.slam.depth_points import depth_points
+from uav_recon.localization.slam.optical_flow import brightness
 from uav_recon.types.camera import Frame
 from uav_recon.types.frames import AnyArray, ByteArray, FloatArray
 from uav_recon.types.pose import Pose

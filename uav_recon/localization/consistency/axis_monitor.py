@@ -21,8 +21,8 @@ from typing import NamedTuple
 import numpy as np
 
 from uav_recon.geometry.jit import kernel
-from uav_recon.localization.planar_patches import patches
-from uav_recon.localization.point_to_plane import seen_at
+from uav_recon.localization.consistency.planar_patches import patches
+from uav_recon.localization.consistency.point_to_plane import seen_at
 from uav_recon.types.camera import Frame, ImuSample
 from uav_recon.types.frames import AnyArray, FloatArray
 from uav_recon.types.pose import Pose, StampedPose

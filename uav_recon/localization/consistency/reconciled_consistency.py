@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from uav_recon.localization.calibration.calibration_filter import CalibrationFilter, CameraCalibration
 from uav_recon.localization.calibration.camera_motion import CameraMotion
-from uav_recon.localization.depth_consistency import CorrectedDrift, DepthConsistencyMonitor
+from uav_recon.localization.consistency.depth_consistency import CorrectedDrift, DepthConsistencyMonitor
 from uav_recon.types.camera import Frame
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.reason import Reason

@@ -13,8 +13,8 @@ import numpy as np
 
 from uav_recon.localization.calibration.calibration_filter import COLOUR_DELAY, DRIFT, GEOMETRY, SIZE, CalibrationFilter
 from uav_recon.localization.calibration.camera_motion import CameraMotion
-from uav_recon.localization.feature_tracking import FeatureTracker, TrackedPoints
-from uav_recon.localization.planar_patches import (
+from uav_recon.localization.consistency.feature_tracking import FeatureTracker, TrackedPoints
+from uav_recon.localization.consistency.planar_patches import (
     REACH_M,
     REACH_SHARE,
     error_rows,

@@ -11,9 +11,9 @@ import numpy as np
 
 from uav_recon.localization.calibration.calibration_filter import CalibrationFilter, CameraCalibration
 from uav_recon.localization.calibration.camera_motion import CameraMotion
-from uav_recon.localization.depth_outliers import isolated_pixel_fraction
-from uav_recon.localization.odometry_drift_rate import DriftRateEstimator
-from uav_recon.localization.past_view_comparison import (
+from uav_recon.localization.consistency.depth_outliers import isolated_pixel_fraction
+from uav_recon.localization.consistency.odometry_drift_rate import DriftRateEstimator
+from uav_recon.localization.consistency.past_view_comparison import (
     ALIKE,
     ALIKE_LATELY,
     OVERLAPPING,

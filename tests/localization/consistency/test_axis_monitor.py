@@ -11,7 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from textured_room import BARE, depth_of, frame_of
 
-from uav_recon.localization.axis_monitor import ASSIGNMENTS, AxisMonitor
+from uav_recon.localization.consistency.axis_monitor import ASSIGNMENTS, AxisMonitor
 from uav_recon.types.camera import Frame, ImuSample, body_from_camera
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.pose import Pose, StampedPose

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from uav_recon.localization.point_to_plane import (
+from uav_recon.localization.consistency.point_to_plane import (
     MIN_POINTS,
     MOST,
     contradicted_points,

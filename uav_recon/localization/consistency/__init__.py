@@ -1,0 +1,1 @@
+"""Consistency: depth frames against earlier views, and sensors against poses."""
