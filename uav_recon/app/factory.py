@@ -42,8 +42,8 @@ if TYPE_CHECKING:  # each process imports only the stages that it runs
     from uav_recon.localization.calibration.camera_mount import Mount
     from uav_recon.localization.consistency.depth_consistency import DepthConsistencyMonitor
     from uav_recon.localization.consistency.reconciled_consistency import ReconciledConsistency
+    from uav_recon.localization.correction.odometry_correction import OdometryCorrection
     from uav_recon.localization.fusion.fusion_filter import FusionFilter
-    from uav_recon.localization.odometry_correction import OdometryCorrection
     from uav_recon.localization.perception import Perception
     from uav_recon.mapping.keyframe_selection import KeyframeSelection, PlannedViewsOnly
     from uav_recon.mapping.neural.neural_mapper import NeuralMapper
@@ -313,8 +313,8 @@ def connect_perception(
     calibration.
     """
     from uav_recon.localization.calibration.kept_calibration import KeptCalibration
+    from uav_recon.localization.correction.odometry_correction import NoCorrection
     from uav_recon.localization.fusion.fusion_filter import FusionFilter
-    from uav_recon.localization.odometry_correction import NoCorrection
     from uav_recon.localization.perception import Perception
 
     tracks = config.localization.source == "slam"  # the poses come from the frames themselves
@@ -352,7 +352,7 @@ def corrects_drift(config: Config) -> bool:
 
 
 def _tracked_correction(fusion: FusionFilter) -> OdometryCorrection:
-    from uav_recon.localization.odometry_correction import TrackedCorrection
+    from uav_recon.localization.correction.odometry_correction import TrackedCorrection
     from uav_recon.localization.slam import slam_tracker
 
     slam_tracker.warm_up()

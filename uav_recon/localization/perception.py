@@ -18,10 +18,10 @@ from uav_recon.localization.consistency import axis_monitor, planar_patches
 from uav_recon.localization.consistency.axis_monitor import AxisMonitor
 from uav_recon.localization.consistency.depth_consistency import CorrectedDrift, DepthConsistencyMonitor
 from uav_recon.localization.consistency.reconciled_consistency import ReconciledConsistency
+from uav_recon.localization.correction.odometry_correction import NoCorrection, OdometryCorrection
 from uav_recon.localization.fusion import error_propagation
 from uav_recon.localization.fusion.fusion_filter import FusionFilter
 from uav_recon.localization.fusion.inertial_selection import InertialSelection
-from uav_recon.localization.odometry_correction import NoCorrection, OdometryCorrection
 from uav_recon.types.camera import Frame, PosedFrame
 from uav_recon.types.min_range_grid import MinRangeGrid
 from uav_recon.types.perception_status import PerceptionStatus

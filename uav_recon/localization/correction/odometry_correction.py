@@ -15,8 +15,8 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from uav_recon.localization.offset_filter import OFFSET, RATE, YAW, OffsetFilter
-from uav_recon.localization.revisited_surfaces import RevisitedSurfaces, Wandered
+from uav_recon.localization.correction.offset_filter import OFFSET, RATE, YAW, OffsetFilter
+from uav_recon.localization.correction.revisited_surfaces import RevisitedSurfaces, Wandered
 from uav_recon.localization.slam.slam_tracker import OutsideMotion, SlamTracker
 from uav_recon.types.camera import Frame, ImuSample
 from uav_recon.types.frames import FloatArray

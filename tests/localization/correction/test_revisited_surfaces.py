@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from uav_recon.localization.revisited_surfaces import RevisitedSurfaces, Wandered
+from uav_recon.localization.correction.revisited_surfaces import RevisitedSurfaces, Wandered
 from uav_recon.types.camera import Frame, Intrinsics
 from uav_recon.types.pose import Pose
 

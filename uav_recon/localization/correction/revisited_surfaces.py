@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from uav_recon.localization.offset_filter import WANDERED
+from uav_recon.localization.correction.offset_filter import WANDERED
 from uav_recon.types.camera import Frame
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.pose import Pose

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from uav_recon.localization.odometry_correction import TrackedCorrection
+from uav_recon.localization.correction.odometry_correction import TrackedCorrection
 from uav_recon.types.camera import Frame, ImuSample, Intrinsics
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.pose import Pose, StampedPose

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from uav_recon.localization.offset_filter import OFFSET, RATE, OffsetFilter
+from uav_recon.localization.correction.offset_filter import OFFSET, RATE, OffsetFilter
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.pose import Pose
 
