@@ -1,1 +1,1 @@
-"""Fusion: an error-state Kalman filter over late poses and inertial samples, and what guards it."""
+"""Fusion: a Kalman filter over late poses and inertial samples, with checks of its inputs."""
