@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 
 import uav_recon
 from uav_recon import Camera, Intrinsics, NeuralMapper, NothingLeft, OccupancyMapper, Pose, ViewPath, ViewPlanner
-from uav_recon.app import factory, library
+from uav_recon.app import library, mission_factory
 from uav_recon.config import CameraConfig, Config, MotionConfig, PlannerConfig, VoxelConfig
 from uav_recon.planning.tour.travel_time import YawWhileFlying
 from uav_recon.types.camera import PosedFrame
@@ -89,7 +89,7 @@ def test_the_short_constructors_have_the_defaults_of_the_configuration() -> None
     assert CAMERA.pitch_down_rad == math.radians(wanted.pitch_down_deg)
     planner = ViewPlanner.for_box(LOW_M, HIGH_M, CAMERA)
     config = Config.model_construct(camera=wanted, voxels=VoxelConfig())
-    geometry = factory.camera_geometry(config)
+    geometry = mission_factory.camera_geometry(config)
     for name in ("hfov_rad", "vfov_rad", "pitch_min_rad", "pitch_max_rad", "range_m", "near_m", "surface_range_m"):
         assert getattr(planner.camera, name) == pytest.approx(getattr(geometry, name), rel=1e-12), name
     np.testing.assert_array_equal(planner.camera.position_body_m, geometry.position_body_m)

@@ -18,7 +18,7 @@ from sitl.scene.rasterizer import Renderer
 from sitl.scene.scene import Scene
 from sitl.truth.reference_times import REFERENCE_TIMES_S
 from sitl.truth.visibility import VisibleTruth, load_visible_truth
-from uav_recon.app import factory
+from uav_recon.app import config_file
 from uav_recon.app.step_display import Report as Progress
 from uav_recon.app.step_display import StepDisplay, no_report
 from uav_recon.app.unseen_space import with_unseen
@@ -105,7 +105,7 @@ def flight_report(options: SimOptions, scene: Scene, wall_s: float, fault: str |
     These are path, flight time, setpoint stream and safety. Quick.
     """
     card = FlightInfo(scene.name, options.variant, options.autopilot, options.mount, options.seed, options.depth_noise)
-    config = factory.load_config(options.out / "config.toml")
+    config = config_file.load_config(options.out / "config.toml")
     report = with_unseen(build_report(options.out, card, wall_s), config, options.out)
     truth = FlightTruth.load(options.out / "truth.npz")
     if fault:
@@ -195,7 +195,7 @@ def recall_over_time(
     start_s = timeline.took_off_s()
     if start_s is None or not states or not len(cut.points):
         return None
-    truth = ElementRecall(cut.points.astype(np.float64), factory.load_config(folder / "config.toml").mapper.surface_voxel_m)
+    truth = ElementRecall(cut.points.astype(np.float64), config_file.load_config(folder / "config.toml").mapper.surface_voxel_m)
     taken_s = np.array([view.stamp_s for view in timeline.views])
     curve = []
     for number, state in enumerate(states):

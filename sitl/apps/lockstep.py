@@ -27,7 +27,7 @@ from sitl.autopilots.byte_links import pipe
 from sitl.outside_world import OutsideWorld
 from sitl.scene.scene import Scene
 from sitl.world.step_sizes import COARSE_STEPS, FINE_STEPS
-from uav_recon.app import factory, operator_factory
+from uav_recon.app import mapper_factory, mission_factory, operator_factory, perception_factory, pilot_factory, recorder_factory
 from uav_recon.app.flight_channels import memory_channels
 from uav_recon.app.processes import MISSION_RATE_HZ, RECORDER_RATE_HZ
 from uav_recon.app.step_display import StepDisplay
@@ -190,16 +190,16 @@ class LockstepFlight:
         ours, theirs = pipe()
         self._world = make_world(options.world(config.runtime.folder), scene, theirs, self._clock.now_s, self._pace)
         hook.enter(self._world, self.channels, START_S)
-        factory.warm_up(config)
+        mission_factory.warm_up(config)
         self._mapper = _mapper(options, config)
         self._tlog, self._journal = MemoryTlog(self._folder / "flight.tlog"), FlightLog(self._folder)
         self._link, self._executor = hook.link(ours), HookedExecutor(InlineExecutor(self._clock), hook)
         self._pilot = self._make_pilot()
-        self._perception = factory.make_perception(config, self.channels, self._clock)
+        self._perception = perception_factory.make_perception(config, self.channels, self._clock)
         self.conductor = self._make_conductor()
         self._watchers: list[Recorder | Timelapse] = []  # the recorder stores states of the surface, too
         if config.recording.rerun:
-            self._watchers.append(factory.make_recorder(config, self.channels, self._folder, self._clock))
+            self._watchers.append(recorder_factory.make_recorder(config, self.channels, self._folder, self._clock))
         elif timelapse:
             self._watchers.append(Timelapse(self._folder, self.channels.surface, self._clock))
         self.conductor.request_start()
@@ -248,7 +248,7 @@ class LockstepFlight:
 
     def _step_perception(self) -> None:
         if self._hook.restarts("perception"):
-            self._perception = factory.make_perception(self._config, self.channels, self._clock)
+            self._perception = perception_factory.make_perception(self._config, self.channels, self._clock)
         if self._hook.runs("perception"):
             self._perception.step()
 
@@ -272,10 +272,10 @@ class LockstepFlight:
             self._pilot.step()
 
     def _make_pilot(self) -> Pilot:
-        return factory.make_pilot(self._config, self.channels, self._link, self._tlog, self._clock)
+        return pilot_factory.make_pilot(self._config, self.channels, self._link, self._tlog, self._clock)
 
     def _make_conductor(self) -> Conductor:
-        return factory.make_conductor(
+        return mission_factory.make_conductor(
             self._config, self.channels, self._mapper, self._executor, self._journal, self._clock, time.perf_counter
         )
 
@@ -330,7 +330,7 @@ def _neural(config: Config, folder: Path) -> Mapper:
     from uav_recon.mapping.neural.worker.inline_mapper import InlineMapper
     from uav_recon.mapping.neural.worker.mapper_process import KEYFRAMES
 
-    trainer = factory.make_neural_mapper(config)
+    trainer = mapper_factory.make_neural_mapper(config)
     trainer.warm_up()
     return InlineMapper(trainer, config.mapper, KeyframeFolder(folder / KEYFRAMES))
 

@@ -22,7 +22,7 @@ from sitl.autopilots.px4.autopilot import Px4
 from sitl.autopilots.px4.parameters import Px4Parameters
 from sitl.world.quadrotor import Quadrotor
 from uav_recon import config as configuration
-from uav_recon.app import factory
+from uav_recon.app import mission_factory
 from uav_recon.app.flight_channels import file_channels
 from uav_recon.clock import RateKeeper
 from uav_recon.config import Config
@@ -47,7 +47,7 @@ class Hover:
         self._config = config
         self._autopilot = autopilot
         self._wires = file_channels(config.runtime.folder, frozenset({"odom", "nearby", "intent", "free"}))
-        self._motion = factory.make_motion(config, config.planner.clearance_m)
+        self._motion = mission_factory.make_motion(config, config.planner.clearance_m)
         self._motion.warm_up()
         self._poses, self._depth, self._intents = (RateKeeper(hz, start_s) for hz in (_POSES_HZ, _DEPTH_HZ, _INTENT_HZ))
         self._ranges = np.full((12, 16), 9.0, dtype=np.float32)

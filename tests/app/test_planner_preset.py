@@ -9,7 +9,7 @@ from typing import Literal
 import pytest
 
 from uav_recon import config as configuration
-from uav_recon.app import factory
+from uav_recon.app import mission_factory
 from uav_recon.mapping.keyframe_selection import KeyframeSelection, PlannedViewsOnly
 
 FLOWN = Path(__file__).parents[2] / "systemd" / "config.toml"
@@ -22,8 +22,8 @@ def test_the_mission_flies_by_the_preset(preset: Literal["rosser", "auto"], spac
     tree = configuration.load(FLOWN).model_dump(mode="json", exclude_none=True)
     tree["planner"] = {"preset": preset}
     config = configuration.parse(tree, "test")
-    orders = factory.mission_parameters(factory.with_preset(config))
+    orders = mission_factory.mission_parameters(mission_factory.with_preset(config))
     assert orders.view_spacing_m == spacing_m
-    voxels = factory.make_occupancy_map(config)
-    assert type(factory.make_keyframe_selection(factory.with_preset(config), voxels)) is selection
-    assert factory.with_preset(factory.with_preset(config)) == factory.with_preset(config)
+    voxels = mission_factory.make_occupancy_map(config)
+    assert type(mission_factory.make_keyframe_selection(mission_factory.with_preset(config), voxels)) is selection
+    assert mission_factory.with_preset(mission_factory.with_preset(config)) == mission_factory.with_preset(config)

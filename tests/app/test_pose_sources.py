@@ -12,7 +12,7 @@ from textured_room import RGB_FROM_DEPTH
 
 from sitl.apps.kernel_compilation import flight_jobs
 from uav_recon import config as configuration
-from uav_recon.app import factory, kernel_jobs, pose_sources
+from uav_recon.app import kernel_jobs, perception_factory, pose_sources
 from uav_recon.app.flight_channels import FlightChannels, memory_channels
 from uav_recon.clock import ManualClock
 from uav_recon.config import Config, ConfigError
@@ -63,7 +63,7 @@ class Stream:
 def _perception(folder: Path, source: str) -> tuple[Perception, FlightChannels, ManualClock, Stream]:
     config, wires, clock = _config(folder, source), memory_channels(), ManualClock(BEGIN_S)
     stream = Stream(folder / config.camera.stream)
-    return factory.make_perception(config, wires, clock), wires, clock, stream
+    return perception_factory.make_perception(config, wires, clock), wires, clock, stream
 
 
 def _fly(perception: Perception, clock: ManualClock, stream: Stream, frames: int) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from uav_recon.app import factory
+from uav_recon.app import pilot_factory, safety_limits
 from uav_recon.config import Config, SafetyConfig, load
 
 FLOWN = load(Path(__file__).parents[2] / "systemd" / "config.toml")
@@ -40,12 +40,12 @@ def flat(values: object, prefix: str = "") -> dict[str, Any]:
 
 def limits(config: Config) -> dict[str, Any]:
     """Return every protective number that guard, failsafe and pilot are built with."""
-    seen = factory.recently_seen_space(config)
+    seen = safety_limits.recently_seen_space(config)
     parts = (
-        factory.failsafe_timeouts(config),
-        factory.guard_bounds(config),
-        factory.envelope(config),
-        factory.hull_geometry(config),
+        safety_limits.failsafe_timeouts(config),
+        safety_limits.guard_bounds(config),
+        safety_limits.envelope(config),
+        pilot_factory.hull_geometry(config),
     )
     found: dict[str, Any] = {"blind_memory_s": seen.memory_s}
     for part in parts:

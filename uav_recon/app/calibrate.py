@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 from uav_recon import config as configuration
-from uav_recon.app import camera_sources, factory, pose_sources
+from uav_recon.app import camera_sources, config_file, pose_sources
 from uav_recon.app.flight_channels import read_only_channels
 from uav_recon.app.option_validation import UsageError, require_writable_file, require_writable_folder
 from uav_recon.clock import ManualClock, MonotonicClock
@@ -66,7 +66,7 @@ def calibrate(options: CalibrateOptions) -> int:
     from uav_recon.localization.hand_calibration import known_calibration
     from uav_recon.recording.calibration_plot import residuals_over_time
 
-    config, console = factory.load_config(options.config), Console()
+    config, console = config_file.load_config(options.config), Console()
     if config.camera.mount == "gimbal":
         raise UserError("camera.mount gimbal: only a fixed mount can be calibrated by hand; a gimbal is in flight", EXIT_CONFIG)
     calibrator = _from_recording(options, config) if options.recording is not None else _live(options, config, console)

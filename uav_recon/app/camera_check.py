@@ -7,7 +7,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from uav_recon.app import camera_sources, factory
+from uav_recon.app import camera_sources, config_file
 from uav_recon.clock import MonotonicClock
 from uav_recon.errors import EXIT_FAILURE, EXIT_USAGE, UserError
 from uav_recon.sensors.stream_conformance import Finding, judge, observe
@@ -24,7 +24,7 @@ def check(stream: Path | None, config: Path, duration_s: float) -> int:
     """
     if not _MIN_S <= duration_s <= _MAX_S:
         raise UserError(f"--seconds {duration_s:g} is outside {_MIN_S:g} to {_MAX_S:g}", EXIT_USAGE)
-    path = stream or camera_sources.stream_path(factory.load_config(config))
+    path = stream or camera_sources.stream_path(config_file.load_config(config))
     console = Console()
     try:
         reader = StreamReader(path)

@@ -16,7 +16,7 @@ import tomli_w
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from uav_recon.app import factory
+from uav_recon.app import config_file
 from uav_recon.app.option_validation import UsageError, require_writable_file
 from uav_recon.config import Config, replace_text
 from uav_recon.errors import UserError
@@ -53,7 +53,7 @@ def check(path: Path) -> int:
 
     Raises UserError with exit code 78.
     """
-    factory.load_config(path)
+    config_file.load_config(path)
     print(f"{path}: valid")
     return 0
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import cast
 
-from uav_recon.app import factory
+from uav_recon.app import config_file, mapper_factory, mission_factory
 from uav_recon.app.kernel_cache import KernelJob
 from uav_recon.config import VariantName
 
@@ -82,16 +82,16 @@ def planner(_: Path, variant: str) -> None:
 
 def occupancy_map(config_path: Path, _: str) -> None:
     """Compile the kernels of the occupancy map and the keyframe selection."""
-    factory.warm_up_map(factory.load_config(config_path))
+    mission_factory.warm_up_map(config_file.load_config(config_path))
 
 
 def motion(config_path: Path, _: str) -> None:
     """Compile the kernels of motion planning."""
-    factory.warm_up_motion(factory.load_config(config_path))
+    mission_factory.warm_up_motion(config_file.load_config(config_path))
 
 
 def mapper(config_path: Path, _: str) -> None:
     """Compile the kernels of the neural mapper."""
-    config = factory.load_config(config_path)
+    config = config_file.load_config(config_path)
     mapper_config = config.mapper.model_copy(update={"prior_model": None})  # it needs no compilation
-    factory.make_neural_mapper(config.model_copy(update={"mapper": mapper_config})).warm_up()
+    mapper_factory.make_neural_mapper(config.model_copy(update={"mapper": mapper_config})).warm_up()

@@ -13,7 +13,7 @@ from typing import TypeVar
 from rich.console import Console
 from rich.table import Table
 
-from uav_recon.app import factory
+from uav_recon.app import config_file, pilot_factory
 from uav_recon.app.option_validation import readable
 from uav_recon.autopilot.link.vehicle_link import VehicleLink
 from uav_recon.autopilot.mavlink.allow_list import AllowListFilter
@@ -72,7 +72,7 @@ class ParamsOptions:
             there = config.exists()
         if not there:
             raise UserError(f"give --autopilot and --link, or a --config with both ({config}: no such file)", EXIT_CONFIG)
-        loaded = factory.load_config(config)
+        loaded = config_file.load_config(config)
         says, fed = loaded.link, loaded.localization.source != "autopilot" and not own_navigation
         return ParamsOptions(autopilot or says.autopilot, link or says.url, file or says.parameters, says, fed)
 
@@ -103,7 +103,7 @@ class Vehicle:
     def __init__(self, bytes_link: ByteLink, options: ParamsOptions, clock: Clock, gate: AllowListFilter) -> None:
         self._clock = clock
         self._options = options
-        self._firmware, self._form = factory.firmware(options.autopilot)
+        self._firmware, self._form = pilot_factory.firmware(options.autopilot)
         self._link = VehicleLink(bytes_link, NoLog(), clock.now_s(), self._firmware, gate)
         self._await_heartbeat()
 
@@ -242,7 +242,7 @@ def _wanted(options: ParamsOptions) -> tuple[RequiredParameter, ...]:
 
 def _on_link(options: ParamsOptions, work: Callable[[Vehicle], T]) -> T:
     clock = MonotonicClock()
-    gate = factory.make_allow_list_filter(options.says, clock)
+    gate = pilot_factory.make_allow_list_filter(options.says, clock)
     try:
         link = open_link(options.link, gate, clock, options.says.peer_host)
     except LinkError as error:

@@ -1,4 +1,4 @@
-"""Loops of the processes: built by the factory, run at a rate, ended in order."""
+"""Loops of the processes: built by the factories, run at a rate, ended in order."""
 
 from __future__ import annotations
 
@@ -18,7 +18,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from uav_recon import config as configuration
-from uav_recon.app import factory, kernel_jobs, memory_lock, operator_factory, systemd_notify
+from uav_recon.app import (
+    config_file,
+    kernel_jobs,
+    memory_lock,
+    mission_factory,
+    operator_factory,
+    perception_factory,
+    pilot_factory,
+    recorder_factory,
+    systemd_notify,
+)
 from uav_recon.app.flight_channels import (
     MISSION_WRITES,
     PERCEPTION_WRITES,
@@ -115,16 +125,16 @@ def pilot(config_path: Path, flight: Path | None) -> int:
     from uav_recon.autopilot.mavlink.tlog import Tlog
     from uav_recon.autopilot.mavlink.transport import LinkError, open_link
 
-    stop, clock, config = Stop(), MonotonicClock(), factory.load_config(config_path)
+    stop, clock, config = Stop(), MonotonicClock(), config_file.load_config(config_path)
     claim("pilot", config)
     wires = file_channels(config.runtime.folder, PILOT_WRITES)
-    gate = factory.make_allow_list_filter(config.link, clock)
+    gate = pilot_factory.make_allow_list_filter(config.link, clock)
     try:
         link = open_link(config.link.url, gate, clock, config.link.peer_host)
     except LinkError as error:
         raise UserError(str(error)) from None
     log = Tlog(flight_folder(config, flight) / "flight.tlog", time.time() - clock.now_s())
-    the_pilot = factory.make_pilot(config, wires, link, log, clock, gate)
+    the_pilot = pilot_factory.make_pilot(config, wires, link, log, clock, gate)
     desk = operator_factory.make_command_socket(config, wires, the_pilot, clock)
     memory_lock.lock_memory_and_freeze_gc()
     systemd_notify.ready()
@@ -158,7 +168,7 @@ def perception(config_path: Path) -> int:
 
     It also ends when the camera is gone, with a UserError.
     """
-    stop, clock, config = Stop(), MonotonicClock(), factory.load_config(config_path)
+    stop, clock, config = Stop(), MonotonicClock(), config_file.load_config(config_path)
     claim("perception", config)
     wires = file_channels(config.runtime.folder, PERCEPTION_WRITES)
 
@@ -166,7 +176,7 @@ def perception(config_path: Path) -> int:
         compile_kernels(kernel_jobs.perception_jobs(), config_path, log_progress(LOG), lambda: stop.asked)
 
     writer = ThreadExecutor("calibration", WRITER_PATIENCE_S)
-    the_perception = factory.make_perception(config, wires, clock, lambda: stop.asked, compile_ahead, writer)
+    the_perception = perception_factory.make_perception(config, wires, clock, lambda: stop.asked, compile_ahead, writer)
     systemd_notify.ready()
     gone = run_perception(the_perception.step, wires.vehicle, clock, lambda: stop.asked)
     the_perception.close()
@@ -217,7 +227,7 @@ def mission(config_path: Path, flight: Path | None) -> int:
     from uav_recon.recording.flight_log import FlightLog, outcome_text
     from uav_recon.recording.map_file import save_map
 
-    stop, clock, config = Stop(), MonotonicClock(), factory.load_config(config_path)
+    stop, clock, config = Stop(), MonotonicClock(), config_file.load_config(config_path)
     claim("mission", config)
     wires, begun_s = file_channels(config.runtime.folder, MISSION_WRITES), clock.now_s()
     orders = OperatorCommandReceiver(operator_factory.operator_command_receiver(config.runtime.folder), begun_s)
@@ -228,8 +238,8 @@ def mission(config_path: Path, flight: Path | None) -> int:
     recorder = _start_recorder(config_path, folder)
     journal, executor = FlightLog(folder), ThreadExecutor("planner", PLANNER_PATIENCE_S)
     try:
-        factory.warm_up(config)
-        conductor = factory.make_conductor(config, wires, mapper, executor, journal, clock, time.perf_counter)
+        mission_factory.warm_up(config)
+        conductor = mission_factory.make_conductor(config, wires, mapper, executor, journal, clock, time.perf_counter)
         systemd_notify.ready()
         waiting = WaitNotice("mission", clock.now_s())
 
@@ -258,9 +268,9 @@ def mission(config_path: Path, flight: Path | None) -> int:
 
 def recorder(config_path: Path, flight: Path | None) -> int:
     """Subscribe to the channels, read-only, and record them until SIGTERM."""
-    stop, clock, config = Stop(), MonotonicClock(), factory.load_config(config_path)
+    stop, clock, config = Stop(), MonotonicClock(), config_file.load_config(config_path)
     wires = read_only_channels(config.runtime.folder)
-    the_recorder = factory.make_recorder(config, wires, flight_folder(config, flight), clock)
+    the_recorder = recorder_factory.make_recorder(config, wires, flight_folder(config, flight), clock)
     waiting = WaitNotice("recorder", clock.now_s())
 
     def step() -> None:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from uav_recon.app import camera_sources, factory, pose_sources
+from uav_recon.app import camera_sources, config_file, pose_sources
 from uav_recon.app.flight_channels import read_only_channels
 from uav_recon.app.option_validation import UsageError, require_writable_file
 from uav_recon.clock import MonotonicClock, RateKeeper
@@ -52,7 +52,7 @@ def record(options: RecordOptions, console: Console, stopped: Callable[[], bool]
     if options.out.exists():
         raise UsageError(f"OUT {options.out}: exists already")
     require_writable_file("OUT", options.out)
-    config, clock = factory.load_config(options.config), MonotonicClock()
+    config, clock = config_file.load_config(options.config), MonotonicClock()
     try:
         source, header = open_source(config, clock, stopped)
         writer = McapWriter(options.out, header, camera_sources.tilted_camera(config), int(options.max_gb * 1e9))

@@ -21,7 +21,7 @@ import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from uav_recon.app import factory
+from uav_recon.app import config_file, mapper_factory
 from uav_recon.app.option_validation import readable
 from uav_recon.app.processes import Stop, claim_file
 from uav_recon.app.step_display import Report, StepDisplay, no_report
@@ -258,7 +258,7 @@ def _checkpoints(wanted: RefineOptions, kind: str) -> tuple[Config, RefinePlan, 
     from uav_recon.mapping.neural.sdf_torch.checkpoint import RefineCheckpoints
     from uav_recon.mapping.neural.sdf_torch.refiner import RefinePlan
 
-    config = factory.load_config(wanted.flight / "config.toml")
+    config = config_file.load_config(wanted.flight / "config.toml")
     plan = RefinePlan(wanted.steps, wanted.voxel_m, RAYS[kind], config.mapper.seed)
     return config, plan, RefineCheckpoints(wanted.flight / REFINED, plan.identity(_digest(wanted.flight, config)))
 
@@ -277,7 +277,7 @@ def _gathered(flight: Path, config: Config, say: Callable[[str], None], progress
     """Load every readable view. Raises UserError if there is none."""
     from uav_recon.mapping.keyframe_store import KeyframeError, KeyframeFolder
 
-    trainer = factory.make_neural_mapper(config)
+    trainer = mapper_factory.make_neural_mapper(config)
     try:
         folder = KeyframeFolder(flight / "keyframes")
     except KeyframeError as error:

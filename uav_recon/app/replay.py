@@ -19,7 +19,7 @@ from rich.console import Console
 from rich.table import Table
 
 from uav_recon import config as configuration
-from uav_recon.app import factory, pose_sources
+from uav_recon.app import mapper_factory, mission_factory, perception_factory, pose_sources
 from uav_recon.app.flight_channels import FlightChannels, memory_channels
 from uav_recon.app.option_validation import OUTPUTS, UsageError, readable, remove_outputs, require_writable_folder
 from uav_recon.app.recording_survey import UPS, RecordingSurvey, survey_recording
@@ -148,9 +148,9 @@ class _Mapping:
     def __init__(self, config: Config, wires: FlightChannels, mapper: Mapper, journal: FlightLog) -> None:
         self._wires = wires
         self.mapper = mapper
-        self._voxels = factory.make_occupancy_map(config)
-        self._planner = factory.make_planner(config, time.perf_counter)
-        self._budget = factory.make_keyframe_selection(config, self._voxels)
+        self._voxels = mission_factory.make_occupancy_map(config)
+        self._planner = mission_factory.make_planner(config, time.perf_counter)
+        self._budget = mission_factory.make_keyframe_selection(config, self._voxels)
         self.log = MissionLog(journal, config.mission.views)
         self._sequence = 0
         self._freed_m = np.full(3, np.inf)
@@ -272,7 +272,7 @@ def _replayed(options: ReplayOptions, recording: Recording, survey: RecordingSur
     config = replay_config(options, recording, survey)
     configuration.save(config, options.out / "config.toml")
     with display.step("compiling kernels"):
-        factory.warm_up(config)
+        mission_factory.warm_up(config)
         mapper = _mapper(options.mapper, config, options.out)
     with display.step(f"replaying {options.source}") as report:
         run = _Replay(options, config, recording, survey, mapper)
@@ -293,7 +293,7 @@ class _Replay:
         mount = FixedMount(recording.info.body_from_depth)
         context = pose_sources.SourceContext(config, self._wires, self._clock, self._camera, mount)
         camera, poses = pose_sources.open_poses(context) if options.pose != FROM_RECORDING else (self._camera, self._poses())
-        self._perception = factory.connect_perception(config, self._wires, self._clock, camera, poses, mount)
+        self._perception = perception_factory.connect_perception(config, self._wires, self._clock, camera, poses, mount)
         self._journal = FlightLog(options.out)
         self._perception_log = PerceptionLog(self._wires.perception, self._journal)
         self._mapping, self._alarms = _Mapping(config, self._wires, mapper, self._journal), _Alarms(self._wires)
@@ -429,7 +429,7 @@ def _mapper(name: str, config: Config, folder: Path) -> Mapper:
     from uav_recon.mapping.neural.worker.inline_mapper import InlineMapper
     from uav_recon.mapping.neural.worker.mapper_process import KEYFRAMES
 
-    trainer = factory.make_neural_mapper(config)
+    trainer = mapper_factory.make_neural_mapper(config)
     trainer.warm_up()
     return InlineMapper(trainer, config.mapper, KeyframeFolder(folder / KEYFRAMES))
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from uav_recon.app import factory
+from uav_recon.app import config_file
 from uav_recon.app.option_validation import UsageError, mount_pitch_deg
 from uav_recon.config import CameraConfig, Config, PlannerConfig
 from uav_recon.errors import EXIT_FAILURE
@@ -42,7 +42,7 @@ def check_room(size: str, config: Path | None, mount: str | None, clearance_m: f
 
     It is 1 if another tilt is recommended. mount and clearance_m override those of the config. Raises UsageError.
     """
-    size_m, known = _size(size), None if config is None else factory.load_config(config)
+    size_m, known = _size(size), None if config is None else config_file.load_config(config)
     camera, kept_m = _camera(known), clearance_m or (PlannerConfig() if known is None else known.planner).clearance_m
     tilt_deg = mount_pitch_deg(mount) if mount else None if camera.mount == GIMBAL else camera.pitch_down_deg
     try:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from uav_recon.app import camera_sources, factory, processes, systemd_notify
+from uav_recon.app import camera_sources, config_file, processes, systemd_notify
 from uav_recon.app.option_validation import UsageError, readable
 from uav_recon.clock import MonotonicClock, RateKeeper
 from uav_recon.config import Config
@@ -40,7 +40,7 @@ def track(options: TrackOptions, stopped: Callable[[], bool]) -> int:
     Raises UserError with one line: no stream, an engine that is not installed, weights that are missing or wrong.
     """
     opener = _checked_opener(options)
-    config, clock = factory.load_config(options.config), MonotonicClock()
+    config, clock = config_file.load_config(options.config), MonotonicClock()
     _check(config)
     processes.claim("tracker", config)
     path = camera_sources.stream_path(config)

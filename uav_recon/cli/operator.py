@@ -131,9 +131,9 @@ def _as_json(status: Status) -> str:
 
 
 def _path(config: Path, socket: Path | None) -> Path:
-    from uav_recon.app import factory, operator_factory
+    from uav_recon.app import config_file, operator_factory
 
-    return socket or operator_factory.operator_socket(factory.load_config(config))
+    return socket or operator_factory.operator_socket(config_file.load_config(config))
 
 
 def _reached(work: Callable[[], T]) -> T:

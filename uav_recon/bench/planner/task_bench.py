@@ -17,7 +17,7 @@ import numpy as np
 from rich.console import Console
 from rich.progress import track
 
-from uav_recon.app import factory
+from uav_recon.app import config_file, mission_factory
 from uav_recon.app.option_validation import UsageError, readable, require_writable_file
 from uav_recon.bench import host_info, result_file
 from uav_recon.bench.machine_calibration import calibrate
@@ -80,11 +80,11 @@ def bench_tasks(flight: Path, json_path: Path | None) -> int:
 
 def _measure(flight: Path) -> tuple[dict[str, list[float]], dict[str, list[int]], int]:
     """Return milliseconds and number of tasks of each plan by phase, and the last element count."""
-    config, voxels = factory.load_config(flight / "config.toml"), load_map(flight)
+    config, voxels = config_file.load_config(flight / "config.toml"), load_map(flight)
     if voxels is None:
         raise UsageError(f"{flight}: has no voxels.npz: not a flight that ended")
     low, high = np.array(config.safety.fence_min_m), np.array(config.safety.fence_max_m)
-    camera = factory.camera_geometry(config)
+    camera = mission_factory.camera_geometry(config)
     planner = derived(config.planner, low, high, camera)
     space = FlyableSpace(voxels.grid, planner.clearance_m, *fence_box(voxels.grid, low, high))
     space.update(voxels)

@@ -1,0 +1,126 @@
+"""Factory of the pilot: selects firmware, navigation and the filter of senders."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from uav_recon.app import safety_limits
+from uav_recon.app.flight_channels import FlightChannels
+from uav_recon.config import Config, LinkConfig
+from uav_recon.errors import EXIT_CONFIG, UserError
+from uav_recon.interfaces import ByteLink, Clock
+
+if TYPE_CHECKING:  # each process imports only the stages that it runs
+    from uav_recon.autopilot.firmware.profile import FirmwareProfile
+    from uav_recon.autopilot.link.navigation import Navigation
+    from uav_recon.autopilot.mavlink.allow_list import AllowListFilter
+    from uav_recon.autopilot.mavlink.tlog import FrameLog
+    from uav_recon.autopilot.parameters.preflight_check import ParameterCheck
+    from uav_recon.autopilot.parameters.reader import ParameterEncoding
+    from uav_recon.autopilot.pilot.pilot import HullGeometry, Pilot
+    from uav_recon.autopilot.pilot.upward_range_finder import RangeFinderModel
+
+
+def make_allow_list_filter(way: LinkConfig, clock: Clock) -> AllowListFilter:
+    """Return the filter of senders on the link.
+
+    Raises UserError with exit code 78 for a key or stamps that cannot be used.
+    """
+    from uav_recon.autopilot.mavlink.allow_list import AllowList, AllowListFilter
+    from uav_recon.autopilot.mavlink.signing import KeyFileError, open_signature
+    from uav_recon.autopilot.mavlink.signing_timestamps import SigningTimestampsError
+
+    ids, key = AllowList(way.vehicle_system, way.vehicle_component, way.gimbal_component, way.autopilot_uid), way.signing_key
+    try:
+        return AllowListFilter(ids, open_signature(key, way.signing_link_id, way.signing_stamps, clock) if key else None)
+    except (KeyFileError, SigningTimestampsError) as error:
+        raise UserError(f"link.{error}", EXIT_CONFIG) from None
+
+
+def make_pilot(
+    config: Config, wires: FlightChannels, link: ByteLink, log: FrameLog, clock: Clock, gate: AllowListFilter | None = None
+) -> Pilot:
+    """Build the loop next to the autopilot.
+
+    gate: the one that its link already uses, if there is one.
+    """
+    from uav_recon.autopilot.pilot.pilot import PilotChannels
+    from uav_recon.autopilot.pilot.pilot import make_pilot as wire_pilot
+    from uav_recon.autopilot.pilot.preflight import Origin
+    from uav_recon.safety.guard import Guard
+
+    sight = safety_limits.recently_seen_space(config)
+    guard = Guard(safety_limits.envelope(config), safety_limits.guard_bounds(config), sight)
+    channels = PilotChannels(
+        wires.odom, wires.intent, wires.vehicle, wires.free, wires.nearby, wires.rates, wires.reported, wires.cones
+    )
+    origin = Origin(config.link.origin_lat_deg, config.link.origin_lon_deg, config.link.origin_alt_m)
+    (personality, _), rate_hz = firmware(config.link.autopilot), config.link.setpoint_rate_hz
+    parameters = make_parameter_check(config)
+    return wire_pilot(
+        link, personality, guard, sight, safety_limits.failsafe_timeouts(config), channels, clock, origin,
+        hull_geometry(config), rate_hz, log, parameters, gate or make_allow_list_filter(config.link, clock),
+        make_navigation(config), range_finder_model(config),
+    )  # fmt: skip
+
+
+def range_finder_model(config: Config) -> RangeFinderModel | None:
+    """Return the upward range finder that the operator declares, None without one."""
+    from uav_recon.autopilot.pilot.upward_range_finder import RangeFinderModel
+
+    up = config.range_up
+    if up.fov_deg is None:
+        return None
+    return RangeFinderModel(
+        fov_rad=math.radians(up.fov_deg), position_body_m=np.array(up.position_body_m), error_share=up.error_share
+    )
+
+
+def make_navigation(config: Config) -> Navigation:
+    """Return who tells the autopilot where it is."""
+    from uav_recon.autopilot.link.navigation import AutopilotNavigation, CompanionNavigation
+    from uav_recon.autopilot.link.reported_poses import LocalPositionPoses, OdometryPoses
+
+    if config.localization.source != "autopilot":
+        return CompanionNavigation()
+    return AutopilotNavigation(OdometryPoses() if config.localization.autopilot_message == "odometry" else LocalPositionPoses())
+
+
+def hull_geometry(config: Config) -> HullGeometry:
+    """Return the hull and the hover height of the pilot."""
+    from uav_recon.autopilot.pilot.pilot import HullGeometry
+
+    return HullGeometry(
+        vehicle_radius_m=config.safety.vehicle_radius_m,
+        vehicle_height_m=config.safety.vehicle_height_m,
+        hover_height_m=config.mission.takeoff_height_m,
+        gimbal=config.camera.mount == "gimbal",
+    )
+
+
+def firmware(name: str) -> tuple[FirmwareProfile, ParameterEncoding]:
+    """Return the profile of px4 or ardupilot, and its encoding of parameters."""
+    from uav_recon.autopilot.firmware.ardupilot import ARDUPILOT
+    from uav_recon.autopilot.firmware.px4 import PX4
+    from uav_recon.autopilot.parameters.reader import BYTEWISE, NUMERIC
+
+    return {"px4": (PX4, BYTEWISE), "ardupilot": (ARDUPILOT, NUMERIC)}[name]
+
+
+def make_parameter_check(config: Config) -> ParameterCheck:
+    """Return the check of the vehicle's parameters before arming.
+
+    Raises UserError with exit code 78 for a file that cannot be used.
+    """
+    from uav_recon.autopilot.parameters.parameter_file import PARAMETER_FILES, ParameterFileError, load
+    from uav_recon.autopilot.parameters.preflight_check import ParameterCheck
+
+    try:
+        file = config.link.parameters or PARAMETER_FILES[config.link.autopilot]
+        wanted = load(file, fed=config.localization.source != "autopilot")
+    except ParameterFileError as error:
+        raise UserError(f"link.parameters: {error}", EXIT_CONFIG) from None
+    return ParameterCheck(wanted, firmware(config.link.autopilot)[1])
