@@ -16,7 +16,7 @@ from uav_recon.app import kernel_jobs, perception_factory, pose_sources
 from uav_recon.app.flight_channels import FlightChannels, memory_channels
 from uav_recon.clock import ManualClock
 from uav_recon.config import Config, ConfigError
-from uav_recon.localization.perception import Perception
+from uav_recon.localization.perception.perception import Perception
 from uav_recon.sensors.stream_format import CameraSpec, StreamHeader, StreamWriter
 from uav_recon.types.camera import Intrinsics
 

@@ -11,7 +11,7 @@ from uav_recon.app.processes import run_perception
 from uav_recon.clock import ManualClock
 from uav_recon.localization.calibration.camera_mount import FixedMount
 from uav_recon.localization.fusion.fusion_filter import FusionFilter
-from uav_recon.localization.perception import Perception
+from uav_recon.localization.perception.perception import Perception
 from uav_recon.types.camera import body_from_camera
 from uav_recon.types.pose import Pose, StampedPose
 from uav_recon.types.reason_code import ReasonCode

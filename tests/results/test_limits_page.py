@@ -23,7 +23,7 @@ DECIDING = (  # here a constant that is compared must be on the page
     "localization/fusion/fusion_history.py",
     "localization/consistency/odometry_drift_rate.py",
     "localization/consistency/past_view_comparison.py",
-    "localization/perception.py",
+    "localization/perception",
     "localization/fusion/pose_stream_health.py",
     "localization/fusion/relocalization_check.py",
     "localization/slam/rest_detection.py",

@@ -44,7 +44,7 @@ def mission_jobs(variant: VariantName) -> list[KernelJob]:
 
 def perception(_config_path: Path, _: str) -> None:
     """Compile the kernels of the perception process."""
-    from uav_recon.localization import perception as stage
+    from uav_recon.localization.perception import perception as stage
 
     stage.warm_up()
 

@@ -22,7 +22,7 @@ if TYPE_CHECKING:  # each process imports only the stages that it runs
     from uav_recon.localization.consistency.reconciled_consistency import ReconciledConsistency
     from uav_recon.localization.correction.odometry_correction import OdometryCorrection
     from uav_recon.localization.fusion.fusion_filter import FusionFilter
-    from uav_recon.localization.perception import Perception
+    from uav_recon.localization.perception.perception import Perception
 
 PAD_FILE = "pad_origin.json"  # in the runtime folder
 #: reject: after a longer silence, a pose of the embedded SLAM until more agree with it; a camera loses up to five frames, and
@@ -88,7 +88,7 @@ def connect_perception(
     from uav_recon.localization.calibration.kept_calibration import KeptCalibration
     from uav_recon.localization.correction.odometry_correction import NoCorrection
     from uav_recon.localization.fusion.fusion_filter import FusionFilter
-    from uav_recon.localization.perception import Perception
+    from uav_recon.localization.perception.perception import Perception
 
     tracks = config.localization.source == "slam"  # the poses come from the frames themselves
     bridged_s = SLAM_BRIDGED_S if tracks else 0.0

@@ -14,7 +14,7 @@ from uav_recon.localization.calibration.camera_motion import CameraMotion
 from uav_recon.localization.calibration.camera_mount import FixedMount, Mount
 from uav_recon.localization.consistency.depth_consistency import DepthConsistencyMonitor
 from uav_recon.localization.fusion.fusion_filter import FusionFilter
-from uav_recon.localization.perception import Perception
+from uav_recon.localization.perception.perception import Perception
 from uav_recon.types.camera import Frame, ImuSample, Intrinsics, PosedFrame, body_from_camera
 from uav_recon.types.min_range_grid import MinRangeGrid
 from uav_recon.types.perception_status import PerceptionStatus
