@@ -9,8 +9,8 @@ from software_realsense import Rig, SoftwareRealSense
 from uav_recon.app.flight_channels import memory_channels
 from uav_recon.app.processes import run_perception
 from uav_recon.clock import ManualClock
+from uav_recon.config import LocalizationConfig
 from uav_recon.localization.calibration.camera_mount import FixedMount
-from uav_recon.localization.fusion.fusion_filter import FusionFilter
 from uav_recon.localization.perception.perception import Perception
 from uav_recon.types.camera import body_from_camera
 from uav_recon.types.pose import Pose, StampedPose
@@ -29,9 +29,8 @@ class _Flight(ManualClock):
         self.wires = memory_channels()
         self.rig = Rig(SoftwareRealSense(self), body_from_depth=MOUNT)
         self.perception = Perception(
-            self.rig.camera, self, FusionFilter(), FixedMount(MOUNT), self.wires.odom, self.wires.frames, self.wires.nearby,
-            self.wires.perception, self, remarks=self.rig.camera.remarks, rates=self.wires.rates,
-        )  # fmt: skip
+            LocalizationConfig(), self.rig.camera, self, FixedMount(MOUNT), self.wires, self, remarks=self.rig.camera.remarks
+        )
         self.frames_s: list[float] = []
         self.odom_s: list[float] = []
         self.codes: set[ReasonCode] = set()

@@ -25,7 +25,7 @@ class SourceContext:
     """
 
     config: Config
-    wires: FlightChannels
+    channels: FlightChannels
     clock: Clock
     camera: DepthCamera
     mount: Mount
@@ -73,7 +73,7 @@ def _open_ros2_poses(context: SourceContext) -> tuple[DepthCamera, PoseSource]:
 def _open_autopilot_poses(context: SourceContext) -> tuple[DepthCamera, PoseSource]:
     from uav_recon.sensors.autopilot_poses import AutopilotPoses
 
-    return context.camera, AutopilotPoses(context.wires.reported)
+    return context.camera, AutopilotPoses(context.channels.reported)
 
 
 _OPENERS: dict[str, Callable[[SourceContext], tuple[DepthCamera, PoseSource]]] = {

@@ -19,7 +19,7 @@ from rich.console import Console
 from rich.table import Table
 
 from uav_recon import config as configuration
-from uav_recon.app import mapper_factory, mission_factory, perception_factory, pose_sources
+from uav_recon.app import mapper_factory, mission_factory, pose_sources
 from uav_recon.app.flight_channels import FlightChannels, memory_channels
 from uav_recon.app.option_validation import OUTPUTS, UsageError, readable, remove_outputs, require_writable_folder
 from uav_recon.app.recording_survey import UPS, RecordingSurvey, survey_recording
@@ -29,6 +29,7 @@ from uav_recon.config import Config, ConfigError, parse
 from uav_recon.errors import EXIT_CONFIG, UserError
 from uav_recon.interfaces import Mapper, PoseSource
 from uav_recon.localization.calibration.camera_mount import FixedMount
+from uav_recon.localization.perception.perception import Perception
 from uav_recon.mission.mission_log import MissionLog
 from uav_recon.mission.perception_log import PerceptionLog
 from uav_recon.mission.state_machine import Phase
@@ -293,7 +294,7 @@ class _Replay:
         mount = FixedMount(recording.info.body_from_depth)
         context = pose_sources.SourceContext(config, self._wires, self._clock, self._camera, mount)
         camera, poses = pose_sources.open_poses(context) if options.pose != FROM_RECORDING else (self._camera, self._poses())
-        self._perception = perception_factory.connect_perception(config, self._wires, self._clock, camera, poses, mount)
+        self._perception = Perception(config.localization, camera, poses, mount, self._wires, self._clock)
         self._journal = FlightLog(options.out)
         self._perception_log = PerceptionLog(self._wires.perception, self._journal)
         self._mapping, self._alarms = _Mapping(config, self._wires, mapper, self._journal), _Alarms(self._wires)

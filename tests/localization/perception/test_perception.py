@@ -8,16 +8,14 @@ import numpy as np
 import pytest
 from figure_eight import FigureEight, perfect_imu
 
-from uav_recon.channels import MemoryChannel
+from uav_recon.app.flight_channels import memory_channels
 from uav_recon.clock import ManualClock
+from uav_recon.config import LocalizationConfig
 from uav_recon.localization.calibration.camera_motion import CameraMotion
 from uav_recon.localization.calibration.camera_mount import FixedMount, Mount
 from uav_recon.localization.consistency.depth_consistency import DepthConsistencyMonitor
-from uav_recon.localization.fusion.fusion_filter import FusionFilter
 from uav_recon.localization.perception.perception import Perception
 from uav_recon.types.camera import Frame, ImuSample, Intrinsics, PosedFrame, body_from_camera
-from uav_recon.types.min_range_grid import MinRangeGrid
-from uav_recon.types.perception_status import PerceptionStatus
 from uav_recon.types.pose import Pose, PoseHealth, StampedPose
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
@@ -116,11 +114,9 @@ class SlowGimbal:
 def _run(
     world: World, duration_s: float = 4.0, frame_wait_s: float = 0.2, mount: Mount | None = None
 ) -> tuple[Perception, Seen]:
-    odom, frames, seen = MemoryChannel(StampedPose), MemoryChannel(PosedFrame), Seen()
-    perception = Perception(
-        world, world, FusionFilter(), mount or FixedMount(BODY_FROM_DEPTH), odom, frames, MemoryChannel(MinRangeGrid),
-        MemoryChannel(PerceptionStatus), world.clock, frame_wait_s=frame_wait_s,
-    )  # fmt: skip
+    channels, seen = memory_channels(), Seen()
+    odom, frames, config = channels.odom, channels.frames, LocalizationConfig(frame_wait_s=frame_wait_s)
+    perception = Perception(config, world, world, mount or FixedMount(BODY_FROM_DEPTH), channels, world.clock)
     for step in range(int(duration_s * 100)):
         world.clock.advance_to(MOTION.start_s + step / 100)
         before = odom.sequence(), frames.sequence()
@@ -301,7 +297,7 @@ def test_stamps_of_another_clock_shut_out_none_of_those_after_it(world: World, o
 
 
 def test_what_is_rejected_is_published_by_reason(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
-    right, status = world.poll, MemoryChannel(PerceptionStatus)
+    right, channels = world.poll, memory_channels()
 
     def poll() -> Frame | None:
         frame = right()
@@ -312,17 +308,13 @@ def test_what_is_rejected_is_published_by_reason(world: World, monkeypatch: pyte
         return replace(frame, stamp_s=frame.stamp_s - 5.0) if late else replace(frame, depth_m=empty)
 
     monkeypatch.setattr(world, "poll", poll)
-    nearby = MemoryChannel(MinRangeGrid)
-    perception = Perception(
-        world, world, FusionFilter(), FixedMount(BODY_FROM_DEPTH), MemoryChannel(StampedPose), MemoryChannel(PosedFrame),
-        nearby, status, world.clock,
-    )  # fmt: skip
+    perception = Perception(LocalizationConfig(), world, world, FixedMount(BODY_FROM_DEPTH), channels, world.clock)
     for step in range(401):
         world.clock.advance_to(MOTION.start_s + step / 100)
         perception.step()
-    told, grid = status.latest(), nearby.latest()
+    told, grid = channels.perception.latest(), channels.nearby.latest()
     assert told is not None and grid is not None
-    assert status.sequence() == 5, "once a second"
+    assert channels.perception.sequence() == 5, "once a second"
     assert dict(told.rejected_frames) == {ReasonCode.DEPTH_FRAME_EMPTY: 8, ReasonCode.DEPTH_FRAME_STAMP: 4}
     assert told.counts() == {"depth-frame-empty": 8, "depth-frame-stamp": 4}
     assert told.newest is not None
@@ -332,13 +324,8 @@ def test_what_is_rejected_is_published_by_reason(world: World, monkeypatch: pyte
 
 def test_a_step_without_anything_is_quiet() -> None:
     world = World(ManualClock(0.0), poses_until_s=0.0)
-    odom, frames = MemoryChannel(StampedPose), MemoryChannel(PosedFrame)
-    nearby = MemoryChannel(MinRangeGrid)
-    perception = Perception(
-        world, world, FusionFilter(), FixedMount(BODY_FROM_DEPTH), odom, frames, nearby, MemoryChannel(PerceptionStatus),
-        world.clock,
-    )  # fmt: skip
-    perception.step()
-    assert odom.latest() is None
-    assert frames.latest() is None
-    assert nearby.latest() is None
+    channels = memory_channels()
+    Perception(LocalizationConfig(), world, world, FixedMount(BODY_FROM_DEPTH), channels, world.clock).step()
+    assert channels.odom.latest() is None
+    assert channels.frames.latest() is None
+    assert channels.nearby.latest() is None

@@ -98,6 +98,21 @@ class KeptCalibration:
         return True
 
 
+class NoKeptCalibration:
+    """No file: a flight begins from nothing, and leaves nothing."""
+
+    reason: Reason | None = None
+
+    def begin(self, frame: Frame, calibration: CalibrationFilter) -> None:
+        """Do nothing."""
+
+    def update(self, now_s: float, calibration: CalibrationFilter, *, at_rest: bool, wrong: bool) -> None:
+        """Do nothing."""
+
+    def close(self, calibration: CalibrationFilter) -> None:
+        """Do nothing."""
+
+
 def camera_id(frame: Frame, mount: str) -> str:
     """Return a short hash of intrinsics, sizes, relative pose and mount of a camera."""
     geometry = (frame.depth_intrinsics, frame.rgb_intrinsics, *frame.rgb_from_depth.quat_wxyz.tolist())

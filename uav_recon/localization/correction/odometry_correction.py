@@ -15,8 +15,10 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from uav_recon.config import LocalizationConfig
 from uav_recon.localization.correction.offset_filter import OFFSET, RATE, YAW, OffsetFilter
 from uav_recon.localization.correction.revisited_surfaces import RevisitedSurfaces, Wandered
+from uav_recon.localization.slam import slam_tracker
 from uav_recon.localization.slam.slam_tracker import OutsideMotion, SlamTracker
 from uav_recon.types.camera import Frame, ImuSample
 from uav_recon.types.frames import FloatArray
@@ -102,6 +104,25 @@ class NoCorrection:
     def drift_mps(self, now_s: float) -> FloatArray:
         """Return zero: nothing is known."""
         return np.zeros(3)
+
+
+def corrects_drift(config: LocalizationConfig) -> bool:
+    """Return whether a tracker runs beside the pose source.
+
+    The poses of the embedded SLAM are those of the tracker.
+    """
+    return config.correct_drift and config.source != "slam"
+
+
+def correction_of(config: LocalizationConfig, odom_at: Callable[[float], StampedPose | None]) -> OdometryCorrection:
+    """Return the correction that a config asks for, with its kernels compiled.
+
+    odom_at: odom without correction at an instant.
+    """
+    if not corrects_drift(config):
+        return NoCorrection()
+    slam_tracker.warm_up()
+    return TrackedCorrection(odom_at)
 
 
 class FrameTracker(Protocol):
