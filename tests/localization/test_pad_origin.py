@@ -40,7 +40,7 @@ def _rig(folder: Path, armed: bool | None = False) -> tuple[PadOrigin, Source]:
     return PadOrigin(source, _vehicle(armed), folder / "pad.json"), source
 
 
-def _said(stamp_s: float, pose: Pose, rng: np.random.Generator | None = None) -> StampedPose:
+def _pose(stamp_s: float, pose: Pose, rng: np.random.Generator | None = None) -> StampedPose:
     noise = np.zeros(3) if rng is None else rng.normal(0.0, 0.002, 3)
     return StampedPose(stamp_s, Pose(pose.quat_wxyz, pose.translation_m + noise), np.array([0.1, 0.0, 0.0]))
 
@@ -51,11 +51,11 @@ SOURCE_FROM_PAD = Pose.from_yaw(math.radians(30.0), np.array([2.0, -1.0, 0.3]))
 def test_the_world_begins_at_the_pad_whatever_the_source_calls_it(tmp_path: Path) -> None:
     origin, source = _rig(tmp_path)
     rng, pad_from_body = np.random.default_rng(1), Pose.from_yaw(0.4, np.array([1.0, 0.5, 1.2]))
-    source.waiting = [_said(k / 15, SOURCE_FROM_PAD, rng) for k in range(20)]
+    source.waiting = [_pose(k / 15, SOURCE_FROM_PAD, rng) for k in range(20)]
     rest = origin.poses()
     assert 10 <= len(rest) <= 13  # from half a second on
     assert np.linalg.norm([pose.odom_from_body.translation_m for pose in rest], axis=1).max() < 0.01
-    source.waiting = [_said(2.0, SOURCE_FROM_PAD @ pad_from_body)]
+    source.waiting = [_pose(2.0, SOURCE_FROM_PAD @ pad_from_body)]
     (flown,) = origin.poses()
     np.testing.assert_allclose(flown.odom_from_body.translation_m, [1.0, 0.5, 1.2], atol=0.01)
     assert flown.odom_from_body.yaw_rad() == pytest.approx(0.4, abs=0.01)
@@ -70,7 +70,7 @@ def test_the_body_has_its_declared_heading_on_the_pad(tmp_path: Path) -> None:
     source = Source()
     origin = PadOrigin(source, _vehicle(False), tmp_path / "pad.json", heading_rad=math.radians(50.0))
     ahead = Pose.from_yaw(0.0, np.array([2.0, 0.0, 1.0]))
-    source.waiting = [*(_said(k / 15, SOURCE_FROM_PAD) for k in range(12)), _said(2.0, SOURCE_FROM_PAD @ ahead)]
+    source.waiting = [*(_pose(k / 15, SOURCE_FROM_PAD) for k in range(12)), _pose(2.0, SOURCE_FROM_PAD @ ahead)]
     *_, on_pad, flown = (pose.odom_from_body for pose in origin.poses())
     assert math.degrees(on_pad.yaw_rad()) == pytest.approx(50.0)
     np.testing.assert_allclose(on_pad.translation_m, 0.0, atol=1e-9)
@@ -81,7 +81,7 @@ def test_the_body_has_its_declared_heading_on_the_pad(tmp_path: Path) -> None:
 def test_a_source_that_begins_at_the_pad_is_not_reported(tmp_path: Path) -> None:
     origin, source = _rig(tmp_path)
     rng = np.random.default_rng(2)
-    source.waiting = [_said(k / 15, Pose.identity(), rng) for k in range(12)]
+    source.waiting = [_pose(k / 15, Pose.identity(), rng) for k in range(12)]
     assert origin.poses()
     assert origin.reason is None
 
@@ -89,7 +89,7 @@ def test_a_source_that_begins_at_the_pad_is_not_reported(tmp_path: Path) -> None
 def test_a_sloping_pad_does_not_tilt_the_world(tmp_path: Path) -> None:
     origin, source = _rig(tmp_path)
     slope = Pose.from_rotation_vector(np.array([0.0, math.radians(5.0), 0.0]), np.zeros(3))
-    source.waiting = [_said(k / 15, SOURCE_FROM_PAD @ slope) for k in range(12)]
+    source.waiting = [_pose(k / 15, SOURCE_FROM_PAD @ slope) for k in range(12)]
     leaning = Rotation.from_quat(origin.poses()[-1].odom_from_body.quat_wxyz, scalar_first=True)
     assert math.degrees(leaning.magnitude()) == pytest.approx(5.0, abs=0.05)
     np.testing.assert_allclose(leaning.apply([0, 0, 1])[:2], [math.sin(math.radians(5.0)), 0.0], atol=1e-3)
@@ -99,14 +99,14 @@ def test_while_it_is_carried_there_is_no_pad(tmp_path: Path, caplog: pytest.LogC
     origin, source = _rig(tmp_path)
     awaited = origin.reason
     assert awaited == Reason(ReasonCode.PAD_AWAITED, (0.5,))
-    source.waiting = [_said(k / 15, Pose.from_yaw(0.0, np.array([0.1 * k, 0.0, 0.5]))) for k in range(45)]
+    source.waiting = [_pose(k / 15, Pose.from_yaw(0.0, np.array([0.1 * k, 0.0, 0.5]))) for k in range(45)]
     assert origin.poses() == []
     assert caplog.messages == []
-    source.waiting = [_said(3.0 + k / 15, Pose.from_yaw(0.0, np.array([0.1 * k, 0.0, 0.5]))) for k in range(45)]
+    source.waiting = [_pose(3.0 + k / 15, Pose.from_yaw(0.0, np.array([0.1 * k, 0.0, 0.5]))) for k in range(45)]
     assert origin.poses() == []
     assert caplog.messages == ["no odometry yet: waiting until the pose source has been at rest on the pad for 0.5 s"]
     put_down = Pose.from_yaw(0.2, np.array([4.5, 0.0, 0.0]))
-    source.waiting = [_said(6.0 + k / 15, put_down) for k in range(12)]
+    source.waiting = [_pose(6.0 + k / 15, put_down) for k in range(12)]
     rest = origin.poses()
     assert rest
     assert codes_of(origin.reason) == ("pad-is-origin",)
@@ -115,18 +115,18 @@ def test_while_it_is_carried_there_is_no_pad(tmp_path: Path, caplog: pytest.LogC
 
 def test_poses_without_quality_or_with_a_pause_are_no_rest(tmp_path: Path) -> None:
     origin, source = _rig(tmp_path)
-    source.waiting = [replace(_said(k / 15, SOURCE_FROM_PAD), quality=0) for k in range(30)]
+    source.waiting = [replace(_pose(k / 15, SOURCE_FROM_PAD), quality=0) for k in range(30)]
     assert origin.poses() == []
-    source.waiting = [_said(3.0 + 0.6 * k, SOURCE_FROM_PAD) for k in range(30)]
+    source.waiting = [_pose(3.0 + 0.6 * k, SOURCE_FROM_PAD) for k in range(30)]
     assert origin.poses() == []
 
 
 def test_a_restart_in_the_air_takes_up_the_pad_of_before(tmp_path: Path) -> None:
     origin, source = _rig(tmp_path)
-    source.waiting = [_said(k / 15, SOURCE_FROM_PAD) for k in range(12)]
+    source.waiting = [_pose(k / 15, SOURCE_FROM_PAD) for k in range(12)]
     assert origin.poses()
     again, source = _rig(tmp_path, armed=True)
-    source.waiting = [_said(9.0, SOURCE_FROM_PAD @ Pose.from_yaw(0.0, np.array([3.0, 0.0, 1.0])))]
+    source.waiting = [_pose(9.0, SOURCE_FROM_PAD @ Pose.from_yaw(0.0, np.array([3.0, 0.0, 1.0])))]
     (flown,) = again.poses()
     np.testing.assert_allclose(flown.odom_from_body.translation_m, [3.0, 0.0, 1.0], atol=1e-6)
 
@@ -137,15 +137,15 @@ def test_a_restart_in_the_air_without_a_pad_gives_no_pose(tmp_path: Path, kept: 
     if kept is not None:
         (tmp_path / "pad.json").write_text(kept)
     origin, source = _rig(tmp_path, armed=True)
-    source.waiting = [_said(k / 15, SOURCE_FROM_PAD) for k in range(30)]
+    source.waiting = [_pose(k / 15, SOURCE_FROM_PAD) for k in range(30)]
     assert origin.poses() == []
 
 
 def test_the_next_flight_begins_where_the_vehicle_stands_then(tmp_path: Path) -> None:
     origin, source = _rig(tmp_path)
-    source.waiting = [_said(k / 15, SOURCE_FROM_PAD) for k in range(12)]
+    source.waiting = [_pose(k / 15, SOURCE_FROM_PAD) for k in range(12)]
     assert origin.poses()
     origin, source = _rig(tmp_path)
     elsewhere = Pose.from_yaw(-1.0, np.array([7.0, 7.0, 0.0]))
-    source.waiting = [_said(k / 15, elsewhere) for k in range(12)]
+    source.waiting = [_pose(k / 15, elsewhere) for k in range(12)]
     np.testing.assert_allclose(origin.poses()[-1].odom_from_body.translation_m, 0.0, atol=1e-6)

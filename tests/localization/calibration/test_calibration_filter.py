@@ -1,4 +1,4 @@
-"""What a camera that is not as the config says does to the drift rate, and how well its errors are told from a drift.
+"""What a camera that is not as the config says does to the drift rate, and how well its errors are separated from a drift.
 
 The frames are rendered with the error, by the exact geometry; the filter sees them with the nominal one.
 """
@@ -65,8 +65,8 @@ def flown_frames(errors: Errors, seconds: float, painted: bool = False) -> Itera
             coloured = _path(t - errors.colour_delay_s) @ wrong.inverse()
             rgb = rgb_of(coloured, plaster, ROOM_M, CABINET_M, TABLE_M, seed=n)
         by_m = np.array(errors.drift_mps) * max(t - 20.0, 0.0)
-        said, moment = moved(_path(t), by_m), moved(_path(t - 0.03), by_m)
-        yield frame_of(t, _depth(true, errors.scale, n), rgb), CameraMotion.between(moment, said, 0.03)
+        reported, moment = moved(_path(t), by_m), moved(_path(t - 0.03), by_m)
+        yield frame_of(t, _depth(true, errors.scale, n), rgb), CameraMotion.between(moment, reported, 0.03)
 
 
 def _fly(errors: Errors, seconds: float, painted: bool = False) -> tuple[DriftRateEstimator, list[bool], list[float]]:
@@ -138,7 +138,7 @@ def test_all_errors_together_are_no_drift(errors: Errors) -> None:
         pytest.param((0.2, 0.0, 0.0), marks=pytest.mark.nightly),
     ],
 )
-def test_a_drift_is_told_among_the_errors(drift: tuple[float, float, float]) -> None:
+def test_a_drift_is_reported_among_the_errors(drift: tuple[float, float, float]) -> None:
     _, drifts, _ = _fly(dataclasses.replace(ALL, drift_mps=drift), 40.0)
     begun = round(20.0 / PERIOD_S)
     first = drifts.index(True)

@@ -236,7 +236,7 @@ def test_the_configured_assignment_is_the_first() -> None:
     assert len({matrix.tobytes() for matrix in ASSIGNMENTS + 0.0}) == 48
 
 
-def test_it_stays_said() -> None:
+def test_it_stays_reported() -> None:
     monitor = AxisMonitor()
     monitor.reason = Reason(ReasonCode.AXES_GRAVITY, (180.0,))
     monitor.add_pose(StampedPose(0.0, Pose.identity(), np.zeros(3)))

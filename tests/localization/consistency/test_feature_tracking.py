@@ -32,8 +32,8 @@ def _flown(
     seen = None
     for n in range(pictures):
         camera = camera_at(0.03 * n, 0.05 * n, 1.2, 0.3 + 0.04 * n)
-        said = moved(camera, n * PERIOD_S * (np.zeros(3) if drift is None else drift))
-        seen = flow.update(_frame(n, camera, lens), CameraMotion.at_rest(said))
+        reported = moved(camera, n * PERIOD_S * (np.zeros(3) if drift is None else drift))
+        seen = flow.update(_frame(n, camera, lens), CameraMotion.at_rest(reported))
     return seen
 
 
@@ -96,14 +96,14 @@ def test_what_is_no_picture_tells_nothing(wrong: str) -> None:
         assert seen is None or (seen.age_s >= 0.3).sum() < 10
 
 
-@pytest.mark.parametrize("why", ["a pause", "odometry restarts"])
-def test_nothing_is_compared_across(why: str) -> None:
+@pytest.mark.parametrize("cause", ["a pause", "odometry restarts"])
+def test_nothing_is_compared_across(cause: str) -> None:
     flow = FeatureTracker()
     assert flow.update(_frame(0, HERE), STILL) is None
     assert flow.update(_frame(1, HERE), STILL) is not None
-    if why == "odometry restarts":
+    if cause == "odometry restarts":
         flow.forget()
-    assert flow.update(_frame(2 if why == "odometry restarts" else 5, HERE), STILL) is None
+    assert flow.update(_frame(2 if cause == "odometry restarts" else 5, HERE), STILL) is None
 
 
 def test_what_has_no_depth_is_not_followed() -> None:

@@ -36,7 +36,7 @@ class Flight:
         self.n = 0
         self.peak_mps = 0.0
         self.excess = 0.0
-        self.told = False
+        self.reported = False
         self._paint = paint
         self._velocity = np.array(velocity)
         self._begins_s = begins_s
@@ -53,11 +53,13 @@ class Flight:
         frame = frame_of(self.now_s, depth_of(camera, room_m, *boxes_m, seed=self.n), rgb)
         place_m = camera.translation_m
         tilt = Pose.from_rotation_vector(self._tilt_rad, place_m) @ Pose.from_yaw(0.0, -place_m)
-        said, before = moved(tilt @ camera, by_m), self._before
-        self._before = said
-        self.creep.update(frame, CameraMotion.at_rest(said) if before is None else CameraMotion.between(before, said, PERIOD_S))
+        reported, before = moved(tilt @ camera, by_m), self._before
+        self._before = reported
+        self.creep.update(
+            frame, CameraMotion.at_rest(reported) if before is None else CameraMotion.between(before, reported, PERIOD_S)
+        )
         self.excess = max(self.excess, self.creep.excess)
-        self.told |= self.creep.drifts
+        self.reported |= self.creep.drifts
         self.peak_mps = max(self.peak_mps, float(np.linalg.norm(self.creep.velocity_mps)))
         self.n += 1
 
@@ -67,7 +69,7 @@ class Flight:
 
 
 @pytest.mark.parametrize("way", [(0.05, 0.0, 0.0), (0.0, -0.05, 0.0), (0.0, 0.0, 0.05), (0.1, 0.0, 0.0)])
-def test_what_creeps_is_told_of_and_where_to(way: tuple[float, float, float]) -> None:
+def test_what_creeps_is_reported_with_its_direction(way: tuple[float, float, float]) -> None:
     flight = Flight(way)
     flight.look_about(14.0)
     np.testing.assert_allclose(flight.creep.velocity_mps, way, atol=0.35 * float(np.linalg.norm(way)))
@@ -77,7 +79,7 @@ def test_what_stays_does_not_creep() -> None:
     flight = Flight()
     flight.look_about(20.0)
     assert flight.peak_mps < 0.005
-    assert not flight.told
+    assert not flight.reported
 
 
 def test_going_round_a_partition_is_no_creep() -> None:
@@ -97,16 +99,16 @@ def test_a_wall_far_off_tells_beside_a_floor_that_is_near() -> None:
     assert flight.creep.velocity_mps[0] == pytest.approx(0.045, abs=0.012)
 
 
-@pytest.mark.parametrize(("drift_mps", "told"), [(0.0, False), (0.02, False), (0.06, True)])
-def test_a_drift_along_the_way_is_told_once_the_scale_of_depth_cannot_explain_it(drift_mps: float, told: bool) -> None:
+@pytest.mark.parametrize(("drift_mps", "reported"), [(0.0, False), (0.02, False), (0.06, True)])
+def test_a_drift_along_the_way_is_reported_once_the_scale_of_depth_cannot_explain_it(drift_mps: float, reported: bool) -> None:
     """Straight towards a wall at 0.5 m/s, a camera whose depth is 4 % too large sees the same as a drift of 0.02 m/s."""
     flight = Flight((drift_mps, 0.0, 0.0), begins_s=6.0)
     for n in range(96):
         flight.see(camera_at(-4.5 + 0.5 * PERIOD_S * n, 0.02 * n, 1.2, 0.0), LARGE_M)
-    assert flight.told is told
+    assert flight.reported is reported
 
 
-def test_along_a_bare_wall_nothing_can_be_told() -> None:
+def test_along_a_bare_wall_nothing_can_be_measured() -> None:
     flight = Flight((0.05, 0.05, 0.0))
     for _ in range(84):
         flight.see(camera_at(0.0, 0.0, 1.2, 0.0), OPEN_M, BOARD_M)
@@ -144,7 +146,7 @@ def test_views_of_the_first_three_seconds_tell_nothing() -> None:
     assert flight.peak_mps > 0.0
 
 
-def test_what_was_told_fades_and_a_new_odom_begins_anew() -> None:
+def test_a_reported_drift_fades_and_a_new_odom_begins_anew() -> None:
     flight = Flight((0.05, 0.0, 0.0))
     flight.look_about(12.0)
     for _ in range(150):
@@ -170,7 +172,7 @@ def test_an_odom_that_is_tilted_does_not_creep() -> None:
     flight = Flight(tilt_rad=0.02)
     for n in range(60):
         flight.see(camera_at(-8.5 + 0.15 * n, 0.0, 1.2, 0.0), LARGE_M)
-    assert not flight.told
+    assert not flight.reported
 
 
 def _compared(

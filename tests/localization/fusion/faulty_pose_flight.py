@@ -33,14 +33,14 @@ def shifted(x: float = 0.0, y: float = 0.0, z: float = 0.0, yaw_deg: float = 0.0
 
 
 @dataclass
-class Told:
+class FlownOdometry:
     """Odometry at 30 Hz. error_m: (N, 3) beyond the source's drift, in odom."""
 
     stamps_s: list[float] = field(default_factory=list)
     odom: list[StampedPose] = field(default_factory=list)
     errors_m: list[NDArray[np.float64]] = field(default_factory=list)
     turns_rad: list[float] = field(default_factory=list)
-    silent_s: list[float] = field(default_factory=list)  # seconds since the onset at which nothing was said
+    silent_s: list[float] = field(default_factory=list)  # seconds since the onset without odometry
     fusion: FusionFilter = field(default_factory=FusionFilter)
 
     def since(self, seconds: float) -> int:
@@ -79,33 +79,33 @@ def fly(
     imu: bool = True,
     inertial: Callable[[ImuSample, float], ImuSample] = lambda sample, _: sample,
     may_be_silent: bool = False,
-) -> Told:
+) -> FlownOdometry:
     """trouble: what becomes of each pose stamped after the onset, which comes ``late_s`` later than it would; inertial: the
     same of each inertial sample.
     """
-    told, due_s, drift = Told(), MOTION.start_s + 2.0, np.zeros(6)
+    flown, due_s, drift = FlownOdometry(), MOTION.start_s + 2.0, np.zeros(6)
     stream = [_meddled(event, trouble, late_s) for event in events(MOTION, 4.0 + seconds, seed, imu=imu)]
     for event in sorted((event for event in stream if event is not None), key=lambda event: event.arrival_s):
         while event.arrival_s > due_s:
-            odom = told.fusion.odom_at(due_s)
+            odom = flown.fusion.odom_at(due_s)
             if may_be_silent and odom is None:
-                told.silent_s.append(due_s - ONSET_S)
+                flown.silent_s.append(due_s - ONSET_S)
                 due_s += 1 / 30
                 continue
             assert odom
-            told.stamps_s.append(due_s)
-            told.odom.append(odom)
-            told.errors_m.append(odom.odom_from_body.translation_m - MOTION.position(due_s) - drift[:3])
+            flown.stamps_s.append(due_s)
+            flown.odom.append(odom)
+            flown.errors_m.append(odom.odom_from_body.translation_m - MOTION.position(due_s) - drift[:3])
             truth = Rotation.from_rotvec(drift[3:]) * MOTION.attitude(due_s)
-            said = Rotation.from_quat(odom.odom_from_body.quat_wxyz, scalar_first=True)
-            told.turns_rad.append((said * truth.inv()).magnitude())
+            reported = Rotation.from_quat(odom.odom_from_body.quat_wxyz, scalar_first=True)
+            flown.turns_rad.append((reported * truth.inv()).magnitude())
             due_s += 1 / 30
         if event.imu:
-            told.fusion.add_imu([inertial(event.imu, event.imu.stamp_s - ONSET_S)])
+            flown.fusion.add_imu([inertial(event.imu, event.imu.stamp_s - ONSET_S)])
         elif event.pose:
-            told.fusion.add_pose(event.pose, event.arrival_s)
+            flown.fusion.add_pose(event.pose, event.arrival_s)
             drift = drift if event.drift is None else event.drift
-    return told
+    return flown
 
 
 def _meddled(event: Event, trouble: Trouble, late_s: float) -> Event | None:

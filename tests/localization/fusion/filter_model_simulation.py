@@ -88,7 +88,7 @@ def _stream(rng: np.random.Generator, seconds: float) -> tuple[list[ImuSample], 
 
     k = np.arange(every, n - 12, every)
     white_m, white_rad = np.sqrt(WHITE * CLAIMED_M2), np.sqrt(WHITE * CLAIMED_RAD2)
-    said = (Rotation.from_rotvec(white_rad * rng.normal(size=(len(k), 3))) * seen[k]).as_quat(scalar_first=True)
+    reported = (Rotation.from_rotvec(white_rad * rng.normal(size=(len(k), 3))) * seen[k]).as_quat(scalar_first=True)
     where = position[k] + wander[k] + white_m * rng.normal(size=(len(k), 3))
-    poses = [StampedPose(float(s), Pose(q, p), np.zeros(3), COVARIANCE) for s, q, p in zip(t[k], said, where, strict=True)]
+    poses = [StampedPose(float(s), Pose(q, p), np.zeros(3), COVARIANCE) for s, q, p in zip(t[k], reported, where, strict=True)]
     return imu, poses, Truth(t[k], position[k] + wander[k], velocity[k], seen[k], bias[k], seen[k].apply(offset_body[k]))

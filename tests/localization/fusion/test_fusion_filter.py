@@ -37,7 +37,7 @@ def _feed(fusion: FusionFilter, event: Event) -> bool:
 
 
 class _Flight:
-    """What the filter said at 30 Hz, against the truth. Errors beyond the drift that no filter can know."""
+    """What the filter reported at 30 Hz, against the truth. Errors beyond the drift that no filter can know."""
 
     def __init__(self, seed: int, *, imu: bool = True, duration_s: float = 15.0) -> None:
         self.position: list[NDArray[np.float64]] = []
@@ -260,7 +260,7 @@ def test_after_a_silence_that_is_bridged_a_pose_is_fused_if_it_fits_the_track(
 
 @pytest.mark.parametrize("offset_m", [0.0, 3.0])
 @pytest.mark.parametrize(("imu_hz", "silent_s"), [(200, 12.0), (200, 25.0), (400, 5.0), (400, 60.0), (1000, 5.0)])
-def test_a_source_that_was_silent_longer_than_the_track_is_kept_is_believed_again(
+def test_a_source_that_was_silent_longer_than_the_track_is_kept_is_accepted_again(
     imu_hz: int, silent_s: float, offset_m: float
 ) -> None:
     fusion, returns_s, counters, rng = FusionFilter(), 5.0 + silent_s, [], np.random.default_rng(1)

@@ -1,4 +1,4 @@
-"""Whatever a source says, nothing that makes no sense enters the state; what is only said differently changes nothing."""
+"""Whatever a source says, nothing that makes no sense enters the state; what is only written differently changes nothing."""
 
 from __future__ import annotations
 

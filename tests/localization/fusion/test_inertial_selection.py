@@ -110,10 +110,10 @@ def test_the_filter_flies_by_a_gyro_of_30_hz_and_says_so() -> None:
         force = np.full(3, math.nan)
         return replace(sample, specific_force_mps2=force, gyro_radps=sample.gyro_radps if kept else np.full(3, math.nan))
 
-    told = fly(undisturbed, seconds=6.0, inertial=gyro_only)
+    flown = fly(undisturbed, seconds=6.0, inertial=gyro_only)
     alone = fly(undisturbed, seconds=6.0, imu=False)
-    assert {odom.why.code if odom.why else None for odom in told.odom} == {ReasonCode.AUTOPILOT_GYRO}
-    assert told.healths(0.0) == {PoseHealth.DEGRADED}
-    assert told.error_m(0.0) < 0.06
-    turns = [max(flight.turns_rad[flight.since(0.0) :]) for flight in (told, alone)]
+    assert {odom.why.code if odom.why else None for odom in flown.odom} == {ReasonCode.AUTOPILOT_GYRO}
+    assert flown.healths(0.0) == {PoseHealth.DEGRADED}
+    assert flown.error_m(0.0) < 0.06
+    turns = [max(flight.turns_rad[flight.since(0.0) :]) for flight in (flown, alone)]
     assert turns[0] < turns[1]

@@ -19,7 +19,7 @@ def _watch(rate_hz: float = 15.0, nis: float = 6.0, seconds: float = 3.0) -> Odo
 
 
 @pytest.mark.parametrize(
-    ("age_s", "health", "why"),
+    ("age_s", "health", "reason"),
     [
         (0.19, GOOD, None),
         (0.21, DEGRADED, Reason(ReasonCode.NO_POSE, (0.2,))),
@@ -27,15 +27,15 @@ def _watch(rate_hz: float = 15.0, nis: float = 6.0, seconds: float = 3.0) -> Odo
         (5.0, LOST, Reason(ReasonCode.NO_POSE, (5.0,))),
     ],
 )
-def test_silence_is_told_by_its_length(age_s: float, health: PoseHealth, why: Reason | None) -> None:
-    assert _watch().health(age_s, imu_fault=None, on_trial=False) == (health, why)
+def test_silence_is_reported_by_its_length(age_s: float, health: PoseHealth, reason: Reason | None) -> None:
+    assert _watch().health(age_s, imu_fault=None, on_trial=False) == (health, reason)
 
 
 @pytest.mark.parametrize(("rate_hz", "health"), [(30.0, GOOD), (8.5, GOOD), (7.0, DEGRADED), (4.5, DEGRADED), (3.0, LOST)])
-def test_few_poses_are_told_by_their_number(rate_hz: float, health: PoseHealth) -> None:
-    said, why = _watch(rate_hz).health(0.05, imu_fault=None, on_trial=False)
-    assert said is health
-    assert (why and why.code) is (None if health is GOOD else ReasonCode.FEW_POSES)
+def test_few_poses_are_reported_by_their_number(rate_hz: float, health: PoseHealth) -> None:
+    reported, reason = _watch(rate_hz).health(0.05, imu_fault=None, on_trial=False)
+    assert reported is health
+    assert (reason and reason.code) is (None if health is GOOD else ReasonCode.FEW_POSES)
 
 
 def test_the_usual_pause_between_few_poses_is_no_silence() -> None:
@@ -51,11 +51,11 @@ def test_the_first_second_is_not_held_against_the_source() -> None:
 
 def test_what_the_imu_does_not_bear_out_is_degraded() -> None:
     assert _watch(nis=14.0).health(0.05, imu_fault=None, on_trial=False)[0] is GOOD
-    health, why = _watch(nis=40.0).health(0.05, imu_fault=None, on_trial=False)
-    assert (health, why) == (DEGRADED, Reason(ReasonCode.IMU_DISAGREES, (40.0,)))
+    health, reason = _watch(nis=40.0).health(0.05, imu_fault=None, on_trial=False)
+    assert (health, reason) == (DEGRADED, Reason(ReasonCode.IMU_DISAGREES, (40.0,)))
 
 
-def test_refused_poses_are_told_as_such() -> None:
+def test_refused_poses_are_reported_as_such() -> None:
     assert _watch().health(0.1, imu_fault=None, on_trial=True) == (DEGRADED, Reason(ReasonCode.POSES_DISAGREE, (0.1,)))
     assert _watch().health(0.4, imu_fault=None, on_trial=True) == (LOST, Reason(ReasonCode.POSES_DISAGREE, (0.4,)))
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from faulty_pose_flight import MOTION, ONSET_S, Told, fly
+from faulty_pose_flight import MOTION, ONSET_S, FlownOdometry, fly
 from numpy.typing import NDArray
 
 from uav_recon.localization.fusion.fusion_filter import FusionFilter
@@ -54,8 +54,8 @@ def _frozen(*, gyro: bool, accelerometer: bool) -> Callable[[ImuSample, float], 
     return change
 
 
-def _reasons(told: Told, from_s: float = 0.0, to_s: float = ALL_S) -> set[ReasonCode | None]:
-    return {odom.why.code if odom.why else None for odom in told.odom[told.since(from_s) : told.since(to_s)]}
+def _reasons(flown: FlownOdometry, from_s: float = 0.0, to_s: float = ALL_S) -> set[ReasonCode | None]:
+    return {odom.why.code if odom.why else None for odom in flown.odom[flown.since(from_s) : flown.since(to_s)]}
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -76,34 +76,34 @@ def _reasons(told: Told, from_s: float = 0.0, to_s: float = ALL_S) -> set[Reason
 def test_a_lying_accelerometer_does_not_carry_odometry_away(
     lie: Callable[[ImuSample, float], ImuSample], error_m: float, error_after_m: float, seed: int
 ) -> None:
-    told = fly(undisturbed, seconds=6.0, seed=seed, inertial=lie)
-    assert told.error_m(0.0) < error_m
-    assert told.error_m(1.5) < error_after_m
-    assert told.healths(0.0) <= {GOOD, DEGRADED}
-    assert told.resets() == told.odom[-1].correction.epoch == told.fusion.rejected.total() == 0
+    flown = fly(undisturbed, seconds=6.0, seed=seed, inertial=lie)
+    assert flown.error_m(0.0) < error_m
+    assert flown.error_m(1.5) < error_after_m
+    assert flown.healths(0.0) <= {GOOD, DEGRADED}
+    assert flown.resets() == flown.odom[-1].correction.epoch == flown.fusion.rejected.total() == 0
 
 
 @pytest.mark.parametrize("mps2", [4.0, 8.0])
 def test_a_large_offset_is_named_and_forgiven_once_it_is_gone(mps2: float) -> None:
-    told = fly(undisturbed, seconds=9.0, inertial=_offset(mps2, 1.0))
-    assert _reasons(told, 0.5, 1.0) == {ReasonCode.ACCELEROMETER_REJECTED}
-    assert _reasons(told, 7.0) == {None}
+    flown = fly(undisturbed, seconds=9.0, inertial=_offset(mps2, 1.0))
+    assert _reasons(flown, 0.5, 1.0) == {ReasonCode.ACCELEROMETER_REJECTED}
+    assert _reasons(flown, 7.0) == {None}
 
 
 def test_the_step_at_the_change_of_the_model_is_in_the_covariance() -> None:
-    """Three standard deviations of the told covariance cover each step of odometry, so that no gate takes it for a jump."""
-    told = fly(undisturbed, seconds=3.0, inertial=_offset(8.0))
-    steps_m = np.linalg.norm(np.diff(told.errors_m, axis=0), axis=1)
+    """Three published standard deviations cover each step of odometry, so that no gate takes it for a jump."""
+    flown = fly(undisturbed, seconds=3.0, inertial=_offset(8.0))
+    steps_m = np.linalg.norm(np.diff(flown.errors_m, axis=0), axis=1)
     k = int(np.argmax(steps_m))
     assert steps_m[k] > 0.05
-    assert steps_m[k] < 3.0 * np.sqrt(told.odom[k + 1].covariance[0, 0])
-    assert np.sqrt(told.odom[-1].covariance[0, 0]) < 0.015
+    assert steps_m[k] < 3.0 * np.sqrt(flown.odom[k + 1].covariance[0, 0])
+    assert np.sqrt(flown.odom[-1].covariance[0, 0]) < 0.015
 
 
 def test_vibration_beyond_all_measure_stays_within_centimetres() -> None:
     rng = np.random.default_rng(3)
-    told = fly(undisturbed, seconds=5.0, inertial=_force(lambda force, _: force + rng.normal(0.0, 3.0, 3)))
-    assert told.error_m(0.0) < 0.07
+    flown = fly(undisturbed, seconds=5.0, inertial=_force(lambda force, _: force + rng.normal(0.0, 3.0, 3)))
+    assert flown.error_m(0.0) < 0.07
 
 
 @pytest.mark.parametrize(
@@ -117,11 +117,11 @@ def test_vibration_beyond_all_measure_stays_within_centimetres() -> None:
 def test_values_that_repeat_are_noticed_within_a_fifth_of_a_second(
     lie: Callable[[ImuSample, float], ImuSample], code: ReasonCode
 ) -> None:
-    told = fly(undisturbed, seconds=4.0, inertial=lie)
-    assert told.first(DEGRADED) <= 0.3  # at the next pose after 0.1 s
-    assert _reasons(told, 0.35) == {code}
-    assert told.error_m(0.0) < 0.04
-    assert told.resets() == told.odom[-1].correction.epoch == 0
+    flown = fly(undisturbed, seconds=4.0, inertial=lie)
+    assert flown.first(DEGRADED) <= 0.3  # at the next pose after 0.1 s
+    assert _reasons(flown, 0.35) == {code}
+    assert flown.error_m(0.0) < 0.04
+    assert flown.resets() == flown.odom[-1].correction.epoch == 0
 
 
 @pytest.mark.parametrize("lie", [lambda rate: rate + np.array([0.0, 0.0, 0.3]), lambda rate: 0.5 * rate])
@@ -129,10 +129,10 @@ def test_a_lying_gyro_is_named_and_flown_without(lie: Callable[[F64], F64]) -> N
     def changed(sample: ImuSample, since_s: float) -> ImuSample:
         return replace(sample, gyro_radps=lie(sample.gyro_radps)) if since_s >= 0.0 else sample
 
-    told = fly(undisturbed, seconds=5.0, inertial=changed)
-    assert _reasons(told, 1.0, 3.0) == {ReasonCode.GYRO_REJECTED}  # later its offset may have been learned
-    assert told.error_m(0.0) < 0.04
-    assert np.degrees(max(told.turns_rad)) < 6.0
+    flown = fly(undisturbed, seconds=5.0, inertial=changed)
+    assert _reasons(flown, 1.0, 3.0) == {ReasonCode.GYRO_REJECTED}  # later its offset may have been learned
+    assert flown.error_m(0.0) < 0.04
+    assert np.degrees(max(flown.turns_rad)) < 6.0
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -144,10 +144,10 @@ def test_the_noise_of_a_flying_camera_is_no_lie(seed: int) -> None:
         force = sample.specific_force_mps2 + np.array([0.17, 0.0, 0.0]) + rng.normal(0.0, 0.07 * root, 3)
         return replace(sample, gyro_radps=sample.gyro_radps + rng.normal(0.0, 0.001 * root, 3), specific_force_mps2=force)
 
-    told = fly(undisturbed, seconds=10.0, seed=seed, inertial=flying)
-    assert told.healths(0.0) == {GOOD}
-    assert told.error_m(0.0) < 0.03
-    assert told.resets() == told.odom[-1].correction.epoch == told.fusion.rejected.total() == 0
+    flown = fly(undisturbed, seconds=10.0, seed=seed, inertial=flying)
+    assert flown.healths(0.0) == {GOOD}
+    assert flown.error_m(0.0) < 0.03
+    assert flown.resets() == flown.odom[-1].correction.epoch == flown.fusion.rejected.total() == 0
 
 
 @pytest.mark.parametrize(("jitter_m", "error_m"), [(0.01, 0.08), (0.02, 0.12)])
@@ -159,15 +159,15 @@ def test_poses_that_scatter_more_than_they_claim_do_not_disown_the_imu_for_good(
         place_m = pose.odom_from_body.translation_m + rng.normal(0.0, jitter_m, 3)
         return replace(pose, odom_from_body=Pose(pose.odom_from_body.quat_wxyz, place_m))
 
-    told = fly(scattered, seconds=12.0)
-    assert told.error_m(0.0) < error_m
-    assert None in _reasons(told, 6.0)
-    assert told.resets() == told.odom[-1].correction.epoch == 0
+    flown = fly(scattered, seconds=12.0)
+    assert flown.error_m(0.0) < error_m
+    assert None in _reasons(flown, 6.0)
+    assert flown.resets() == flown.odom[-1].correction.epoch == 0
 
 
 def test_at_rest_half_an_accelerometer_moves_nothing() -> None:
     """The smallest input of the report: perfect poses 15 times a second, the force along z from 9.8 to 5 within a second."""
-    fusion, rng, told = FusionFilter(), np.random.default_rng(2), []
+    fusion, rng, flown = FusionFilter(), np.random.default_rng(2), []
     for n in range(20 * 200):
         t = n / 200
         force = 9.80665 - 4.8 * min(max(t - 4.0, 0.0), 1.0)
@@ -176,25 +176,25 @@ def test_at_rest_half_an_accelerometer_moves_nothing() -> None:
             place_m = np.array([0.0, 0.0, 1.0]) + rng.normal(0.0, 0.002, 3)
             fusion.add_pose(StampedPose(t, Pose.from_yaw(0.0, place_m), np.zeros(3)), t)
         if n % 7 == 0 and t > 4.0 and (odom := fusion.odom_at(t)):
-            told.append((odom.odom_from_body.translation_m[2], odom.velocity_odom_mps[2], odom.reset_counter))
-    heights_m, climbs_mps, resets = np.array(told).T
+            flown.append((odom.odom_from_body.translation_m[2], odom.velocity_odom_mps[2], odom.reset_counter))
+    heights_m, climbs_mps, resets = np.array(flown).T
     assert np.abs(heights_m - 1.0).max() < 0.10
     assert np.abs(climbs_mps).max() < 0.8
     assert np.abs(climbs_mps[len(climbs_mps) // 2 :]).max() < 0.15
     assert resets.max() == 0
 
 
-def test_a_pose_source_that_stands_still_in_flight_is_not_believed_however_long() -> None:
+def test_a_pose_source_that_stands_still_in_flight_is_not_accepted_however_long() -> None:
     kept: list[StampedPose] = []
 
     def frozen(pose: StampedPose, _: float) -> StampedPose:
         kept.append(pose)
         return replace(pose, odom_from_body=kept[0].odom_from_body)
 
-    told = fly(frozen, seconds=6.0)
-    assert told.first(PoseHealth.LOST) <= 0.4
-    assert told.healths(0.4) == {PoseHealth.LOST}
-    assert told.odom[-1].quality == 0
+    flown = fly(frozen, seconds=6.0)
+    assert flown.first(PoseHealth.LOST) <= 0.4
+    assert flown.healths(0.4) == {PoseHealth.LOST}
+    assert flown.odom[-1].quality == 0
 
 
 def test_no_frozen_imu_is_seen_in_a_body_at_rest() -> None:

@@ -20,7 +20,7 @@ def _track(k: int) -> PoseMeasurement:
     return PoseMeasurement(t, (0.6 * t, 0.0, 1.0), exponential((0.0, 0.0, 0.5 * t)), SOURCE)
 
 
-def _said(k: int, slip_m: float = 0.0, slip_rad: float = 0.0) -> PoseMeasurement:
+def _measurement(k: int, slip_m: float = 0.0, slip_rad: float = 0.0) -> PoseMeasurement:
     """The same motion in a map that is turned and elsewhere."""
     track = _track(k)
     x, y, z = rotate(MAP_TURN, track.position_m)
@@ -28,38 +28,38 @@ def _said(k: int, slip_m: float = 0.0, slip_rad: float = 0.0) -> PoseMeasurement
     return PoseMeasurement(track.stamp_s, (x + 5.0 + slip_m, y, z), attitude, SOURCE)
 
 
-def _run(said: list[PoseMeasurement], *, inertial: bool = True) -> RelocalizationCheck:
+def _run(reported: list[PoseMeasurement], *, inertial: bool = True) -> RelocalizationCheck:
     trial = RelocalizationCheck()
-    for sighting in said:
+    for sighting in reported:
         trial.update(sighting, _track(round(sighting.stamp_s * 15)), inertial)
     return trial
 
 
 def test_four_poses_that_move_as_the_track_does_are_a_step_of_the_map() -> None:
-    assert not _run([_said(k) for k in range(3)]).stands(MAP_STEP)
-    assert _run([_said(k) for k in range(4)]).stands(MAP_STEP)
+    assert not _run([_measurement(k) for k in range(3)]).stands(MAP_STEP)
+    assert _run([_measurement(k) for k in range(4)]).stands(MAP_STEP)
 
 
 def test_after_a_loss_it_takes_a_second() -> None:
-    assert not _run([_said(k) for k in range(15)]).stands(AFTER_LOSS)
-    assert _run([_said(k) for k in range(16)]).stands(AFTER_LOSS)
-    assert not _run([_said(2 * k) for k in range(11)]).stands(AFTER_LOSS)  # long enough, but too few
+    assert not _run([_measurement(k) for k in range(15)]).stands(AFTER_LOSS)
+    assert _run([_measurement(k) for k in range(16)]).stands(AFTER_LOSS)
+    assert not _run([_measurement(2 * k) for k in range(11)]).stands(AFTER_LOSS)  # long enough, but too few
 
 
 @pytest.mark.parametrize(("slip_m", "slip_rad"), [(0.06, 0.0), (0.0, math.radians(3.2)), (-3.0, 0.0)])
 def test_one_that_slips_begins_anew(slip_m: float, slip_rad: float) -> None:
-    trial = _run([_said(0), _said(1), _said(2), _said(3, slip_m, slip_rad)])
+    trial = _run([_measurement(0), _measurement(1), _measurement(2), _measurement(3, slip_m, slip_rad)])
     assert len(trial) == 1
     assert not trial.stands(MAP_STEP)
 
 
 def test_a_velocity_that_differs_from_the_tracks_is_no_step_of_the_map() -> None:
     """2 cm from pose to pose, 0.3 m/s: within the slip of two poses, not within that of the run."""
-    assert not _run([_said(k, slip_m=0.02 * k) for k in range(8)]).stands(MAP_STEP)
+    assert not _run([_measurement(k, slip_m=0.02 * k) for k in range(8)]).stands(MAP_STEP)
 
 
 def test_a_small_slip_is_noise() -> None:
-    assert _run([_said(k, slip_m=0.04 * (k % 2), slip_rad=0.03 * (k % 2)) for k in range(4)]).stands(MAP_STEP)
+    assert _run([_measurement(k, slip_m=0.04 * (k % 2), slip_rad=0.03 * (k % 2)) for k in range(4)]).stands(MAP_STEP)
 
 
 def test_without_a_witness_it_is_enough_to_move_as_a_vehicle_can() -> None:
@@ -72,7 +72,7 @@ def test_without_a_witness_it_is_enough_to_move_as_a_vehicle_can() -> None:
 
 
 def test_an_older_pose_says_nothing_of_the_run() -> None:
-    trial = _run([_said(0), _said(2), _said(1), _said(3)])
+    trial = _run([_measurement(0), _measurement(2), _measurement(1), _measurement(3)])
     assert len(trial) == 3
     trial.clear()
     assert len(trial) == 0

@@ -150,9 +150,9 @@ def test_odometry_that_depth_contradicts_is_wrong_and_as_good_as_before(world: W
     drift = Reason(ReasonCode.ODOMETRY_DRIFT, (0.05,))
     monkeypatch.setattr(DepthConsistencyMonitor, "drift", lambda _, now_s: drift if now_s >= MOTION.start_s + 1.0 else None)
     _perception, seen = _run(world, 2.0)
-    told = [odom for odom in seen.odom if odom.stamp_s >= MOTION.start_s + 1.0]
-    assert len(told) >= 25
-    assert {(odom.health, odom.why, odom.quality) for odom in told} == {(PoseHealth.WRONG, drift, 100)}
+    reported = [odom for odom in seen.odom if odom.stamp_s >= MOTION.start_s + 1.0]
+    assert len(reported) >= 25
+    assert {(odom.health, odom.why, odom.quality) for odom in reported} == {(PoseHealth.WRONG, drift, 100)}
 
 
 def test_a_frame_gets_the_pose_of_its_own_stamp_once_it_is_known(world: World) -> None:
@@ -222,7 +222,7 @@ def test_frames_of_an_uncertain_place_are_marked_and_no_drift_is_measured(
     assert max(forgotten) < 2.7
 
 
-def test_without_poses_quality_falls_and_then_nothing_is_said(world: World) -> None:
+def test_without_poses_quality_falls_and_then_nothing_is_published(world: World) -> None:
     world.poses_until_s = MOTION.start_s + 2.0
     _perception, seen = _run(world)
     last_pose_s = max(k / 15 for k in range(31) if k / 15 < 2.0) + MOTION.start_s
@@ -312,14 +312,14 @@ def test_what_is_rejected_is_published_by_reason(world: World, monkeypatch: pyte
     for step in range(401):
         world.clock.advance_to(MOTION.start_s + step / 100)
         perception.step()
-    told, grid = channels.perception.latest(), channels.nearby.latest()
-    assert told is not None and grid is not None
+    reported, grid = channels.perception.latest(), channels.nearby.latest()
+    assert reported is not None and grid is not None
     assert channels.perception.sequence() == 5, "once a second"
-    assert dict(told.rejected_frames) == {ReasonCode.DEPTH_FRAME_EMPTY: 8, ReasonCode.DEPTH_FRAME_STAMP: 4}
-    assert told.counts() == {"depth-frame-empty": 8, "depth-frame-stamp": 4}
-    assert told.newest is not None
-    assert told.newest_s > MOTION.start_s + 3.0
-    assert told.frames == perception.published_frames > 40
+    assert dict(reported.rejected_frames) == {ReasonCode.DEPTH_FRAME_EMPTY: 8, ReasonCode.DEPTH_FRAME_STAMP: 4}
+    assert reported.counts() == {"depth-frame-empty": 8, "depth-frame-stamp": 4}
+    assert reported.newest is not None
+    assert reported.newest_s > MOTION.start_s + 3.0
+    assert reported.frames == perception.published_frames > 40
 
 
 def test_a_step_without_anything_is_quiet() -> None:

@@ -14,7 +14,7 @@ from textured_room import ranges_m
 
 from uav_recon.localization.slam.depth_points import add_depth_equations, depth_points
 from uav_recon.localization.slam.landmarks import SIZE, LandmarkTracker, add_landmark_equations, project
-from uav_recon.localization.slam.rgbd_view import RgbdView
+from uav_recon.localization.slam.prepared_view import PreparedView
 from uav_recon.localization.slam.tsdf_volume import TsdfVolume, sample
 from uav_recon.types.camera import Frame, Intrinsics
 from uav_recon.types.frames import BoolArray, FloatArray
@@ -229,7 +229,7 @@ RGB_FROM_DEPTH = Pose.from_rotation_vector(np.array([0.01, -0.02, 0.015]), np.ar
 def test_corners_lie_where_exact_rays_meet_the_room(yaw: float, x: float, y: float, z: float, seed: int) -> None:
     odom_from_depth = Pose.from_yaw(yaw, np.array([x, y, z])) @ BODY_FROM_DEPTH
     depth = ranges_m(odom_from_depth, LENS, ROOM_M, ()).astype(np.float32)
-    view = RgbdView(Frame(0.0, 0, depth, LENS, np.zeros((120, 212, 3), np.uint8), RGB_LENS, RGB_FROM_DEPTH))
+    view = PreparedView(Frame(0.0, 0, depth, LENS, np.zeros((120, 212, 3), np.uint8), RGB_LENS, RGB_FROM_DEPTH))
     odom_from_rgb = odom_from_depth @ RGB_FROM_DEPTH.inverse()
     exact = ranges_m(odom_from_rgb, RGB_LENS, ROOM_M, ())
     at_px = np.random.default_rng(seed).integers([10, 10], [202, 110], (40, 2))
@@ -249,7 +249,7 @@ def test_a_late_colour_image_places_its_corners_from_where_the_camera_was() -> N
     later = Pose.from_yaw(late_s * 0.8, np.zeros(3)) @ here
     there = Pose(later.quat_wxyz, here.translation_m + late_s * motion[3:])
     depth = ranges_m(here, LENS, ROOM_M, ()).astype(np.float32)
-    view = RgbdView(Frame(0.0, 0, depth, LENS, np.zeros((120, 212, 3), np.uint8), RGB_LENS, RGB_FROM_DEPTH))
+    view = PreparedView(Frame(0.0, 0, depth, LENS, np.zeros((120, 212, 3), np.uint8), RGB_LENS, RGB_FROM_DEPTH))
     odom_from_rgb, at_px = there @ RGB_FROM_DEPTH.inverse(), np.array([[60, 60], [106, 59], [150, 50]])
     exact = ranges_m(odom_from_rgb, RGB_LENS, ROOM_M, ())[at_px[:, 1], at_px[:, 0]]
     expected = odom_from_rgb.apply(RGB_LENS.bearings()[at_px[:, 1], at_px[:, 0]] * exact[:, None])
@@ -262,7 +262,7 @@ def test_there_is_no_place_at_an_edge_of_depth_or_without_depth() -> None:
     depth = np.full((LENS.height, LENS.width), 3.0, np.float32)
     depth[:, 106:] = 1.5
     depth[:30] = np.nan
-    view = RgbdView(Frame(0.0, 0, depth, LENS, np.zeros((120, 212, 3), np.uint8), LENS, Pose.identity()))
+    view = PreparedView(Frame(0.0, 0, depth, LENS, np.zeros((120, 212, 3), np.uint8), LENS, Pose.identity()))
     at_px = np.array(
         [[u, 60.0] for u in range(96, 116)] + [[50.0, 20.0], [50.0, 31.0], [-5.0, 60.0], [400.0, 60.0]], np.float32
     )
@@ -279,7 +279,7 @@ def test_corners_are_followed_to_where_the_room_shows_them() -> None:
     tracker, motion, slow = LandmarkTracker(), np.zeros(6), np.zeros(2)
 
     poses = [truth(n / 15) @ BODY_FROM_DEPTH for n in (60, 61)]
-    first, second = RgbdView(frame(60)), RgbdView(frame(61))
+    first, second = PreparedView(frame(60)), PreparedView(frame(61))
     assert len(tracker.follow(first, np.empty((0, 2))).place_m) == 0
     tracker.settle(first, poses[0], motion, slow, np.zeros(3))
     points = tracker.points
@@ -296,13 +296,13 @@ def test_corners_are_followed_to_where_the_room_shows_them() -> None:
 
 def test_corners_that_the_image_no_longer_shows_are_dropped() -> None:
     """The right half of the next image shows something else."""
-    tracker, first = LandmarkTracker(), RgbdView(frame(90))
+    tracker, first = LandmarkTracker(), PreparedView(frame(90))
     tracker.follow(first, np.empty((0, 2)))
     tracker.settle(first, truth(6.0) @ BODY_FROM_DEPTH, np.zeros(6), np.zeros(2), np.zeros(3))
     before = tracker.points.at_px
     rgb = frame(90).rgb.copy()
     rgb[:, 106:] = np.kron(np.random.default_rng(0).integers(0, 255, (24, 22, 1)), np.ones((5, 5, 3)))[:120, :106]
-    found = tracker.follow(RgbdView(replace(frame(90), rgb=rgb)), before.astype(np.float64))
+    found = tracker.follow(PreparedView(replace(frame(90), rgb=rgb)), before.astype(np.float64))
     left, right = before[:, 0] < 90.0, before[:, 0] > 120.0
     assert right.sum() > 10
     assert (found.at_px[:, 0] < 90.0).sum() > 0.9 * left.sum()
@@ -310,13 +310,13 @@ def test_corners_that_the_image_no_longer_shows_are_dropped() -> None:
 
 
 def test_recalled_landmarks_are_those_of_the_newest_settled_image() -> None:
-    tracker, view = LandmarkTracker(), RgbdView(frame(60))
+    tracker, view = LandmarkTracker(), PreparedView(frame(60))
 
     tracker.settle(view, truth(4.0) @ BODY_FROM_DEPTH, np.zeros(6), np.zeros(2), np.zeros(3))
     tracker.follow(view, np.empty((0, 2)))
     tracker.settle(view, truth(4.0) @ BODY_FROM_DEPTH, np.zeros(6), np.zeros(2), np.zeros(3))
     before = tracker.points
-    dark = RgbdView(Frame(4.1, 61, frame(61).depth_m, LENS, np.zeros((120, 212, 3), np.uint8), RGB_LENS, Pose.identity()))
+    dark = PreparedView(Frame(4.1, 61, frame(61).depth_m, LENS, np.zeros((120, 212, 3), np.uint8), RGB_LENS, Pose.identity()))
     assert len(tracker.follow(dark, before.at_px.astype(np.float64)).place_m) == 0
     tracker.recall()
     assert tracker.points is before

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from slam_flight import BODY_FROM_DEPTH, LENS, RATE_HZ, RGB_LENS, frame, truth
 
 from uav_recon.localization.slam.landmarks import Landmarks, LandmarkTracker, project
+from uav_recon.localization.slam.prepared_view import PreparedView
 from uav_recon.localization.slam.rgbd_registration import MotionPrior, Registration, register, search
-from uav_recon.localization.slam.rgbd_view import RgbdView
 from uav_recon.localization.slam.tsdf_volume import TsdfVolume
 from uav_recon.types.camera import Frame
 from uav_recon.types.frames import FloatArray
@@ -27,12 +27,12 @@ PLACE_M, TURN_RAD = 0.1, math.radians(4.0)
 
 
 @functools.cache
-def _map() -> tuple[TsdfVolume, RgbdView]:
+def _map() -> tuple[TsdfVolume, PreparedView]:
     """The field of the views before, and the view itself."""
     volume = TsdfVolume()
     for number in range(NUMBER - 60, NUMBER, 4):
         volume.integrate(frame(number), truth(number / RATE_HZ) @ BODY_FROM_DEPTH, np.zeros(3))
-    return volume, RgbdView(frame(NUMBER))
+    return volume, PreparedView(frame(NUMBER))
 
 
 def _prior(pose: Pose, place_m: float = PLACE_M, turn_rad: float = TURN_RAD) -> MotionPrior:
@@ -48,7 +48,7 @@ def _off(pose: Pose, moved_m: FloatArray, turned_rad: FloatArray) -> Pose:
 
 def _followed(pose: Pose) -> Landmarks:
     """The landmarks of the image before, followed to the view as a predicted pose expects them."""
-    view, tracker = RgbdView(frame(NUMBER - 1)), LandmarkTracker()
+    view, tracker = PreparedView(frame(NUMBER - 1)), LandmarkTracker()
     tracker.follow(view, np.empty((0, 2)))
     tracker.settle(view, truth((NUMBER - 1) / RATE_HZ) @ BODY_FROM_DEPTH, STILL, np.zeros(2), np.zeros(3))
     now = _map()[1]
@@ -118,7 +118,7 @@ def test_some_wrong_landmarks_do_little() -> None:
     assert _error(found)[0] < 0.01
 
 
-def _bare_wall() -> tuple[TsdfVolume, RgbdView, Pose]:
+def _bare_wall() -> tuple[TsdfVolume, PreparedView, Pose]:
     """A wall 1.5 m ahead that fills the image."""
     pose, volume = Pose.identity(), TsdfVolume()
     noise = np.random.default_rng(4)
@@ -127,7 +127,7 @@ def _bare_wall() -> tuple[TsdfVolume, RgbdView, Pose]:
         depth = (1.5 + 0.006 * noise.standard_normal((LENS.height, LENS.width))).astype(np.float32)
         views.append(Frame(0.0, 0, depth, LENS, np.zeros((2, 2, 3), np.uint8), RGB_LENS, Pose.identity()))
         volume.integrate(views[-1], pose, np.zeros(3))
-    return volume, RgbdView(views[-1]), pose
+    return volume, PreparedView(views[-1]), pose
 
 
 @pytest.mark.parametrize("along", [0, 1])
@@ -145,7 +145,7 @@ def test_along_a_bare_wall_the_prediction_and_its_uncertainty_are_kept(along: in
 
 def test_a_frame_without_depth_and_landmarks_keeps_the_prediction() -> None:
     volume, view = _map()
-    empty = RgbdView(replace(view.frame, depth_m=np.full_like(view.frame.depth_m, np.nan)))
+    empty = PreparedView(replace(view.frame, depth_m=np.full_like(view.frame.depth_m, np.nan)))
     prior = _prior(_off(HERE, np.array([0.2, 0.0, 0.0]), np.zeros(3)))
     found = register(empty, volume, Landmarks.none(), prior)
     np.testing.assert_allclose(found.odom_from_depth.matrix(), prior.odom_from_depth.matrix(), atol=1e-12)

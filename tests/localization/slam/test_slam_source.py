@@ -1,4 +1,4 @@
-"""Source of poses: stamps, one pose for each believed frame, and the mount's pose at the instant that is shown."""
+"""Source of poses: stamps, one pose for each accepted frame, and the mount's pose at the instant that is shown."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ class Delayed(SlamTracker):
         return self._delay_s
 
 
-def test_each_believed_frame_has_one_pose_of_the_same_stamp() -> None:
+def test_each_accepted_frame_has_one_pose_of_the_same_stamp() -> None:
     camera = Camera([frame(n) for n in range(60)])
     source = SlamSource(camera, Mount(), SlamTracker())
     posed = 0
@@ -138,7 +138,7 @@ def test_a_frame_of_an_unknown_mount_has_no_pose_and_is_passed_on() -> None:
     assert max(stamps) > 0.6
 
 
-def test_a_frame_that_is_not_believed_has_no_pose_and_is_passed_on() -> None:
+def test_a_frame_that_is_not_accepted_has_no_pose_and_is_passed_on() -> None:
     frames = [covered(frame(n)) if 40 <= n < 44 else frame(n) for n in range(50)]
     source = SlamSource(Camera(frames), Mount(), SlamTracker())
     without = []

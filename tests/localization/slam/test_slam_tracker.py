@@ -219,8 +219,8 @@ def _found(track_m: float, against_track_m: float) -> Registration:
     return Registration(Pose.identity(), covariance, none, variance, 900, 900, 900, 90, np.zeros(2), np.eye(2), 0.01, 1e5)
 
 
-def test_doubt_about_the_place_is_told_before_there_is_no_pose() -> None:
-    """Each step: seconds since the place was sure, sigma of the track and against it, and what is said."""
+def test_doubt_about_the_place_is_reported_before_there_is_no_pose() -> None:
+    """Each step: seconds since the place was sure, sigma of the track and against it, and what is reported."""
     tracker = SlamTracker()
     fly(tracker, frames(0.8))
     steps = [
@@ -270,15 +270,15 @@ def test_a_found_error_enters_the_poses_slowly() -> None:
 
 def test_poses_that_still_contain_a_found_error_are_doubted() -> None:
     """Depth does not fit earlier views while an error of 12 cm is taken out of the poses at 0.1 m/s."""
-    tracker, told = SlamTracker(), list[PoseHealth]()
+    tracker, reported = SlamTracker(), list[PoseHealth]()
     fly(tracker, frames(0.8))
     tracker._release(np.array([0.12, 0.0, 0.0]), 0.1)
     for n in range(10):
         pose = tracker._pose(10.0 + 0.1 * n, _found(0.01, 0.005))
         assert pose is not None
-        told.append(pose.health)
+        reported.append(pose.health)
         tracker._release(np.zeros(3), 0.1)
-    assert told == [PoseHealth.DEGRADED] * 6 + [PoseHealth.GOOD] * 4
+    assert reported == [PoseHealth.DEGRADED] * 6 + [PoseHealth.GOOD] * 4
 
 
 @pytest.mark.parametrize("unsure", [False, True])

@@ -52,11 +52,11 @@ _DRIFT_M = 0.25
 _MANY = 100  #: land: min. points that must be compared for that
 _EXPLAINED_SHARE = 0.75  #: land: min. share of points that the shift explains: a person explains fewer
 _MAX_SHARE = 0.9  #: land: the same where much may have come between
-_TOLD = 2  #: land: views that must show the shift: one alone can be wrong
+_SHOWING_VIEWS = 2  #: land: views that must show the shift: one alone can be wrong
 _HIDING_SHARE = 0.22  #: land: at most this many points nearer, and few farther: something in front; else odom has moved
 _FARTHER_SHARE = 0.02  #: land: more points than this farther: odom has moved, and nothing hides them
 _SEEN_THROUGH_SHARE = 0.4  #: land: points of an older view that are not there: more than a person leaves behind; valid: 10 %
-_RUNNING = 3  #: land: frames in a row that must show drift
+_DRIFT_FRAMES = 3  #: land: frames in a row that must show drift
 _KEPT_S = 2.0  #: land: a drift that was shown holds for this time
 _FROZEN_M = 0.04  #: reject: a frame equal to the last bit to one that the camera took farther away: it is frozen
 _FROZEN_COS = math.cos(math.radians(1.0))  #: reject: the same, turned by more
@@ -93,7 +93,7 @@ class DepthConsistencyMonitor:
         self._past_views = PastViews()
         self._reset_counter = 0
         self._doubt: _Doubt | None = None  # None: the newest frame that could be compared was accepted
-        self._running = 0
+        self._drift_run = 0
         self._drift_rate = DriftRateEstimator()
         self._drift: Reason | None = None
         self._drift_s = -math.inf
@@ -147,8 +147,8 @@ class DepthConsistencyMonitor:
             if not (shown or ended or self._newest_was_wrong(seen)):
                 return Reason(ReasonCode.DEPTH_FRAME_UNCONFIRMED)
         elif aside or not fits:
-            witnesses = self._past_views.contradicted(*seen[1:])
-            self._doubt = _Doubt(frame.stamp_s, witnesses, CameraPose.of(odom_from_depth), self._fits_elder(seen))
+            contradicted = self._past_views.contradicted(*seen[1:])
+            self._doubt = _Doubt(frame.stamp_s, contradicted, CameraPose.of(odom_from_depth), self._fits_elder(seen))
             return Reason(ReasonCode.DEPTH_FRAME_SHIFTED if aside else ReasonCode.DEPTH_FRAME_CONTRADICTS)
         self._doubt = None
         self._drift_rate.update(frame, drift.motion, drift.drift_mps)
@@ -157,7 +157,7 @@ class DepthConsistencyMonitor:
             or _moved(self._past_views.compare_oldest(*seen, ALIKE_LATELY), _EXPLAINED_SHARE)
             or _moved(itertools.chain(filter(None, [overlapping]), others), _MAX_SHARE)
         )
-        self._hear(frame.stamp_s, moved or _seen_through(overlapping) or self._drift_message())
+        self._record_drift(frame.stamp_s, moved or _seen_through(overlapping) or self._drift_message())
         self._past_views.remember(*seen)
         return None
 
@@ -218,10 +218,10 @@ class DepthConsistencyMonitor:
         for n, depth_m in enumerate((wall, wall, 2.0 * wall, wall, wall, wall)):
             other.rejection(Frame(0.1 * n, n, depth_m, lens, colour, lens, here), CameraMotion.at_rest(here))
 
-    def _hear(self, stamp_s: float, said: Reason | None) -> None:
-        self._running = self._running + 1 if said is not None else 0
-        if self._running >= _RUNNING:
-            self._drift = said
+    def _record_drift(self, stamp_s: float, drift: Reason | None) -> None:
+        self._drift_run = self._drift_run + 1 if drift is not None else 0
+        if self._drift_run >= _DRIFT_FRAMES:
+            self._drift = drift
             self._drift_s = stamp_s
 
     def _drift_message(self) -> Reason | None:
@@ -250,11 +250,11 @@ class _Doubt:
       turns fast, and the fault did not last.
     """
 
-    def __init__(self, begun_s: float, witnesses: AnyArray, stand: CameraPose, elder_fits: bool) -> None:
+    def __init__(self, begun_s: float, contradicted: AnyArray, camera_pose: CameraPose, elder_fits: bool) -> None:
         self._elder_fits = elder_fits
         self._begun_s = begun_s
-        self._witnesses = witnesses
-        self._stand = stand
+        self._contradicted_points = contradicted
+        self._camera_pose = camera_pose
         self._since = PastViews()
         self._run = 0
         self._lasting = False
@@ -288,12 +288,12 @@ class _Doubt:
         if newest is None:
             brief = not self._lasting and seen[0] - self._begun_s <= _BRIEF_S
             return brief and (overlapping is None or _fits(overlapping))
-        return _fits(newest) and (self._is_cleared(seen) or self._stand.like(CameraPose.of(seen[3]), _REJECTION_POSE))
+        return _fits(newest) and (self._is_cleared(seen) or self._camera_pose.like(CameraPose.of(seen[3]), _REJECTION_POSE))
 
     def _is_cleared(self, seen: Seen) -> bool:
         """Return True if the points that the first rejected frame contradicted are in view and fit."""
-        in_view, fitting = self._since.fit_counts(self._witnesses, *seen[1:])
-        return in_view >= _CLEARED_IN_VIEW_SHARE * len(self._witnesses) and fitting >= _CLEARED_SHARE * in_view
+        in_view, fitting = self._since.fit_counts(self._contradicted_points, *seen[1:])
+        return in_view >= _CLEARED_IN_VIEW_SHARE * len(self._contradicted_points) and fitting >= _CLEARED_SHARE * in_view
 
 
 def _returns_share(depth_m: Float32Array) -> float:
@@ -330,10 +330,10 @@ def _moved(oldest: Iterator[ViewComparison], explained: float) -> Reason | None:
         sure = then.explained >= explained and then.count >= _MANY and not hidden
         return sure and float(np.linalg.norm(then.shift_m)) >= _DRIFT_M
 
-    told = list(itertools.islice(itertools.takewhile(says, oldest), _TOLD))
-    if len(told) < _TOLD:
+    shown = list(itertools.islice(itertools.takewhile(says, oldest), _SHOWING_VIEWS))
+    if len(shown) < _SHOWING_VIEWS:
         return None
-    return Reason(ReasonCode.SURFACES_MOVED, (float(np.linalg.norm(told[0].shift_m)), told[0].age_s))
+    return Reason(ReasonCode.SURFACES_MOVED, (float(np.linalg.norm(shown[0].shift_m)), shown[0].age_s))
 
 
 def _seen_through(then: ViewComparison | None) -> Reason | None:

@@ -35,8 +35,8 @@ _TURN_RADPS = math.radians(5.0)  #: brake: the correction of the heading turns a
 _EVERY_S = 0.2  #: internal: interval between two comparisons of odom with the tracker
 _TIMELY_S = 1.0  #: land: a drift that depth shows is known to the correction if its newest comparison is not older
 _KEPT_S = 2.0  #: internal: past corrections are kept for this time, as odom is
-_TOLD_M = 0.02  #: internal: a smaller correction is not reported, unless it turns by more than _TOLD_RAD
-_TOLD_RAD = math.radians(0.5)  #: internal: see _TOLD_M
+_REPORTED_M = 0.02  #: internal: a smaller correction is not reported, unless it turns by more than _REPORTED_RAD
+_REPORTED_RAD = math.radians(0.5)  #: internal: see _REPORTED_M
 _SPEED_OVER_S = 0.3  #: internal: time over which the speed of the correction is measured
 
 
@@ -125,7 +125,7 @@ def correction_of(config: LocalizationConfig, odom_at: Callable[[float], Stamped
     return TrackedCorrection(odom_at)
 
 
-class FrameTracker(Protocol):
+class ReferenceTracker(Protocol):
     """Tracks frames against a map of its own.
 
     ``determined`` (3, 3): share of the newest place that the view has determined, in the tracker's axes.
@@ -178,7 +178,7 @@ class TrackedCorrection:
     def __init__(
         self,
         odom_at: Callable[[float], StampedPose | None],
-        make_tracker: Callable[[OutsideMotion], FrameTracker] = SlamTracker,
+        make_tracker: Callable[[OutsideMotion], ReferenceTracker] = SlamTracker,
     ) -> None:
         self._odom_at = odom_at
         self._tracker = make_tracker(self)
@@ -194,7 +194,7 @@ class TrackedCorrection:
         """The size of the correction, None for nothing."""
         knot = self._knots[-1]
         shift_m = float(np.linalg.norm(knot.shift_m))
-        if self._filter is None or (shift_m < _TOLD_M and abs(knot.yaw_rad) < _TOLD_RAD):
+        if self._filter is None or (shift_m < _REPORTED_M and abs(knot.yaw_rad) < _REPORTED_RAD):
             return None
         sigma_m = math.sqrt(float(np.trace(self._filter.covariance[OFFSET, OFFSET])))
         return Reason(ReasonCode.ODOMETRY_CORRECTED, (shift_m, math.degrees(knot.yaw_rad), sigma_m))
@@ -206,7 +206,7 @@ class TrackedCorrection:
     def add_frame(self, frame: Frame, body_from_depth: Pose) -> None:
         """Register a frame, and compare odom with it."""
         tracked = self._tracker.track(frame, body_from_depth)
-        odom = None if tracked is None else self._believed(tracked.stamp_s)
+        odom = None if tracked is None else self._valid_odom(tracked.stamp_s)
         if tracked is None or odom is None:
             return
         if self._filter is None or odom.reset_counter != self._reset_counter:
@@ -305,7 +305,7 @@ class TrackedCorrection:
         self._reset_counter = odom.reset_counter
         self._knots = deque([_Knot(-math.inf, np.zeros(3), 0.0, np.zeros(3))])
 
-    def _believed(self, stamp_s: float) -> StampedPose | None:
+    def _valid_odom(self, stamp_s: float) -> StampedPose | None:
         odom = self._odom_at(stamp_s)
         return None if odom is None or odom.quality == 0 else odom
 
@@ -314,7 +314,7 @@ class TrackedCorrection:
 
         None if odom does not know it. A drift that is sure is taken out.
         """
-        before, after = self._believed(from_s), self._believed(to_s)
+        before, after = self._valid_odom(from_s), self._valid_odom(to_s)
         if before is None or after is None or before.reset_counter != after.reset_counter:
             return None
         moved = before.odom_from_body.inverse() @ after.odom_from_body
@@ -328,7 +328,7 @@ class TrackedCorrection:
 
     def attitude(self, stamp_s: float) -> Pose | None:
         """Return the attitude of the body in the tracker's odom, None if odom does not know it."""
-        odom = self._believed(stamp_s) if self._filter is not None else None
+        odom = self._valid_odom(stamp_s) if self._filter is not None else None
         if odom is None or odom.reset_counter != self._reset_counter:
             return None
         return self._odom_from_tracker.inverse() @ odom.odom_from_body

@@ -67,7 +67,7 @@ class FusionFilter:
         self._gates = gates or PoseGates()
         self._frozen = FrozenPoseGate()
         self._relocalization = RelocalizationCheck()
-        self._watch = OdometryHealthMonitor(pose_lost_s)
+        self._health_monitor = OdometryHealthMonitor(pose_lost_s)
         self._bank = PropagationBank(self.rejected)
         self._reset_counter = 0
         self._source_resets = 0
@@ -103,28 +103,28 @@ class FusionFilter:
         if reason is not None:
             self.rejected[reason] += 1
             return False
-        said, noise = self._seen_in_odom(pose), PoseNoise.claimed(pose.covariance)
+        measurement, noise = self._seen_in_odom(pose), PoseNoise.claimed(pose.covariance)
         if self._bank.newest is None:
-            return self._begin(said, noise)
-        met = self._bank.meet(said, noise)
-        if met is None:
-            return self._restart_after_gap(said, noise)
-        if self._frozen.repeats(pose.odom_from_body, met.residual):
+            return self._begin(measurement, noise)
+        arrival = self._bank.meet(measurement, noise)
+        if arrival is None:
+            return self._restart_after_gap(measurement, noise)
+        if self._frozen.repeats(pose.odom_from_body, arrival.residual):
             self.rejected[PoseRejection.FROZEN] += 1
             return False
-        before = self._bank.before(said.stamp_s)
-        reason = self._continuity_fault(met, before)
+        before = self._bank.before(measurement.stamp_s)
+        reason = self._continuity_fault(arrival, before)
         if reason in CONTRADICTIONS:
             fitting = (other for other in self._bank.alternatives() if self._continuity_fault(other, before) is None)
             if (other := next(fitting, None)) is not None:
                 self._bank.switch_to(other)
-                met, reason = other, None
-        if reason is not None and not self._accept_run(met):
+                arrival, reason = other, None
+        if reason is not None and not self._accept_run(arrival):
             self.rejected[reason] += 1
             self._contradicted |= reason in CONTRADICTIONS
             return False
         if reason is None:
-            self._settle(met)
+            self._settle(arrival)
         return True
 
     def odom_at(self, stamp_s: float) -> StampedPose | None:
@@ -138,124 +138,127 @@ class FusionFilter:
             return None
         node, state, here = found
         age_s, source = stamp_s - newest.stamp_s, node.sighting.source
-        health, why = self._watch.health(age_s, self._bank.fault(), len(self._relocalization) > 0)
+        health, reason = self._health_monitor.health(age_s, self._bank.fault(), len(self._relocalization) > 0)
         if health is PoseHealth.GOOD:
-            health, why = source.health, source.why
+            health, reason = source.health, source.why
         return StampedPose(
             stamp_s,
             Pose(np.array(state.odom_from_body(here)), np.array(state.position_m)),
             np.array(state.velocity_mps),
             _with_drift(state.covariance, source.covariance, self._bank.switch_variance_m2(stamp_s)),
-            self._watch.quality(health, age_s, source.quality),
+            self._health_monitor.quality(health, age_s, source.quality),
             self._reset_counter,
             source.map_epoch,
             health,
-            why,
+            reason,
             self.correction,
         )
 
-    def _continuity_fault(self, met: Arrival, before: FusedPose) -> PoseRejection | None:
+    def _continuity_fault(self, arrival: Arrival, before: FusedPose) -> PoseRejection | None:
         """Return the reason why a pose does not simply continue the one before it, '' if it does."""
-        said = met.said
-        if said.source.reset_counter != self._source_resets:
+        measurement = arrival.measurement
+        if measurement.source.reset_counter != self._source_resets:
             return PoseRejection.RESET
-        if said.stamp_s - before.stamp_s > self._lost_s and not self._bridges(met, before):
+        if measurement.stamp_s - before.stamp_s > self._lost_s and not self._bridges(arrival, before):
             return PoseRejection.UNPROVEN
-        return self._gates.leap(met.residual, met.covariance) or self._gates.speed_fault(before.sighting, said)
+        return self._gates.leap(arrival.residual, arrival.covariance) or self._gates.speed_fault(before.sighting, measurement)
 
-    def _bridges(self, met: Arrival, before: FusedPose) -> bool:
+    def _bridges(self, arrival: Arrival, before: FusedPose) -> bool:
         """Return True if the inertial track is credible after a short silence.
 
         The gates decide whether the pose fits it.
         """
-        credible = met.carried.model.accelerometer and max(np.diagonal(met.carried.covariance)[:3]) <= _CREDIBLE_M**2
-        return bool(credible and met.said.stamp_s - before.stamp_s <= self._bridged_s)
+        credible = arrival.carried.model.accelerometer and max(np.diagonal(arrival.carried.covariance)[:3]) <= _CREDIBLE_M**2
+        return bool(credible and arrival.measurement.stamp_s - before.stamp_s <= self._bridged_s)
 
-    def _accept_run(self, met: Arrival) -> bool:
+    def _accept_run(self, arrival: Arrival) -> bool:
         """Return True if a doubtful pose completes an accepted run of such poses.
 
         The filter has then fused it.
         """
-        said, carried, here, residual = met.said, met.carried, met.here, met.residual
-        lost = said.stamp_s - self.newest_pose_s > self._lost_s
-        if said.stamp_s < self.newest_pose_s:
+        measurement, carried, here, residual = arrival.measurement, arrival.carried, arrival.here, arrival.residual
+        lost = measurement.stamp_s - self.newest_pose_s > self._lost_s
+        if measurement.stamp_s < self.newest_pose_s:
             return False
-        track = PoseMeasurement(said.stamp_s, carried.position_m, carried.odom_from_body(here), said.source)
+        track = PoseMeasurement(measurement.stamp_s, carried.position_m, carried.odom_from_body(here), measurement.source)
         credible = max(np.diagonal(carried.covariance)[:3]) <= _CREDIBLE_M**2
         tilt_rad = math.hypot(residual[3], residual[4])
         tilted = self._gates.tilt_rad < tilt_rad < _OVERTURNED_RAD  # gravity is taken for acceleration; no map corrects that
         contradicted = (
             lost and self._contradicted
         )  # not by a step of the map: source and track never agreed on the body's motion
-        self._relocalization.update(said, track, carried.model.accelerometer and credible and not (tilted or contradicted))
+        self._relocalization.update(
+            measurement, track, carried.model.accelerometer and credible and not (tilted or contradicted)
+        )
         if not self._relocalization.stands(AFTER_LOSS if lost else MAP_STEP):
             return False
-        declared = said.source.reset_counter != self._source_resets
+        declared = measurement.source.reset_counter != self._source_resets
         steady = credible or (carried.model.gyro and carried.covariance[8, 8] <= _STEADY_RAD**2)
         if steady and not declared and abs(residual[5]) > _TURN_OF_MAP_RAD:
             return False
-        fits = self._gates.leap(residual, met.covariance) is None
+        fits = self._gates.leap(residual, arrival.covariance) is None
         if contradicted or tilted or not (credible or fits):
-            return self._begin(said, met.noise, self._relocalization.velocity_mps())
+            return self._begin(measurement, arrival.noise, self._relocalization.velocity_mps())
         if declared or not fits:
-            self._move_world(said.source, track)
-            moved = replace(said, position_m=track.position_m, odom_from_body=track.odom_from_body)
-            met = pose_innovation(moved, met.noise, carried, here)
+            self._move_world(measurement.source, track)
+            moved = replace(measurement, position_m=track.position_m, odom_from_body=track.odom_from_body)
+            arrival = pose_innovation(moved, arrival.noise, carried, here)
         if lost:
-            self._watch.begin(said.stamp_s)
+            self._health_monitor.begin(measurement.stamp_s)
         if carried.model.accelerometer:
-            self._settle(met)
+            self._settle(arrival)
         else:
-            self._settle_at_run_velocity(met, said)
+            self._settle_at_run_velocity(arrival, measurement)
         return True
 
-    def _settle_at_run_velocity(self, met: Arrival, said: PoseMeasurement) -> None:
+    def _settle_at_run_velocity(self, arrival: Arrival, measurement: PoseMeasurement) -> None:
         """Fuse the last pose of an accepted run, and take the velocity from the run.
 
-        Without an accelerometer a wrong velocity of the track may be what the poses contradicted. said: the pose before a step
-        of the map.
+        Without an accelerometer a wrong velocity of the track may be what the poses contradicted.
+
+        measurement: the pose before a step of the map.
         """
-        turn = multiply(met.said.odom_from_body, conjugate(said.odom_from_body))
+        turn = multiply(arrival.measurement.odom_from_body, conjugate(measurement.odom_from_body))
         velocity_mps = rotate(turn, self._relocalization.velocity_mps())
         self._relocalization.clear()
         self._contradicted = False
-        self._bank.begin(met.said, met.noise, velocity_mps)
-        self._watch.fused(met.said.stamp_s, met.nis)
+        self._bank.begin(arrival.measurement, arrival.noise, velocity_mps)
+        self._health_monitor.fused(arrival.measurement.stamp_s, arrival.nis)
 
-    def _restart_after_gap(self, said: PoseMeasurement, noise: PoseNoise) -> bool:
+    def _restart_after_gap(self, measurement: PoseMeasurement, noise: PoseNoise) -> bool:
         """Restart after a silence longer than the stored track, once the source agrees with itself.
 
         Nothing can contradict the source then.
         """
-        if said.stamp_s >= self.newest_pose_s:
-            self._relocalization.update(said, said, inertial=False)
+        if measurement.stamp_s >= self.newest_pose_s:
+            self._relocalization.update(measurement, measurement, inertial=False)
             if self._relocalization.stands(AFTER_LOSS):
-                return self._begin(said, noise, self._relocalization.velocity_mps())
+                return self._begin(measurement, noise, self._relocalization.velocity_mps())
         self.rejected[PoseRejection.UNPROVEN] += 1
         return False
 
-    def _settle(self, met: Arrival) -> None:
+    def _settle(self, arrival: Arrival) -> None:
         """Fuse a pose that continues the track."""
         self._relocalization.clear()
         self._contradicted = False
-        self._bank.enter(met)
-        self._watch.fused(met.said.stamp_s, met.nis)
+        self._bank.enter(arrival)
+        self._health_monitor.fused(arrival.measurement.stamp_s, arrival.nis)
 
-    def _begin(self, said: PoseMeasurement, noise: PoseNoise, velocity_mps: Vector = (0.0, 0.0, 0.0)) -> bool:
+    def _begin(self, measurement: PoseMeasurement, noise: PoseNoise, velocity_mps: Vector = (0.0, 0.0, 0.0)) -> bool:
         """Forget the past and restart from this pose. After the first time, odom jumps there."""
-        if not self._bank.reaches(said.stamp_s):
+        if not self._bank.reaches(measurement.stamp_s):
             self.rejected[PoseRejection.STAMP] += 1
             return False
         if self._bank.newest is not None:
             self._reset_counter = (self._reset_counter + 1) % 256
-            again = said.source.reset_counter != self._source_resets
+            again = measurement.source.reset_counter != self._source_resets
             self.correction = replace(self.correction, epoch=self.correction.epoch + again)
         self._relocalization.clear()
         self._contradicted = False
-        self._source_resets = said.source.reset_counter
-        self._watch.begin(said.stamp_s)
-        self._bank.begin(said, noise, velocity_mps)
-        self._watch.fused(said.stamp_s, 0.0)
+        self._source_resets = measurement.source.reset_counter
+        self._health_monitor.begin(measurement.stamp_s)
+        self._bank.begin(measurement, noise, velocity_mps)
+        self._health_monitor.fused(measurement.stamp_s, 0.0)
         return True
 
     def _move_world(self, pose: StampedPose, track: PoseMeasurement) -> None:

@@ -66,7 +66,7 @@ class Arrival:
     innovation.
     """
 
-    said: PoseMeasurement
+    measurement: PoseMeasurement
     noise: PoseNoise
     carried: Estimate
     here: InertialState
@@ -127,33 +127,33 @@ class FusionHistory:
         """Return the newest node that is not younger than a timely stamp."""
         return self._nodes[self._before(stamp_s)]
 
-    def meet(self, said: PoseMeasurement, noise: PoseNoise) -> Arrival | None:
+    def meet(self, measurement: PoseMeasurement, noise: PoseNoise) -> Arrival | None:
         """Propagate the node before a timely pose to the pose.
 
         None if the track no longer reaches back to that node.
         """
-        return self._meet(self.before(said.stamp_s), said, noise)
+        return self._meet(self.before(measurement.stamp_s), measurement, noise)
 
     def reaches(self, stamp_s: float) -> bool:
         """Return True if the track goes back to the stamp."""
         return not len(self._track) or stamp_s >= self._track.oldest_s
 
-    def begin(self, said: PoseMeasurement, noise: PoseNoise, velocity_mps: Vector) -> None:
+    def begin(self, measurement: PoseMeasurement, noise: PoseNoise, velocity_mps: Vector) -> None:
         """Forget the nodes and restart from a pose within the track."""
-        model = self._model_between(said.stamp_s, said.stamp_s)
+        model = self._model_between(measurement.stamp_s, measurement.stamp_s)
         if not model.gyro:
-            self._coast_to(said.stamp_s)
-        base = self._track.at(said.stamp_s)
+            self._coast_to(measurement.stamp_s)
+        base = self._track.at(measurement.stamp_s)
         assert base is not None
         self._nodes.clear()
-        estimate = Estimate.at_rest(base, said.position_m, said.odom_from_body, noise, model)
-        self._keep(FusedPose(said, noise, estimate._replace(velocity_mps=velocity_mps), 0.0))
+        estimate = Estimate.at_rest(base, measurement.position_m, measurement.odom_from_body, noise, model)
+        self._keep(FusedPose(measurement, noise, estimate._replace(velocity_mps=velocity_mps), 0.0))
 
-    def enter(self, met: Arrival) -> None:
+    def enter(self, arrival: Arrival) -> None:
         """Insert a pose by its stamp; the nodes after it are computed again."""
-        k = self._before(met.said.stamp_s)
+        k = self._before(arrival.measurement.stamp_s)
         later = [self._nodes.pop() for _ in range(len(self._nodes) - 1 - k)]
-        self._append(met)
+        self._append(arrival)
         for node in reversed(later):
             again = self._meet(self._nodes[-1], node.sighting, node.noise)
             if again is not None:
@@ -179,21 +179,28 @@ class FusionHistory:
             return node, propagate(node.estimate, base, here, node.noise), here
         return node, _smoothed(node, after, base, here, there), here
 
-    def _meet(self, node: FusedPose, said: PoseMeasurement, noise: PoseNoise) -> Arrival | None:
-        model = self._model_between(node.stamp_s, said.stamp_s)
+    def _meet(self, node: FusedPose, measurement: PoseMeasurement, noise: PoseNoise) -> Arrival | None:
+        model = self._model_between(node.stamp_s, measurement.stamp_s)
         if not model.gyro:
-            self._coast_to(said.stamp_s)
-        base, here = self._track.at(node.stamp_s), self._track.at(said.stamp_s)
+            self._coast_to(measurement.stamp_s)
+        base, here = self._track.at(node.stamp_s), self._track.at(measurement.stamp_s)
         if base is None or here is None:
             return None
-        return pose_innovation(said, noise, propagate(node.estimate.propagated_by(model), base, here, node.noise), here)
+        return pose_innovation(measurement, noise, propagate(node.estimate.propagated_by(model), base, here, node.noise), here)
 
-    def _append(self, met: Arrival) -> None:
+    def _append(self, arrival: Arrival) -> None:
         """Add a node: the propagated estimate corrected by the pose."""
-        nis = met.nis
-        variance_m2 = sum(met.carried.covariance.diagonal()[:3].tolist()) / 3.0
-        doubts = max(outlier_noise_scale(nis), max_step_noise_scale(met.residual, variance_m2, met.noise.position_m2))
-        self._keep(FusedPose(met.said, met.noise, update_estimate(met.carried, met.residual, met.noise, doubts), nis))
+        nis = arrival.nis
+        variance_m2 = sum(arrival.carried.covariance.diagonal()[:3].tolist()) / 3.0
+        doubts = max(outlier_noise_scale(nis), max_step_noise_scale(arrival.residual, variance_m2, arrival.noise.position_m2))
+        self._keep(
+            FusedPose(
+                arrival.measurement,
+                arrival.noise,
+                update_estimate(arrival.carried, arrival.residual, arrival.noise, doubts),
+                nis,
+            )
+        )
 
     def _keep(self, node: FusedPose) -> None:
         self._nodes.append(node)
@@ -218,10 +225,10 @@ class FusionHistory:
             self._track.coast(stamp_s, (-bx, -by, -bz))
 
 
-def pose_innovation(said: PoseMeasurement, noise: PoseNoise, carried: Estimate, here: InertialState) -> Arrival:
+def pose_innovation(measurement: PoseMeasurement, noise: PoseNoise, carried: Estimate, here: InertialState) -> Arrival:
     """Return the innovation of a pose against an estimate propagated to its instant."""
-    residual = innovation(carried, here, said.position_m, said.odom_from_body)
-    return Arrival(said, noise, carried, here, residual, spread(carried, noise))
+    residual = innovation(carried, here, measurement.position_m, measurement.odom_from_body)
+    return Arrival(measurement, noise, carried, here, residual, spread(carried, noise))
 
 
 def _attitude_unknown(base: InertialState, here: InertialState, there: InertialState) -> bool:

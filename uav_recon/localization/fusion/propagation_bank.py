@@ -94,7 +94,7 @@ class PropagationBank:
         self._switched_s = -math.inf
         self._switch_m = 0.0  # distance between the filters when the chosen one changed
         self._noise_scale = 1.0  # of the white variance that the source claims
-        self._met: list[Arrival | None] = [None] * len(self._histories)
+        self._arrivals: list[Arrival | None] = [None] * len(self._histories)
 
     @property
     def newest(self) -> FusedPose | None:
@@ -133,56 +133,61 @@ class PropagationBank:
         """Return the node before an instant, and estimate and track there, as FusionHistory."""
         return self._history.at(stamp_s)
 
-    def meet(self, said: PoseMeasurement, noise: PoseNoise) -> Arrival | None:
+    def meet(self, measurement: PoseMeasurement, noise: PoseNoise) -> Arrival | None:
         """Propagate the filters to a timely pose and return the chosen one's arrival.
 
         None if its track is too short.
         """
         noise = noise.scaled(self._noise_scale)
-        self._met = [
-            history.meet(said, noise) if history.stamp_fault(said.stamp_s) is None else None for history in self._histories
+        self._arrivals = [
+            history.meet(measurement, noise) if history.stamp_fault(measurement.stamp_s) is None else None
+            for history in self._histories
         ]
-        return self._met[self._chosen]
+        return self._arrivals[self._chosen]
 
-    def begin(self, said: PoseMeasurement, noise: PoseNoise, velocity_mps: Vector) -> None:
+    def begin(self, measurement: PoseMeasurement, noise: PoseNoise, velocity_mps: Vector) -> None:
         """Forget the nodes and restart all filters from a pose within the track."""
         for history in self._histories:
-            if history.reaches(said.stamp_s):
-                history.begin(said, noise, velocity_mps)
+            if history.reaches(measurement.stamp_s):
+                history.begin(measurement, noise, velocity_mps)
         self._records = [_Record() for _ in self._histories]
         self._choose(self._chosen)
 
-    def enter(self, met: Arrival) -> None:
+    def enter(self, arrival: Arrival) -> None:
         """Insert a pose that the chosen filter has met; the others fuse it too.
 
         A filter that cannot continue restarts from it.
         """
-        self._met[self._chosen] = met
-        self._histories[self._chosen].enter(met)
+        self._arrivals[self._chosen] = arrival
+        self._histories[self._chosen].enter(arrival)
         newest = self._histories[self._chosen].newest
         assert newest is not None
         for index, history in enumerate(self._histories):
-            if index == self._chosen or newest.stamp_s != met.said.stamp_s:
+            if index == self._chosen or newest.stamp_s != arrival.measurement.stamp_s:
                 continue  # a pose out of order corrects only the track that is flown by
-            other = self._met[index]
-            if other is not None and other.said is not met.said:  # the pose as it is after a step of the source's map
-                other = self._met[index] = pose_innovation(met.said, met.noise, other.carried, other.here)
+            other = self._arrivals[index]
+            if other is not None and other.measurement is not arrival.measurement:  # as it is after a step of the source's map
+                other = self._arrivals[index] = pose_innovation(arrival.measurement, arrival.noise, other.carried, other.here)
             if other is not None and other.nis <= _MAX_NIS:
                 history.enter(other)
-            elif history.reaches(met.said.stamp_s):
-                history.begin(met.said, met.noise, newest.estimate.velocity_mps)
-        self._compare(met)
+            elif history.reaches(arrival.measurement.stamp_s):
+                history.begin(arrival.measurement, arrival.noise, newest.estimate.velocity_mps)
+        self._compare(arrival)
 
     def alternatives(self) -> list[Arrival]:
         """Return the arrivals of filters with fewer sensors, if the chosen one is suspect."""
         if self._records[self._chosen].nis <= _SUSPECT_NIS:
             return []
-        fewer = zip(self._met, self._records, strict=True)
-        return [met for met, record in list(fewer)[self._chosen + 1 :] if met is not None and record.nis <= _SURPRISED_NIS]
+        fewer = zip(self._arrivals, self._records, strict=True)
+        return [
+            arrival
+            for arrival, record in list(fewer)[self._chosen + 1 :]
+            if arrival is not None and record.nis <= _SURPRISED_NIS
+        ]
 
-    def switch_to(self, met: Arrival) -> None:
+    def switch_to(self, arrival: Arrival) -> None:
         """Choose the filter of an arrival."""
-        self._choose(next(index for index, arrival in enumerate(self._met) if arrival is met))
+        self._choose(next(index for index, other in enumerate(self._arrivals) if other is arrival))
 
     def fault(self) -> Reason | None:
         """Return the reason why not all inertial sensors are used, None if they are."""
@@ -199,13 +204,13 @@ class PropagationBank:
             return Reason(ReasonCode.AUTOPILOT_GYRO)
         return Reason(ReasonCode.ACCELEROMETER_FROZEN if self._gate.accelerometer_frozen else ReasonCode.ACCELEROMETER_REJECTED)
 
-    def _compare(self, met: Arrival) -> None:
+    def _compare(self, arrival: Arrival) -> None:
         """Update the records with a fused pose, and choose the most likely filter."""
-        share = 1.0 - math.exp(-max(met.said.stamp_s - self._compared_s, 0.0) / _MEMORY_S)
-        self._compared_s = max(self._compared_s, met.said.stamp_s)
-        for record, arrival in zip(self._records, self._met, strict=True):
-            if arrival is not None:
-                record.update(arrival, share)
+        share = 1.0 - math.exp(-max(arrival.measurement.stamp_s - self._compared_s, 0.0) / _MEMORY_S)
+        self._compared_s = max(self._compared_s, arrival.measurement.stamp_s)
+        for record, predicted in zip(self._records, self._arrivals, strict=True):
+            if predicted is not None:
+                record.update(predicted, share)
         least = min(record.nis for record in self._records) / _EXPECTED_NIS
         slow = 1.0 if least > 1.0 else _MEMORY_S / _NOISE_MEMORY_S
         self._noise_scale = min(max(self._noise_scale * (1.0 + slow * share * (least - 1.0)), 1.0), _MAX_NOISE_FACTOR)
@@ -222,7 +227,7 @@ class PropagationBank:
         if fewer:
             self._choose(min(fewer, key=lambda k: costs[k]))
             return
-        self._restore(costs, met.said.stamp_s)
+        self._restore(costs, arrival.measurement.stamp_s)
 
     def _restore(self, costs: list[float], stamp_s: float) -> None:
         """Use a sensor again once it has been the better choice for a while."""
@@ -241,9 +246,9 @@ class PropagationBank:
         return max(min(left, 1.0), 0.0) * self._switch_m**2 / 3.0
 
     def _choose(self, index: int) -> None:
-        old, new = self._met[self._chosen], self._met[index]
+        old, new = self._arrivals[self._chosen], self._arrivals[index]
         if old is not None and new is not None and index != self._chosen:
-            self._switched_s = new.said.stamp_s
+            self._switched_s = new.measurement.stamp_s
             apart_m = math.dist(old.carried.position_m, new.carried.position_m)
             self._switch_m = apart_m + _LATE_S * math.dist(old.carried.velocity_mps, new.carried.velocity_mps)
         self._chosen = index

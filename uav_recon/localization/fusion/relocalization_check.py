@@ -50,18 +50,18 @@ class RelocalizationCheck:
         """End the run."""
         self._run.clear()
 
-    def update(self, said: PoseMeasurement, track: PoseMeasurement, inertial: bool) -> None:
+    def update(self, measurement: PoseMeasurement, track: PoseMeasurement, inertial: bool) -> None:
         """Add a pose, and the pose that the track alone predicts for its stamp.
 
         It has to agree with the pose before it and with the first of the run: a small difference from pose to pose is a wrong
         velocity.
         """
-        if self._run and said.stamp_s <= self._run[-1][0].stamp_s:
+        if self._run and measurement.stamp_s <= self._run[-1][0].stamp_s:
             return
-        pair = (said, track)
+        pair = (measurement, track)
         if self._run and not (_agree(self._run[-1], pair, inertial) and _agree(self._run[0], pair, inertial)):
             self._run.clear()
-        self._run.append((said, track))
+        self._run.append((measurement, track))
 
     def stands(self, proof: ConsistencyRequirement) -> bool:
         """Return True if the run meets the requirement."""

@@ -57,11 +57,11 @@ class AttitudeFilter:
         return PredictedAttitude(turned, covariance, covariance + _SHOWN_RAD**2 * eye + stamp_sigma_s**2 * np.outer(rate, rate))
 
     def coast(self, predicted: PredictedAttitude) -> None:
-        """Take the predicted attitude: the frame was not believed."""
+        """Take the predicted attitude: the frame was not accepted."""
         self.odom_from_body, self._covariance = predicted.odom_from_body, predicted.covariance
 
     def update(self, predicted: PredictedAttitude, odom_from_body: Pose, covariance: FloatArray) -> None:
-        """Take the attitude of a believed frame, with its covariance (3, 3).
+        """Take the attitude of an accepted frame, with its covariance (3, 3).
 
         Both contain the prediction already.
         """

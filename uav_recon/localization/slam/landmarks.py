@@ -13,7 +13,7 @@ import numpy as np
 
 from uav_recon.geometry.jit import kernel
 from uav_recon.localization.slam.optical_flow import followed, inside
-from uav_recon.localization.slam.rgbd_view import RgbdView
+from uav_recon.localization.slam.prepared_view import PreparedView
 from uav_recon.types.frames import AnyArray, BoolArray, ByteArray, FloatArray
 from uav_recon.types.pose import Pose
 
@@ -78,13 +78,13 @@ class LandmarkTracker:
         self._grey: ByteArray | None = None
         self._slow = np.zeros(2)
         self.points = Landmarks.none()
-        self._believed: tuple[ByteArray | None, Landmarks] = None, self.points
+        self._accepted: tuple[ByteArray | None, Landmarks] = None, self.points
 
     def recall(self) -> None:
-        """Return to the image and the landmarks of the newest believed frame: this one is not."""
-        self._grey, self.points = self._believed
+        """Return to the image and the landmarks of the newest accepted frame: this one is not."""
+        self._grey, self.points = self._accepted
 
-    def follow(self, view: RgbdView, predicted: FloatArray) -> Landmarks:
+    def follow(self, view: PreparedView, predicted: FloatArray) -> Landmarks:
         """Return the landmarks that the image shows.
 
         predicted (N, 2): where the predicted pose expects each of ``points``.
@@ -113,7 +113,9 @@ class LandmarkTracker:
         points = self.points
         self.points = points._replace(place_m=points.place_m + shift_m, variance=points.variance * share)
 
-    def settle(self, view: RgbdView, odom_from_depth: Pose, motion: FloatArray, slow: FloatArray, variance: FloatArray) -> None:
+    def settle(
+        self, view: PreparedView, odom_from_depth: Pose, motion: FloatArray, slow: FloatArray, variance: FloatArray
+    ) -> None:
         """Keep the landmarks that fit the pose of the image, refine their places, and add new ones.
 
         motion (6,), slow (2,): as in project(). variance (3,): of the place of the camera, m² along the axes of odom.
@@ -138,9 +140,11 @@ class LandmarkTracker:
         self.points = points._replace(place_m=place_m, slope=slope, seen=seen, variance=placed)
         if len(self.points.seen) < _ENOUGH:
             self._add(view, odom_from_depth, motion, slow, variance)
-        self._believed = self._grey, self.points
+        self._accepted = self._grey, self.points
 
-    def _add(self, view: RgbdView, odom_from_depth: Pose, motion: FloatArray, slow: FloatArray, variance: FloatArray) -> None:
+    def _add(
+        self, view: PreparedView, odom_from_depth: Pose, motion: FloatArray, slow: FloatArray, variance: FloatArray
+    ) -> None:
         grey = view.grey
         assert grey is not None
         free = np.full(grey.shape, 255, np.uint8)

@@ -138,7 +138,7 @@ class MotionFilter:
         return PredictedMotion(state, covariance)
 
     def coast(self, predicted: PredictedMotion) -> None:
-        """Take the predicted motion: the frame was not believed."""
+        """Take the predicted motion: the frame was not accepted."""
         self._now = predicted
 
     def shift(self, shift_m: FloatArray) -> None:
@@ -148,7 +148,7 @@ class MotionFilter:
         self._now = PredictedMotion(state, self._now.covariance)
 
     def update(self, predicted: PredictedMotion, place_m: FloatArray, place_covariance: FloatArray) -> None:
-        """Take the place (3,) of a believed frame, with its covariance (3, 3).
+        """Take the place (3,) of an accepted frame, with its covariance (3, 3).
 
         Both contain the prediction already.
         """

@@ -14,7 +14,7 @@ import numpy as np
 
 from uav_recon.localization.slam.depth_points import add_depth_equations
 from uav_recon.localization.slam.landmarks import SIZE, Landmarks, add_landmark_equations
-from uav_recon.localization.slam.rgbd_view import RgbdView
+from uav_recon.localization.slam.prepared_view import PreparedView
 from uav_recon.localization.slam.tsdf_volume import TsdfVolume
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.pose import Pose
@@ -121,7 +121,7 @@ class Registration:
 
 
 def search(
-    view: RgbdView, volume: TsdfVolume, prior: MotionPrior, reach_m: FloatArray, most_variance: float = math.inf
+    view: PreparedView, volume: TsdfVolume, prior: MotionPrior, reach_m: FloatArray, most_variance: float = math.inf
 ) -> tuple[Registration, float]:
     """Return the pose at which depth alone fits the map best, and the share of the next best.
 
@@ -154,7 +154,7 @@ def _shifts_m(reach_m: FloatArray) -> FloatArray:
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
-def register(view: RgbdView, volume: TsdfVolume, landmarks: Landmarks, prior: MotionPrior) -> Registration:
+def register(view: PreparedView, volume: TsdfVolume, landmarks: Landmarks, prior: MotionPrior) -> Registration:
     """Return the pose at which the frame fits the map, from the predicted one on. About 2 ms.
 
     Landmarks of which too few agree are those of a view without texture, and left out.
@@ -167,7 +167,7 @@ def register(view: RgbdView, volume: TsdfVolume, landmarks: Landmarks, prior: Mo
 
 
 def _converge(
-    view: RgbdView,
+    view: PreparedView,
     volume: TsdfVolume,
     landmarks: Landmarks,
     prior: MotionPrior,
@@ -269,7 +269,7 @@ def _against_track(covariance: FloatArray) -> FloatArray:
     return np.asarray(change @ covariance @ change.T)
 
 
-def _inliers(view: RgbdView, volume: TsdfVolume, rotation: FloatArray, place_m: FloatArray, most_variance: float) -> int:
+def _inliers(view: PreparedView, volume: TsdfVolume, rotation: FloatArray, place_m: FloatArray, most_variance: float) -> int:
     """Return the number of depth points on a known surface from a pose."""
     unused = np.zeros((SIZE, SIZE)), np.zeros(SIZE), np.zeros((2, 3))
     seen = view.points, rotation, place_m, volume.index, volume.distance, volume.weight, volume.variance, np.zeros(3)

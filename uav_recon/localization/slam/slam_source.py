@@ -19,7 +19,7 @@ class SlamSource:
     """DepthCamera and PoseSource in one.
 
     Each frame that is read is tracked first, which takes about 8 ms. A frame's stamp is moved to
-    the instant that it shows, as far as the gyro has told the delay. The pose of a frame has the stamp of that frame; it can
+    the instant that it shows, as far as the gyro shows the delay. The pose of a frame has the stamp of that frame; it can
     be read after it.
     """
 

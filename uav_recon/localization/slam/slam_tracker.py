@@ -2,7 +2,7 @@
 
 Depth is registered to a field of the surfaces seen before, corners of the colour image to landmarks, and both to the motion
 that the inertial samples predict, in one Gauss-Newton problem. The map covers the room, so a surface that comes into view again
-corrects the drift since. A frame that may not be believed changes neither map nor landmarks: the inertial samples alone carry
+corrects the drift since. A frame that is not accepted changes neither map nor landmarks: the inertial samples alone carry
 the track on.
 """
 
@@ -19,9 +19,9 @@ from uav_recon.localization.slam.floor_level import level_by_floor
 from uav_recon.localization.slam.gyro_alignment import JITTER_S, GyroAlignment
 from uav_recon.localization.slam.landmarks import Landmarks, LandmarkTracker, project
 from uav_recon.localization.slam.motion_filter import MeasuredStep, MotionFilter
+from uav_recon.localization.slam.prepared_view import PreparedView
 from uav_recon.localization.slam.rest_detection import RestDetector
 from uav_recon.localization.slam.rgbd_registration import MotionPrior, Registration, register, search
-from uav_recon.localization.slam.rgbd_view import RgbdView
 from uav_recon.localization.slam.tracking_monitor import TrackingFault, TrackingMonitor
 from uav_recon.localization.slam.tsdf_volume import TsdfVolume
 from uav_recon.types.camera import Frame, ImuSample, Intrinsics, body_from_camera
@@ -41,8 +41,8 @@ _AT_REST = 1e-4**2 * np.eye(3)
 _FIRST_SLOW_SIGMA = np.array([0.012, 0.006])  # delay of the colour image (s), share of its width
 _SLOW_WALK = np.array([0.0005, 0.0002])  # per root second
 _SLOW_FLOOR = np.array([0.001, 0.0005])
-_FUSION_FRAMES = 8  # frames in a row that must be believed before the map grows again after doubt
-_PROOF_FRAMES = 2  # frames that must be believed after doubt until poses are given again
+_FUSION_FRAMES = 8  # frames in a row that must be accepted before the map grows again after doubt
+_PROOF_FRAMES = 2  # frames that must be accepted after doubt until poses are given again
 _MOST_SIGMA_M = 0.12  #: reject: no pose is given while the place is more uncertain than this in a direction
 _MOST_ON_WAY_BACK_M = 0.20  #: reject: the same on the way back
 _WAY_BACK_S = 1.5  #: reject: time of the way back, after the newest pose that was sure
@@ -85,7 +85,7 @@ _ROTATION_SIGMA_RAD = math.radians(0.3)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrackedState:
-    """The newest believed frame.
+    """The newest accepted frame.
 
     stamp_s: of the frame. odom_from_body. velocity_mps (3,) in odom.
     """
@@ -129,7 +129,7 @@ class SlamTracker:
     """Tracks the camera. Not thread-safe; about 8 ms a frame of 424x240 on one core.
 
     It starts at rest: the first poses come once the inertial samples have shown where down is. ``fault``: why the newest frame
-    was not believed, None if it was.
+    was not accepted, None if it was.
 
     outside: another source of the body's motion, which the track follows where the view does not determine it.
     ``determined`` (3, 3): share of the newest place, in odom axes, that the view has determined and not the prediction.
@@ -150,7 +150,7 @@ class SlamTracker:
         self._turned = self._attitude.predict(np.zeros(3), 0.0, np.zeros(3), 0.0)
         self._predicted = self._motion.predict(0.0, Pose.identity(), None)
         self._fused: Pose | None = None
-        self._believed = 0
+        self._accepted_frames = 0
         self._launched = self._unsure = False
         self._sure_s = -math.inf
         self._judged_s = math.inf
@@ -176,7 +176,7 @@ class SlamTracker:
 
     def track(self, frame: Frame, body_from_depth: Pose) -> StampedPose | None:
         """Return the body's pose at what the frame shows; None if it is not known."""
-        view = RgbdView(frame)
+        view = PreparedView(frame)
         if self._state is None:
             return self._start(view, body_from_depth)
         if not frame.stamp_s > self._state.stamp_s:
@@ -201,7 +201,7 @@ class SlamTracker:
         self._settle(view, found, prior, self._state, body_from_depth)
         return self._pose(frame.stamp_s, found)
 
-    def _search(self, view: RgbdView, found: Registration, prior: MotionPrior) -> Registration:
+    def _search(self, view: PreparedView, found: Registration, prior: MotionPrior) -> Registration:
         """Return the best registration from places around the predicted one, by depth alone."""
         reach_m = _reach_m(prior)
         if reach_m.max() < _LEAST_SEARCH_M:
@@ -209,7 +209,7 @@ class SlamTracker:
         other, _ = search(view, self.volume, prior, reach_m)
         return other if other.inliers > found.inliers * _BETTER else found
 
-    def _search_map(self, view: RgbdView, found: Registration, prior: MotionPrior) -> Registration:
+    def _search_map(self, view: PreparedView, found: Registration, prior: MotionPrior) -> Registration:
         """Search the map from before while the track is not sure.
 
         Returns another place if several searches have found it.
@@ -231,16 +231,16 @@ class SlamTracker:
         return other
 
     def _coast(self, state: TrackedState, prior: MotionPrior, stamp_s: float, body_from_depth: Pose) -> None:
-        """Go on by the inertial samples alone: the frame is not believed."""
+        """Go on by the inertial samples alone: the frame is not accepted."""
         odom_from_body = prior.odom_from_depth @ body_from_depth.inverse()
         self._motion.coast(self._predicted)
         self._attitude.coast(self._turned)
         self._landmarks.recall()
         self._state = TrackedState(stamp_s, odom_from_body, self._motion.velocity_mps)
-        self._believed = 0
+        self._accepted_frames = 0
         self._unproven = _PROOF_FRAMES
 
-    def _start(self, view: RgbdView, body_from_depth: Pose) -> StampedPose | None:
+    def _start(self, view: PreparedView, body_from_depth: Pose) -> StampedPose | None:
         level = self._rest.level(view.frame.stamp_s)
         if level is None:
             return None
@@ -249,7 +249,7 @@ class SlamTracker:
         self._state = TrackedState(view.frame.stamp_s, level, np.zeros(3))
         self._attitude = AttitudeFilter(level, _AT_REST)
         self._motion = MotionFilter(level.translation_m, self._rest.force_offset_mps2(level))
-        self._believed = _FUSION_FRAMES
+        self._accepted_frames = _FUSION_FRAMES
         self._add_to_map(view, level @ body_from_depth, np.zeros(6), np.zeros(3))
         return self._stamped(view.frame.stamp_s)
 
@@ -260,7 +260,7 @@ class SlamTracker:
         self._launched = self._launched or not self._rest.still(stamp_s) or bool(seen and moved_m > _REST_M)
         return not self._launched
 
-    def _stay(self, view: RgbdView, state: TrackedState, body_from_depth: Pose) -> StampedPose:
+    def _stay(self, view: PreparedView, state: TrackedState, body_from_depth: Pose) -> StampedPose:
         """Take another frame of a body that rests: the view from the pad may be poor."""
         self._state = replace(state, stamp_s=view.frame.stamp_s)
         self._motion.rest()
@@ -270,7 +270,7 @@ class SlamTracker:
         return self._stamped(view.frame.stamp_s)
 
     def _predict(self, state: TrackedState, stamp_s: float, body_from_depth: Pose) -> MotionPrior:
-        """Return the predicted motion from the newest believed frame."""
+        """Return the predicted motion from the newest accepted frame."""
         step_s = stamp_s - state.stamp_s
         outside = self._outside.moved(state.stamp_s - self.delay_s, stamp_s - self.delay_s)
         moved = self._motion.predict(
@@ -311,14 +311,14 @@ class SlamTracker:
         variance = float(predicted.covariance[2, 2]) + _OUTSIDE_HEADING_RAD**2
         return predicted if off_rad**2 > _HEADING_SURPRISE * variance else predicted.with_heading(off_rad, variance)
 
-    def _follow(self, view: RgbdView, prior: MotionPrior) -> Landmarks:
+    def _follow(self, view: PreparedView, prior: MotionPrior) -> Landmarks:
         points = self._landmarks.points
         return self._landmarks.follow(
             view, self._projected(view, points, prior.odom_from_depth, prior.rate_radps, prior.velocity_mps)
         )
 
     def _projected(
-        self, view: RgbdView, points: Landmarks, odom_from_depth: Pose, rate: FloatArray, velocity: FloatArray
+        self, view: PreparedView, points: Landmarks, odom_from_depth: Pose, rate: FloatArray, velocity: FloatArray
     ) -> FloatArray:
         rotation, eye_m = view.rgb_pose(odom_from_depth)
         motion = np.concatenate((rate, velocity))
@@ -328,9 +328,9 @@ class SlamTracker:
         return out
 
     def _settle(
-        self, view: RgbdView, found: Registration, prior: MotionPrior, state: TrackedState, body_from_depth: Pose
+        self, view: PreparedView, found: Registration, prior: MotionPrior, state: TrackedState, body_from_depth: Pose
     ) -> None:
-        """Take a believed frame into motion, gyro, landmarks and map."""
+        """Take an accepted frame into motion, gyro, landmarks and map."""
         stamp_s = view.frame.stamp_s
         step_s = stamp_s - state.stamp_s
         odom_from_body = found.odom_from_depth @ body_from_depth.inverse()
@@ -350,7 +350,7 @@ class SlamTracker:
         grown = found.slow_covariance + np.diag(_SLOW_WALK**2 * step_s)
         self._slow_covariance = grown + np.diag(np.maximum(_SLOW_FLOOR**2 - np.diagonal(grown), 0.0))
         self._state = TrackedState(stamp_s, odom_from_body, velocity)
-        self._believed = self._believed + 1 if self.fault is None else 0
+        self._accepted_frames = self._accepted_frames + 1 if self.fault is None else 0
         self._unproven = max(self._unproven - 1, 0) if self.fault is None else self._unproven
         if self._unproven:  # new landmarks would confirm a wrong place in the next frame
             self._landmarks.recall()
@@ -358,9 +358,9 @@ class SlamTracker:
             variance = found.variance + _PLACED_M**2
             self._add_to_map(view, found.odom_from_depth, np.concatenate((prior.rate_radps, velocity)), variance)
 
-    def _add_to_map(self, view: RgbdView, odom_from_depth: Pose, motion: FloatArray, variance: FloatArray) -> None:
+    def _add_to_map(self, view: PreparedView, odom_from_depth: Pose, motion: FloatArray, variance: FloatArray) -> None:
         self._landmarks.settle(view, odom_from_depth, motion, self._slow, variance)
-        if self._believed >= _FUSION_FRAMES and self._has_moved(odom_from_depth):
+        if self._accepted_frames >= _FUSION_FRAMES and self._has_moved(odom_from_depth):
             self.volume.integrate(view.frame, odom_from_depth, variance)
             self._fused = odom_from_depth
 
@@ -449,7 +449,7 @@ def _proves(found: Registration) -> bool:
 
 
 def _quality(found: Registration) -> int:
-    """Return the quality 1 to 100 of a believed frame."""
+    """Return the quality 1 to 100 of an accepted frame."""
     support = min(1.0, found.known / 400.0) * found.fit + min(1.0, found.landmarks / 60.0)
     return int(np.clip(round(100.0 * min(1.0, support)), 1, 100))
 

@@ -1,4 +1,4 @@
-"""Tracking monitor: whether a registered frame may be believed."""
+"""Tracking monitor: whether a registered frame may be accepted."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _LOOSE_RAD = math.radians(2.0)  #: reject: a frame that leaves a turn as uncerta
 
 
 class TrackingFault(str, Enum):
-    """Reason why a frame is not believed."""
+    """Reason why a frame is not accepted."""
 
     STAMP = "not newer"
     FROZEN = "repeats"
@@ -44,7 +44,7 @@ class TrackingMonitor:
     """Limits of one registered frame."""
 
     def fault(self, found: Registration, prior: MotionPrior) -> TrackingFault | None:
-        """Return why the frame is not believed, None if it is."""
+        """Return why the frame is not accepted, None if it is."""
         turned = (found.odom_from_depth @ prior.odom_from_depth.inverse()).quat_wxyz
         turn_rad = 2.0 * math.atan2(float(np.linalg.norm(turned[1:])), abs(float(turned[0])))
         moved_m = found.odom_from_depth.translation_m - prior.odom_from_depth.translation_m - found.shift_m

@@ -22,7 +22,7 @@ _FIRST_M = 2.0  # first guess of a depth
 _ROUNDS = 4
 
 
-class RgbdView:
+class PreparedView:
     """A frame prepared once.
 
     ``points`` (N, 3): of depth, in the depth imager's frame. ``grey`` (h, w): brightness, None for a camera without colour;
