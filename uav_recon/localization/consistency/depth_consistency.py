@@ -176,9 +176,9 @@ class DepthConsistencyMonitor:
         self._past_views.drop_newest()
         return True
 
-    def _shows_no_shift(self, then: ViewComparison | None, seen: Seen) -> bool:
+    def _shows_no_shift(self, comparison: ViewComparison | None, seen: Seen) -> bool:
         """Return True if the frame fits a view that it would not fit with a shift."""
-        return _fits(then) and self._past_views.loss_aside(then, *seen[1:]) >= _MIN_SHIFT_LOSS_SHARE
+        return _fits(comparison) and self._past_views.loss_aside(comparison, *seen[1:]) >= _MIN_SHIFT_LOSS_SHARE
 
     def forget_drift(self) -> None:
         """Forget the drift that was measured: the source of the poses corrects its place."""
@@ -303,19 +303,21 @@ def _returns_share(depth_m: Float32Array) -> float:
     return float(np.count_nonzero(sample > 0.0)) / sample.size
 
 
-def _follows(then: ViewComparison | None) -> bool:
+def _follows(comparison: ViewComparison | None) -> bool:
     """Return True if the frame is a plausible successor of the view.
 
     Something that comes into view hides what is behind it; a wrong frame also lacks surfaces that were there.
     """
-    if then is None:
+    if comparison is None:
         return False
-    return then.nearer <= _HIDDEN_SHARE and (then.nearer + then.farther <= _MISFIT_SHARE or then.farther <= _MAX_FARTHER_SHARE)
+    return comparison.nearer <= _HIDDEN_SHARE and (
+        comparison.nearer + comparison.farther <= _MISFIT_SHARE or comparison.farther <= _MAX_FARTHER_SHARE
+    )
 
 
-def _fits(then: ViewComparison | None) -> TypeGuard[ViewComparison]:
+def _fits(comparison: ViewComparison | None) -> TypeGuard[ViewComparison]:
     """Return True if nearly all points are unchanged, of enough points to notice missing ones."""
-    return then is not None and then.count >= _MANY and then.nearer + then.farther <= _REFIT_SHARE
+    return comparison is not None and comparison.count >= _MANY and comparison.nearer + comparison.farther <= _REFIT_SHARE
 
 
 def _moved(oldest: Iterator[ViewComparison], explained: float) -> Reason | None:
@@ -325,10 +327,10 @@ def _moved(oldest: Iterator[ViewComparison], explained: float) -> Reason | None:
     frames see may fit the shift.
     """
 
-    def says(then: ViewComparison) -> bool:
-        hidden = then.nearer <= _HIDING_SHARE and then.farther <= _FARTHER_SHARE
-        sure = then.explained >= explained and then.count >= _MANY and not hidden
-        return sure and float(np.linalg.norm(then.shift_m)) >= _DRIFT_M
+    def says(comparison: ViewComparison) -> bool:
+        hidden = comparison.nearer <= _HIDING_SHARE and comparison.farther <= _FARTHER_SHARE
+        sure = comparison.explained >= explained and comparison.count >= _MANY and not hidden
+        return sure and float(np.linalg.norm(comparison.shift_m)) >= _DRIFT_M
 
     shown = list(itertools.islice(itertools.takewhile(says, oldest), _SHOWING_VIEWS))
     if len(shown) < _SHOWING_VIEWS:
@@ -336,8 +338,8 @@ def _moved(oldest: Iterator[ViewComparison], explained: float) -> Reason | None:
     return Reason(ReasonCode.SURFACES_MOVED, (float(np.linalg.norm(shown[0].shift_m)), shown[0].age_s))
 
 
-def _seen_through(then: ViewComparison | None) -> Reason | None:
+def _seen_through(comparison: ViewComparison | None) -> Reason | None:
     """Return a message if the camera looks through surfaces that were seen, None for nothing."""
-    if then is None or then.farther < _SEEN_THROUGH_SHARE:
+    if comparison is None or comparison.farther < _SEEN_THROUGH_SHARE:
         return None
-    return Reason(ReasonCode.SURFACES_GONE, (then.farther, then.age_s))
+    return Reason(ReasonCode.SURFACES_GONE, (comparison.farther, comparison.age_s))

@@ -160,10 +160,10 @@ class FeatureTracker:
             self._points = self._points.joined(self._new(frame, motion.odom_from_depth, grey, eye))
         return seen
 
-    def _follow(self, stamp_s: float, grey: ByteArray, eye: _Camera) -> TrackedPoints | None:
+    def _follow(self, stamp_s: float, grey: ByteArray, camera: _Camera) -> TrackedPoints | None:
         """Track the points, starting from their predicted position plus their last displacement."""
         points = self._points.only(stamp_s - self._points.since_s <= _OLDEST_S)
-        belongs_px = eye.pixels(ahead_m := eye.ahead(points.place_m))
+        belongs_px = camera.pixels(ahead_m := camera.ahead(points.place_m))
         shown = inside(belongs_px + points.displacement_px, grey, _WINDOW_PX) & (ahead_m[:, 2] > _NEAREST_M)
         points, belongs_px = points.only(shown), belongs_px[shown]
         if self._grey is None or not len(belongs_px):
@@ -174,10 +174,10 @@ class FeatureTracker:
             window_px=_WINDOW_PX, levels=_LEVELS, returns_px=_RETURNS_PX,
         )  # fmt: skip
         self._points = points = points._replace(at_px=at_px, displacement_px=at_px - belongs_px).only(found)
-        ahead_m = eye.ahead(points.place_m)
-        along, range_m = eye.along(ahead_m), ahead_m[:, 2]
-        rows = eye.error_rows(ahead_m, along) - range_m[:, None, None] * points.rows
-        off_m = points.displacement_px * range_m[:, None] / eye.focal_px
+        ahead_m = camera.ahead(points.place_m)
+        along, range_m = camera.along(ahead_m), ahead_m[:, 2]
+        rows = camera.error_rows(ahead_m, along) - range_m[:, None, None] * points.rows
+        off_m = points.displacement_px * range_m[:, None] / camera.focal_px
         return TrackedPoints(along, off_m, range_m, stamp_s - points.since_s, rows)
 
     def _new(self, frame: Frame, odom_from_depth: Pose, grey: ByteArray, eye: _Camera) -> _Points:

@@ -83,10 +83,10 @@ class CameraPose(NamedTuple):
         """Return those of a camera with this pose."""
         return CameraPose(odom_from_depth.translation_m.tolist(), odom_from_depth.rotation()[:, 2].tolist())
 
-    def like(self, other: CameraPose, likeness: ViewSelection) -> bool:
+    def like(self, other: CameraPose, selection: ViewSelection) -> bool:
         """Return True if the other pose meets the selection's distance and axis limits."""
         away_m = math.dist(self.place_m, other.place_m)
-        return away_m <= likeness.near_m and _dot(self.axis, other.axis) >= likeness.turned_cos
+        return away_m <= selection.near_m and _dot(self.axis, other.axis) >= selection.turned_cos
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -94,7 +94,7 @@ class _View:
     """A past view. points: (N, 6) positions and normals in odom of the seen surface."""
 
     stamp_s: float
-    stand: CameraPose
+    camera_pose: CameraPose
     points: AnyArray
 
 
@@ -122,9 +122,9 @@ class PastViews:
             self._views.pop()
         self._newest, self._elder = self._elder, None
 
-    def remember(self, stamp_s: float, depth_m: Float32Array, lens: Intrinsics, odom_from_depth: Pose) -> None:
+    def remember(self, stamp_s: float, depth_m: Float32Array, intrinsics: Intrinsics, odom_from_depth: Pose) -> None:
         """Store an accepted image as the newest; one every half second is kept."""
-        points = surface(depth_m, lens.pinhole_px(), odom_from_depth.rotation(), odom_from_depth.translation_m)
+        points = surface(depth_m, intrinsics.pinhole_px(), odom_from_depth.rotation(), odom_from_depth.translation_m)
         self._elder = self._newest
         self._newest = _View(stamp_s, CameraPose.of(odom_from_depth), points)
         if not self._views or stamp_s - self._views[-1].stamp_s >= _EVERY_S:
@@ -133,71 +133,73 @@ class PastViews:
             self._views.popleft()
 
     def compare_newest(
-        self, stamp_s: float, depth_m: Float32Array, lens: Intrinsics, odom_from_depth: Pose
+        self, stamp_s: float, depth_m: Float32Array, intrinsics: Intrinsics, odom_from_depth: Pose
     ) -> ViewComparison | None:
         """Compare with the newest accepted image; None if too little of it is in view.
 
         If it is in view and there are no returns from there, all of it counts as farther.
         """
-        return None if self._newest is None else _compared(self._newest, stamp_s, depth_m, lens, odom_from_depth, MIN_POINTS)
+        return (
+            None if self._newest is None else _compared(self._newest, stamp_s, depth_m, intrinsics, odom_from_depth, MIN_POINTS)
+        )
 
     def compare_elder(
-        self, stamp_s: float, depth_m: Float32Array, lens: Intrinsics, odom_from_depth: Pose
+        self, stamp_s: float, depth_m: Float32Array, intrinsics: Intrinsics, odom_from_depth: Pose
     ) -> ViewComparison | None:
         """Compare with the image accepted before the newest; None if too little of it is in view."""
-        return None if self._elder is None else _compared(self._elder, stamp_s, depth_m, lens, odom_from_depth)
+        return None if self._elder is None else _compared(self._elder, stamp_s, depth_m, intrinsics, odom_from_depth)
 
     def compare_oldest(
-        self, stamp_s: float, depth_m: Float32Array, lens: Intrinsics, odom_from_depth: Pose, likeness: ViewSelection
+        self, stamp_s: float, depth_m: Float32Array, intrinsics: Intrinsics, odom_from_depth: Pose, selection: ViewSelection
     ) -> Iterator[ViewComparison]:
         """Yield comparisons with the views that meet the selection, oldest first.
 
         Each is computed when it is requested.
         """
-        for view in self._alike(stamp_s, odom_from_depth, likeness):
-            found = _compared(view, stamp_s, depth_m, lens, odom_from_depth)
+        for view in self._alike(stamp_s, odom_from_depth, selection):
+            found = _compared(view, stamp_s, depth_m, intrinsics, odom_from_depth)
             if found is not None:
                 yield found
 
     @staticmethod
-    def gain_aside(then: ViewComparison, depth_m: Float32Array, lens: Intrinsics, odom_from_depth: Pose) -> float:
+    def gain_aside(comparison: ViewComparison, depth_m: Float32Array, intrinsics: Intrinsics, odom_from_depth: Pose) -> float:
         """Return the share of that view that only fits the present image shifted.
 
         It is meant for images a moment apart.
         """
         rotation, place = odom_from_depth.rotation(), odom_from_depth.translation_m
-        return float(shift_gain(then.points, depth_m, lens.pinhole_px(), rotation, place))
+        return float(shift_gain(comparison.points, depth_m, intrinsics.pinhole_px(), rotation, place))
 
     @staticmethod
-    def loss_aside(then: ViewComparison, depth_m: Float32Array, lens: Intrinsics, odom_from_depth: Pose) -> float:
+    def loss_aside(comparison: ViewComparison, depth_m: Float32Array, intrinsics: Intrinsics, odom_from_depth: Pose) -> float:
         """Return the share of that view that would no longer fit a shifted image.
 
         If it is small, the view cannot show whether this image is shifted.
         """
         rotation, place = odom_from_depth.rotation(), odom_from_depth.translation_m
-        return float(shift_loss(then.points, depth_m, lens.pinhole_px(), rotation, place))
+        return float(shift_loss(comparison.points, depth_m, intrinsics.pinhole_px(), rotation, place))
 
-    def contradicted(self, depth_m: Float32Array, lens: Intrinsics, odom_from_depth: Pose) -> AnyArray:
+    def contradicted(self, depth_m: Float32Array, intrinsics: Intrinsics, odom_from_depth: Pose) -> AnyArray:
         """Return the points (N, 6) of the newest accepted image that the present one contradicts."""
         if self._newest is None:
             return np.empty((0, 6))
         return contradicted_points(
-            self._newest.points, depth_m, lens.pinhole_px(), odom_from_depth.rotation(), odom_from_depth.translation_m
+            self._newest.points, depth_m, intrinsics.pinhole_px(), odom_from_depth.rotation(), odom_from_depth.translation_m
         )
 
     @staticmethod
-    def fit_counts(points: AnyArray, depth_m: Float32Array, lens: Intrinsics, odom_from_depth: Pose) -> tuple[int, int]:
+    def fit_counts(points: AnyArray, depth_m: Float32Array, intrinsics: Intrinsics, odom_from_depth: Pose) -> tuple[int, int]:
         """Return the number of points (N, 6) in view, and of those that fit the image."""
         in_view, fitting = fit_counts(
-            points, depth_m, lens.pinhole_px(), odom_from_depth.rotation(), odom_from_depth.translation_m
+            points, depth_m, intrinsics.pinhole_px(), odom_from_depth.rotation(), odom_from_depth.translation_m
         )
         return int(in_view), int(fitting)
 
-    def _alike(self, stamp_s: float, odom_from_depth: Pose, likeness: ViewSelection) -> Iterator[_View]:
+    def _alike(self, stamp_s: float, odom_from_depth: Pose, selection: ViewSelection) -> Iterator[_View]:
         """Yield the views that meet the selection, oldest first."""
         here = CameraPose.of(odom_from_depth)
         for view in self._views:
-            if stamp_s - view.stamp_s <= likeness.within_s and here.like(view.stand, likeness):
+            if stamp_s - view.stamp_s <= selection.within_s and here.like(view.camera_pose, selection):
                 yield view
 
 
@@ -206,14 +208,14 @@ def _dot(a: list[float], b: list[float]) -> float:
 
 
 def _compared(
-    view: _View, stamp_s: float, depth_m: Float32Array, lens: Intrinsics, odom_from_depth: Pose, max_missing: int = MOST
+    view: _View, stamp_s: float, depth_m: Float32Array, intrinsics: Intrinsics, odom_from_depth: Pose, max_missing: int = MOST
 ) -> ViewComparison | None:
     """Compare a view with the present depth image, or return None.
 
     max_missing: with too few returns to compare, more missing returns than this still give a result.
     """
     rotation, place = odom_from_depth.rotation(), odom_from_depth.translation_m
-    found, gone = residuals(view.points, depth_m, lens.pinhole_px(), rotation, place)
+    found, gone = residuals(view.points, depth_m, intrinsics.pinhole_px(), rotation, place)
     age_s = stamp_s - view.stamp_s
     if len(found) < MIN_POINTS:
         if gone <= max_missing:

@@ -125,62 +125,62 @@ class Estimate(NamedTuple):
         return multiply(self.odom_from_gyro, here.gyro_from_body)
 
 
-def propagate_mean(state: Estimate, base: InertialState, here: InertialState) -> Estimate:
+def propagate_mean(estimate: Estimate, base: InertialState, here: InertialState) -> Estimate:
     """Return the state propagated from ``base`` (the track at its stamp) to ``here``.
 
     The covariance is not propagated. Takes microseconds.
     """
-    return _carry_mean(state, base, here)[0]
+    return _carry_mean(estimate, base, here)[0]
 
 
-def propagate(state: Estimate, base: InertialState, here: InertialState, noise: PoseNoise) -> Estimate:
+def propagate(estimate: Estimate, base: InertialState, here: InertialState, noise: PoseNoise) -> Estimate:
     """Return the state and its covariance propagated from ``base`` to ``here``.
 
     A knock or a whirl in between is integrated, but may be a sensor error: white acceleration, or rate, is added so that its
     whole change of velocity, or its whole turn, is one standard deviation.
     """
-    carried, dp, dv = _carry_mean(state, base, here)
-    model = state.model
-    before, after = state.odom_from_body(base), state.odom_from_body(here)
+    carried, dp, dv = _carry_mean(estimate, base, here)
+    model = estimate.model
+    before, after = estimate.odom_from_body(base), estimate.odom_from_body(here)
     walks = (noise.position_walk, noise.attitude_walk)
     dt = here.stamp_s - base.stamp_s
     white = model.acceleration**2 + _doubt(here.shock_velocity_mps - base.shock_velocity_mps, dt)
     rate = model.rate**2 + _doubt(here.overrate_angle_rad - base.overrate_angle_rad, dt)
     densities = (white, model.offset_walk**2, rate, model.bias_walk**2, *walks)
     transition, walk = dynamics(dt, model.accelerometer, before, after, dp, dv, densities)
-    _, covariance = predict(_NOTHING, state.covariance, transition, walk)
+    _, covariance = predict(_NOTHING, estimate.covariance, transition, walk)
     return carried._replace(covariance=covariance)
 
 
-def innovation(state: Estimate, here: InertialState, position_m: Vector, odom_from_body: Quaternion) -> FloatArray:
+def innovation(estimate: Estimate, here: InertialState, position_m: Vector, odom_from_body: Quaternion) -> FloatArray:
     """Return the difference (6,) between a pose and the state at its stamp.
 
     Position, then the rotation vector between the attitudes.
     """
-    error = logarithm(multiply(odom_from_body, conjugate(state.odom_from_body(here))))
-    px, py, pz = state.position_m
+    error = logarithm(multiply(odom_from_body, conjugate(estimate.odom_from_body(here))))
+    px, py, pz = estimate.position_m
     return np.array([position_m[0] - px, position_m[1] - py, position_m[2] - pz, *error])
 
 
-def spread(state: Estimate, noise: PoseNoise) -> FloatArray:
+def spread(estimate: Estimate, noise: PoseNoise) -> FloatArray:
     """Return the covariance (6, 6) of the innovation."""
-    out: FloatArray = state.covariance[SEEN] + _measured(noise)
+    out: FloatArray = estimate.covariance[SEEN] + _measured(noise)
     return out
 
 
-def update_estimate(state: Estimate, residual: FloatArray, noise: PoseNoise, doubt: float = 1.0) -> Estimate:
+def update_estimate(estimate: Estimate, residual: FloatArray, noise: PoseNoise, doubt: float = 1.0) -> Estimate:
     """Return the state corrected by a pose with this innovation (6,).
 
     doubt: factor on the pose's white noise.
     """
-    error, covariance = update(_NOTHING, state.covariance, residual, doubt * _measured(noise), _H)
+    error, covariance = update(_NOTHING, estimate.covariance, residual, doubt * _measured(noise), _H)
     e = error.tolist()
-    (px, py, pz), (vx, vy, vz) = state.position_m, state.velocity_mps
-    (bx, by, bz), (cx, cy, cz) = state.gyro_bias_radps, state.offset_mps2
-    return state._replace(
+    (px, py, pz), (vx, vy, vz) = estimate.position_m, estimate.velocity_mps
+    (bx, by, bz), (cx, cy, cz) = estimate.gyro_bias_radps, estimate.offset_mps2
+    return estimate._replace(
         position_m=(px + e[0], py + e[1], pz + e[2]),
         velocity_mps=(vx + e[3], vy + e[4], vz + e[5]),
-        odom_from_gyro=normalised(multiply(exponential((e[6], e[7], e[8])), state.odom_from_gyro)),
+        odom_from_gyro=normalised(multiply(exponential((e[6], e[7], e[8])), estimate.odom_from_gyro)),
         gyro_bias_radps=(bx + e[9], by + e[10], bz + e[11]),
         offset_mps2=(cx + e[12], cy + e[13], cz + e[14]),
         covariance=covariance,
@@ -201,13 +201,13 @@ def _measured(noise: PoseNoise) -> FloatArray:
     return np.diag((noise.position_m2,) * 3 + (noise.attitude_rad2,) * 3)
 
 
-def _carry_mean(state: Estimate, base: InertialState, here: InertialState) -> tuple[Estimate, Vector, Vector]:
+def _carry_mean(estimate: Estimate, base: InertialState, here: InertialState) -> tuple[Estimate, Vector, Vector]:
     """Return the mean at ``here``, and the force integrals of position and velocity in odom.
 
     Gravity is not part of the integrals.
     """
     dt = here.stamp_s - base.stamp_s
-    bias, taken0, taken1 = state.gyro_bias_radps, base.bias_integral, here.bias_integral
+    bias, taken0, taken1 = estimate.gyro_bias_radps, base.bias_integral, here.bias_integral
     untaken = (
         bias[0] * dt - (taken1[0] - taken0[0]),
         bias[1] * dt - (taken1[1] - taken0[1]),
@@ -215,21 +215,21 @@ def _carry_mean(state: Estimate, base: InertialState, here: InertialState) -> tu
     )
     (ax, ay, az), (bx, by, bz) = rotate(base.gyro_from_body, untaken), rotate(here.gyro_from_body, untaken)
     turn = (-0.5 * (ax + bx), -0.5 * (ay + by), -0.5 * (az + bz))  # mean over the interval, in the gyro frame
-    odom_from_gyro = normalised(multiply(state.odom_from_gyro, _part(turn, 1.0)))
+    odom_from_gyro = normalised(multiply(estimate.odom_from_gyro, _part(turn, 1.0)))
     while_faster, while_farther = (
-        multiply(state.odom_from_gyro, _part(turn, 1 / 2)),
-        multiply(state.odom_from_gyro, _part(turn, 1 / 3)),
+        multiply(estimate.odom_from_gyro, _part(turn, 1 / 2)),
+        multiply(estimate.odom_from_gyro, _part(turn, 1 / 3)),
     )
     v0, v1, x0, x1 = base.velocity_integral, here.velocity_integral, base.position_integral, here.position_integral
     dv = rotate(while_faster, (v1[0] - v0[0], v1[1] - v0[1], v1[2] - v0[2]))
     dp = rotate(while_farther, (x1[0] - x0[0] - v0[0] * dt, x1[1] - x0[1] - v0[1] * dt, x1[2] - x0[2] - v0[2] * dt))
-    (px, py, pz), (vx, vy, vz), (cx, cy, cz) = state.position_m, state.velocity_mps, state.offset_mps2
+    (px, py, pz), (vx, vy, vz), (cx, cy, cz) = estimate.position_m, estimate.velocity_mps, estimate.offset_mps2
     cz, half = cz - GRAVITY_MPS2, 0.5 * dt * dt
-    offset_mps2 = state.offset_mps2
-    if state.model.accelerometer:
-        in_body = rotate(conjugate(state.odom_from_body(base)), offset_mps2)
+    offset_mps2 = estimate.offset_mps2
+    if estimate.model.accelerometer:
+        in_body = rotate(conjugate(estimate.odom_from_body(base)), offset_mps2)
         offset_mps2 = rotate(multiply(odom_from_gyro, here.gyro_from_body), in_body)
-    carried = state._replace(
+    carried = estimate._replace(
         stamp_s=here.stamp_s,
         offset_mps2=offset_mps2,
         position_m=(px + vx * dt + cx * half + dp[0], py + vy * dt + cy * half + dp[1], pz + vz * dt + cz * half + dp[2]),

@@ -63,9 +63,9 @@ class RelocalizationCheck:
             self._run.clear()
         self._run.append((measurement, track))
 
-    def stands(self, proof: ConsistencyRequirement) -> bool:
+    def stands(self, requirement: ConsistencyRequirement) -> bool:
         """Return True if the run meets the requirement."""
-        return len(self._run) >= proof.poses and self._run[-1][0].stamp_s - self._run[0][0].stamp_s >= proof.over_s
+        return len(self._run) >= requirement.poses and self._run[-1][0].stamp_s - self._run[0][0].stamp_s >= requirement.over_s
 
     def velocity_mps(self) -> tuple[float, float, float]:
         """Return the mean velocity of the source over the run; zero for less than two poses."""

@@ -201,32 +201,34 @@ class SlamTracker:
         self._settle(view, found, prior, self._state, body_from_depth)
         return self._pose(frame.stamp_s, found)
 
-    def _search(self, view: PreparedView, found: Registration, prior: MotionPrior) -> Registration:
+    def _search(self, view: PreparedView, registration: Registration, prior: MotionPrior) -> Registration:
         """Return the best registration from places around the predicted one, by depth alone."""
         reach_m = _reach_m(prior)
         if reach_m.max() < _LEAST_SEARCH_M:
-            return found
+            return registration
         other, _ = search(view, self.volume, prior, reach_m)
-        return other if other.inliers > found.inliers * _BETTER else found
+        return other if other.inliers > registration.inliers * _BETTER else registration
 
-    def _search_map(self, view: PreparedView, found: Registration, prior: MotionPrior) -> Registration:
+    def _search_map(self, view: PreparedView, registration: Registration, prior: MotionPrior) -> Registration:
         """Search the map from before while the track is not sure.
 
         Returns another place if several searches have found it.
         """
         self._frames += 1
-        if found.sigma_m < _UNSURE_M or self._frames % _SEARCH_EVERY:
-            return found
-        other, next_best = search(view, self.volume, prior, _reach_m(prior), _OLD_SHARE * float(found.track_variance.max()))
+        if registration.sigma_m < _UNSURE_M or self._frames % _SEARCH_EVERY:
+            return registration
+        other, next_best = search(
+            view, self.volume, prior, _reach_m(prior), _OLD_SHARE * float(registration.track_variance.max())
+        )
         if next_best > _ALIKE_SHARE or not _determined(other):
             self._agreeing = 0
-            return found
-        moved_m, before_m = other.shift_m - found.shift_m, self._moved_m
+            return registration
+        moved_m, before_m = other.shift_m - registration.shift_m, self._moved_m
         agrees = self._agreeing and float(np.linalg.norm(moved_m - before_m)) < _SAME_M
         self._agreeing = self._agreeing + 1 if agrees else 1
         self._moved_m = moved_m
         if self._agreeing < _AGREEING_SEARCHES:
-            return found
+            return registration
         self._agreeing = 0
         return other
 
@@ -253,10 +255,10 @@ class SlamTracker:
         self._add_to_map(view, level @ body_from_depth, np.zeros(6), np.zeros(3))
         return self._stamped(view.frame.stamp_s)
 
-    def _rests(self, stamp_s: float, found: Registration, prior: MotionPrior) -> bool:
+    def _rests(self, stamp_s: float, registration: Registration, prior: MotionPrior) -> bool:
         """Return True until inertial samples or images show that the body has moved once."""
-        moved_m = np.linalg.norm(found.odom_from_depth.translation_m - prior.odom_from_depth.translation_m)
-        seen = found.known * found.fit >= _SEEN_POINTS or found.landmarks >= _SEEN_LANDMARKS
+        moved_m = np.linalg.norm(registration.odom_from_depth.translation_m - prior.odom_from_depth.translation_m)
+        seen = registration.known * registration.fit >= _SEEN_POINTS or registration.landmarks >= _SEEN_LANDMARKS
         self._launched = self._launched or not self._rest.still(stamp_s) or bool(seen and moved_m > _REST_M)
         return not self._launched
 
@@ -328,26 +330,28 @@ class SlamTracker:
         return out
 
     def _settle(
-        self, view: PreparedView, found: Registration, prior: MotionPrior, state: TrackedState, body_from_depth: Pose
+        self, view: PreparedView, registration: Registration, prior: MotionPrior, state: TrackedState, body_from_depth: Pose
     ) -> None:
         """Take an accepted frame into motion, gyro, landmarks and map."""
         stamp_s = view.frame.stamp_s
         step_s = stamp_s - state.stamp_s
-        odom_from_body = found.odom_from_depth @ body_from_depth.inverse()
-        self._motion.update(self._predicted, odom_from_body.translation_m - found.shift_m, found.covariance[3:, 3:])
-        self._motion.shift(found.shift_m)
+        odom_from_body = registration.odom_from_depth @ body_from_depth.inverse()
+        self._motion.update(
+            self._predicted, odom_from_body.translation_m - registration.shift_m, registration.covariance[3:, 3:]
+        )
+        self._motion.shift(registration.shift_m)
         unseen_m = odom_from_body.translation_m - self._predicted.place_m  # error of the time without a view
-        self._release(unseen_m if self._unsure else found.shift_m, step_s)
-        self._attitude.update(self._turned, odom_from_body, found.covariance[:3, :3])
-        self._landmarks.shift(found.shift_m, _left(found.track_variance, prior.track_variance))
-        self._track_variance = found.track_variance
-        left = np.linalg.solve(prior.covariance[3:, 3:], found.covariance[3:, 3:])
+        self._release(unseen_m if self._unsure else registration.shift_m, step_s)
+        self._attitude.update(self._turned, odom_from_body, registration.covariance[:3, :3])
+        self._landmarks.shift(registration.shift_m, _left(registration.track_variance, prior.track_variance))
+        self._track_variance = registration.track_variance
+        left = np.linalg.solve(prior.covariance[3:, 3:], registration.covariance[3:, 3:])
         self.determined = np.eye(3) - 0.5 * (left + left.T)
         velocity = self._motion.velocity_mps
         between = state.odom_from_body.inverse() @ odom_from_body
         self.gyro.update(state.stamp_s, stamp_s, between.rotation_vector())
-        self._slow = found.slow
-        grown = found.slow_covariance + np.diag(_SLOW_WALK**2 * step_s)
+        self._slow = registration.slow
+        grown = registration.slow_covariance + np.diag(_SLOW_WALK**2 * step_s)
         self._slow_covariance = grown + np.diag(np.maximum(_SLOW_FLOOR**2 - np.diagonal(grown), 0.0))
         self._state = TrackedState(stamp_s, odom_from_body, velocity)
         self._accepted_frames = self._accepted_frames + 1 if self.fault is None else 0
@@ -355,8 +359,8 @@ class SlamTracker:
         if self._unproven:  # new landmarks would confirm a wrong place in the next frame
             self._landmarks.recall()
         else:
-            variance = found.variance + _PLACED_M**2
-            self._add_to_map(view, found.odom_from_depth, np.concatenate((prior.rate_radps, velocity)), variance)
+            variance = registration.variance + _PLACED_M**2
+            self._add_to_map(view, registration.odom_from_depth, np.concatenate((prior.rate_radps, velocity)), variance)
 
     def _add_to_map(self, view: PreparedView, odom_from_depth: Pose, motion: FloatArray, variance: FloatArray) -> None:
         self._landmarks.settle(view, odom_from_depth, motion, self._slow, variance)
@@ -376,19 +380,19 @@ class SlamTracker:
         length_m = float(np.linalg.norm(left_m))
         self._unreleased_m = left_m * max(1.0 - _RELEASE_MPS * step_s / max(length_m, 1e-9), 0.0)
 
-    def _pose(self, stamp_s: float, found: Registration) -> StampedPose | None:
+    def _pose(self, stamp_s: float, registration: Registration) -> StampedPose | None:
         """Return the pose of a frame; None while it is not sure, or not yet again."""
-        sigma_m, limit = found.sigma_m, _SURE_AGAIN_SHARE if self._unsure else 1.0
+        sigma_m, limit = registration.sigma_m, _SURE_AGAIN_SHARE if self._unsure else 1.0
         self._drifted_m = min(self._drifted_m + _DRIFT_MPS * max(stamp_s - self._judged_s, 0.0), sigma_m)
         self._judged_s = stamp_s
         lately_m = math.sqrt(sigma_m**2 - self._drifted_m**2)
-        self._unsure = lately_m > limit * _DOUBT_M or found.sigma_against_track_m > limit * _BLIND_M
+        self._unsure = lately_m > limit * _DOUBT_M or registration.sigma_against_track_m > limit * _BLIND_M
         self._sure_s = self._sure_s if self._unsure else stamp_s
         most_m = _MOST_ON_WAY_BACK_M if stamp_s - self._sure_s <= _WAY_BACK_S else _MOST_SIGMA_M
         if sigma_m > most_m or self._unproven:
             self._unreleased_m = np.zeros(3)
             return None
-        quality = max(round(_quality(found) * min(_DOUBT_M / sigma_m, 1.0)), 1)
+        quality = max(round(_quality(registration) * min(_DOUBT_M / sigma_m, 1.0)), 1)
         pose = replace(self._stamped(stamp_s, sigma_m), quality=quality)
         left_m = float(np.linalg.norm(self._unreleased_m))
         if not self._unsure and left_m <= _LEFT_M:
@@ -433,9 +437,13 @@ def _reach_m(prior: MotionPrior) -> FloatArray:
     return np.minimum(_SEARCH_SIGMAS * np.sqrt(variance), _MOST_SEARCH_M)
 
 
-def _determined(found: Registration) -> bool:
+def _determined(registration: Registration) -> bool:
     """Return True if depth alone shows the place."""
-    return found.depth_sigma_m <= _DETERMINED_M and found.fit >= _DETERMINED_FIT_SHARE and found.inliers >= _DETERMINED_POINTS
+    return (
+        registration.depth_sigma_m <= _DETERMINED_M
+        and registration.fit >= _DETERMINED_FIT_SHARE
+        and registration.inliers >= _DETERMINED_POINTS
+    )
 
 
 def _left(variance: FloatArray, before: FloatArray) -> FloatArray:
@@ -443,14 +451,14 @@ def _left(variance: FloatArray, before: FloatArray) -> FloatArray:
     return np.minimum(variance / np.maximum(before, 1e-12), 1.0)
 
 
-def _proves(found: Registration) -> bool:
+def _proves(registration: Registration) -> bool:
     """Return True if enough of the map from before the doubt is in view."""
-    return found.inliers >= _PROOF_SHARE * found.points or found.landmarks >= _PROOF_LANDMARKS
+    return registration.inliers >= _PROOF_SHARE * registration.points or registration.landmarks >= _PROOF_LANDMARKS
 
 
-def _quality(found: Registration) -> int:
+def _quality(registration: Registration) -> int:
     """Return the quality 1 to 100 of an accepted frame."""
-    support = min(1.0, found.known / 400.0) * found.fit + min(1.0, found.landmarks / 60.0)
+    support = min(1.0, registration.known / 400.0) * registration.fit + min(1.0, registration.landmarks / 60.0)
     return int(np.clip(round(100.0 * min(1.0, support)), 1, 100))
 
 

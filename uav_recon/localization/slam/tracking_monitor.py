@@ -43,21 +43,21 @@ class TrackingFault(str, Enum):
 class TrackingMonitor:
     """Limits of one registered frame."""
 
-    def fault(self, found: Registration, prior: MotionPrior) -> TrackingFault | None:
+    def fault(self, registration: Registration, prior: MotionPrior) -> TrackingFault | None:
         """Return why the frame is not accepted, None if it is."""
-        turned = (found.odom_from_depth @ prior.odom_from_depth.inverse()).quat_wxyz
+        turned = (registration.odom_from_depth @ prior.odom_from_depth.inverse()).quat_wxyz
         turn_rad = 2.0 * math.atan2(float(np.linalg.norm(turned[1:])), abs(float(turned[0])))
-        moved_m = found.odom_from_depth.translation_m - prior.odom_from_depth.translation_m - found.shift_m
+        moved_m = registration.odom_from_depth.translation_m - prior.odom_from_depth.translation_m - registration.shift_m
         step_m = float(np.linalg.norm(moved_m))
         loose = (
-            np.sqrt(np.linalg.eigvalsh(found.covariance[3:, 3:])[-1]),
-            np.sqrt(np.linalg.eigvalsh(found.covariance[:3, :3])[-1]),
+            np.sqrt(np.linalg.eigvalsh(registration.covariance[3:, 3:])[-1]),
+            np.sqrt(np.linalg.eigvalsh(registration.covariance[:3, :3])[-1]),
         )
         place_sigma_m = math.sqrt(float(np.linalg.eigvalsh(prior.covariance[3:, 3:])[-1]))
-        max_turn_rad = _max_turn_rad(found, prior)
+        max_turn_rad = _max_turn_rad(registration, prior)
         checks = (
-            (found.points < _MIN_POINTS, TrackingFault.FEW_POINTS),
-            (found.coverage >= _MIN_COVERAGE_SHARE and found.fit < _MIN_FIT_SHARE, TrackingFault.FIT),
+            (registration.points < _MIN_POINTS, TrackingFault.FEW_POINTS),
+            (registration.coverage >= _MIN_COVERAGE_SHARE and registration.fit < _MIN_FIT_SHARE, TrackingFault.FIT),
             (turn_rad > max_turn_rad, TrackingFault.TURN),
             (step_m > max(_MAX_STEP_M, _MAX_STEP_SIGMAS * place_sigma_m), TrackingFault.STEP),
             (loose[0] > _LOOSE_M or loose[1] > _LOOSE_RAD, TrackingFault.LOOSE),
@@ -65,9 +65,9 @@ class TrackingMonitor:
         return next((fault for fails, fault in checks if fails), None)
 
 
-def _max_turn_rad(found: Registration, prior: MotionPrior) -> float:
+def _max_turn_rad(registration: Registration, prior: MotionPrior) -> float:
     """Return by how much a frame may turn against the gyro."""
-    whole = found.coverage >= _WHOLE_SHARE and found.fit >= _WHOLE_SHARE
+    whole = registration.coverage >= _WHOLE_SHARE and registration.fit >= _WHOLE_SHARE
     attitude_sigma_rad = math.sqrt(float(np.linalg.eigvalsh(prior.covariance[:3, :3])[-1]))
     return max(
         _MAX_WHOLE_TURN_RAD if whole else _MAX_TURN_RAD,
