@@ -18,7 +18,7 @@ from uav_recon.localization.calibration.calibration_filter import (
     observed,
     prior_sigma,
 )
-from uav_recon.localization.calibration.camera_motion import CameraMotion
+from uav_recon.localization.calibration.camera_motion import MOMENT_S, CameraMotion
 from uav_recon.localization.calibration.camera_mount import Mount
 from uav_recon.localization.consistency.odometry_drift_rate import DriftRateEstimator
 from uav_recon.localization.consistency.planar_patches import patches
@@ -28,7 +28,6 @@ from uav_recon.types.frames import AnyArray, FloatArray
 from uav_recon.types.pose import Pose
 
 _MEMORY_S = 120.0  # a mount in a hand does not change, but comparisons are not independent: with 600 s sigma was a third
-_MOMENT_S = 0.03  # time over which the velocity of the camera is measured
 _KEPT_EVERY_S = 0.5
 _MOST_FRAMES = 400  # frames that are kept for the residuals: the first minutes
 _AGE_S = 3.0  # age of the views that residuals compare
@@ -129,11 +128,11 @@ class CameraCalibrator:
         return Residuals(np.concatenate(stamps_s), np.concatenate(distances_m))
 
     def _compare(self, frame: Frame) -> None:
-        here, before = self._fusion.odom_at(frame.stamp_s), self._fusion.odom_at(frame.stamp_s - _MOMENT_S)
-        mount, moment = self._mount.body_from_depth(frame.stamp_s), self._mount.body_from_depth(frame.stamp_s - _MOMENT_S)
+        here, before = self._fusion.odom_at(frame.stamp_s), self._fusion.odom_at(frame.stamp_s - MOMENT_S)
+        mount, moment = self._mount.body_from_depth(frame.stamp_s), self._mount.body_from_depth(frame.stamp_s - MOMENT_S)
         if here is None or before is None or mount is None or moment is None or here.quality == 0:
             return
-        motion = CameraMotion.between(before.odom_from_body @ moment, here.odom_from_body @ mount, _MOMENT_S)
+        motion = CameraMotion.between(before.odom_from_body @ moment, here.odom_from_body @ mount, MOMENT_S)
         self._estimator.update(frame, motion)
         self.frames += 1
         due = not self._kept or frame.stamp_s - self._kept[-1].frame.stamp_s >= _KEPT_EVERY_S

@@ -9,6 +9,8 @@ import numpy as np
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.pose import Pose
 
+MOMENT_S = 0.03  #: internal: time over which the velocity of the camera is measured
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CameraMotion:

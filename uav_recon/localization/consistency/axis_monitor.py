@@ -7,7 +7,7 @@ configured. Three comparisons, until each has shown that the configured axes are
 - the turns of the gyro are those of the poses, and the accelerations of the accelerometer too;
 - surfaces stay where they are while the poses move the camera.
 
-A comparison accuses only if another assignment explains what neither the configured one nor a camera at rest explains.
+A comparison finds a fault only if another assignment explains what neither the configured one nor a camera at rest explains.
 Sensors that are merely bad, such as poses that drift or an accelerometer with an offset, fit no assignment.
 """
 
@@ -62,7 +62,7 @@ _IN_VIEW_SHARE = 0.6  #: land: share of the patches that both views see under th
 _GAIN_SHARE = 0.10  #: land: the other assignment has a misfit that is smaller by this, also than that of a camera at rest
 #: land: the configured axes fit worse than a camera at rest less this: an exchanged axis is at least 90 degrees off
 _NO_BETTER_SHARE = 0.12
-_IN_A_ROW = 3  #: land: comparisons in a row that accuse
+_IN_A_ROW = 3  #: land: comparisons in a row that must find a fault
 _LASTS_S = 0.3  #: land: ... for this time
 _PROVEN_M = 1.0  #: internal: level motion after which depth and poses have proven to agree, with
 _PROVEN_UP_M = 0.4  #: internal: ... this much up or down, and
@@ -127,19 +127,19 @@ class AxisMonitor:
         self._poses.append(pose)
         while pose.stamp_s - self._poses[0].stamp_s > _HISTORY_S:
             self._poses.popleft()
-        self._accuse(self._gravity.fault(self._poses) or self._gyro.fault(self._poses) or self._force.fault(self._poses))
+        self._record_fault(self._gravity.fault(self._poses) or self._gyro.fault(self._poses) or self._force.fault(self._poses))
         while self._waiting and self._waiting[0][0].stamp_s <= pose.stamp_s:
             frame, body_from_depth = self._waiting.popleft()
             there = self._poses_at([frame.stamp_s - delay_s for delay_s in _DELAYS_S])
             if len(there) == len(_DELAYS_S):
-                self._accuse(self._depth.fault(frame, there, body_from_depth))
+                self._record_fault(self._depth.fault(frame, there, body_from_depth))
 
     def add_frame(self, frame: Frame, body_from_depth: Pose) -> None:
         """Add a depth frame; it is compared once the pose after it is known."""
         if not self._depth.proven:
             self._waiting.append((frame, body_from_depth))
 
-    def _accuse(self, reason: Reason | None) -> None:
+    def _record_fault(self, reason: Reason | None) -> None:
         self.reason = self.reason or reason
 
     def _poses_at(self, stamps_s: list[float]) -> list[Pose]:

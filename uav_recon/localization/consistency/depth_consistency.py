@@ -327,12 +327,12 @@ def _moved(oldest: Iterator[ViewComparison], explained: float) -> Reason | None:
     frames see may fit the shift.
     """
 
-    def says(comparison: ViewComparison) -> bool:
+    def shows_shift(comparison: ViewComparison) -> bool:
         hidden = comparison.nearer <= _HIDING_SHARE and comparison.farther <= _FARTHER_SHARE
         sure = comparison.explained >= explained and comparison.count >= _MANY and not hidden
         return sure and float(np.linalg.norm(comparison.shift_m)) >= _DRIFT_M
 
-    shown = list(itertools.islice(itertools.takewhile(says, oldest), _SHOWING_VIEWS))
+    shown = list(itertools.islice(itertools.takewhile(shows_shift, oldest), _SHOWING_VIEWS))
     if len(shown) < _SHOWING_VIEWS:
         return None
     return Reason(ReasonCode.SURFACES_MOVED, (float(np.linalg.norm(shown[0].shift_m)), shown[0].age_s))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 from uav_recon.config import LocalizationConfig
-from uav_recon.localization.calibration.camera_motion import CameraMotion
+from uav_recon.localization.calibration.camera_motion import MOMENT_S, CameraMotion
 from uav_recon.localization.calibration.camera_mount import Mount
 from uav_recon.localization.correction.odometry_correction import OdometryCorrection, correction_of
 from uav_recon.localization.fusion.filter_pose_gates import PoseRejection
@@ -15,7 +15,6 @@ from uav_recon.types.frames import FloatArray
 from uav_recon.types.pose import StampedPose
 from uav_recon.types.reason import Reason
 
-_MOMENT_S = 0.03  #: internal: time over which the velocity of the camera is measured
 #: reject: after a longer silence, a pose of the embedded SLAM until more agree with it; a camera loses up to five frames, and
 #: two more must fit after a doubt
 _SLAM_BRIDGED_S = 1.0
@@ -109,7 +108,7 @@ class FusedOdometry:
         if estimate is None or body_from_depth is None:
             return None
         here = estimate.odom_from_body @ body_from_depth
-        before, mount = odom_at(stamp_s - _MOMENT_S), self._mount.body_from_depth(stamp_s - _MOMENT_S)
+        before, mount = odom_at(stamp_s - MOMENT_S), self._mount.body_from_depth(stamp_s - MOMENT_S)
         if before is None or mount is None or before.reset_counter != estimate.reset_counter:
             return CameraMotion.at_rest(here)
-        return CameraMotion.between(before.odom_from_body @ mount, here, _MOMENT_S)
+        return CameraMotion.between(before.odom_from_body @ mount, here, MOMENT_S)
