@@ -40,7 +40,7 @@ class Flight:
     """Frames at 6 Hz with noise of depth and pose."""
 
     def __init__(self) -> None:
-        self.credence = DepthConsistencyMonitor()
+        self.monitor = DepthConsistencyMonitor()
         self.n = 0
         self._dice = np.random.default_rng(3)
         # rad a picture
@@ -60,11 +60,11 @@ class Flight:
         colour = np.zeros((2, 2, 3), np.uint8)
         frame = Frame(self.n * PERIOD_S, self.n, depth_m.astype(np.float32), LENS, colour, LENS, Pose.identity())
         self.n += 1
-        return self.credence.rejection(frame, CameraMotion.at_rest(reported)) is None
+        return self.monitor.rejection(frame, CameraMotion.at_rest(reported)) is None
 
     @property
     def drift(self) -> Reason | None:
-        return self.credence.drift(self.n * PERIOD_S)
+        return self.monitor.drift(self.n * PERIOD_S)
 
 
 @pytest.fixture
@@ -292,14 +292,14 @@ def test_a_reported_drift_is_kept_for_a_while(flight: Flight) -> None:
     for n in range(40):
         flight.see(off_m=(0.01 * n, 0.0, 0.0))
     assert flight.drift
-    assert flight.credence.drift(flight.n * PERIOD_S + 3.0) is None
+    assert flight.monitor.drift(flight.n * PERIOD_S + 3.0) is None
 
 
 def test_a_jump_of_odom_itself_begins_anew(flight: Flight) -> None:
     here = Pose.from_yaw(0.0, np.array([2.0, 1.0, 1.0])) @ BODY_FROM_DEPTH
     frame = Frame(flight.n * PERIOD_S, flight.n, 0.5 * _depth(here), LENS, np.zeros((2, 2, 3), np.uint8), LENS, here)
     assert not flight.see(lambda depth_m: 0.5 * depth_m)
-    assert flight.credence.rejection(frame, CameraMotion.at_rest(here), 1) is None
+    assert flight.monitor.rejection(frame, CameraMotion.at_rest(here), 1) is None
 
 
 def _comparison(

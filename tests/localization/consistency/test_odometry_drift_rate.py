@@ -32,7 +32,7 @@ class Flight:
         paint: Paint | None = None,
         tilt_rad: float = 0.0,
     ) -> None:
-        self.creep = DriftRateEstimator()
+        self.estimator = DriftRateEstimator()
         self.n = 0
         self.peak_mps = 0.0
         self.excess = 0.0
@@ -55,12 +55,12 @@ class Flight:
         tilt = Pose.from_rotation_vector(self._tilt_rad, place_m) @ Pose.from_yaw(0.0, -place_m)
         reported, before = moved(tilt @ camera, by_m), self._before
         self._before = reported
-        self.creep.update(
+        self.estimator.update(
             frame, CameraMotion.at_rest(reported) if before is None else CameraMotion.between(before, reported, PERIOD_S)
         )
-        self.excess = max(self.excess, self.creep.excess)
-        self.reported |= self.creep.drifts
-        self.peak_mps = max(self.peak_mps, float(np.linalg.norm(self.creep.velocity_mps)))
+        self.excess = max(self.excess, self.estimator.excess)
+        self.reported |= self.estimator.drifts
+        self.peak_mps = max(self.peak_mps, float(np.linalg.norm(self.estimator.velocity_mps)))
         self.n += 1
 
     def look_about(self, seconds: float) -> None:
@@ -72,7 +72,7 @@ class Flight:
 def test_what_creeps_is_reported_with_its_direction(way: tuple[float, float, float]) -> None:
     flight = Flight(way)
     flight.look_about(14.0)
-    np.testing.assert_allclose(flight.creep.velocity_mps, way, atol=0.35 * float(np.linalg.norm(way)))
+    np.testing.assert_allclose(flight.estimator.velocity_mps, way, atol=0.35 * float(np.linalg.norm(way)))
 
 
 def test_what_stays_does_not_creep() -> None:
@@ -96,7 +96,7 @@ def test_a_wall_far_off_tells_beside_a_floor_that_is_near() -> None:
     flight = Flight((0.05, 0.0, 0.0), begins_s=6.0)
     for n in range(72):
         flight.see(camera_at(0.2, 0.02 * n, 1.2, 0.0), LARGE_M)
-    assert flight.creep.velocity_mps[0] == pytest.approx(0.045, abs=0.012)
+    assert flight.estimator.velocity_mps[0] == pytest.approx(0.045, abs=0.012)
 
 
 @pytest.mark.parametrize(("drift_mps", "reported"), [(0.0, False), (0.02, False), (0.06, True)])
@@ -112,14 +112,14 @@ def test_along_a_bare_wall_nothing_can_be_measured() -> None:
     flight = Flight((0.05, 0.05, 0.0))
     for _ in range(84):
         flight.see(camera_at(0.0, 0.0, 1.2, 0.0), OPEN_M, BOARD_M)
-    np.testing.assert_allclose(flight.creep.velocity_mps, (0.045, 0.0, 0.0), atol=0.006)
+    np.testing.assert_allclose(flight.estimator.velocity_mps, (0.045, 0.0, 0.0), atol=0.006)
 
 
 def test_along_a_wall_its_paint_tells() -> None:
     flight = Flight((0.05, 0.05, 0.0), paint=plaster)
     for n in range(84):
         flight.see(camera_at(0.0, 0.05 * n, 1.2, 0.02 * n), OPEN_M, BOARD_M)
-    np.testing.assert_allclose(flight.creep.velocity_mps, (0.045, 0.037, 0.0), atol=0.008)
+    np.testing.assert_allclose(flight.estimator.velocity_mps, (0.045, 0.037, 0.0), atol=0.008)
 
 
 def test_paint_that_stays_does_not_creep() -> None:
@@ -150,13 +150,13 @@ def test_a_reported_drift_fades_and_a_new_odom_begins_anew() -> None:
     flight = Flight((0.05, 0.0, 0.0))
     flight.look_about(12.0)
     for _ in range(150):
-        flight.creep.update(frame_of(flight.now_s, np.full((120, 212), np.nan, np.float32)), STILL)
+        flight.estimator.update(frame_of(flight.now_s, np.full((120, 212), np.nan, np.float32)), STILL)
         flight.n += 1
-    assert np.linalg.norm(flight.creep.velocity_mps) < 0.01
+    assert np.linalg.norm(flight.estimator.velocity_mps) < 0.01
     flight = Flight((0.05, 0.0, 0.0))
     flight.look_about(12.0)
-    flight.creep.forget()
-    assert not flight.creep.velocity_mps.any()
+    flight.estimator.forget()
+    assert not flight.estimator.velocity_mps.any()
 
 
 def test_a_pause_counts_as_a_moment() -> None:

@@ -60,7 +60,7 @@ def _reasons(flown: FlownOdometry, from_s: float = 0.0, to_s: float = ALL_S) -> 
 
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize(
-    ("lie", "error_m", "error_after_m"),
+    ("fault", "error_m", "error_after_m"),
     [
         (_force(lambda force, since_s: force * (1.0 - 0.49 * min(since_s, 1.0))), 0.09, 0.03),  # clipped by vibration
         (_force(lambda force, _: 0.51 * force), 0.15, 0.03),
@@ -74,9 +74,9 @@ def _reasons(flown: FlownOdometry, from_s: float = 0.0, to_s: float = ALL_S) -> 
     ],
 )
 def test_a_lying_accelerometer_does_not_carry_odometry_away(
-    lie: Callable[[ImuSample, float], ImuSample], error_m: float, error_after_m: float, seed: int
+    fault: Callable[[ImuSample, float], ImuSample], error_m: float, error_after_m: float, seed: int
 ) -> None:
-    flown = fly(undisturbed, seconds=6.0, seed=seed, inertial=lie)
+    flown = fly(undisturbed, seconds=6.0, seed=seed, inertial=fault)
     assert flown.error_m(0.0) < error_m
     assert flown.error_m(1.5) < error_after_m
     assert flown.healths(0.0) <= {GOOD, DEGRADED}
@@ -107,7 +107,7 @@ def test_vibration_beyond_all_measure_stays_within_centimetres() -> None:
 
 
 @pytest.mark.parametrize(
-    ("lie", "code"),
+    ("fault", "code"),
     [
         (_frozen(gyro=True, accelerometer=True), ReasonCode.IMU_FROZEN),
         (_frozen(gyro=True, accelerometer=False), ReasonCode.IMU_FROZEN),
@@ -115,19 +115,19 @@ def test_vibration_beyond_all_measure_stays_within_centimetres() -> None:
     ],
 )
 def test_values_that_repeat_are_noticed_within_a_fifth_of_a_second(
-    lie: Callable[[ImuSample, float], ImuSample], code: ReasonCode
+    fault: Callable[[ImuSample, float], ImuSample], code: ReasonCode
 ) -> None:
-    flown = fly(undisturbed, seconds=4.0, inertial=lie)
+    flown = fly(undisturbed, seconds=4.0, inertial=fault)
     assert flown.first(DEGRADED) <= 0.3  # at the next pose after 0.1 s
     assert _reasons(flown, 0.35) == {code}
     assert flown.error_m(0.0) < 0.04
     assert flown.resets() == flown.odom[-1].correction.epoch == 0
 
 
-@pytest.mark.parametrize("lie", [lambda rate: rate + np.array([0.0, 0.0, 0.3]), lambda rate: 0.5 * rate])
-def test_a_lying_gyro_is_named_and_flown_without(lie: Callable[[F64], F64]) -> None:
+@pytest.mark.parametrize("fault", [lambda rate: rate + np.array([0.0, 0.0, 0.3]), lambda rate: 0.5 * rate])
+def test_a_lying_gyro_is_named_and_flown_without(fault: Callable[[F64], F64]) -> None:
     def changed(sample: ImuSample, since_s: float) -> ImuSample:
-        return replace(sample, gyro_radps=lie(sample.gyro_radps)) if since_s >= 0.0 else sample
+        return replace(sample, gyro_radps=fault(sample.gyro_radps)) if since_s >= 0.0 else sample
 
     flown = fly(undisturbed, seconds=5.0, inertial=changed)
     assert _reasons(flown, 1.0, 3.0) == {ReasonCode.GYRO_REJECTED}  # later its offset may have been learned

@@ -106,7 +106,7 @@ class FusionFilter:
         measurement, noise = self._seen_in_odom(pose), PoseNoise.claimed(pose.covariance)
         if self._bank.newest is None:
             return self._begin(measurement, noise)
-        arrival = self._bank.meet(measurement, noise)
+        arrival = self._bank.predict_arrival(measurement, noise)
         if arrival is None:
             return self._restart_after_gap(measurement, noise)
         if self._frozen.repeats(pose.odom_from_body, arrival.residual):
@@ -137,7 +137,7 @@ class FusionFilter:
         if newest is None or found is None:
             return None
         node, state, here = found
-        age_s, source = stamp_s - newest.stamp_s, node.sighting.source
+        age_s, source = stamp_s - newest.stamp_s, node.measurement.source
         health, reason = self._health_monitor.health(age_s, self._bank.fault(), len(self._relocalization) > 0)
         if health is PoseHealth.GOOD:
             health, reason = source.health, source.why
@@ -161,7 +161,9 @@ class FusionFilter:
             return PoseRejection.RESET
         if measurement.stamp_s - before.stamp_s > self._lost_s and not self._bridges(arrival, before):
             return PoseRejection.UNPROVEN
-        return self._gates.leap(arrival.residual, arrival.covariance) or self._gates.speed_fault(before.sighting, measurement)
+        return self._gates.leap(arrival.residual, arrival.covariance) or self._gates.speed_fault(
+            before.measurement, measurement
+        )
 
     def _bridges(self, arrival: Arrival, before: FusedPose) -> bool:
         """Return True if the inertial track is credible after a short silence.
@@ -190,7 +192,7 @@ class FusionFilter:
         self._relocalization.update(
             measurement, track, carried.model.accelerometer and credible and not (tilted or contradicted)
         )
-        if not self._relocalization.stands(AFTER_LOSS if lost else MAP_STEP):
+        if not self._relocalization.satisfies(AFTER_LOSS if lost else MAP_STEP):
             return False
         declared = measurement.source.reset_counter != self._source_resets
         steady = credible or (carried.model.gyro and carried.covariance[8, 8] <= _STEADY_RAD**2)
@@ -232,7 +234,7 @@ class FusionFilter:
         """
         if measurement.stamp_s >= self.newest_pose_s:
             self._relocalization.update(measurement, measurement, inertial=False)
-            if self._relocalization.stands(AFTER_LOSS):
+            if self._relocalization.satisfies(AFTER_LOSS):
                 return self._begin(measurement, noise, self._relocalization.velocity_mps())
         self.rejected[PoseRejection.UNPROVEN] += 1
         return False

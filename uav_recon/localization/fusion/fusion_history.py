@@ -47,7 +47,7 @@ _IMU_GAP_S = 0.05  #: brake: retreat_speed_mps after a longer gap of the inertia
 class FusedPose:
     """A fused pose, and the estimate after it. nis: normalized innovation squared of the pose."""
 
-    sighting: PoseMeasurement
+    measurement: PoseMeasurement
     noise: PoseNoise
     estimate: Estimate
     nis: float
@@ -55,7 +55,7 @@ class FusedPose:
     @property
     def stamp_s(self) -> float:
         """Stamp of the pose."""
-        return self.sighting.stamp_s
+        return self.measurement.stamp_s
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,12 +127,12 @@ class FusionHistory:
         """Return the newest node that is not younger than a timely stamp."""
         return self._nodes[self._before(stamp_s)]
 
-    def meet(self, measurement: PoseMeasurement, noise: PoseNoise) -> Arrival | None:
+    def predict_arrival(self, measurement: PoseMeasurement, noise: PoseNoise) -> Arrival | None:
         """Propagate the node before a timely pose to the pose.
 
         None if the track no longer reaches back to that node.
         """
-        return self._meet(self.before(measurement.stamp_s), measurement, noise)
+        return self._predict_arrival(self.before(measurement.stamp_s), measurement, noise)
 
     def reaches(self, stamp_s: float) -> bool:
         """Return True if the track goes back to the stamp."""
@@ -155,7 +155,7 @@ class FusionHistory:
         later = [self._nodes.pop() for _ in range(len(self._nodes) - 1 - k)]
         self._append(arrival)
         for node in reversed(later):
-            again = self._meet(self._nodes[-1], node.sighting, node.noise)
+            again = self._predict_arrival(self._nodes[-1], node.measurement, node.noise)
             if again is not None:
                 self._append(again)
         while self._nodes[-1].stamp_s - self._nodes[0].stamp_s > _HISTORY_S:
@@ -179,7 +179,7 @@ class FusionHistory:
             return node, propagate(node.estimate, base, here, node.noise), here
         return node, _smoothed(node, after, base, here, there), here
 
-    def _meet(self, node: FusedPose, measurement: PoseMeasurement, noise: PoseNoise) -> Arrival | None:
+    def _predict_arrival(self, node: FusedPose, measurement: PoseMeasurement, noise: PoseNoise) -> Arrival | None:
         model = self._model_between(node.stamp_s, measurement.stamp_s)
         if not model.gyro:
             self._coast_to(measurement.stamp_s)

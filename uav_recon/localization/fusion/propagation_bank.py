@@ -133,14 +133,14 @@ class PropagationBank:
         """Return the node before an instant, and estimate and track there, as FusionHistory."""
         return self._history.at(stamp_s)
 
-    def meet(self, measurement: PoseMeasurement, noise: PoseNoise) -> Arrival | None:
+    def predict_arrival(self, measurement: PoseMeasurement, noise: PoseNoise) -> Arrival | None:
         """Propagate the filters to a timely pose and return the chosen one's arrival.
 
         None if its track is too short.
         """
         noise = noise.scaled(self._noise_scale)
         self._arrivals = [
-            history.meet(measurement, noise) if history.stamp_fault(measurement.stamp_s) is None else None
+            history.predict_arrival(measurement, noise) if history.stamp_fault(measurement.stamp_s) is None else None
             for history in self._histories
         ]
         return self._arrivals[self._chosen]

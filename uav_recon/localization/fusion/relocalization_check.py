@@ -63,7 +63,7 @@ class RelocalizationCheck:
             self._run.clear()
         self._run.append((measurement, track))
 
-    def stands(self, requirement: ConsistencyRequirement) -> bool:
+    def satisfies(self, requirement: ConsistencyRequirement) -> bool:
         """Return True if the run meets the requirement."""
         return len(self._run) >= requirement.poses and self._run[-1][0].stamp_s - self._run[0][0].stamp_s >= requirement.over_s
 
