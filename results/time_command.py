@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from results.claims import ROOT
-from uav_recon.bench import result_file
+from uav_recon.measurement import result_file
 
 
 def main(arguments: list[str] | None = None) -> int:

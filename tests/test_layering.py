@@ -29,11 +29,12 @@ ALLOWED = {
     "evaluation": {"types", "geometry"},
     "trackers": {"types", "interfaces", "sensors"},
     "app": {*BASE, *STAGES, "safety", "autopilot", "mission", "operator", "trackers", "errors"},
-    "bench": {*BASE, *STAGES, "evaluation", "app", "errors"},
-    "cli": {"app", "bench", "operator", "errors"},
+    "measurement": {"types", "json_codec", "errors"},
+    "bench": {*BASE, *STAGES, "evaluation", "app", "measurement", "errors"},
+    "cli": {"app", "bench", "measurement", "operator", "errors"},
 }
-USES_SIMULATOR = {"bench", "cli"}  # packages of the product that start or measure with the simulator
-SIMULATOR_ROOTS = ("sitl/apps/", "sitl/faults/flights/")  # the composition roots: they join the simulator and the product
+USES_SIMULATOR = {"cli"}  # the only package of the product that starts the simulator
+SIMULATOR_ROOTS = ("sitl/apps/", "sitl/bench/", "sitl/faults/flights/")  # composition roots: they join simulator and product
 HEAVY = {
     "torch": ("uav_recon/mapping/neural/sdf_torch",),
     "pyrealsense2": ("uav_recon/sensors/realsense_device.py",),

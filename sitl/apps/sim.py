@@ -20,9 +20,9 @@ from sitl.scene.scene import Scene, SceneError, load_scene, require_scene
 from uav_recon import config as product_config
 from uav_recon.app.kernel_cache import KernelJob, are_compiled
 from uav_recon.app.option_validation import require_writable_file
-from uav_recon.bench import result_file
 from uav_recon.config import Config
 from uav_recon.errors import EXIT_USAGE, UserError
+from uav_recon.measurement import result_file
 
 __all__ = ["SimOptions", "simulate"]
 

@@ -34,10 +34,10 @@ from sitl.scene.generated_rooms import KINDS
 from sitl.scene.scene import GENERATED, is_generated
 from uav_recon import json_codec
 from uav_recon.app.option_validation import mount_pitch_deg, readable, require_writable_file
-from uav_recon.bench import host_info, result_file
-from uav_recon.bench.machine_calibration import Calibration, calibrate
-from uav_recon.bench.result_file import result_header
 from uav_recon.errors import EXIT_USAGE, UserError
+from uav_recon.measurement import host_info, result_file
+from uav_recon.measurement.machine_calibration import Calibration, calibrate
+from uav_recon.measurement.result_file import result_header
 
 RANDOM = "random"  # name of a scene: a new flat for each seed; so does every other of KINDS
 BUILT_IN = "built-in"  # name of a scene: the room of `sim`

@@ -27,8 +27,8 @@ from typing import Any
 import tomli_w
 from annotated_types import Ge, Gt, Le, Lt
 
-from uav_recon.bench import result_file
 from uav_recon.config import Config, load
+from uav_recon.measurement import result_file
 
 FLOWN = Path(__file__).parents[2] / "systemd" / "config.toml"
 LONGEST_S = 1.0

@@ -168,7 +168,7 @@ def test_help_loads_nothing_heavy() -> None:
 
 
 def test_the_version_names_package_and_commit(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("uav_recon.bench.host_info.commit", lambda: "abc1234")
+    monkeypatch.setattr("uav_recon.measurement.host_info.commit", lambda: "abc1234")
     shown = CliRunner().invoke(app, ["--version"]).output
     assert re.fullmatch(r"uav-recon (\d+\.\d+\.\d+|\(not installed\))( \(commit [0-9a-f]{7}\))?\n", shown), shown
 

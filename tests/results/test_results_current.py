@@ -15,9 +15,9 @@ from results import generate, measure, pages, time_command
 from results.claims import CLAIMS, CURRENT, ROOT, Claim, ClaimError, Figure, Outcome, Run, evaluate, load_claims, load_results
 from results.hazards_page import hazards_page
 from sitl.faults.table.all_scenarios import TABLE
-from uav_recon.bench.machine_calibration import REFERENCE_EDT_S, REFERENCE_SORT_S, Calibration
-from uav_recon.bench.result_file import save
 from uav_recon.cli.main import app
+from uav_recon.measurement.machine_calibration import REFERENCE_EDT_S, REFERENCE_SORT_S, Calibration
+from uav_recon.measurement.result_file import save
 
 CLAIMS_READ, RUNS = load_claims()
 HEADER = {
@@ -170,7 +170,7 @@ def test_a_command_runs_with_this_interpreter() -> None:
 
 def test_durations_of_commands_are_written_and_a_failed_one_has_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     calibration = Calibration(REFERENCE_EDT_S, REFERENCE_SORT_S, REFERENCE_EDT_S, REFERENCE_SORT_S)
-    monkeypatch.setattr("uav_recon.bench.result_file.calibrate", lambda: calibration)
+    monkeypatch.setattr("uav_recon.measurement.result_file.calibrate", lambda: calibration)
     path = tmp_path / "x.json"
     assert time_command.main(["--json", str(path), "--times", "3", "good=true", "bad=false"]) == 1
     tree = json.loads(path.read_text(encoding="utf-8"))

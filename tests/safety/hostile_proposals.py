@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 from guard_rooms import BOUNDS, DT, GRID, HULL_RADIUS_M, everything, frame, guard_of, known_free, proposal, situation
 
-from uav_recon.bench import result_file
+from uav_recon.measurement import result_file
 from uav_recon.safety.guard import GuardInputs, SetpointProposal
 from uav_recon.safety.obstacle_speed_limit import ForwardDepth
 from uav_recon.safety.recently_seen_space import RecentlySeenSpace

@@ -36,7 +36,7 @@ from cosmic_ray.plugins import get_operator
 from cosmic_ray.work_db import WorkDB, use_db
 from cosmic_ray.work_item import MutationSpec, TestOutcome, WorkerOutcome, WorkResult
 
-from uav_recon.bench import result_file
+from uav_recon.measurement import result_file
 from uav_recon.types.pose import Pose
 
 HERE = Path(__file__).parent

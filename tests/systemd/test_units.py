@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from sitl.bench.setpoints import setpoint_bench
 from uav_recon import config
-from uav_recon.bench.setpoints import setpoint_bench
 
 FOLDER = Path(__file__).parents[2] / "systemd"
 SERVICES = ["pilot", "perception", "mission"]

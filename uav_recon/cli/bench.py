@@ -111,7 +111,7 @@ def bench_mapper(
     the time to reach a recall. With --pose-noise or --exposure, a run without the correction of poses or exposure is added.
     Recall, completion and images count only observed surface. Times are processor time on one thread.
     """
-    from uav_recon.bench.mapper import mapper_bench as bench_of_mapper
+    from sitl.bench.mapper import mapper_bench as bench_of_mapper
 
     exit_with(
         lambda: bench_of_mapper.bench_mapper(
@@ -156,8 +156,8 @@ def bench_endurance(
 
     Costs are memory, disk and time per view.
     """
-    from uav_recon.bench.mapper import endurance as bench_of_endurance
-    from uav_recon.bench.mapper import mapper_bench as bench_of_mapper
+    from sitl.bench.mapper import endurance as bench_of_endurance
+    from sitl.bench.mapper import mapper_bench as bench_of_mapper
 
     wanted = bench_of_mapper.MapperBench(
         scene, views, camera, depth_noise, "fixed:15", "0,0", steps_per_view, seed, "cpu", json, camera_errors=camera_errors
@@ -184,7 +184,7 @@ def bench_setpoints(
     The load is training, four busy threads, disk writes and the recorder. Setpoints are time-stamped by the kernel at a
     simulated autopilot. Limits for the gap between two: p99 50 ms, p99.9 75 ms, maximum 250 ms.
     """
-    from uav_recon.bench.setpoints import setpoint_bench
+    from sitl.bench.setpoints import setpoint_bench
 
     exit_with(lambda: setpoint_bench.bench_setpoints(minutes, negative, autopilot, json))
 
@@ -211,8 +211,8 @@ def bench_uncertainty(
     information that depth images gave to a lattice; the product of these two; number and agreement of measurements. `All`
     is every vertex of the field's surface in the room's box, observed or not; `observed` is what the planner gets.
     """
-    from uav_recon.bench.mapper import mapper_bench as bench_of_mapper
-    from uav_recon.bench.mapper import uncertainty_bench as bench_of_uncertainty
+    from sitl.bench.mapper import mapper_bench as bench_of_mapper
+    from sitl.bench.mapper import uncertainty_bench as bench_of_uncertainty
 
     def measure() -> int:
         views = bench_of_uncertainty.views_of(after)
@@ -279,7 +279,7 @@ def bench_slam(
     share of lost frames, and share of frames that are reported good with an error above 0.3 m. With a fault that comes in
     windows: the times until it is reported and until the pose is back. Recording takes half a minute a sequence.
     """
-    from uav_recon.bench.slam import slam_bench
+    from sitl.bench.slam import slam_bench
 
     exit_with(
         lambda: slam_bench.bench_slam(

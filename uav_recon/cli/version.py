@@ -9,7 +9,7 @@ import json
 from importlib import metadata
 from pathlib import Path
 
-from uav_recon.bench import host_info
+from uav_recon.measurement import host_info
 
 PACKAGE = "uav-recon"
 _SOURCE = Path(__file__).parents[2]

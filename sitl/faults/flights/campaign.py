@@ -26,10 +26,10 @@ from sitl.faults.table.all_scenarios import NAMED, PAIRS, SCENARIOS, TABLE
 from sitl.faults.table.scenario import Scenario
 from sitl.runtime.worker_pool import worker_pool
 from uav_recon.app.option_validation import readable, require_writable_file, require_writable_folder
-from uav_recon.bench import result_file
-from uav_recon.bench.machine_calibration import Calibration, calibrate
-from uav_recon.bench.result_file import result_header
 from uav_recon.errors import UserError
+from uav_recon.measurement import result_file
+from uav_recon.measurement.machine_calibration import Calibration, calibrate
+from uav_recon.measurement.result_file import result_header
 
 BOTH = "both"
 FIRMWARE_OFFERS = {

@@ -22,7 +22,7 @@ from uav_recon.autopilot.firmware.px4 import PX4
 from uav_recon.autopilot.link.vehicle_link import VehicleLink
 from uav_recon.autopilot.mavlink.allow_list import AllowListFilter
 from uav_recon.autopilot.mavlink.tlog import NoLog
-from uav_recon.bench import result_file
+from uav_recon.measurement import result_file
 
 BURST = 1 << 15  # bytes: a thirtieth of a second of a megabyte a second
 _TAKEN_S = 0.010  # for a burst, so that a turn with a third of it in it leaves the stream its time

@@ -3,7 +3,6 @@ from __future__ import annotations
 import numpy as np
 
 from uav_recon.bench.planner import builtin_building
-from uav_recon.bench.planner.stage_timing import Stopwatch
 from uav_recon.bench.planner.stages import (
     STAGES,
     WHOLE,
@@ -14,6 +13,7 @@ from uav_recon.bench.planner.stages import (
     oracle_lens,
     request_of,
 )
+from uav_recon.measurement.stage_timing import Stopwatch
 from uav_recon.types.tasks import ViewPath
 
 

@@ -14,13 +14,13 @@ from rich.console import Console
 from rich.progress import Progress, TaskID
 
 from uav_recon.app.option_validation import UsageError, require_writable_file
-from uav_recon.bench import host_info, result_file
-from uav_recon.bench.machine_calibration import Calibration, calibrate
 from uav_recon.bench.planner import builtin_building, path_lengths, planner_tables, scaling, tours
 from uav_recon.bench.planner.map_agreement import agreement
 from uav_recon.bench.planner.recorded_stream import SIZE, STRIDE, Recording, load
 from uav_recon.bench.planner.replay import judged_views, mapped_of, timed_plans, timed_stages
 from uav_recon.bench.planner.stages import MOUNTS_RAD, STAGES, warm_up
+from uav_recon.measurement import host_info, result_file
+from uav_recon.measurement.machine_calibration import Calibration, calibrate
 from uav_recon.planning.tour import atsp
 from uav_recon.types.maps import UNKNOWN
 

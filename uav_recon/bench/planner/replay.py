@@ -9,8 +9,8 @@ from collections.abc import Iterable
 
 from uav_recon.bench.planner import view_oracle
 from uav_recon.bench.planner.recorded_stream import RESOLUTION_M, Recording
-from uav_recon.bench.planner.stage_timing import StageTimings, Stopwatch
 from uav_recon.bench.planner.stages import Mount, PlannerStages, ReplayMap, oracle_lens, request_of
+from uav_recon.measurement.stage_timing import StageTimings, Stopwatch
 from uav_recon.planning.view_planner import ViewPlanner
 from uav_recon.types.camera import PosedFrame
 

@@ -14,11 +14,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from uav_recon.bench.host_info import resident_mb
 from uav_recon.bench.planner.recorded_stream import RESOLUTION_M, Recording
 from uav_recon.bench.planner.replay import timed_plans
-from uav_recon.bench.planner.stage_timing import Stopwatch, TimingSummary
 from uav_recon.bench.planner.stages import WHOLE, ReplayMap, request_of
+from uav_recon.measurement.host_info import resident_mb
+from uav_recon.measurement.stage_timing import Stopwatch, TimingSummary
 from uav_recon.types.camera import PosedFrame
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.maps import GridSpec

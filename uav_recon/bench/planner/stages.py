@@ -13,10 +13,10 @@ from typing import Literal
 import numpy as np
 
 from uav_recon.bench.planner.recorded_stream import Recording
-from uav_recon.bench.planner.stage_timing import Stopwatch
 from uav_recon.bench.planner.view_oracle import Lens, OracleFrontier
 from uav_recon.config import MotionConfig, PlannerConfig, VoxelConfig
 from uav_recon.mapping.occupancy.occupancy_map import DepthSensor, OccupancyMap
+from uav_recon.measurement.stage_timing import Stopwatch
 from uav_recon.planning import view_planner
 from uav_recon.planning.camera_frustum import EDGE_MARGIN, CameraGeometry
 from uav_recon.planning.candidate_view import CandidateView

@@ -5,12 +5,12 @@ import math
 import numpy as np
 import pytest
 
+from sitl.bench.slam import rgbd_odometry
+from sitl.bench.slam.rgbd_odometry import RgbdOdometry, registered_depth_m
 from sitl.camera.d435i import MOUNT_M, SimulatedD435i
 from sitl.geometry.transform import body_from_camera, world_from_body
 from sitl.scene.rasterizer import Renderer
 from sitl.scene.scene import load_scene
-from uav_recon.bench.slam import rgbd_odometry
-from uav_recon.bench.slam.rgbd_odometry import RgbdOdometry, registered_depth_m
 from uav_recon.types.camera import Frame, Intrinsics
 from uav_recon.types.pose import Pose
 

@@ -1,4 +1,4 @@
-"""Load generator: `python -m uav_recon.bench.setpoints.load CONFIG FOLDER [pilot]`.
+"""Load generator: `python -m sitl.bench.setpoints.load CONFIG FOLDER [pilot]`.
 
 One process with the load of the mission and mapper processes: the neural field trains, four threads run plain Python
 without pause, a file is written and flushed to disk, and frames are published for the recorder. With the word ``pilot`` the
@@ -16,10 +16,10 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from sitl.bench.mapper import seeded_views, training_run
 from uav_recon import config as configuration
 from uav_recon.app import processes
 from uav_recon.app.flight_channels import file_channels
-from uav_recon.bench.mapper import seeded_views, training_run
 from uav_recon.interfaces import Channel
 from uav_recon.types.camera import PosedFrame
 

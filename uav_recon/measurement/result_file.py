@@ -15,9 +15,9 @@ from pathlib import Path
 from typing import Any
 
 from uav_recon import json_codec
-from uav_recon.bench import host_info
-from uav_recon.bench.machine_calibration import Calibration, calibrate
 from uav_recon.errors import EXIT_FAILURE, UserError
+from uav_recon.measurement import host_info
+from uav_recon.measurement.machine_calibration import Calibration, calibrate
 
 HEADER = "header"
 PROGRAM = "uav-recon"

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from uav_recon.bench import host_info, result_file
-from uav_recon.bench.machine_calibration import REFERENCE_EDT_S, REFERENCE_SORT_S, Calibration
-from uav_recon.bench.result_file import command_line, result_header
 from uav_recon.errors import UserError
+from uav_recon.measurement import host_info, result_file
+from uav_recon.measurement.machine_calibration import REFERENCE_EDT_S, REFERENCE_SORT_S, Calibration
+from uav_recon.measurement.result_file import command_line, result_header
 
 BUSY = Calibration(4 * REFERENCE_EDT_S, 4 * REFERENCE_SORT_S, 2 * REFERENCE_EDT_S, 2 * REFERENCE_SORT_S)
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from uav_recon.bench.slam.frame_trackers import FrameTracker
+from sitl.bench.slam.frame_trackers import FrameTracker
 from uav_recon.sensors.stream_camera import depth_lookup_table
 from uav_recon.types.camera import Frame, ImuSample, Intrinsics
 from uav_recon.types.frames import BoolArray, FloatArray, IntArray

@@ -1,6 +1,6 @@
 import pytest
 
-from uav_recon.bench.machine_calibration import REFERENCE_EDT_S, REFERENCE_SORT_S, Calibration, calibrate
+from uav_recon.measurement.machine_calibration import REFERENCE_EDT_S, REFERENCE_SORT_S, Calibration, calibrate
 
 
 def test_the_factor_is_the_geometric_mean_of_the_two_jobs() -> None:

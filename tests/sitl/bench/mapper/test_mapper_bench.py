@@ -9,10 +9,10 @@ from stub_visible_truth import quick_cut
 from typer.testing import CliRunner
 
 import sitl.apps.flight_judge
-from uav_recon.bench.mapper import seeded_views, training_run
-from uav_recon.bench.result_file import HEADER
+from sitl.bench.mapper import seeded_views, training_run
 from uav_recon.cli.main import app
 from uav_recon.evaluation.triangle_surface import TriangleSurface
+from uav_recon.measurement.result_file import HEADER
 
 pytestmark = pytest.mark.slow
 FIELDS = [

@@ -21,15 +21,15 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
+from sitl.bench.mapper.mapper_bench import PRINTED_WIDTH
+from sitl.bench.setpoints import load as setpoint_load
 from uav_recon import config as configuration
 from uav_recon.app.option_validation import UsageError, require_writable_file
-from uav_recon.bench import host_info, result_file
-from uav_recon.bench.machine_calibration import calibrate
-from uav_recon.bench.mapper.mapper_bench import PRINTED_WIDTH
 from uav_recon.bench.planner.planner_tables import narrow_table
-from uav_recon.bench.setpoints import load as setpoint_load
 from uav_recon.config import Config
 from uav_recon.errors import UserError
+from uav_recon.measurement import host_info, result_file
+from uav_recon.measurement.machine_calibration import calibrate
 from uav_recon.types.frames import FloatArray
 
 MINUTES = (0.1, 120.0)
@@ -109,7 +109,7 @@ def measure(seconds: float, negative: bool, autopilot: str, say: Callable[[str],
         configuration.save(config, path)
         out = folder / "arrivals.npz"
         product, ours = ["uav_recon"], ["--config", str(path), "--flight", str(folder / "flight")]
-        load = ["uav_recon.bench.setpoints.load", str(path), str(folder), *(["pilot"] if negative else [])]
+        load = ["sitl.bench.setpoints.load", str(path), str(folder), *(["pilot"] if negative else [])]
         loader = ends.enter_context(_child(load, log, _PILOT_NICE if negative else 0))
         say("loading the machine")
         _await(folder / setpoint_load.LEARNING, loader, log)

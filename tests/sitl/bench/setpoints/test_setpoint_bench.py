@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from uav_recon.bench.setpoints import setpoint_bench
-from uav_recon.bench.setpoints.setpoint_bench import bench_setpoints, setpoint_regularity
+from sitl.bench.setpoints import setpoint_bench
+from sitl.bench.setpoints.setpoint_bench import bench_setpoints, setpoint_regularity
 from uav_recon.errors import UserError
 from uav_recon.types.frames import FloatArray
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from uav_recon.bench.slam.tracking_run import TrackingRun
+from sitl.bench.slam.tracking_run import TrackingRun
 from uav_recon.evaluation.trajectory_error import MIN_POSES, TrajectoryError, aligned, trajectory_error
 from uav_recon.types.frames import BoolArray, FloatArray
 

@@ -12,12 +12,12 @@ from typer.testing import CliRunner
 
 from sitl.apps import rgbd_sequences, sequence_faults
 from sitl.apps.rgbd_sequences import RgbdSequence, SequenceOptions
+from sitl.bench.slam import frame_trackers, slam_bench
+from sitl.bench.slam.frame_trackers import METHODS
 from sitl.scene.scene import Scene
-from uav_recon.bench.result_file import HEADER
-from uav_recon.bench.slam import frame_trackers, slam_bench
-from uav_recon.bench.slam.frame_trackers import METHODS
 from uav_recon.cli.choices import TRACKERS
 from uav_recon.cli.main import app
+from uav_recon.measurement.result_file import HEADER
 from uav_recon.types.camera import Frame, ImuSample
 from uav_recon.types.pose import Pose, StampedPose
 

@@ -2,7 +2,7 @@ import threading
 
 import numpy as np
 
-from uav_recon.bench.planner.stage_timing import StageTimings, Stopwatch, TimingSummary
+from uav_recon.measurement.stage_timing import StageTimings, Stopwatch, TimingSummary
 
 
 def test_a_timing_summary_has_median_p95_and_maximum() -> None:

@@ -16,12 +16,12 @@ import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
+from sitl.bench.slam import slam_tables, tracking_run
+from sitl.bench.slam.frame_trackers import METHODS
+from sitl.bench.slam.tracking_metrics import TrackingFigures, figures_of
 from uav_recon.app.option_validation import UsageError, require_writable_file, require_writable_folder
-from uav_recon.bench import host_info, result_file
-from uav_recon.bench.machine_calibration import calibrate
-from uav_recon.bench.slam import slam_tables, tracking_run
-from uav_recon.bench.slam.frame_trackers import METHODS
-from uav_recon.bench.slam.tracking_metrics import TrackingFigures, figures_of
+from uav_recon.measurement import host_info, result_file
+from uav_recon.measurement.machine_calibration import calibrate
 
 if TYPE_CHECKING:
     from sitl.apps.rgbd_sequences import RgbdSequence, SequenceOptions

@@ -11,16 +11,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from uav_recon.bench import host_info
-from uav_recon.bench.mapper.seeded_views import ImageRays, MapperScene
-from uav_recon.bench.mapper.sparsification import ause
-from uav_recon.bench.planner.stage_timing import TimingSummary
+from sitl.bench.mapper.seeded_views import ImageRays, MapperScene
+from sitl.bench.mapper.sparsification import ause
 from uav_recon.config import MapperConfig, UncertaintyName
 from uav_recon.evaluation.metrics import PSNR_CAP_DB, share_within
 from uav_recon.evaluation.recall import ElementRecall
 from uav_recon.evaluation.triangle_surface import TriangleSurface
 from uav_recon.mapping.neural.neural_mapper import NeuralMapper
 from uav_recon.mapping.neural.sdf_interface import SdfField
+from uav_recon.measurement import host_info
+from uav_recon.measurement.stage_timing import TimingSummary
 from uav_recon.types.camera import PosedFrame
 from uav_recon.types.frames import Float32Array
 

@@ -8,7 +8,7 @@ from stub_visible_truth import quick_cut
 from typer.testing import CliRunner
 
 import sitl.apps.flight_judge
-from uav_recon.bench.mapper import seeded_views
+from sitl.bench.mapper import seeded_views
 from uav_recon.cli.main import app
 
 MEASURES = ["paper", "colour", "information", "product", "agreement"]

@@ -10,13 +10,13 @@ import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
+from sitl.bench.mapper import mapper_tables, seeded_views, training_run
+from sitl.bench.mapper.mapper_bench import VIEWS, MapperBench, ticking
+from sitl.bench.mapper.sparsification import ause, spearman
 from uav_recon.app.option_validation import UsageError
-from uav_recon.bench import host_info, result_file
-from uav_recon.bench.machine_calibration import calibrate
-from uav_recon.bench.mapper import mapper_tables, seeded_views, training_run
-from uav_recon.bench.mapper.mapper_bench import VIEWS, MapperBench, ticking
-from uav_recon.bench.mapper.sparsification import ause, spearman
 from uav_recon.mapping.neural.neural_mapper import NeuralMapper
+from uav_recon.measurement import host_info, result_file
+from uav_recon.measurement.machine_calibration import calibrate
 
 PRINTED_WIDTH = 100  # if the output is not a terminal
 RANDOM_SEED = 20240320

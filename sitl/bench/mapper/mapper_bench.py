@@ -12,11 +12,11 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
+from sitl.bench.mapper import mapper_tables, seeded_views, training_run, tsdf_baseline
 from uav_recon.app.option_validation import UsageError, require_writable_file
-from uav_recon.bench import host_info, result_file
-from uav_recon.bench.machine_calibration import calibrate
-from uav_recon.bench.mapper import mapper_tables, seeded_views, training_run, tsdf_baseline
 from uav_recon.evaluation.triangle_surface import TriangleSurface
+from uav_recon.measurement import host_info, result_file
+from uav_recon.measurement.machine_calibration import calibrate
 
 PRINTED_WIDTH = 100  # if the output is not a terminal
 VIEWS = (4, 2000)

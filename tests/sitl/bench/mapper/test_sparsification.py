@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import spearmanr
 
-from uav_recon.bench.mapper.sparsification import ause, remaining, spearman
+from sitl.bench.mapper.sparsification import ause, remaining, spearman
 
 
 def test_the_remaining_error_by_hand() -> None:

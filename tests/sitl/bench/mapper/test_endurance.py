@@ -8,7 +8,7 @@ from stub_visible_truth import quick_cut
 from typer.testing import CliRunner
 
 import sitl.apps.flight_judge
-from uav_recon.bench.mapper import endurance, seeded_views, training_run
+from sitl.bench.mapper import endurance, seeded_views, training_run
 from uav_recon.cli.main import app
 from uav_recon.mapping.neural.keyframes import keyframe_buffer
 

@@ -5,8 +5,8 @@ import pytest
 from sequence_of_noise import sequence_of_noise
 
 from sitl.apps.sequence_faults import FaultWindow
-from uav_recon.bench.slam.tracking_metrics import figures_of
-from uav_recon.bench.slam.tracking_run import SequenceFrames, TrackingRun, run
+from sitl.bench.slam.tracking_metrics import figures_of
+from sitl.bench.slam.tracking_run import SequenceFrames, TrackingRun, run
 from uav_recon.types.camera import Frame, ImuSample
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.pose import Pose, StampedPose

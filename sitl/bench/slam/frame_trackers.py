@@ -34,7 +34,7 @@ def _joint() -> FrameTracker:
 
 
 def _open3d() -> FrameTracker:
-    from uav_recon.bench.slam.rgbd_odometry import RgbdOdometry
+    from sitl.bench.slam.rgbd_odometry import RgbdOdometry
 
     return RgbdOdometry()
 

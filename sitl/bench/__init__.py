@@ -1,0 +1,4 @@
+"""Benchmarks that need a scene or a simulated vehicle: mapper, SLAM, setpoints.
+
+They are composition roots like sitl/apps.
+"""
