@@ -20,7 +20,6 @@ from sitl.bench.mapper import seeded_views, training_run
 from sitl.bench.mapper.mapper_bench import PRINTED_WIDTH, MapperBench
 from sitl.bench.mapper.mapper_tables import figure
 from uav_recon.app.option_validation import UsageError
-from uav_recon.bench.planner.planner_tables import narrow_table
 from uav_recon.evaluation.triangle_surface import TriangleSurface
 from uav_recon.mapping.keyframe_store import KeyframeFolder
 from uav_recon.mapping.neural.keyframes.ray_buffer import MAX_VIEWS
@@ -28,6 +27,7 @@ from uav_recon.mapping.neural.neural_mapper import NeuralMapper
 from uav_recon.mapping.neural.worker.checkpoint import MapperCheckpoints
 from uav_recon.measurement import host_info, result_file
 from uav_recon.measurement.machine_calibration import calibrate
+from uav_recon.measurement.printed_table import narrow_table
 
 PARTS = 10
 HOURS = (0.01, 10.0)

@@ -25,11 +25,11 @@ from sitl.bench.mapper.mapper_bench import PRINTED_WIDTH
 from sitl.bench.setpoints import load as setpoint_load
 from uav_recon import config as configuration
 from uav_recon.app.option_validation import UsageError, require_writable_file
-from uav_recon.bench.planner.planner_tables import narrow_table
 from uav_recon.config import Config
 from uav_recon.errors import UserError
 from uav_recon.measurement import host_info, result_file
 from uav_recon.measurement.machine_calibration import calibrate
+from uav_recon.measurement.printed_table import narrow_table
 from uav_recon.types.frames import FloatArray
 
 MINUTES = (0.1, 120.0)

@@ -8,7 +8,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from uav_recon.bench.planner.planner_tables import narrow_table
+from uav_recon.measurement.printed_table import narrow_table
 
 Result = dict[str, Any]
 _COLUMNS = ("ATE, cm", "drift, %", "turned, °", "ms", "p95", "lost, %", "wrong, %")

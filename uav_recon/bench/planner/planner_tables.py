@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from rich import box
 from rich.console import Console
 from rich.table import Table
+
+from uav_recon.measurement.printed_table import narrow_table
 
 Result = dict[str, Any]
 
@@ -94,13 +95,4 @@ def _scale(sizes: list[Result]) -> Table:
                 f"{size['memory_mb']:.0f}" if n == 0 else "",
                 end_section=n == len(size["stages"]) - 1,
             )
-    return table
-
-
-def narrow_table(title: str, first: str, *columns: str) -> Table:
-    """Return an empty table that fits into eighty columns."""
-    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True)
-    table.add_column(first, no_wrap=True)
-    for column in columns:
-        table.add_column(column, justify="right", no_wrap=True)
     return table

@@ -19,11 +19,11 @@ from rich.progress import track
 
 from uav_recon.app import config_file, mission_factory
 from uav_recon.app.option_validation import UsageError, readable, require_writable_file
-from uav_recon.bench.planner.planner_tables import narrow_table
 from uav_recon.errors import UserError
 from uav_recon.mapping.keyframe_store import KeyframeError, KeyframeFolder
 from uav_recon.measurement import host_info, result_file
 from uav_recon.measurement.machine_calibration import calibrate
+from uav_recon.measurement.printed_table import narrow_table
 from uav_recon.measurement.stage_timing import Stopwatch, TimingSummary
 from uav_recon.planning.candidate_view import PlanningContext
 from uav_recon.planning.free_space.flyable_space import FlyableSpace
