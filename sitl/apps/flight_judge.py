@@ -73,7 +73,7 @@ class FlightTruth:
 
 
 def evaluate_flight(options: SimOptions, scene: Scene, wall_s: float, fault: str | None, console: Console) -> Report:
-    """Evaluate the flight in options.out against ground truth and write the report there."""
+    """Evaluate the flight in options.folder against ground truth and write the report there."""
     steps = StepDisplay(console)
     with steps.step("computing the surface that the camera can see (kept for the next flight in this scene)") as progress:
         cut = visible_truth(options, scene, progress)
@@ -82,32 +82,32 @@ def evaluate_flight(options: SimOptions, scene: Scene, wall_s: float, fault: str
         truth_from_odom = _model_alignment(options, report)
     with steps.step("evaluating coverage, and recall over time") as progress:
         report = add_truth_metrics(report, options, scene, cut, progress, truth_from_odom)
-    mesh = _aligned_mesh(load_mesh(options.out), truth_from_odom)
+    mesh = _aligned_mesh(load_mesh(options.folder), truth_from_odom)
     if mesh is not None and len(mesh.faces):
         with steps.step("rendering images of model and truth") as progress:
             psnr_db = metrics.psnr_db(*_held_out_pictures(mesh, scene, cut, progress))
         with steps.step("measuring the model against ground truth"):
             report = dataclasses.replace(report, quality=_quality(mesh, scene, cut, psnr_db))
     with steps.step("drawing the images of the report"):
-        publish(report, options.out)
+        publish(report, options.folder)
     return report
 
 
 def visible_truth(options: SimOptions, scene: Scene, progress: Progress = no_report) -> VisibleTruth:
     """Return what the camera of the options can see of the scene, from the cache or computed."""
-    camera: Model = "wide" if options.camera == "wide" else "d435i"  # `fast` sees what the d435i sees
+    camera: Model = "wide" if options.camera_model == "wide" else "d435i"  # `fast` sees what the d435i sees
     return load_visible_truth(scene, options.mount, camera, cache_folder(), progress)
 
 
 def flight_report(options: SimOptions, scene: Scene, wall_s: float, fault: str | None) -> Report:
-    """Return the product's report of the flight in options.out, with figures from ground truth.
+    """Return the product's report of the flight, with figures from ground truth.
 
     These are path, flight time, setpoint stream and safety. Quick.
     """
     card = FlightInfo(scene.name, options.variant, options.autopilot, options.mount, options.seed, options.depth_noise)
-    config = config_file.load_config(options.out / "config.toml")
-    report = with_unseen(build_report(options.out, card, wall_s), config, options.out)
-    truth = FlightTruth.load(options.out / "truth.npz")
+    config = config_file.load_config(options.folder / "config.toml")
+    report = with_unseen(build_report(options.folder, card, wall_s), config, options.folder)
+    truth = FlightTruth.load(options.folder / "truth.npz")
     if fault:
         report = dataclasses.replace(report, outcome=f"aborted: {fault}")
     if truth is None:
@@ -127,7 +127,7 @@ def add_truth_metrics(
     truth_from_odom: Pose | None = None,
 ) -> Report:  # fmt: skip
     """Add the explored fraction of the truth, and the recall of its surface over time."""
-    voxels, curve = load_map(options.out), recall_over_time(options.out, cut, progress, truth_from_odom)
+    voxels, curve = load_map(options.folder), recall_over_time(options.folder, cut, progress, truth_from_odom)
     return dataclasses.replace(
         report,
         explored_fraction=None if voxels is None else _explored_fraction(voxels, scene, cut, truth_from_odom),
@@ -139,7 +139,7 @@ def add_truth_metrics(
 
 def _alignment(options: SimOptions, truth: FlightTruth) -> OdometryAlignment | None:
     """Return the alignment of the odometry in flight with the true path."""
-    stamp_s, position_m = read_timeline(options.out).path_world()
+    stamp_s, position_m = read_timeline(options.folder).path_world()
     flown = truth.stamp_s[truth.armed]
     if not len(flown):
         return None
@@ -162,7 +162,7 @@ def _odometry(options: SimOptions, truth: FlightTruth) -> ReportOdometry | None:
 
 def _model_alignment(options: SimOptions, report: Report) -> Pose | None:
     """Return truth_from_odom for a model that has to be aligned, None for one that has not."""
-    truth = FlightTruth.load(options.out / "truth.npz")
+    truth = FlightTruth.load(options.folder / "truth.npz")
     if truth is None or report.odometry is None or not report.odometry.model_aligned:
         return None
     found = _alignment(options, truth)

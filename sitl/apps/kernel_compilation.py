@@ -17,6 +17,7 @@ import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
+from sitl.apps.flight_config import flight_config
 from sitl.apps.sim_options import SimOptions
 from sitl.camera import d435i, depth_surfels
 from sitl.scene.scene import Scene, load_scene
@@ -127,8 +128,8 @@ def toy_config(folder: Path) -> Path:
 
     It is the config of a flight with default options.
     """
-    options, path = SimOptions.parse(out=folder), folder / "config.toml"
-    product_config.save(options.config(_toy_scene(), folder), path)
+    options, path = SimOptions(out=folder), folder / "config.toml"
+    product_config.save(flight_config(options, _toy_scene(), folder), path)
     return path
 
 

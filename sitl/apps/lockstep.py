@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
 from rich.console import Console
 
 from sitl.apps.direct_channels import direct_channels
+from sitl.apps.flight_config import world_options
 from sitl.apps.memory_tlog import MemoryTlog
 from sitl.apps.progress_display import ProgressDisplay
 from sitl.apps.sim_options import SimOptions
@@ -183,12 +184,12 @@ class LockstepFlight:
     def __init__(self, options: SimOptions, config: Config, scene: Scene, hook: LockstepHook, timelapse: bool) -> None:
         quick = options.mapper == "depth-only"
         self._config = config
-        self._folder = options.out
+        self._folder = options.folder
         self._hook = hook
         self._clock = ManualClock(START_S)
         self._pace, self.channels = (COARSE_STEPS, direct_channels()) if quick else (FINE_STEPS, memory_channels())
         ours, theirs = pipe()
-        self._world = make_world(options.world(config.runtime.folder), scene, theirs, self._clock.now_s, self._pace)
+        self._world = make_world(world_options(options, config.runtime.folder), scene, theirs, self._clock.now_s, self._pace)
         hook.enter(self._world, self.channels, START_S)
         mission_factory.warm_up(config)
         self._mapper = _mapper(options, config)
@@ -284,7 +285,7 @@ def fly_in_lockstep(
     options: SimOptions, config: Config, scene: Scene, console: Console, land: Callable[[], bool], timelapse: bool = True,
     meddler: LockstepHook = NO_HOOK,
 ) -> LockstepResult:  # fmt: skip
-    """Run a flight in lockstep and write its results to options.out.
+    """Run a flight in lockstep and write its results to options.folder.
 
     land: returns True if the operator wants to land now. timelapse: store states of the surface, from which recall over
     time is computed. The last argument is the hook of this flight.
@@ -322,7 +323,7 @@ def interrupts() -> Iterator[Callable[[], bool]]:
 
 def _mapper(options: SimOptions, config: Config) -> Mapper:
     """Return the mapper of the options, with its kernels compiled."""
-    return {"neural": _neural, "depth-only": _depth_only}[options.mapper](config, options.out)
+    return {"neural": _neural, "depth-only": _depth_only}[options.mapper](config, options.folder)
 
 
 def _neural(config: Config, folder: Path) -> Mapper:

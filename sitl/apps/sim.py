@@ -13,6 +13,15 @@ from pathlib import Path
 
 from rich.console import Console
 
+from sitl.apps.flight_config import fitted_mount, flight_config, world_options
+from sitl.apps.flight_folder import (
+    check_calibration,
+    check_folder,
+    check_program,
+    dated_folder,
+    make_folder,
+    make_own_folder,
+)
 from sitl.apps.kernel_compilation import compile_and_load, flight_jobs
 from sitl.apps.sim_options import AUTO, SimOptions
 from sitl.apps.sim_processes import SimProcesses
@@ -23,8 +32,6 @@ from uav_recon.app.option_validation import require_writable_file
 from uav_recon.config import Config
 from uav_recon.errors import EXIT_USAGE, UserError
 from uav_recon.measurement import result_file
-
-__all__ = ["SimOptions", "simulate"]
 
 WORLD_OPTIONS = "world.json"  # in the runtime folder
 
@@ -42,37 +49,57 @@ class FlownFlight:
     times_real: float | None
 
 
-def simulate(options: SimOptions, json: Path | None = None) -> int:
+def simulate(options: SimOptions) -> int:
     """Run one flight and return the exit code.
 
-    json: file for the report with its result header. Raises UserError with one line for anything that a user can correct.
+    Raises UserError with one line for anything that a user can correct.
     """
-    require_writable_file("--json", json)
     console = Console(stderr=False)
-    options.check_folder()
-    try:
-        require_scene(options.scene)
-    except SceneError as error:
-        raise UserError(str(error), EXIT_USAGE) from None
-    if not options.lockstep:
-        _claim_port(options.port)
-    options = _with_mount(options, console).with_own_folder()
+    dated = options.out is None
+    if dated:
+        options = replace(options, out=dated_folder(options.scene))
+    _check_files(options)
+    options = _with_mount(options, console)
+    if dated:
+        options = replace(options, out=make_own_folder(options.folder))
     if same := _same_variant(options):
         console.print(same, markup=False, highlight=False)
     try:
         with tempfile.TemporaryDirectory(prefix="uav_recon-") as runtime:
             flight = (_fly_in_lockstep if options.lockstep else _fly_in_real_time)(options, Path(runtime), console)
     finally:
-        if options.dated:
+        if dated:
             with suppress(OSError):  # only an empty one: the flight did not begin
-                options.out.rmdir()
+                options.folder.rmdir()
+    return _conclude(options, flight, console)
+
+
+def _check_files(options: SimOptions) -> None:
+    """Check files, folder, scene and port before anything is loaded. Raises UserError."""
+    check_calibration(options.calibration)
+    check_program(options.firmware)
+    require_writable_file("--json", options.json)
+    check_folder(options.folder)
+    try:
+        require_scene(options.scene)
+    except SceneError as error:
+        raise UserError(str(error), EXIT_USAGE) from None
+    if not options.lockstep:
+        _claim_port(options.port)
+
+
+def _conclude(options: SimOptions, flight: FlownFlight, console: Console) -> int:
+    """Evaluate the flight, print and write the result, and return the exit code.
+
+    Raises UserError for the fault of the flight.
+    """
     from sitl.apps.flight_judge import evaluate_flight, summary
 
     report = evaluate_flight(options, flight.scene, flight.wall_s, flight.fault, console)
-    console.print(summary(report, options.out), markup=False, highlight=False, soft_wrap=True)
-    if json is not None:
+    console.print(summary(report, options.folder), markup=False, highlight=False, soft_wrap=True)
+    if options.json is not None:
         result = {"completed": report.completed, "times_real": flight.times_real, "report": report}
-        result_file.save(json, result)
+        result_file.save(options.json, result)
     if flight.times_real is not None:
         console.print(f"lockstep flight at {flight.times_real:.1f} times real time")
     if flight.fault:
@@ -84,9 +111,8 @@ def _with_mount(options: SimOptions, console: Console) -> SimOptions:
     """Return the options with a mount; if none was given, print which fits the room."""
     if options.mount != AUTO:
         return options
-    quick = replace(options, mapper="depth-only", camera="fast")  # the size of the room needs no texture
-    scene = compile_and_load(_jobs(options), console, lambda: _scene(quick))
-    fitted = options.with_mount_for(scene)
+    scene = compile_and_load(_jobs(options), console, lambda: _scene(options, textured=False))  # its size needs no texture
+    fitted = replace(options, mount=fitted_mount(options, scene))
     size = " x ".join(f"{length:.1f}" for length in scene.fence_max - scene.fence_min)
     console.print(f"mount {fitted.mount}, for a fence of {size} m", markup=False, highlight=False)
     return fitted
@@ -94,7 +120,7 @@ def _with_mount(options: SimOptions, console: Console) -> SimOptions:
 
 def _same_variant(options: SimOptions) -> str:
     """Return a line if the variant equals another one with this mount, else ''."""
-    equal = options.variant == "explore-yaw" and options.mount_pitch_down_deg is not None
+    equal = options.variant == "explore-yaw" and options.mount != "gimbal"
     return "variant explore-yaw equals explore: a fixed mount has no pitch to choose" if equal else ""
 
 
@@ -102,8 +128,8 @@ def _fly_in_lockstep(options: SimOptions, runtime: Path, console: Console) -> Fl
     from sitl.apps.lockstep import fly_in_lockstep, interrupts
 
     _need_open3d()
-    scene = compile_and_load(_jobs(options), console, lambda: _scene(options))
-    options.make_folder()
+    scene = compile_and_load(_jobs(options), console, lambda: _scene(options, options.textured))
+    make_folder(options.folder)
     started_s, config = time.monotonic(), _save_config(options, scene, runtime)
     with interrupts() as land:
         flown = fly_in_lockstep(options, config, scene, console, land)
@@ -115,18 +141,18 @@ def _fly_in_real_time(options: SimOptions, runtime: Path, console: Console) -> F
 
     If no kernel must be compiled, the simulator loads the scene while this process does.
     """
-    begun_s, jobs, logs = time.monotonic(), _jobs(options), options.out / "logs"
-    options.world(runtime).save(runtime / WORLD_OPTIONS)
+    begun_s, jobs, logs = time.monotonic(), _jobs(options), options.folder / "logs"
+    world_options(options, runtime).save(runtime / WORLD_OPTIONS)
     with SimProcesses(_commands(options, runtime), logs, runtime, console, begun_s) as processes:
         if are_compiled(jobs):
-            options.make_folder()
+            make_folder(options.folder)
             processes.start("world")
         try:
-            scene = compile_and_load(jobs, console, lambda: _scene(options))
+            scene = compile_and_load(jobs, console, lambda: _scene(options, options.textured))
         except (UserError, KeyboardInterrupt):
             _remove(logs)
             raise
-        options.make_folder()
+        make_folder(options.folder)
         started_s = time.monotonic()
         _save_config(options, scene, runtime)
         fault = processes.fly(_need_open3d)
@@ -138,8 +164,8 @@ def _jobs(options: SimOptions) -> list[KernelJob]:
 
 
 def _save_config(options: SimOptions, scene: Scene, runtime: Path) -> Config:
-    config = options.config(scene, runtime)
-    product_config.save(config, options.out / "config.toml")
+    config = flight_config(options, scene, runtime)
+    product_config.save(config, options.folder / "config.toml")
     return config
 
 
@@ -150,9 +176,9 @@ def _remove(logs: Path) -> None:
         logs.parent.rmdir()
 
 
-def _scene(options: SimOptions) -> Scene:
+def _scene(options: SimOptions, textured: bool) -> Scene:
     try:
-        return load_scene(options.scene, options.start, options.fence, options.radius_m, fine=options.textured)
+        return load_scene(options.scene, options.start_pose, options.fence_corners, options.radius_m, fine=textured)
     except SceneError as error:
         raise UserError(str(error), EXIT_USAGE) from None
 
@@ -177,7 +203,7 @@ def _claim_port(port: int) -> None:
 
 def _commands(options: SimOptions, runtime: Path) -> dict[str, list[str]]:
     """Return the command lines of simulator and unmodified product, in the order of their start."""
-    flight, config = ["--flight", str(options.out)], ["--config", str(options.out / "config.toml")]
+    flight, config = ["--flight", str(options.folder)], ["--config", str(options.folder / "config.toml")]
     product = [sys.executable, "-m", "uav_recon"]
     return {
         "world": [sys.executable, "-m", "sitl.apps.world_process", str(runtime / WORLD_OPTIONS)],

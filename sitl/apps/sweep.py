@@ -8,7 +8,6 @@ import json
 from collections.abc import Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -16,124 +15,39 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from sitl.apps.kernel_compilation import compile_ahead, flight_jobs
-from sitl.apps.sim_options import (
-    AUTO,
-    AUTOPILOTS,
-    CAMERAS,
-    POSES,
-    RADII_M,
-    VARIANTS,
-    UsageError,
-    camera_error_scale,
-    check_jobs,
-    check_range_up,
-)
+from sitl.apps.sim_options import camera_error_scale
 from sitl.apps.sweep_case import Case, Record, fly_case, one_thread
+from sitl.apps.sweep_options import BUILT_IN, SweepOptions
 from sitl.runtime.worker_pool import worker_pool
 from sitl.scene.generated_rooms import KINDS
-from sitl.scene.scene import GENERATED, is_generated
+from sitl.scene.scene import is_generated
 from uav_recon import json_codec
-from uav_recon.app.option_validation import mount_pitch_deg, readable, require_writable_file
+from uav_recon.app.option_validation import require_writable_file
 from uav_recon.errors import EXIT_USAGE, UserError
 from uav_recon.measurement import host_info, result_file
 from uav_recon.measurement.machine_calibration import Calibration, calibrate
 from uav_recon.measurement.result_file import result_header
 
-RANDOM = "random"  # name of a scene: a new flat for each seed; so does every other of KINDS
-BUILT_IN = "built-in"  # name of a scene: the room of `sim`
-BOTH = "both"
 BAD_SHOWN = 20
 MEDIANS = ("flight_s", "path_m", "views", "explored", "recall", "recall_90_s", "times_real")
 
 
-@dataclass(frozen=True)
-class SweepOptions:
-    """The validated options.
+def cases(options: SweepOptions) -> Iterator[Case]:
+    """Yield all flights, in order.
 
-    Flights iterate over scenes, then radii, variants, mounts and autopilots, and start again with the next seed.
+    They iterate over scenes, then radii, variants, mounts and autopilots, and start again with the next seed.
     """
-
-    flights: int
-    seed0: int
-    scenes: tuple[str, ...]
-    radii_m: tuple[float, ...]
-    variants: tuple[str, ...]
-    mounts: tuple[str, ...]
-    autopilots: tuple[str, ...]
-    pose: str
-    camera: str
-    views: int | None
-    jobs: int
-    json: Path | None
-    truth: bool
-    camera_errors: float
-    range_up_deg: float | None = None
-
-    @staticmethod
-    def parse(
-        *, flights: int = 500, seed0: int = 0, scenes: str = RANDOM, radii: str = "0.20", variants: str = "adaptive",
-        mount: str = "fixed:15", autopilot: str = "px4", pose: str = "stream", camera: str = "fast",
-        views: int | None = None, jobs: int = 2, json: Path | None = None, truth: bool = False,
-        camera_errors: str | None = None, range_up: float | None = None,
-    ) -> SweepOptions:  # fmt: skip
-        """Validate the options of the command line. Raises UsageError with one line."""
-        try:
-            sizes = tuple(float(word) for word in radii.split(","))
-        except ValueError:
-            raise UsageError(f"--radii {radii}: want numbers in metres, separated by commas") from None
-        if not all(RADII_M[0] <= size <= RADII_M[1] for size in sizes):
-            raise UsageError(f"--radii {radii}: want {RADII_M[0]} to {RADII_M[1]} metres")
-        names, mounts = tuple(variants.split(",")), tuple(mount.split(","))
-        if not set(names) <= set(VARIANTS):
-            raise UsageError(f"--variants {variants}: want some of {', '.join(VARIANTS)}")
-        for name, value, allowed in (
-            ("camera", camera, CAMERAS), ("pose", pose, POSES), ("autopilot", autopilot, (*AUTOPILOTS, BOTH)),
-        ):  # fmt: skip
-            if value not in allowed:
-                raise UsageError(f"--{name} {value}: want one of {', '.join(allowed)}")
-        for word in mounts:
-            if word != AUTO:
-                mount_pitch_deg(word)
-        autopilots = AUTOPILOTS if autopilot == BOTH else (autopilot,)
-        errors = camera_error_scale(camera_errors)
-        check_range_up(range_up)
-        words, jobs = tuple(scenes.split(",")), check_jobs(jobs)
-        for word in words:
-            _check_scene(word)
-        return SweepOptions(
-            flights, seed0, words, sizes, names, mounts, autopilots, pose, camera, views, jobs, json, truth, errors, range_up
-        )
-
-    def cases(self) -> Iterator[Case]:
-        """Yield all flights, in order."""
-        round_of = list(itertools.product(self.autopilots, self.mounts, self.variants, self.radii_m, self.scenes))
-        for number in range(self.flights):
-            seed, place = self.seed0 + number // len(round_of), round_of[number % len(round_of)]
-            autopilot, mount, variant, radius_m, word = place
-            scene = f"{word}:{seed}" if word in KINDS else None if word == BUILT_IN else word
-            yield Case(
-                scene,
-                seed,
-                radius_m,
-                variant,
-                mount,
-                self.camera,
-                self.views,
-                autopilot,
-                self.camera_errors,
-                self.pose,
-                self.range_up_deg,
-            )
-
-
-def _check_scene(word: str) -> None:
-    """Check the name of a scene. Raises UsageError if there is none of that name."""
-    with readable(f"--scenes {word}"):
-        there = Path(word).exists()
-    seed = word.partition(":")[2] if is_generated(word) else ""
-    if not (word in (*KINDS, BUILT_IN) or seed.isdecimal() or (word and there)):
-        names = ", ".join((*KINDS, GENERATED, BUILT_IN))
-        raise UsageError(f"--scenes {word}: no such scene; want {names}, a folder or a mesh file")
+    round_of = list(
+        itertools.product(options.autopilots, options.mounts, options.variant_names, options.radii_m, options.scene_names)
+    )
+    for number in range(options.flights):
+        seed, place = options.seed0 + number // len(round_of), round_of[number % len(round_of)]
+        autopilot, mount, variant, radius_m, name = place
+        scene = f"{name}:{seed}" if name in KINDS else None if name == BUILT_IN else name
+        yield Case(
+            scene, seed, radius_m, variant, mount, options.camera, options.views, autopilot,
+            camera_error_scale(options.camera_errors), options.pose, options.range_up_deg,
+        )  # fmt: skip
 
 
 def sweep(options: SweepOptions) -> int:
@@ -145,8 +59,8 @@ def sweep(options: SweepOptions) -> int:
     require_writable_file("--json", options.json)
     records = _load(options.json)
     known = {record.case for record in records}
-    todo = [case for case in options.cases() if case not in known]
-    compile_ahead(flight_jobs(options.variants, neural=False), console)
+    todo = [case for case in cases(options) if case not in known]
+    compile_ahead(flight_jobs(options.variant_names, neural=False), console)
     columns = (TextColumn("flights"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
         task = progress.add_task("", total=len(todo))
@@ -157,7 +71,7 @@ def sweep(options: SweepOptions) -> int:
             _save(options.json, records, calibration)
             progress.console.print(_line(record), markup=False, highlight=False, soft_wrap=True)
             progress.advance(task)
-    wanted = set(options.cases())
+    wanted = set(cases(options))
     records = [record for record in records if record.case in wanted]
     return _conclude(records, console)
 

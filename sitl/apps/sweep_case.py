@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import tempfile
 import traceback
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 ONE_THREAD = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
@@ -97,22 +97,24 @@ def fly_case(case: Case, truth: bool) -> Record:
 def _fly(case: Case, folder: Path, truth: bool) -> Record:
     from rich.console import Console
 
+    from sitl.apps.flight_config import fitted_mount, flight_config
+    from sitl.apps.flight_folder import make_folder
     from sitl.apps.flight_judge import add_truth_metrics, flight_report, visible_truth
     from sitl.apps.lockstep import fly_in_lockstep
     from sitl.apps.sim_options import SimOptions
     from sitl.scene.scene import load_scene
     from uav_recon import config as product_config
 
-    options = SimOptions.parse(
-        scene=case.scene, seed=case.seed, radius=case.radius_m, variant=case.variant, mount=case.mount, camera=case.camera,
+    options = SimOptions(
+        scene=case.scene, seed=case.seed, radius_m=case.radius_m, variant=case.variant, mount=case.mount, camera=case.camera,
         views=case.views, autopilot=case.autopilot, mapper="depth-only", lockstep=True, out=folder / "flight",
-        camera_errors=str(case.camera_errors), pose=case.pose, range_up=case.range_up_deg,
+        camera_errors=str(case.camera_errors), pose=case.pose, range_up_deg=case.range_up_deg,
     )  # fmt: skip
-    scene = load_scene(options.scene, options.start, options.fence, options.radius_m, fine=options.textured)
-    options = options.with_mount_for(scene)
-    options.make_folder()
-    config = options.config(scene, folder)
-    product_config.save(config, options.out / "config.toml")
+    scene = load_scene(options.scene, None, None, options.radius_m, fine=options.textured)
+    options = replace(options, mount=fitted_mount(options, scene))
+    make_folder(options.folder)
+    config = flight_config(options, scene, folder)
+    product_config.save(config, options.folder / "config.toml")
     flight = fly_in_lockstep(options, config, scene, Console(quiet=True), lambda: False, timelapse=truth)
     report = flight_report(options, scene, flight.wall_s, flight.fault)
     if truth:

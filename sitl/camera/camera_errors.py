@@ -20,10 +20,6 @@ import numpy as np
 from sitl.geometry.quaternion import Vec3
 
 FILE_NAME = "camera_errors.json"  # in the flight folder
-DEFAULT = "default"  # errors of a flight without --camera-errors
-WORDS = {"none": 0.0, "default": 1.0}
-DEFAULT_SCALE = WORDS[DEFAULT]
-MAX_SCALE = 2.0
 NO_ERROR: Vec3 = (0.0, 0.0, 0.0)
 
 # half widths of uniform intervals
@@ -224,21 +220,6 @@ class _Draw:
 
     def vector(self, half_width: float) -> Vec3:
         return (self.within(half_width), self.within(half_width), self.within(half_width))
-
-
-def scale_of(text: str | None) -> float:
-    """Return the scale of `--camera-errors`; None is the option left out.
-
-    Raises ValueError with what is wanted.
-    """
-    word = DEFAULT if text is None else text
-    try:
-        scale = WORDS[word] if word in WORDS else float(word)
-    except ValueError:
-        scale = math.nan
-    if not 0.0 <= scale <= MAX_SCALE:
-        raise ValueError(f"want {', '.join(WORDS)} or a factor of 0 to {MAX_SCALE:g}")
-    return scale
 
 
 def _tuples(tree: dict[str, Any]) -> dict[str, Any]:

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from sitl.apps.sim import SimOptions, simulate
+from sitl.apps.sim import simulate
+from sitl.apps.sim_options import SimOptions
 from uav_recon.recording.report import Report
 from uav_recon.types.frames import FloatArray
 
@@ -39,7 +40,9 @@ def blind_and_fast_m(folder: Path) -> tuple[float, float]:
 
 
 def fly(folder: Path, blind_speed: float) -> Report:
-    options = SimOptions.parse(views=VIEWS, seed=1, lockstep=True, mapper="depth-only", out=folder, blind_speed=blind_speed)
+    options = SimOptions(
+        views=VIEWS, seed=1, lockstep=True, mount="fixed:15", mapper="depth-only", out=folder, blind_speed_mps=blind_speed
+    )
     assert simulate(options) == 0
     return Report.load(folder / "report.json")
 

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sitl.apps.sim import SimOptions, simulate
+from sitl.apps.sim import simulate
+from sitl.apps.sim_options import SimOptions
 from sitl.camera.camera_errors import FILE_NAME, CameraErrors
 from uav_recon import config
 from uav_recon.recording.flight_log import read_timeline
@@ -31,7 +32,7 @@ class Flight:
 
 
 def fly(folder: Path, seed: int) -> Flight:
-    assert simulate(SimOptions.parse(views=VIEWS, seed=seed, lockstep=True, out=folder)) == 0
+    assert simulate(SimOptions(views=VIEWS, seed=seed, lockstep=True, mount="fixed:15", out=folder)) == 0
     with np.load(folder / "truth.npz") as truth:
         return Flight(folder, Report.load(folder / "report.json"), {name: truth[name] for name in truth.files})
 
@@ -111,8 +112,15 @@ def quick_flights(tmp_path_factory: pytest.TempPathFactory) -> list[Flight]:
     flights = []
     for seed in (3, 3, 4):
         folder = tmp_path_factory.mktemp("quick") / "f"
-        options = SimOptions.parse(
-            scene="random:7", views=VIEWS, seed=seed, radius=0.15, mapper="depth-only", lockstep=True, out=folder
+        options = SimOptions(
+            scene="random:7",
+            views=VIEWS,
+            seed=seed,
+            radius_m=0.15,
+            mapper="depth-only",
+            lockstep=True,
+            mount="fixed:15",
+            out=folder,
         )
         assert simulate(options) == 0
         with np.load(folder / "truth.npz") as truth:
@@ -153,20 +161,28 @@ def test_flights_with_camera_errors_repeat_byte_for_byte_and_keep_the_errors(tmp
     flown = []
     for name, scale in (("first", "default"), ("again", "default"), ("exact", "none")):
         folder = tmp_path / name
-        options = SimOptions.parse(
-            views=6, seed=3, mapper="depth-only", camera="small", lockstep=True, out=folder, camera_errors=scale
+        options = SimOptions(
+            views=6,
+            seed=3,
+            mapper="depth-only",
+            camera="small",
+            lockstep=True,
+            mount="fixed:15",
+            out=folder,
+            camera_errors=scale,
         )
         simulate(options)
         flown.append((folder / "flight.tlog").read_bytes())
-        assert CameraErrors.load(folder / FILE_NAME) == CameraErrors.drawn(3, options.camera_errors)
+        assert CameraErrors.load(folder / FILE_NAME) == CameraErrors.drawn(3, options.camera_error_scale)
     assert flown[0] == flown[1] != flown[2]
 
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
 def test_a_mission_by_the_autopilots_own_navigation_is_completed(tmp_path: Path, autopilot: str) -> None:
-    options = SimOptions.parse(
-        scene="random:7", views=VIEWS, seed=3, radius=0.15, mapper="depth-only", lockstep=True, out=tmp_path / "f",
+    options = SimOptions(
+        scene="random:7", views=VIEWS, seed=3, radius_m=0.15, mapper="depth-only", lockstep=True, mount="fixed:15",
+        out=tmp_path / "f",
         autopilot=autopilot, pose="autopilot",
     )  # fmt: skip
     assert simulate(options) == 0

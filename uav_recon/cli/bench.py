@@ -7,11 +7,12 @@ from typing import Annotated
 
 import typer
 
+from sitl.apps import sim_options
 from uav_recon.cli import choices
+from uav_recon.cli.command_options import CameraErrorsOption
 from uav_recon.cli.commands import add, new_group
 from uav_recon.cli.exit_codes import exit_with
 from uav_recon.cli.services import FlightArgument
-from uav_recon.cli.simulate import CameraErrorsOption
 
 JsonOption = Annotated[
     Path | None, typer.Option("--json", metavar="FILE", readable=False, help="Write all measured values to FILE.")
@@ -33,14 +34,14 @@ BenchCameraOption = Annotated[
 DepthNoiseOption = Annotated[
     str,
     typer.Option(
-        metavar=choices.listed(choices.DEPTH_NOISES), autocompletion=choices.one_of(choices.DEPTH_NOISES),
+        metavar=choices.listed(sim_options.NOISES), autocompletion=choices.one_of(sim_options.NOISES),
         help="Noise model of the depth images.",
     ),
 ]  # fmt: skip
 MountOption = Annotated[
     str,
     typer.Option(
-        metavar="fixed:DEG|gimbal", autocompletion=choices.one_of(choices.MOUNTS),
+        metavar="fixed:DEG|gimbal", autocompletion=choices.one_of(sim_options.MOUNTS),
         help="Camera mount. With a gimbal the views have random tilts.",
     ),
 ]  # fmt: skip
@@ -249,7 +250,7 @@ def bench_slam(
     mount: Annotated[
         str,
         typer.Option(
-            metavar=choices.listed(choices.MOUNTS), autocompletion=choices.one_of(choices.MOUNTS), help="Camera mount."
+            metavar=choices.listed(sim_options.MOUNTS), autocompletion=choices.one_of(sim_options.MOUNTS), help="Camera mount."
         ),
     ] = "fixed:15",
     fault: Annotated[

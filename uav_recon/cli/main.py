@@ -9,10 +9,14 @@ from typing import Annotated
 
 import typer
 
+from sitl.apps.sim_options import SimOptions
+from sitl.apps.sweep_options import SweepOptions
+from sitl.faults.flights.fault_options import FaultOptions
 from uav_recon.app.kernel_cache import use_writable_cache
 from uav_recon.cli import faults, operator, recordings, services, simulate
 from uav_recon.cli.bench import bench
 from uav_recon.cli.check import check
+from uav_recon.cli.command_options import command_of
 from uav_recon.cli.commands import HELP_NAMES, Commands, add
 from uav_recon.cli.config import config
 from uav_recon.cli.exit_codes import end
@@ -53,9 +57,9 @@ def options(
     """Take the options of every command."""
 
 
-add(app, simulate.sim, "sim", FLY, simulate.SIM_EXAMPLES)
-add(app, faults.faults, "faults", FLY, faults.EXAMPLES)
-add(app, simulate.sweep, "sweep", FLY, simulate.SWEEP_EXAMPLES)
+add(app, command_of(SimOptions, simulate.sim), "sim", FLY, simulate.SIM_EXAMPLES)
+add(app, command_of(FaultOptions, faults.faults), "faults", FLY, faults.EXAMPLES)
+add(app, command_of(SweepOptions, simulate.sweep), "sweep", FLY, simulate.SWEEP_EXAMPLES)
 add(app, simulate.compile_kernels, "compile", FLY)
 add(app, services.review, "review", REVIEW, services.REVIEW_EXAMPLES)
 add(app, recordings.replay, "replay", REVIEW, recordings.REPLAY_EXAMPLES)

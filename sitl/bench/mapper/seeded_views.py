@@ -92,15 +92,16 @@ def load(options: SceneOptions, say: Callable[[str], None] = lambda _: None) -> 
     Takes half a minute; the visible ground truth is cached. say(what) is called at each step.
     """
     from sitl.apps import scene_captures as outside
+    from sitl.apps.flight_config import NOISE_PX, mount_pitch_down_deg
     from sitl.apps.flight_judge import visible_truth
-    from sitl.apps.sim_options import NOISE_PX, SimOptions
+    from sitl.apps.sim_options import SimOptions
     from sitl.camera.camera_errors import CameraErrors
     from sitl.scene.mesh_sampling import area_weighted_samples
     from sitl.scene.scene import SceneError, load_scene
 
     if options.camera not in CAMERAS:
         raise UsageError(f"--camera {options.camera}: want one of {', '.join(CAMERAS)}")
-    wanted = SimOptions.parse(
+    wanted = SimOptions(
         scene=options.scene,
         seed=options.seed,
         mount=options.mount,
@@ -114,12 +115,12 @@ def load(options: SceneOptions, say: Callable[[str], None] = lambda _: None) -> 
         raise UsageError(str(error)) from None
     say("cutting truth to what the vehicle could see")
     cut = visible_truth(wanted, scene)
-    pitch_deg = wanted.mount_pitch_down_deg
+    pitch_deg = mount_pitch_down_deg(wanted.mount)
     say(f"taking {options.views} views")
     taken = outside.capture(
         scene, cut.positions, None if pitch_deg is None else float(np.deg2rad(pitch_deg)),
         cast("Model", options.camera), cast("Noise", options.depth_noise), options.views, options.seed,
-        CameraErrors.drawn(options.seed, wanted.camera_errors, gimbal=pitch_deg is None),
+        CameraErrors.drawn(options.seed, wanted.camera_error_scale, gimbal=pitch_deg is None),
     )  # fmt: skip
     say("finding what they saw")
     samples, normals = area_weighted_samples(scene.vertices, scene.faces, TRUTH_POINTS, TRUTH_SEED)

@@ -14,24 +14,24 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+from sitl.apps.flight_folder import check_program
 from sitl.apps.kernel_compilation import compile_ahead, flight_jobs
-from sitl.apps.sim_options import AUTOPILOTS, UsageError, camera_error_scale, check_jobs, check_program
+from sitl.apps.sim_options import camera_error_scale
 from sitl.apps.sweep_case import one_thread
-from sitl.camera.camera_errors import DEFAULT_SCALE
 from sitl.faults.flights.fault_flight import FaultCase, FaultRecord, Stage, fly
+from sitl.faults.flights.fault_options import FaultOptions
 from sitl.faults.injectors.base import Capabilities
 from sitl.faults.report.campaign_page import write_page
 from sitl.faults.report.scenario_result import Result, result_of
 from sitl.faults.table.all_scenarios import NAMED, PAIRS, SCENARIOS, TABLE
 from sitl.faults.table.scenario import Scenario
 from sitl.runtime.worker_pool import worker_pool
-from uav_recon.app.option_validation import readable, require_writable_file, require_writable_folder
+from uav_recon.app.option_validation import UsageError, readable, require_writable_file, require_writable_folder
 from uav_recon.errors import UserError
 from uav_recon.measurement import result_file
 from uav_recon.measurement.machine_calibration import Calibration, calibrate
 from uav_recon.measurement.result_file import result_header
 
-BOTH = "both"
 FIRMWARE_OFFERS = {
     "px4": Capabilities.PROCESSES | Capabilities.SERIAL_LINE,
     "ardupilot": Capabilities.PROCESSES | Capabilities.SERIAL_LINE | Capabilities.RC_TRANSMITTER,
@@ -39,58 +39,38 @@ FIRMWARE_OFFERS = {
 
 
 @dataclass(frozen=True)
-class FaultOptions:
-    """Options of a campaign.
+class Campaign:
+    """The flights of the options.
 
     scenarios: in the order of the table. They are flown for each autopilot with seeds seed0, seed0 + 1, ...
-    live: in real time.
-    firmware: a real firmware in place of the simulated autopilot, always in real time.
-    camera_errors: the factor of `sim --camera-errors`.
     """
 
+    options: FaultOptions
     scenarios: tuple[Scenario, ...]
-    autopilots: tuple[str, ...]
-    seeds: int
-    jobs: int
-    json: Path | None
-    out: Path | None
-    live: bool = False
-    firmware: Path | None = None
-    seed0: int = 0
-    camera_errors: float = DEFAULT_SCALE
 
     @staticmethod
-    def parse(
-        *, only: str | None = None, autopilot: str = BOTH, seeds: int = 3, jobs: int = 2, json: Path | None = None,
-        out: Path | None = None, live: bool = False, firmware: Path | None = None, seed0: int = 0,
-        camera_errors: str | None = None,
-    ) -> FaultOptions:  # fmt: skip
-        """Check the options of the command line. Raises UsageError with one line."""
-        if autopilot not in (*AUTOPILOTS, BOTH):
-            raise UsageError(f"--autopilot {autopilot}: want one of {', '.join((*AUTOPILOTS, BOTH))}")
-        if firmware is not None:
-            check_program(firmware)
-            if autopilot == BOTH:
-                raise UsageError(f"--autopilot {BOTH}: with --firmware want {' or '.join(AUTOPILOTS)}, the firmware's kind")
-        autopilots, can_fly = AUTOPILOTS if autopilot == BOTH else (autopilot,), _can_fly(autopilot, live, firmware)
-        wanted = TABLE if only is None else scenarios_named(only)
-        scenarios = tuple(scenario for scenario in wanted if can_fly(scenario) or not (live or firmware))
+    def of(options: FaultOptions) -> Campaign:
+        """Find the scenarios and check the firmware. Raises UsageError with one line."""
+        check_program(options.firmware)
+        can_fly = _can_fly(options.autopilot, options.real_time, options.firmware)
+        wanted = TABLE if options.only is None else scenarios_named(options.only)
+        scenarios = tuple(scenario for scenario in wanted if can_fly(scenario) or not options.live)
         if not scenarios:
-            how = "in real time" if firmware is None else f"with a real {autopilot} firmware"
+            how = "in real time" if options.firmware is None else f"with a real {options.autopilot} firmware"
             names = ", ".join(scenario.id for scenario in TABLE if can_fly(scenario))
-            raise UsageError(f"--only {only}: cannot run {how}; want one of {names}")
-        one_by_one, errors = live or firmware is not None, camera_error_scale(camera_errors)
-        jobs = 1 if one_by_one else check_jobs(jobs)
-        return FaultOptions(scenarios, autopilots, seeds, jobs, json, out, one_by_one, firmware, seed0, errors)
+            raise UsageError(f"--only {options.only}: cannot run {how}; want one of {names}")
+        return Campaign(options, scenarios)
 
     def cases(self, scenario: Scenario, autopilot: str) -> list[FaultCase]:
         """Return the flights of a scenario; none for one that cannot be flown here."""
-        if not _can_fly(autopilot, self.live, self.firmware)(scenario):
+        options = self.options
+        if not _can_fly(autopilot, options.live, options.firmware)(scenario):
             return []
-        numbers = range(self.seed0, self.seed0 + (self.seeds if self.live else self.seeds * scenario.times))
-        folders = [None if self.out is None else self.out / f"{scenario.id}-{autopilot}-{number}" for number in numbers]
+        numbers = range(options.seed0, options.seed0 + (options.seeds if options.live else options.seeds * scenario.times))
+        folders = [None if options.out is None else options.out / f"{scenario.id}-{autopilot}-{number}" for number in numbers]
+        scale = camera_error_scale(options.camera_errors)
         return [
-            FaultCase(scenario.id, autopilot, number, folder, self.live, self.firmware, self.camera_errors)
+            FaultCase(scenario.id, autopilot, number, folder, options.live, options.firmware, scale)
             for number, folder in zip(numbers, folders, strict=True)
         ]
 
@@ -99,11 +79,12 @@ class FaultOptions:
 
         In real time each flight is a group of its own.
         """
-        cases = [case for autopilot in self.autopilots for one in self.scenarios for case in self.cases(one, autopilot)]
-        if self.live:
+        autopilots = self.options.autopilots
+        cases = [case for autopilot in autopilots for one in self.scenarios for case in self.cases(one, autopilot)]
+        if self.options.live:
             return [[case] for case in cases]
         groups: dict[Stage, list[FaultCase]] = {}
-        for case in sorted(cases, key=lambda case: (self.autopilots.index(case.autopilot), case.number)):
+        for case in sorted(cases, key=lambda case: (autopilots.index(case.autopilot), case.number)):
             groups.setdefault(case.stage, []).append(case)
         return list(groups.values())
 
@@ -130,7 +111,8 @@ def _can_fly(autopilot: str, live: bool, firmware: Path | None) -> Callable[[Sce
 def faults(options: FaultOptions) -> int:
     """Fly the scenarios; returns 1 if any failed, else 0. Raises UserError."""
     console, results = Console(), list[Result]()
-    groups = options.groups()
+    campaign = Campaign.of(options)
+    groups = campaign.groups()
     with readable(f"--out {options.out}"):
         taken = [case.out for group in groups for case in group if case.out is not None and case.out.exists()]
     if taken:
@@ -140,8 +122,8 @@ def faults(options: FaultOptions) -> int:
     compile_ahead(flight_jobs(neural=False), console)
     one_thread()
     calibration = calibrate()
-    with contextlib.closing(_fly_all(groups, options.jobs, console)) as records:
-        for result in _results(options, records):
+    with contextlib.closing(_fly_all(groups, 1 if options.live else options.jobs, console)) as records:
+        for result in _results(campaign, records):
             results.append(result)
             console.print(_line(result), markup=False, highlight=False, soft_wrap=True)
             _save(options, results, calibration)
@@ -152,7 +134,7 @@ def faults(options: FaultOptions) -> int:
     passed, skipped = len(flown) - len(bad), len(results) - len(flown)
     console.print(f"scenarios: {passed} passed, {len(bad)} failed, {skipped} not flown", highlight=False)
     if not flown:
-        raise UsageError(_why_nothing_was_flown(options.scenarios))
+        raise UsageError(_why_nothing_was_flown(campaign.scenarios))
     return 1 if bad else 0
 
 
@@ -195,21 +177,21 @@ def _fly_all(groups: list[list[FaultCase]], jobs: int, console: Console) -> Gene
                 yield record
 
 
-def _results(options: FaultOptions, records: Iterator[FaultRecord]) -> Iterator[Result]:
+def _results(campaign: Campaign, records: Iterator[FaultRecord]) -> Iterator[Result]:
     """Yield the result of each scenario and autopilot, in order.
 
     Each comes as soon as its flights and those of the earlier ones are over.
     """
     flown: dict[FaultCase, FaultRecord] = {}
-    for autopilot in options.autopilots:
-        for scenario in options.scenarios:
-            cases = options.cases(scenario, autopilot)
+    for autopilot in campaign.options.autopilots:
+        for scenario in campaign.scenarios:
+            cases = campaign.cases(scenario, autopilot)
             while not flown.keys() >= set(cases):
                 record = next(records)
                 flown[record.case] = record
             firmware = next((flown[case].firmware for case in cases if flown[case].firmware), "")
             how = cases[0].how if cases else ""
-            yield result_of(scenario, autopilot, [flown[case].verdict for case in cases], firmware, options.seed0, how)
+            yield result_of(scenario, autopilot, [flown[case].verdict for case in cases], firmware, campaign.options.seed0, how)
 
 
 def _missed(record: FaultRecord) -> str:

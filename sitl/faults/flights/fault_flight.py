@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from sitl.camera.camera_errors import DEFAULT_SCALE
+from sitl.camera.camera_error_scale import DEFAULT_SCALE
 from sitl.camera.d435i import Model
 from sitl.faults.fault import Fault
 from sitl.faults.fault_director import FaultDirector, never_split
@@ -27,6 +27,8 @@ from sitl.scene.scene import HULL_RADIUS_M
 
 if TYPE_CHECKING:
     from uav_recon.config import Config
+
+MOUNT = "fixed:15"  # camera mount of every scenario
 
 
 @dataclass(frozen=True)
@@ -188,16 +190,19 @@ def flight(
     """
     from rich.console import Console
 
+    from sitl.apps.flight_config import flight_config
+    from sitl.apps.flight_folder import make_folder
     from sitl.apps.lockstep import fly_in_lockstep
     from sitl.apps.sim_options import SimOptions
     from sitl.faults.flights.hostile_planner import hostile
     from uav_recon import config as product_config
 
-    options = SimOptions.parse(
+    options = SimOptions(
         seed=stage.number,
         views=stage.views,
         autopilot=stage.autopilot,
-        radius=stage.radius_m,
+        radius_m=stage.radius_m,
+        mount=MOUNT,
         variant=stage.variant,
         camera=stage.camera,
         mapper="depth-only",
@@ -207,9 +212,9 @@ def flight(
         pose=stage.poses,
     )
     scene = arena(stage.arena, options.radius_m, painted=stage.camera != "fast")
-    options.make_folder()
-    config = attended(options.config(scene, folder))
-    product_config.save(config, options.out / "config.toml")
+    make_folder(options.folder)
+    config = attended(flight_config(options, scene, folder))
+    product_config.save(config, options.folder / "config.toml")
     troubles = [
         Fault(
             scenario.id,
@@ -222,7 +227,7 @@ def flight(
     ]
     meddler = FaultDirector(troubles, stage.number, split=split)
     fly_in_lockstep(options, config, scene, Console(quiet=True), meddler.lands, timelapse=False, meddler=meddler)
-    return evidence_of(meddler, config, options.out / "truth.npz", options.radius_m)
+    return evidence_of(meddler, config, options.folder / "truth.npz", options.radius_m)
 
 
 def attended(config: Config) -> Config:
@@ -232,18 +237,20 @@ def attended(config: Config) -> Config:
 
 def flight_live(scenario: Scenario, case: FaultCase, folder: Path) -> FlightEvidence:
     """Fly a scenario in real time, with the neural mapper. Raises UserError."""
+    from sitl.apps.flight_folder import make_folder
     from sitl.apps.sim_options import SimOptions
     from sitl.faults.flights.fault_flight_real_time import flight_in_real_time, free_port
 
-    options = SimOptions.parse(
+    options = SimOptions(
         seed=case.number,
         views=scenario.views,
         autopilot=case.autopilot,
-        radius=scenario.radius_m(case.number),
+        radius_m=scenario.radius_m(case.number),
+        mount=MOUNT,
         variant=scenario.variant,
         port=free_port(),
         out=case.out or folder / "flight",
         camera_errors=str(case.camera_errors),
     )
-    options.make_folder()
+    make_folder(options.folder)
     return flight_in_real_time(scenario, options, folder, case.number, case.firmware)

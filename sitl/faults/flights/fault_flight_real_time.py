@@ -13,6 +13,7 @@ from pathlib import Path
 
 from rich.console import Console
 
+from sitl.apps.flight_config import flight_config, world_options
 from sitl.apps.sim_options import SimOptions
 from sitl.apps.sim_processes import SimProcesses
 from sitl.faults.flight_evidence import FlightEvidence
@@ -86,27 +87,27 @@ def flight_in_real_time(
 
     options: its folder exists. firmware: a real firmware in place of the simulated autopilot. Raises UserError.
     """
-    config, line = options.config(arena(scenario.arena, options.radius_m), runtime), None
+    config, line = flight_config(options, arena(scenario.arena, options.radius_m), runtime), None
     if Capabilities.SERIAL_LINE in scenario.needs(number, live=True):
         line = str(runtime / "autopilot")
         link = config.link.model_copy(update={"url": f"serial:{line}:921600"})
         config = config.model_copy(update={"link": link})
-    product_config.save(config, options.out / "config.toml")
-    options.world(runtime).save(runtime / "world.json")
+    product_config.save(config, options.folder / "config.toml")
+    world_options(options, runtime).save(runtime / "world.json")
     order = runtime / "order.json"
     binary = None if firmware is None else str(firmware)
-    WorldProcessOptions(str(runtime / "world.json"), scenario.id, number, str(options.out / "config.toml"), binary, line).save(
-        order
-    )
-    product, given = [sys.executable, "-m", "uav_recon"], ["--config", str(options.out / "config.toml")]
-    flight = ["--flight", str(options.out)]
+    WorldProcessOptions(
+        str(runtime / "world.json"), scenario.id, number, str(options.folder / "config.toml"), binary, line
+    ).save(order)
+    product, given = [sys.executable, "-m", "uav_recon"], ["--config", str(options.folder / "config.toml")]
+    flight = ["--flight", str(options.folder)]
     commands = {
         "world": [sys.executable, "-m", "sitl.faults.flights.scenario_world_process", str(order)],
         "pilot": [*product, "pilot", *given, *flight],
         "perception": [*product, "perception", *given],
         "mission": [*product, "mission", *given, *flight],
     }
-    Supervised(commands, options.out / "logs", runtime).watch()
+    Supervised(commands, options.folder / "logs", runtime).watch()
     evidence: FlightEvidence = pickle.loads(order.with_suffix(".evidence").read_bytes())  # noqa: S301 - our own world wrote it
     return evidence
 

@@ -15,6 +15,8 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
+from sitl.apps.flight_config import flight_config
+from sitl.apps.flight_folder import make_folder
 from sitl.apps.lockstep import NoHook, fly_in_lockstep
 from sitl.apps.sim_options import SimOptions
 from sitl.apps.sweep_case import one_thread
@@ -45,14 +47,14 @@ class Stopwatch(NoHook):
 def main(scene_name: str | None, views: int, seed: int) -> None:
     """Fly once and print one line."""
     with tempfile.TemporaryDirectory(prefix="uav_recon-") as folder:
-        options = SimOptions.parse(
+        options = SimOptions(
             scene=scene_name, seed=seed, views=views, mount="fixed:15", camera="fast", mapper="depth-only", lockstep=True,
             out=Path(folder) / "flight",
         )  # fmt: skip
-        scene = load_scene(options.scene, options.start, options.fence, options.radius_m, fine=False)
-        options.make_folder()
+        scene = load_scene(options.scene, options.start_pose, options.fence_corners, options.radius_m, fine=False)
+        make_folder(options.folder)
         watch = Stopwatch()
-        config = options.config(scene, Path(folder))
+        config = flight_config(options, scene, Path(folder))
         flight = fly_in_lockstep(options, config, scene, Console(quiet=True), lambda: False, timelapse=False, meddler=watch)
     wall_s, factor = flight.wall_s - watch.took_s, float(np.mean(watch.factors))
     low, high = np.percentile(watch.factors, [5, 95])

@@ -26,6 +26,8 @@ from numba.core.dispatcher import Dispatcher
 from rich.console import Console
 from sitl.apps.kernel_compilation import flight_jobs, toy_config
 from sitl.apps.lockstep import fly_in_lockstep
+from sitl.apps.flight_config import flight_config
+from sitl.apps.flight_folder import make_folder
 from sitl.apps.sim_options import SimOptions
 from sitl.scene.scene import load_scene
 
@@ -44,10 +46,12 @@ for job in flight_jobs(("adaptive",), neural=False):
     getattr(importlib.import_module(module), name)(config_path, job.argument)
 ahead = compiled()
 assert len(ahead) > 80, len(ahead)
-options = SimOptions.parse(scene="random:7", views=8, radius=0.15, mapper="stand-in", lockstep=True, out=folder / "flight")
+options = SimOptions(scene="random:7", views=8, radius_m=0.15, mapper="depth-only", lockstep=True, mount="fixed:15",
+    out=folder / "flight")
 scene = load_scene(options.scene, radius_m=options.radius_m, fine=False)
-options.make_folder()
-flown = fly_in_lockstep(options, options.config(scene, folder), scene, Console(quiet=True), lambda: False, timelapse=False)
+make_folder(options.folder)
+config = flight_config(options, scene, folder)
+flown = fly_in_lockstep(options, config, scene, Console(quiet=True), lambda: False, timelapse=False)
 assert flown.fault is None, flown.fault
 assert compiled() == ahead, sorted(compiled() - ahead)
 """

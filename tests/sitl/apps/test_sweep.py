@@ -7,11 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from sitl.apps.sim_options import UsageError
-from sitl.apps.sweep import SweepOptions, summary, sweep
+from sitl.apps.sweep import cases, summary, sweep
 from sitl.apps.sweep_case import Case, Record, fly_case
-from sitl.faults.flights.campaign import FaultOptions
+from sitl.apps.sweep_options import SweepOptions
+from sitl.faults.flights.fault_options import FaultOptions
 from uav_recon import json_codec
+from uav_recon.app.option_validation import UsageError
 from uav_recon.errors import UserError
 
 BROKEN = Case("/nowhere", 0, 0.2, "adaptive", "fixed:15", "fast", 8)
@@ -19,34 +20,32 @@ BROKEN = Case("/nowhere", 0, 0.2, "adaptive", "fixed:15", "fast", 8)
 
 def test_more_jobs_than_fit_in_memory_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sitl.apps.sim_options.memory_gb", lambda: 4.1)
-    assert SweepOptions.parse(jobs=5).jobs == 5
-    for parse in (SweepOptions.parse, FaultOptions.parse):
+    assert SweepOptions(jobs=5).jobs == 5
+    for parse in (SweepOptions, FaultOptions):
         with pytest.raises(UsageError, match=r"^--jobs 6: want 1 to 5; each may use 0\.8 GB of memory$") as caught:
             parse(jobs=6)
         assert caught.value.code == 2
 
 
 def test_all_combinations_are_flown_before_the_next_seed() -> None:
-    options = SweepOptions.parse(flights=9, seed0=4, scenes="random,built-in", radii="0.15,0.3", variants="adaptive,explore")
-    cases = list(options.cases())
-    assert len(cases) == len(set(cases)) == 9
-    assert {case.seed for case in cases[:8]} == {4}
-    assert cases[8].seed == 5
-    assert [case.scene for case in cases[:3]] == ["random:4", None, "random:4"]
-    assert {(case.radius_m, case.variant) for case in cases[:8]} == {
+    options = SweepOptions(flights=9, seed0=4, scenes="random,built-in", radii="0.15,0.3", variants="adaptive,explore")
+    flown = list(cases(options))
+    assert len(flown) == len(set(flown)) == 9
+    assert {case.seed for case in flown[:8]} == {4}
+    assert flown[8].seed == 5
+    assert [case.scene for case in flown[:3]] == ["random:4", None, "random:4"]
+    assert {(case.radius_m, case.variant) for case in flown[:8]} == {
         (r, v) for r in (0.15, 0.3) for v in ("adaptive", "explore")
     }
 
 
 def test_mounts_and_autopilots_are_combined_and_each_case_repeats_its_own() -> None:
-    options = SweepOptions.parse(
-        flights=6, scenes="built-in", mount="fixed:0,fixed:15,gimbal", autopilot="both", pose="corrected"
-    )
-    cases = list(options.cases())
-    assert {(case.mount, case.autopilot) for case in cases} == {
+    options = SweepOptions(flights=6, scenes="built-in", mount="fixed:0,fixed:15,gimbal", autopilot="both", pose="corrected")
+    flown = list(cases(options))
+    assert {(case.mount, case.autopilot) for case in flown} == {
         (mount, autopilot) for mount in ("fixed:0", "fixed:15", "gimbal") for autopilot in ("px4", "ardupilot")
     }
-    assert "--mount gimbal --camera fast --autopilot ardupilot --camera-errors 1 --pose corrected" in cases[-1].command()
+    assert "--mount gimbal --camera fast --autopilot ardupilot --camera-errors 1 --pose corrected" in flown[-1].command()
 
 
 @pytest.mark.parametrize(
@@ -54,7 +53,7 @@ def test_mounts_and_autopilots_are_combined_and_each_case_repeats_its_own() -> N
     [
         ({"radii": "0.2,x"}, "radii"),
         ({"radii": "9"}, "radii"),
-        ({"range_up": 61.0}, "--range-up 61: want 5 to 60 degrees"),
+        ({"range_up_deg": 61.0}, "--range-up 61: want 5 to 60 degrees"),
         ({"variants": "fast"}, "variants"),
         ({"camera": "d415"}, "camera"),
         ({"camera_errors": "many"}, "--camera-errors many: want none, default or a factor of 0 to 2"),
@@ -73,7 +72,7 @@ def test_mounts_and_autopilots_are_combined_and_each_case_repeats_its_own() -> N
 )
 def test_an_invalid_option_is_named(words: dict[str, str], named: str) -> None:
     with pytest.raises(UsageError, match=named):
-        SweepOptions.parse(**words)  # type: ignore[arg-type]
+        SweepOptions(**words)  # type: ignore[arg-type]
 
 
 def test_a_failed_flight_is_recorded_with_its_seed() -> None:
@@ -87,7 +86,7 @@ def test_a_failed_flight_is_recorded_with_its_seed() -> None:
 
 
 def test_the_cases_have_the_camera_errors_of_the_sweep_and_old_records_have_none() -> None:
-    (case,) = SweepOptions.parse(flights=1, camera_errors="0.5").cases()
+    (case,) = cases(SweepOptions(flights=1, camera_errors="0.5"))
     assert case.camera_errors == 0.5
     assert "--camera-errors 0.5" in case.command()
     tree = json_codec.to_tree(BROKEN)
@@ -96,9 +95,9 @@ def test_the_cases_have_the_camera_errors_of_the_sweep_and_old_records_have_none
 
 
 def test_the_cases_have_the_range_finder_of_the_sweep_and_old_records_have_none() -> None:
-    (case,) = SweepOptions.parse(flights=1, range_up=27.0).cases()
+    (case,) = cases(SweepOptions(flights=1, range_up_deg=27.0))
     assert "--range-up 27" in case.command()
-    (without,) = SweepOptions.parse(flights=1).cases()
+    (without,) = cases(SweepOptions(flights=1))
     assert "--range-up" not in without.command()
     tree = json_codec.to_tree(BROKEN)
     del tree["range_up_deg"]
@@ -119,7 +118,7 @@ def test_a_contact_is_bad_and_an_abort_is_not() -> None:
 def test_a_sweep_resumes_after_the_recorded_flights(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     account = tmp_path / "sweep.json"
     (tmp_path / "empty").mkdir()
-    options = SweepOptions.parse(flights=2, scenes=str(tmp_path / "empty"), jobs=1, json=account)
+    options = SweepOptions(flights=2, scenes=str(tmp_path / "empty"), jobs=1, json=account)
     assert sweep(options) == 1
     assert "scene.json: cannot be read" in capsys.readouterr().out
     held = json.loads(account.read_text())["flights"]
@@ -134,7 +133,7 @@ def test_a_foreign_json_file_is_refused(tmp_path: Path) -> None:
     account = tmp_path / "sweep.json"
     account.write_text('{"flights": [{"seed": 1}]}')
     with pytest.raises(UserError, match="not a results file of `uav-recon sweep`"):
-        sweep(SweepOptions.parse(flights=1, json=account))
+        sweep(SweepOptions(flights=1, json=account))
 
 
 def test_a_summary_counts_all_flights_and_names_their_commits() -> None:

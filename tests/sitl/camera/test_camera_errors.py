@@ -15,7 +15,8 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from sitl.camera import camera_errors as drawn
-from sitl.camera.camera_errors import CameraErrors, MountErrors, OpticsErrors, TimingErrors, ToneErrors, scale_of
+from sitl.camera.camera_error_scale import DEFAULT, WORDS, scale_of
+from sitl.camera.camera_errors import CameraErrors, MountErrors, OpticsErrors, TimingErrors, ToneErrors
 from sitl.camera.d435i import COLOUR_SPEC, DEPTH_SPEC, SimulatedD435i, stream_header
 from sitl.camera.frame_exposure import FrameExposure, MountPose
 from sitl.geometry.transform import world_from_body
@@ -144,7 +145,7 @@ def test_the_errors_are_read_back_from_their_file(tmp_path: Path) -> None:
 
 def test_the_option_is_a_word_or_a_factor() -> None:
     assert [scale_of(text) for text in ("none", "default", "0.5", "2", "0")] == [0.0, 1.0, 0.5, 2.0, 0.0]
-    assert scale_of(None) == drawn.WORDS[drawn.DEFAULT]
+    assert scale_of(None) == WORDS[DEFAULT]
     for text in ("some", "-0.1", "2.1", "nan", "inf", ""):
         with pytest.raises(ValueError, match="a factor of 0 to 2"):
             scale_of(text)

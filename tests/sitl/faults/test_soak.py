@@ -19,7 +19,8 @@ import numpy as np
 import pytest
 from made_up_evidence import ONSET_S, evidence
 
-from sitl.faults.flights.campaign import FaultOptions
+from sitl.faults.flights.campaign import Campaign
+from sitl.faults.flights.fault_options import FaultOptions
 from sitl.faults.injectors.base import InjectionContext
 from sitl.faults.process_registry import ProcessRegistry
 from sitl.faults.report.resource_chart import Track, draw
@@ -190,10 +191,15 @@ def test_a_breath_is_no_growth_and_a_colour_image_kept_each_second_is(scenario: 
 
 
 def test_a_soak_is_flown_by_its_rows_name_in_real_time_alone_and_not_by_default() -> None:
-    assert [scenario.id for scenario in FaultOptions.parse(only="G9", live=True, seeds=1).scenarios] == ["G9-2h"]
-    assert [scenario.id for scenario in FaultOptions.parse(only="G9-1min,A9", live=True).scenarios] == ["A9", "G9-1min"]
-    assert not {scenario.id for scenario in SOAKS} & {scenario.id for scenario in FaultOptions.parse(live=True).scenarios}
-    assert FaultOptions.parse(only="G9-5min").cases(SCENARIOS["G9-5min"], "px4") == []
+    assert [scenario.id for scenario in Campaign.of(FaultOptions(only="G9", real_time=True, seeds=1)).scenarios] == ["G9-2h"]
+    assert [scenario.id for scenario in Campaign.of(FaultOptions(only="G9-1min,A9", real_time=True)).scenarios] == [
+        "A9",
+        "G9-1min",
+    ]
+    assert not {scenario.id for scenario in SOAKS} & {
+        scenario.id for scenario in Campaign.of(FaultOptions(real_time=True)).scenarios
+    }
+    assert Campaign.of(FaultOptions(only="G9-5min")).cases(SCENARIOS["G9-5min"], "px4") == []
     assert "G9" in {scenario.id for scenario in TABLE}
     assert "--only G9 --real-time" in SCENARIOS["G9"].why
     assert [limit.limit for limit in SCENARIOS["G9-2h"].limits[:2]] == [1.0, 1.0], "megabytes an hour"

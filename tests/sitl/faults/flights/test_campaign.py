@@ -11,16 +11,18 @@ import numpy as np
 import pytest
 from made_up_evidence import evidence
 
-from sitl.apps.sim_options import AUTOPILOTS, UsageError
+from sitl.apps.sim_options import AUTOPILOTS
 from sitl.faults.flight_evidence import FlightEvidence
-from sitl.faults.flights.campaign import FaultOptions, _line, _missed, faults, summary
+from sitl.faults.flights.campaign import Campaign, _line, _missed, faults, summary
 from sitl.faults.flights.fault_flight import FaultCase, FaultRecord, fly_together
+from sitl.faults.flights.fault_options import FaultOptions
 from sitl.faults.judges import reaction_metrics as m
 from sitl.faults.judges.invariants import violations
 from sitl.faults.report.campaign_page import render
 from sitl.faults.report.scenario_result import result_of
 from sitl.faults.table.all_scenarios import SCENARIOS, TABLE
 from sitl.faults.table.scenario import Limit, Scenario, ScenarioVerdict, judge
+from uav_recon.app.option_validation import UsageError
 
 GAP = Limit("gap", m.longest_gap(), 0.25, "s")
 CLEAR = Limit("clearance", m.clearance, 0.4, "m", at_least=True, ardupilot=0.6)
@@ -28,14 +30,14 @@ ROW = Scenario("X1", "a <hazard>", "something", limits=(GAP, CLEAR))
 
 
 def test_rows_come_in_the_tables_order() -> None:
-    options = FaultOptions.parse(only="B4, A1", autopilot="px4", seeds=2, out=Path("/somewhere"))
+    options = Campaign.of(FaultOptions(only="B4, A1", autopilot="px4", seeds=2, out=Path("/somewhere")))
     assert [scenario.id for scenario in options.scenarios] == ["A1", "B4"]
     cases = options.cases(SCENARIOS["A1"], "px4")
     assert [case.number for case in cases] == [0, 1, 2, 3, 4, 5]
     assert cases[1].out == Path("/somewhere/A1-px4-1")
     assert options.cases(SCENARIOS["A4"], "px4") == []
-    assert FaultOptions.parse().autopilots == AUTOPILOTS
-    assert {scenario.id for scenario in FaultOptions.parse(live=True).scenarios} == {
+    assert FaultOptions().autopilots == AUTOPILOTS
+    assert {scenario.id for scenario in Campaign.of(FaultOptions(real_time=True)).scenarios} == {
         *(f"A{k}" for k in range(1, 12)),
         "A6m",
         "C2",
@@ -44,35 +46,35 @@ def test_rows_come_in_the_tables_order() -> None:
         "G3",
     }
     with pytest.raises(UsageError, match="B4: cannot run in real time"):
-        FaultOptions.parse(only="B4", live=True)
-    assert FaultOptions.parse().scenarios == TABLE
+        Campaign.of(FaultOptions(only="B4", real_time=True))
+    assert Campaign.of(FaultOptions()).scenarios == TABLE
 
 
 def test_a_real_firmware_flies_what_it_has_the_means_for(tmp_path: Path) -> None:
     binary = tmp_path / "arducopter"
     with pytest.raises(UsageError, match="no such file"):
-        FaultOptions.parse(autopilot="ardupilot", firmware=binary)
+        Campaign.of(FaultOptions(autopilot="ardupilot", firmware=binary))
     binary.write_bytes(b"")
     with pytest.raises(UsageError, match="not executable"):
-        FaultOptions.parse(autopilot="ardupilot", firmware=binary)
+        Campaign.of(FaultOptions(autopilot="ardupilot", firmware=binary))
     binary.chmod(0o755)
     with pytest.raises(UsageError, match="--autopilot both: with --firmware want px4 or ardupilot"):
-        FaultOptions.parse(firmware=binary)
-    copter = FaultOptions.parse(autopilot="ardupilot", firmware=binary, jobs=4)
+        Campaign.of(FaultOptions(firmware=binary))
+    copter = Campaign.of(FaultOptions(autopilot="ardupilot", firmware=binary, jobs=4))
     names = {scenario.id for scenario in copter.scenarios}
     assert {"A1", "A6", "B1", "B4", "C4", "D2", "E1", "G6"} <= names
     assert not names & {"E5", "E7", "F1", "F2", "D7", "G9", "B11"}, "they need the insides of a simulated one, or are none"
-    assert (copter.live, copter.jobs) == (True, 1)
+    assert copter.options.live
     assert copter.cases(SCENARIOS["B1"], "ardupilot")[0].firmware == binary
-    assert "E1" not in {scenario.id for scenario in FaultOptions.parse(autopilot="px4", firmware=binary).scenarios}, (
+    assert "E1" not in {scenario.id for scenario in Campaign.of(FaultOptions(autopilot="px4", firmware=binary)).scenarios}, (
         "nobody holds its sticks"
     )
     with pytest.raises(UsageError, match="E7: cannot run with a real ardupilot firmware"):
-        FaultOptions.parse(only="E7", autopilot="ardupilot", firmware=binary)
+        Campaign.of(FaultOptions(only="E7", autopilot="ardupilot", firmware=binary))
 
 
 def test_what_rows_have_in_common_is_flown_once() -> None:
-    options = FaultOptions.parse(only="A1,A6,C7,F2,G7", seeds=2)
+    options = Campaign.of(FaultOptions(only="A1,A6,C7,F2,G7", seeds=2))
     groups = [[(case.scenario, case.autopilot, case.number) for case in group] for group in options.groups()]
     assert groups[:3] == [[("A1", "px4", 0), ("A6", "px4", 0)], [("C7", "px4", 0)], [("F2", "px4", 0)]]
     assert groups[3][0] == ("A1", "px4", 1)
@@ -81,18 +83,18 @@ def test_what_rows_have_in_common_is_flown_once() -> None:
         "A1 is flown more often"
     )
     assert sum(len(group) for group in groups) == 2 * (6 + 2 + 2 + 2)
-    live = FaultOptions.parse(only="A1,A6", seeds=2, live=True).groups()
+    live = Campaign.of(FaultOptions(only="A1,A6", seeds=2, real_time=True)).groups()
     assert [len(group) for group in live] == [1] * 8, "and not in real time"
 
 
 def test_twenty_seeds_are_sixty_of_the_five_rows_that_take_most_turns() -> None:
-    options = FaultOptions.parse(seeds=20)
+    options = Campaign.of(FaultOptions(seeds=20))
     often = [scenario.id for scenario in options.scenarios if len(options.cases(scenario, "px4")) == 60]
     assert often == ["A1", "B1", "B4", "E1", "F1"]
 
 
 def test_seeds_can_begin_later_so_that_one_that_missed_is_flown_again(tmp_path: Path) -> None:
-    options = FaultOptions.parse(only="B1,B3", autopilot="px4", seeds=1, seed0=7, out=tmp_path)
+    options = Campaign.of(FaultOptions(only="B1,B3", autopilot="px4", seeds=1, seed0=7, out=tmp_path))
     assert [case.number for case in options.cases(SCENARIOS["B3"], "px4")] == [7]
     assert [case.number for case in options.cases(SCENARIOS["B1"], "px4")] == [7, 8, 9]
     assert options.cases(SCENARIOS["B3"], "px4")[0].out == tmp_path / "B3-px4-7"
@@ -119,7 +121,7 @@ def test_where_nothing_is_flown_at_all_nothing_has_passed(
     scenario: str, reason: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(UsageError, match=reason):
-        faults(FaultOptions.parse(only=scenario, autopilot="px4", seeds=1))
+        faults(FaultOptions(only=scenario, autopilot="px4", seeds=1))
     told = capsys.readouterr().out
     assert scenario.partition(",")[0] in told
     assert "not flown: " in told
@@ -128,7 +130,7 @@ def test_where_nothing_is_flown_at_all_nothing_has_passed(
 def test_flights_that_are_there_are_not_flown_over(tmp_path: Path) -> None:
     (tmp_path / "A1-px4-0").mkdir()
     with pytest.raises(UsageError, match=r"already contains flights, e\.g\. A1-px4-0"):
-        faults(FaultOptions.parse(only="A1", autopilot="px4", seeds=1, out=tmp_path))
+        faults(FaultOptions(only="A1", autopilot="px4", seeds=1, out=tmp_path))
 
 
 @pytest.mark.parametrize(
@@ -137,7 +139,7 @@ def test_flights_that_are_there_are_not_flown_over(tmp_path: Path) -> None:
 )
 def test_a_word_that_is_unknown_is_told(words: dict[str, str], named: str) -> None:
     with pytest.raises(UsageError, match=named):
-        FaultOptions.parse(**words)  # type: ignore[arg-type]
+        Campaign.of(FaultOptions(**words))  # type: ignore[arg-type]
 
 
 def test_a_flight_is_held_to_its_bars() -> None:
@@ -194,7 +196,7 @@ def test_what_never_came_is_null_and_breaks_the_bar() -> None:
 
 def test_a_row_that_cannot_be_flown_says_why(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert json.dumps(result_of(SCENARIOS["A5"], "px4", []).tree()), "one that has limits, but flies only in real time"
-    options = FaultOptions.parse(only="G7", autopilot="px4", jobs=1, json=tmp_path / "f.json", out=tmp_path / "out")
+    options = FaultOptions(only="G7", autopilot="px4", jobs=1, json=tmp_path / "f.json", out=tmp_path / "out")
     with pytest.raises(UsageError, match="G7 cannot be flown"):
         faults(options)
     assert "not flown: needs hardware" in capsys.readouterr().out
@@ -237,13 +239,13 @@ def test_what_missed_is_flown_again_the_same_way(live: bool, firmware: Path | No
 
 
 def test_the_camera_errors_of_a_campaign_are_those_of_its_flights() -> None:
-    options = FaultOptions.parse(only="A1", autopilot="px4", seeds=1, camera_errors="0.5")
+    options = Campaign.of(FaultOptions(only="A1", autopilot="px4", seeds=1, camera_errors="0.5"))
     cases = [case for group in options.groups() for case in group]
     assert {(case.camera_errors, case.stage.camera_errors) for case in cases} == {(0.5, 0.5)}
-    live = FaultOptions.parse(only="A1", autopilot="px4", seeds=1, live=True, camera_errors="none").groups()
+    live = Campaign.of(FaultOptions(only="A1", autopilot="px4", seeds=1, real_time=True, camera_errors="none")).groups()
     assert {case.camera_errors for group in live for case in group} == {0.0}
     with pytest.raises(UsageError, match="--camera-errors bad: want none, default or a factor of 0 to 2"):
-        FaultOptions.parse(camera_errors="bad")
+        Campaign.of(FaultOptions(camera_errors="bad"))
 
 
 def test_the_summary_counts_flights_that_touched_something() -> None:

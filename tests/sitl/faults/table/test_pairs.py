@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from made_up_evidence import ONSET_S, evidence
 
-from sitl.apps.sim_options import UsageError
-from sitl.faults.flights.campaign import FaultOptions
+from sitl.faults.flights.campaign import Campaign
+from sitl.faults.flights.fault_options import FaultOptions
 from sitl.faults.injectors.base import Capabilities, DepthFrame, InjectionContext
 from sitl.faults.injectors.companion import Crash, Stall
 from sitl.faults.injectors.delayed import Delayed
@@ -23,6 +23,7 @@ from sitl.faults.table.all_scenarios import PAIRS, SCENARIOS, TABLE
 from sitl.faults.table.pairs import APART_S, PAIRED, REACTIONS
 from sitl.faults.table.scenario import Scenario, judge
 from sitl.world.pose_tracker import PoseRecord
+from uav_recon.app.option_validation import UsageError
 
 POSE = PoseRecord(10.0, np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]), np.full(6, 1e-4), 100, 0)
 PICTURE = DepthFrame(10.0, np.zeros((4, 6), np.uint16), None)
@@ -165,13 +166,13 @@ def test_a_reaction_is_a_bar_of_its_own_row() -> None:
 
 
 def test_pairs_are_flown_by_their_rows_name_and_not_by_default() -> None:
-    assert FaultOptions.parse(only="G10").scenarios == PAIRS
-    assert [scenario.id for scenario in FaultOptions.parse(only="B1+E5, A1").scenarios] == ["A1", "B1+E5"]
-    assert not set(FaultOptions.parse().scenarios) & set(PAIRS)
+    assert Campaign.of(FaultOptions(only="G10")).scenarios == PAIRS
+    assert [scenario.id for scenario in Campaign.of(FaultOptions(only="B1+E5, A1")).scenarios] == ["A1", "B1+E5"]
+    assert not set(Campaign.of(FaultOptions()).scenarios) & set(PAIRS)
     assert "--only G10" in SCENARIOS["G10"].why
-    groups = FaultOptions.parse(only="G10", seeds=5).groups()
+    groups = Campaign.of(FaultOptions(only="G10", seeds=5)).groups()
     assert (len(groups), sum(map(len, groups))) == (2 * 5 * 4, 2 * 5 * 45), "hall and pen, long and short"
     with pytest.raises(UsageError, match=r"no scenario E1\+D8; .*faults --list` shows A1 to G10, and pairs such as A1\+B1"):
-        FaultOptions.parse(only="E1+D8")
+        Campaign.of(FaultOptions(only="E1+D8"))
     with pytest.raises(UsageError, match="G10: cannot run in real time"):
-        FaultOptions.parse(only="G10", live=True)
+        Campaign.of(FaultOptions(only="G10", real_time=True))

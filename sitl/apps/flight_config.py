@@ -1,0 +1,141 @@
+"""The product's config and the simulator's options that the options of `uav-recon sim` give."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import cast
+
+from sitl.apps.sim_options import AUTO, MAX_MPS, SimOptions
+from sitl.apps.world_process import WorldOptions
+from sitl.camera.d435i import Model, Noise
+from sitl.scene.scene import HULL_HEIGHT_M, Scene, free_height_m
+from sitl.world.range_finder import MOUNT_M
+from uav_recon.app.option_validation import mount_pitch_deg
+from uav_recon.app.room_check import advise
+from uav_recon.config import Config, ConfigError, parse
+from uav_recon.errors import EXIT_CONFIG, UserError
+from uav_recon.planning.mount_visibility import USUAL_DEG
+
+# from hull, and from body centre, to space not known free, in a plan
+HULL_MARGIN_M = 0.20
+SMALLEST_CLEARANCE_M = 0.35
+BLIND_MEMORY_S = 60.0  # space above and below a fixed camera's view was mostly seen more than 10 s ago
+COLUMN_MARGIN_M = 0.10  # beyond the planning clearance, round the column above the pad that the operator sees to be free
+COLUMN_TOP_M = 0.05  # below the ceiling: half a voxel
+FENCE_MARGIN_M = 0.10  # between hull and fence, for position errors of the vehicle
+NOISE_PX = {"d435i": 0.04, "paper": 0.004, "kinect": 0.02, "none": 0.001}  # rms disparity error at 424 pixels
+
+
+@dataclass(frozen=True)
+class FlightLimits:
+    """Limits that a pose source needs.
+
+    fresh_s, stale_s: outside the view, full speed up to the first age of the last free sight, blind_speed_mps from the second
+    on. max_yaw_rate_degps: of the guard. motion: of the config.
+    """
+
+    fresh_s: float = 3.0
+    stale_s: float = 10.0
+    max_yaw_rate_degps: float = 60.0
+    motion: dict[str, float] = field(default_factory=dict)
+
+
+# the embedded SLAM needs a camera that looks ahead, and knows its place for a second past a bare wall: it turns past it in half
+# of that
+LIMITS_BY_SOURCE = {"slam": FlightLimits(0.0, 0.1, 100.0, {"yaw_rate_degps": 80.0, "yaw_acceleration_degps2": 200.0})}
+
+
+def mount_pitch_down_deg(mount: str) -> float | None:
+    """Return the tilt of a mount in degrees, None for a gimbal.
+
+    AUTO has the usual tilt until the room is known.
+    """
+    return USUAL_DEG if mount == AUTO else mount_pitch_deg(mount)
+
+
+def fitted_mount(options: SimOptions, scene: Scene) -> str:
+    """Return the mount of the options; for AUTO, the one that fits the scene's size."""
+    if options.mount != AUTO:
+        return options.mount
+    advice = advise(flight_config(options, scene, Path("/run")))
+    return f"fixed:{USUAL_DEG if advice is None else advice.recommended_deg:g}"
+
+
+def world_options(options: SimOptions, runtime: Path) -> WorldOptions:
+    """Return the options of the simulator."""
+    return WorldOptions(
+        scene=options.scene, start=options.start_pose, fence=options.fence_corners, seed=options.seed,
+        autopilot=options.autopilot, mount_pitch_down_deg=mount_pitch_down_deg(options.mount), radius_m=options.radius_m,
+        depth_noise=cast("Noise", options.depth_noise), camera=cast("Model", options.camera_model), port=options.port,
+        stream=str(runtime / "camera.stream"), truth=str(options.folder / "truth.npz"),
+        firmware=None if options.firmware is None else str(options.firmware.absolute()),
+        camera_errors=options.camera_error_scale, onboard_poses=options.pose == "autopilot",
+        range_up_deg=options.range_up_deg,
+    )  # fmt: skip
+
+
+def flight_config(options: SimOptions, scene: Scene, runtime: Path) -> Config:
+    """Return the product's config for this flight. Raises UserError with exit code 78."""
+    pitch_down_deg = mount_pitch_down_deg(options.mount)
+    noise_px = NOISE_PX[options.depth_noise] / (2.0 if options.camera_model in ("fast", "small") else 1.0)
+    clearance_m = max(SMALLEST_CLEARANCE_M, options.radius_m + HULL_MARGIN_M)
+    limits = LIMITS_BY_SOURCE.get(options.pose, FlightLimits())
+    tree = {
+        "safety": {
+            "fence_min_m": [float(x) for x in scene.fence_min],
+            "fence_max_m": [float(x) for x in scene.fence_max],
+            "fence_corners_m": [],
+            "fence_inset_m": options.radius_m + FENCE_MARGIN_M,
+            "max_speed_mps": MAX_MPS,
+            "max_acceleration_mps2": 2.0,
+            "max_yaw_rate_degps": limits.max_yaw_rate_degps,
+            "vehicle_radius_m": options.radius_m,
+            "vehicle_height_m": HULL_HEIGHT_M,
+            "stop_clearance_m": 0.1,
+            "fast_clearance_m": 0.4,
+            "blind_speed_mps": options.blind_speed_mps,
+            "blind_fresh_s": limits.fresh_s,
+            "blind_stale_s": limits.stale_s,
+            "blind_memory_s": BLIND_MEMORY_S,
+            "retreat_speed_mps": 0.3,
+            "silence_way_m": 0.45,
+            "intent_timeout_s": 0.5,
+            "retreat_timeout_s": 5.0,
+            "pose_timeout_s": 0.25,
+            "pose_land_s": 0.7,
+            "land_timeout_s": 20.0,
+            "depth_timeout_s": 0.3,
+            "depth_retreat_s": 3.0,
+            "depth_land_s": 10.0,
+        },
+        "link": {"autopilot": options.autopilot, "url": f"udp:127.0.0.1:{options.port}"},
+        "camera": {
+            "source": "stream",
+            "mount": "gimbal" if pitch_down_deg is None else "fixed",
+            "pitch_down_deg": pitch_down_deg or 0.0,
+            "depth_noise_px": noise_px,
+        },
+        "localization": {
+            "source": "stream" if options.pose == "corrected" else options.pose,
+            "correct_drift": options.pose == "corrected",
+            "pad_heading_deg": math.degrees(scene.start_yaw_rad),
+            **({} if options.calibration is None else {"calibration": str(options.calibration.absolute())}),
+        },
+        "voxels": {"takeoff_top_m": max(free_height_m(scene, clearance_m + COLUMN_MARGIN_M) - COLUMN_TOP_M, 0.1)},
+        "range_up": {} if options.range_up_deg is None else {"fov_deg": options.range_up_deg, "position_body_m": list(MOUNT_M)},
+        "mapper": {"seed": options.seed, "uncertainty": options.uncertainty},
+        "planner": {
+            "variant": options.variant,
+            "clearance_m": clearance_m,
+        },
+        "motion": limits.motion,
+        "mission": {"views": options.view_budget, "autostart": True},
+        "recording": {"folder": str(options.folder), "live": options.live, "rerun": options.mapper == "neural" or options.live},
+        "runtime": {"folder": str(runtime)},
+    }
+    try:
+        return parse(tree, "sim")
+    except ConfigError as error:
+        raise UserError(str(error), EXIT_CONFIG) from None
