@@ -24,7 +24,7 @@ from sitl.apps.memory_tlog import MemoryTlog
 from sitl.apps.progress_display import ProgressDisplay
 from sitl.apps.sim_options import SimOptions
 from sitl.apps.world_process import make_world
-from sitl.autopilots.byte_links import pipe
+from sitl.autopilots.byte_links import PipeEnd, pipe
 from sitl.outside_world import OutsideWorld
 from sitl.scene.scene import Scene
 from sitl.world.step_sizes import COARSE_STEPS, FINE_STEPS
@@ -78,7 +78,7 @@ class LockstepHook(Protocol):
         """Attach to the simulator and the channels, before the flight."""
         ...
 
-    def link(self, end: ByteLink) -> ByteLink:
+    def link(self, end: PipeEnd) -> ByteLink:
         """Return the product's end of the MAVLink link: the given end, or a proxy for it."""
         ...
 

@@ -18,12 +18,10 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sitl.autopilots.byte_links import ByteEnd
 from sitl.camera.d435i import pinhole
-from sitl.faults.autopilot_side_proxy import AutopilotSideProxy
 from sitl.faults.fault import AFTER_DISARM_S, Fault, Onset
 from sitl.faults.injectors.base import ATTENDED, DepthFrame, ImuSample, InjectionContext, Injector
-from sitl.faults.mavlink_proxy import Bytes, DelayedItems, Proxy, ProxyInterface
+from sitl.faults.mavlink_proxy import DelayedItems, LinkEnd, MavlinkProxy, Side
 from sitl.geometry.quaternion import yaw_of
 from sitl.geometry.transform import body_from_camera, world_from_body
 from sitl.outside_world import CameraStreamOutput, OutsideWorld
@@ -84,7 +82,7 @@ class FaultDirector:
         self.onset_s = math.inf
         self.end_s = -math.inf
         self.truth_samples: list[TruthSample] = []
-        self.proxy: ProxyInterface | None = None
+        self.proxy: MavlinkProxy | None = None
 
     # -- hooks of the flight ------------------------------------------------------------------------------------------
 
@@ -94,20 +92,21 @@ class FaultDirector:
         self._begun_s = now_s
         self._stream = world.stream = FaultyStream(world.stream, self)
 
-    def link(self, end: Bytes) -> Proxy:
+    def link(self, end: LinkEnd) -> MavlinkProxy:
         """Return the product's end of the MAVLink link, behind a proxy."""
-        proxy = Proxy(end, lambda: self.context.now_s, self._fate("to_autopilot"), self._fate("to_product"))
-        self.proxy = self.context.proxy = proxy
-        return proxy
+        self.context.proxy = self._proxied(end, Side.PRODUCT, lambda: self.context.now_s)
+        return self.context.proxy
 
-    def autopilot_link(self, end: ByteEnd) -> AutopilotSideProxy:
+    def autopilot_link(self, end: LinkEnd) -> MavlinkProxy:
         """Return the autopilot's end of the link, behind a proxy.
 
         For flights in which only that end is in this process. Call it before the world is made.
         """
-        proxy = AutopilotSideProxy(end, time.monotonic, self._fate("to_autopilot"), self._fate("to_product"))
-        self.proxy = proxy
-        return proxy
+        return self._proxied(end, Side.AUTOPILOT, time.monotonic)
+
+    def _proxied(self, end: LinkEnd, side: Side, now_s: Callable[[], float]) -> MavlinkProxy:
+        self.proxy = MavlinkProxy(end, side, now_s, self._fate("to_autopilot"), self._fate("to_product"))
+        return self.proxy
 
     def turn(self, now_s: float) -> None:
         """Record the truth, start a fault that is due, and run the injectors.

@@ -14,11 +14,11 @@ from pathlib import Path
 
 from sitl.apps.world_process import WorldOptions, binary_of, make_firmware_world, make_world, run
 from sitl.autopilots.byte_links import UdpPeer
-from sitl.faults.autopilot_side_proxy import AutopilotSideProxy
 from sitl.faults.fault import Fault
 from sitl.faults.fault_director import FaultDirector
 from sitl.faults.flight_evidence import FlightEvidence
 from sitl.faults.flights.collect_evidence import evidence_of
+from sitl.faults.mavlink_proxy import MavlinkProxy
 from sitl.faults.process_registry import ProcessRegistry
 from sitl.faults.table.all_scenarios import SCENARIOS
 from sitl.faults.table.arenas import arena
@@ -82,7 +82,7 @@ def fly(order: WorldProcessOptions) -> FlightEvidence:
 
 
 def _outside(
-    order: WorldProcessOptions, options: WorldOptions, product: AutopilotSideProxy, ends: contextlib.ExitStack
+    order: WorldProcessOptions, options: WorldOptions, product: MavlinkProxy, ends: contextlib.ExitStack
 ) -> tuple[OutsideWorld, Relay | None]:
     """Return the world with its vehicle, and the relay for a real firmware.
 

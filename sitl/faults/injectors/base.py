@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sitl.faults.injectors.obstacle import Obstacle
-from sitl.faults.mavlink_proxy import DelayedItems, ProxyInterface
+from sitl.faults.mavlink_proxy import DelayedItems, MavlinkProxy
 from sitl.faults.process_registry import ProcessRegistry
 from sitl.outside_world import OutsideWorld
 from sitl.runtime.serial_line import SerialLine
@@ -47,7 +47,7 @@ class InjectionContext:
     world: OutsideWorld
     dice: random.Random
     channels: Any = None
-    proxy: ProxyInterface | None = None
+    proxy: MavlinkProxy | None = None
     now_s: float = 0.0
     hold: bool = False
     abort: bool = False  # the operator has commanded a landing

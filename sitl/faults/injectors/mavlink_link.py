@@ -9,7 +9,7 @@ from collections.abc import Callable
 from pymavlink.dialects.v20 import common as mavlink
 
 from sitl.faults.injectors.base import Capabilities, InjectionContext, Injector
-from sitl.faults.mavlink_proxy import DelayedItems, ProxyInterface, frames, message_id
+from sitl.faults.mavlink_proxy import DelayedItems, MavlinkProxy, frames, message_id
 
 _COMMAND_LONG = 76
 SYS_STATUS = 1
@@ -298,7 +298,7 @@ def version(major: int, minor: int, patch: int) -> Callable[[bytes], bytes]:
     return change
 
 
-def proxy_of(at: InjectionContext) -> ProxyInterface:
+def proxy_of(at: InjectionContext) -> MavlinkProxy:
     """Return the link's proxy, which the fault director keeps in the injection context."""
     assert at.proxy is not None
     return at.proxy

@@ -9,7 +9,6 @@ import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
 from sitl.autopilots.byte_links import PipeEnd, UdpPeer, pipe
-from sitl.faults.autopilot_side_proxy import AutopilotSideProxy
 from sitl.faults.injectors.base import Injector
 from sitl.faults.injectors.mavlink_link import (
     Corrupted,
@@ -20,7 +19,7 @@ from sitl.faults.injectors.mavlink_link import (
     RewrittenFrames,
     version,
 )
-from sitl.faults.mavlink_proxy import DelayedItems, Proxy, frames, message_id
+from sitl.faults.mavlink_proxy import DelayedItems, MavlinkProxy, Side, frames, message_id
 from sitl.faults.wire_capture import decode, heartbeats_in, setpoints_in
 
 VOICE = mavlink.MAVLink(None, 233, 191)
@@ -37,7 +36,7 @@ def heartbeat(mode: int) -> bytes:
     return bytes(mavlink.MAVLink_heartbeat_message(2, 12, 129, mode, 4, 3).pack(mavlink.MAVLink(None, 1, 1)))
 
 
-def proxied(trouble: Injector) -> tuple[Proxy, list[float], PipeEnd]:
+def proxied(trouble: Injector) -> tuple[MavlinkProxy, list[float], PipeEnd]:
     ours, theirs = pipe()
     clock = [0.0]
 
@@ -47,7 +46,7 @@ def proxied(trouble: Injector) -> tuple[Proxy, list[float], PipeEnd]:
     def down(frame: bytes) -> DelayedItems[bytes]:
         return trouble.to_product(clock[0], frame)
 
-    return Proxy(ours, lambda: clock[0], up, down), clock, theirs
+    return MavlinkProxy(ours, Side.PRODUCT, lambda: clock[0], up, down), clock, theirs
 
 
 def test_frames_are_cut_where_they_end() -> None:
@@ -160,8 +159,9 @@ def test_the_far_proxy_keeps_what_arrives_and_spoils_what_leaves() -> None:
     trouble, clock = Jitter(0.3, seed=1), [0.0]
     end = UdpPeer(remote=None)
     product = UdpPeer(remote=("127.0.0.1", end.local_port))
-    proxy = AutopilotSideProxy(
-        end, lambda: clock[0], lambda f: trouble.to_autopilot(0.0, f), lambda f: trouble.to_product(0.0, f)
+    proxy = MavlinkProxy(
+        end, Side.AUTOPILOT, lambda: clock[0],
+        lambda f: trouble.to_autopilot(0.0, f), lambda f: trouble.to_product(0.0, f),
     )  # fmt: skip
     try:
         product.write(setpoint(1.0) + heartbeat(3))
@@ -212,7 +212,7 @@ def test_what_others_send_reaches_the_autopilot_and_is_not_the_products() -> Non
     assert message_id(theirs.read()) == 0
     assert (proxy.sent, proxy.arrived) == ([], [])
     ours, product = pipe()
-    there = AutopilotSideProxy(ours, lambda: 0.0, lambda frame: [(0.0, frame)], lambda frame: [(0.0, frame)])
+    there = MavlinkProxy(ours, Side.AUTOPILOT, lambda: 0.0, lambda frame: [(0.0, frame)], lambda frame: [(0.0, frame)])
     there.inject_to_autopilot(heartbeat(1))
     assert message_id(there.read()) == 0
     assert (there.read(), there.sent, there.arrived, product.read()) == (b"", [], [], b"")

@@ -12,8 +12,7 @@ import pytest
 
 from sitl.autopilots.base_autopilot import VehicleTruth
 from sitl.autopilots.byte_links import UdpPeer
-from sitl.faults.autopilot_side_proxy import AutopilotSideProxy
-from sitl.faults.mavlink_proxy import DelayedItems
+from sitl.faults.mavlink_proxy import DelayedItems, MavlinkProxy, Side
 from sitl.geometry.quaternion import from_yaw
 from sitl.real_firmware.rc_transmitter import RcTransmitter
 from sitl.real_firmware.relay import Relay
@@ -76,7 +75,7 @@ def test_a_relay_forwards_the_frames_that_the_faults_leave() -> None:
 
     product, firmware = UdpPeer(remote=None), socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     with closing(product), closing(firmware), closing(UdpPeer(remote=("127.0.0.1", product.local_port))) as end:
-        proxy = AutopilotSideProxy(end, lambda: 0.0, fate, fate)
+        proxy = MavlinkProxy(end, Side.AUTOPILOT, lambda: 0.0, fate, fate)
         with closing(Relay(proxy)) as relay:
             firmware.settimeout(2.0)
             firmware.connect(("127.0.0.1", relay.port))
