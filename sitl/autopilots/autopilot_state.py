@@ -1,21 +1,53 @@
-"""State of a simulated autopilot: clock, estimator, gimbal, battery, origin and home."""
+"""State of a simulated autopilot: clock, commander, flight control, estimator, gimbal, battery, origin and home."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from enum import IntEnum
+from typing import Protocol
 
 from sitl.autopilots.ekf import Estimator
+from sitl.autopilots.position_controller import ControlSetpoint
 from sitl.geometry.quaternion import Vec3
 from sitl.world.battery import Battery
 from sitl.world.gimbal import Gimbal
 from sitl.world.range_finder import UpwardRangeFinder
 
 
+class CommanderInterface(Protocol):
+    """Commander: flight mode, arming state and failsafes."""
+
+    armed: bool
+    failsafes: list[str]
+
+    @property
+    def mode(self) -> IntEnum:
+        """The current flight mode."""
+        ...
+
+
+class FlightControlInterface(Protocol):
+    """Flight control: the setpoint of the controller and the land detector."""
+
+    active: ControlSetpoint
+
+    @property
+    def landed(self) -> bool:
+        """True if the land detector reports that the vehicle has landed."""
+        ...
+
+    def disable_land_detector(self) -> None:
+        """Disable the land detector: no landing is detected any more."""
+        ...
+
+
 @dataclass(slots=True, kw_only=True)
 class AutopilotState:
     """State common to both autopilots. now_s and boot_s (time of boot) are on the world clock."""
 
+    commander: CommanderInterface
+    flight: FlightControlInterface
     estimator: Estimator
     gimbal: Gimbal
     now_s: float = 0.0

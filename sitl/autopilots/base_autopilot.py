@@ -5,11 +5,10 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from enum import IntEnum
-from typing import Protocol
 
 from sitl.autopilots.autopilot_state import AutopilotState
 from sitl.autopilots.base_commands import BaseCommands
+from sitl.autopilots.base_messages import BaseMessages
 from sitl.autopilots.ekf import Estimator, ExternalPose
 from sitl.autopilots.mavlink_server import MavlinkServer
 from sitl.autopilots.parameter_table import ParameterTable
@@ -42,18 +41,6 @@ class VehicleTruth:
     mode: str
 
 
-class CommanderInterface(Protocol):
-    """Commander: flight mode, arming state and failsafes."""
-
-    armed: bool
-    failsafes: list[str]
-
-    @property
-    def mode(self) -> IntEnum:
-        """The current flight mode."""
-        ...
-
-
 class Autopilot(ABC):
     """An autopilot with its vehicle; step(now_s) does all physics and I/O up to that time.
 
@@ -69,8 +56,8 @@ class Autopilot(ABC):
         parameters: ParameterTable,
         server: MavlinkServer,
         board: AutopilotState,
-        commander: CommanderInterface,
         requests: BaseCommands,
+        messages: BaseMessages,
         booted_before_s: float,
         seed: int,
         step_s: float,
@@ -87,7 +74,6 @@ class Autopilot(ABC):
         self._imu = Imu(seed, step_s)
         self._server = server
         self._board = board
-        self._commander = commander
         self._requests = requests
         self._booted_before_s = booted_before_s
         self._started = False
@@ -95,6 +81,8 @@ class Autopilot(ABC):
         self._revision = parameters.revision
         self._start_s = 0.0
         self._pilot_view: PilotView | None = None  # set while a human pilot flies it without the estimator
+        for message_id, (build, rate_hz) in messages.rates().items():
+            server.add_stream(message_id, build, rate_hz)
 
     @property
     def setpoint_arrivals_s(self) -> list[float]:
@@ -104,7 +92,7 @@ class Autopilot(ABC):
     @property
     def failsafes(self) -> list[str]:
         """Cause and action of each failsafe that acted, in order."""
-        return self._commander.failsafes
+        return self._board.commander.failsafes
 
     @property
     def texts(self) -> list[str]:
@@ -118,7 +106,7 @@ class Autopilot(ABC):
 
     def truth(self) -> VehicleTruth:
         """Return the true state of the vehicle at the last step."""
-        v, b, c = self.vehicle, self._board, self._commander
+        v, b, c = self.vehicle, self._board, self._board.commander
         return VehicleTruth(
             b.now_s, v.position, v.velocity, v.quat_wxyz, v.gyro, v.specific_force, -b.gimbal.pitch, c.armed, c.mode.name
         )
@@ -136,9 +124,9 @@ class Autopilot(ABC):
     def pilot_disarms(self) -> None:
         """Disarm by the kill switch: the motors stop, even in flight."""
 
-    @abstractmethod
     def disable_land_detector(self) -> None:
         """Disable the land detector: no landing is detected any more."""
+        self._board.flight.disable_land_detector()
 
     def write_parameter(self, name: str, value: float) -> None:
         """Change a parameter as another ground station would, and send its PARAM_VALUE.
@@ -233,7 +221,7 @@ class Autopilot(ABC):
     def _sense(self) -> None:
         v, b = self.vehicle, self._board
         gyro, force = self._imu.read(frd_from_flu(v.gyro), frd_from_flu(v.specific_force))
-        b.estimator.predict(b.now_s - b.boot_s, self._step_s, gyro, force, self._landed)
+        b.estimator.predict(b.now_s - b.boot_s, self._step_s, gyro, force, b.flight.landed)
 
     def _act(self) -> None:
         """Control the vehicle for one step.
@@ -245,7 +233,7 @@ class Autopilot(ABC):
         seen = self._pilot_view or b.estimator
         force, turn = self._control(self._step_s, seen)
         in_body = frd_from_flu(rotate(conjugate(seen.quat_wxyz), force))
-        v.step(self._step_s, rotate(v.quat_wxyz, in_body), -turn, self._commander.armed)
+        v.step(self._step_s, rotate(v.quat_wxyz, in_body), -turn, self._board.commander.armed)
 
     def _sense_slowly(self, dt_s: float) -> None:
         """Update barometer, range finder and battery."""
@@ -253,14 +241,9 @@ class Autopilot(ABC):
         if b.range_finder is not None:
             b.range_finder.step(b.now_s, self.vehicle.position, self.vehicle.quat_wxyz)
         b.estimator.correct_baro(self._imu.altitude(self.vehicle.position[2]), dt_s)
-        b.battery.step(dt_s, self._commander.armed and not self._landed)
+        b.battery.step(dt_s, b.commander.armed and not b.flight.landed)
 
     # -- implemented by each firmware -----------------------------------------------------------------------------
-
-    @property
-    @abstractmethod
-    def _landed(self) -> bool:
-        """True if the land detector reports that the vehicle has landed."""
 
     @abstractmethod
     def _configure(self) -> None:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
+from collections.abc import Callable
 
 from pymavlink.dialects.v20 import common as mavlink
 
@@ -21,11 +23,23 @@ SENSORS = (
 )
 
 
-class BaseMessages:
+class BaseMessages(ABC):
     """Builders of messages; each returns a message, or None if its data are not available yet."""
 
     def __init__(self, board: AutopilotState) -> None:
         self._board = board
+
+    @abstractmethod
+    def rates(self) -> dict[int, tuple[Callable[[], Packet | None], float]]:
+        """Return (builder, default rate in Hz) by message id; rate 0 is sent on request only."""
+
+    def timesync(self) -> Packet:
+        """Return a TIMESYNC request, whose answer gives the offset of the companion's clock."""
+        return packet(mavlink.MAVLink_timesync_message, 0, self._board.boot_us * 1000)
+
+    def position_target(self) -> Packet | None:
+        """Return POSITION_TARGET_LOCAL_NED, the setpoint of the controller; None while disarmed."""
+        return self._followed(self._board.flight.active) if self._board.commander.armed else None
 
     def battery_status(self) -> Packet:
         """Return BATTERY_STATUS with four cells."""
@@ -97,6 +111,14 @@ class BaseMessages:
         kind, up = mavlink.MAV_DISTANCE_SENSOR_LASER, mavlink.MAV_SENSOR_ROTATION_PITCH_90
         cm = (round(100.0 * low_m), round(100.0 * high_m), round(100.0 * sensor.range_m))
         return packet(mavlink.MAVLink_distance_sensor_message, boot_ms, *cm, kind, 0, up, 0)
+
+    def _heartbeat(self, autopilot: int, flags: int) -> Packet:
+        """Return HEARTBEAT of a quadrotor. flags: base mode flags of this firmware's mode."""
+        c = self._board.commander
+        base = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | mavlink.MAV_MODE_FLAG_STABILIZE_ENABLED | flags
+        base |= mavlink.MAV_MODE_FLAG_SAFETY_ARMED if c.armed else 0
+        status = mavlink.MAV_STATE_ACTIVE if c.armed else mavlink.MAV_STATE_STANDBY
+        return packet(mavlink.MAVLink_heartbeat_message, mavlink.MAV_TYPE_QUADROTOR, autopilot, base, int(c.mode), status, 3)
 
     def _health(self, ready: bool, more: int = 0, healthy: int = 0) -> Packet:
         """Return SYS_STATUS: sensors, battery and the PREARM bit.

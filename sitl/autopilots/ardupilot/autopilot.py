@@ -48,9 +48,8 @@ class ArduCopter(Autopilot):
             commander=commander, estimator=estimator, flight=flight, gimbal=gimbal, capacity_mah=parameters["BATT_CAPACITY"]
         )
         commands = ArduPilotCommands(self._state, server)
-        for message_id, (build, rate_hz) in ArduPilotMessages(self._state).rates().items():
-            server.add_stream(message_id, build, rate_hz)
-        super().__init__(vehicle, parameters, server, self._state, commander, commands, BOOTED_BEFORE_S, seed, step_s)
+        messages = ArduPilotMessages(self._state)
+        super().__init__(vehicle, parameters, server, self._state, commands, messages, BOOTED_BEFORE_S, seed, step_s)
 
     def fuse_own(self, pose: PoseRecord) -> None:
         """Fuse a pose of its own tracking system, once the estimator is active."""
@@ -71,14 +70,6 @@ class ArduCopter(Autopilot):
         s.home_follows, s.flight.home = False, None
         s.commander.gcs_received_s = s.commander.companion_received_s = math.inf
         s.commander.takeover(ArduPilotMode.STABILIZE)
-
-    def disable_land_detector(self) -> None:
-        """Disable the land detector: no landing is detected any more."""
-        self._state.flight.disable_land_detector()
-
-    @property
-    def _landed(self) -> bool:
-        return self._state.flight.landed
 
     def _configure(self) -> None:
         p, s = self._parameters, self._state

@@ -58,17 +58,9 @@ class ArduPilotMessages(BaseMessages):
 
     def heartbeat(self) -> Packet:
         """Return HEARTBEAT; only its custom_mode identifies the mode."""
-        c = self._s.commander
-        base = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | mavlink.MAV_MODE_FLAG_STABILIZE_ENABLED
-        base |= mavlink.MAV_MODE_FLAG_GUIDED_ENABLED if c.mode in (ArduPilotMode.GUIDED, ArduPilotMode.LAND) else 0
-        base |= mavlink.MAV_MODE_FLAG_SAFETY_ARMED if c.armed else 0
-        status = mavlink.MAV_STATE_ACTIVE if c.armed else mavlink.MAV_STATE_STANDBY
-        kind, family = mavlink.MAV_TYPE_QUADROTOR, mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
-        return packet(mavlink.MAVLink_heartbeat_message, kind, family, base, int(c.mode), status, 3)
-
-    def timesync(self) -> Packet:
-        """Return a TIMESYNC request."""
-        return packet(mavlink.MAVLink_timesync_message, 0, self._s.boot_us * 1000)
+        guided = self._s.commander.mode in (ArduPilotMode.GUIDED, ArduPilotMode.LAND)
+        flags = mavlink.MAV_MODE_FLAG_GUIDED_ENABLED if guided else 0
+        return self._heartbeat(mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA, flags)
 
     def sys_status(self) -> Packet:
         """Return SYS_STATUS: sensors, battery and the PREARM bit.
@@ -80,10 +72,6 @@ class ArduPilotMessages(BaseMessages):
         heard = vision if s.estimator.pose_age_s <= _VISION_HEALTHY_S else 0
         more = vision | mavlink.MAV_SYS_STATUS_PREARM_CHECK  # present here; in PX4 only healthy or not (measured)
         return self._health(c.armed or not c.arming_refusal(s.condition()), more, heard)
-
-    def position_target(self) -> Packet | None:
-        """Return POSITION_TARGET_LOCAL_NED, the setpoint of the controller; None while disarmed."""
-        return self._followed(self._s.flight.active) if self._s.commander.armed else None
 
     def ekf_status(self) -> Packet:
         """Return EKF_STATUS_REPORT: flags, and innovations relative to their gates.

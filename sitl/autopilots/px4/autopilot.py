@@ -44,9 +44,8 @@ class Px4(Autopilot):
         gimbal = Gimbal(-half_range_rad, half_range_rad)
         self._state = Px4State(commander=commander, estimator=estimator, flight=flight, gimbal=gimbal)
         commands = Px4Commands(self._state, server, seed + 2)
-        for message_id, (build, rate_hz) in Px4Messages(self._state).rates().items():
-            server.add_stream(message_id, build, rate_hz)
-        super().__init__(vehicle, parameters, server, self._state, commander, commands, BOOTED_BEFORE_S, seed, step_s)
+        messages = Px4Messages(self._state)
+        super().__init__(vehicle, parameters, server, self._state, commands, messages, BOOTED_BEFORE_S, seed, step_s)
 
     @property
     def timesync_converged(self) -> bool:
@@ -65,14 +64,6 @@ class Px4(Autopilot):
     def pilot_disarms(self) -> None:
         """Disarm by the kill switch: the motors stop, even in flight."""
         self._state.commander.request_arming(arm=False, force=True, condition=self._state.condition())
-
-    def disable_land_detector(self) -> None:
-        """Disable the land detector: no landing is detected any more."""
-        self._state.flight.disable_land_detector()
-
-    @property
-    def _landed(self) -> bool:
-        return self._state.flight.landed
 
     def _configure(self) -> None:
         p, s = self._parameters, self._state

@@ -57,26 +57,8 @@ class Px4Messages(BaseMessages):
 
     def heartbeat(self) -> Packet:
         """Return HEARTBEAT; only its custom_mode identifies the mode."""
-        c = self._s.commander
-        base = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | mavlink.MAV_MODE_FLAG_STABILIZE_ENABLED
-        base |= (
-            mavlink.MAV_MODE_FLAG_GUIDED_ENABLED | mavlink.MAV_MODE_FLAG_AUTO_ENABLED if c.mode >> 16 & 0xFF in (4, 6) else 0
-        )
-        base |= mavlink.MAV_MODE_FLAG_SAFETY_ARMED if c.armed else 0
-        status = mavlink.MAV_STATE_ACTIVE if c.armed else mavlink.MAV_STATE_STANDBY
-        return packet(
-            mavlink.MAVLink_heartbeat_message,
-            mavlink.MAV_TYPE_QUADROTOR,
-            mavlink.MAV_AUTOPILOT_PX4,
-            base,
-            int(c.mode),
-            status,
-            3,
-        )
-
-    def timesync(self) -> Packet:
-        """Return a TIMESYNC request, whose answer gives the offset of the companion's clock."""
-        return packet(mavlink.MAVLink_timesync_message, 0, self._s.boot_us * 1000)
+        steered = mavlink.MAV_MODE_FLAG_GUIDED_ENABLED | mavlink.MAV_MODE_FLAG_AUTO_ENABLED
+        return self._heartbeat(mavlink.MAV_AUTOPILOT_PX4, steered if self._s.commander.mode >> 16 & 0xFF in (4, 6) else 0)
 
     def sys_status(self) -> Packet:
         """Return SYS_STATUS: sensors, battery and the PREARM bit."""
@@ -95,10 +77,6 @@ class Px4Messages(BaseMessages):
             s.boot_us, mavlink.MAV_FRAME_LOCAL_NED, mavlink.MAV_FRAME_BODY_FRD, *e.position, e.quat_wxyz, *body_velocity,
             *e.angular_rate, covariance, covariance, e.reset_count & 255, mavlink.MAV_ESTIMATOR_TYPE_AUTOPILOT, 100,
         )  # fmt: skip
-
-    def position_target(self) -> Packet | None:
-        """Return POSITION_TARGET_LOCAL_NED, the setpoint of the controller; None while disarmed."""
-        return self._followed(self._s.flight.active) if self._s.commander.armed else None
 
     def estimator_status(self) -> Packet:
         """Return ESTIMATOR_STATUS: flags and innovation test ratios."""
