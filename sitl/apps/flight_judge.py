@@ -36,11 +36,10 @@ from uav_recon.recording.report import (
     TIMED_RECALLS,
     Report,
     ReportOdometry,
-    ReportQuality,
     ReportSafety,
-    ReportStream,
 )
 from uav_recon.recording.timelapse import load_states
+from uav_recon.types.flight_metrics import ModelQuality, StreamStatistics
 from uav_recon.types.maps import FREE, OCCUPIED, UNKNOWN, TriangleMesh, VoxelMap
 from uav_recon.types.pose import Pose
 
@@ -175,13 +174,12 @@ def _aligned_mesh(mesh: TriangleMesh | None, truth_from_odom: Pose | None) -> Tr
     return dataclasses.replace(mesh, vertices_world=truth_from_odom.apply(mesh.vertices_world))
 
 
-def _quality(mesh: TriangleMesh, scene: Scene, cut: VisibleTruth, psnr_db: float | None) -> ReportQuality:
+def _quality(mesh: TriangleMesh, scene: Scene, cut: VisibleTruth, psnr_db: float | None) -> ModelQuality:
     truth = metrics.SurfaceTruth(
         surface=TriangleSurface(scene.vertices.astype(np.float64), scene.faces.astype(np.int64)),
         points_world=cut.points.astype(np.float64),
     )
-    measured = metrics.measure(TriangleSurface(mesh.vertices_world, mesh.faces), truth, psnr_db)
-    return ReportQuality(**{name: getattr(measured, name) for name in ReportQuality.__dataclass_fields__})
+    return metrics.measure(TriangleSurface(mesh.vertices_world, mesh.faces), truth, psnr_db)
 
 
 def recall_over_time(
@@ -248,9 +246,8 @@ def _flight_time_s(truth: FlightTruth) -> float:
     return float(stamps[-1] - stamps[0]) if len(stamps) else 0.0
 
 
-def _stream(truth: FlightTruth) -> ReportStream:
-    found = metrics.stream_statistics(truth.setpoint_arrivals_s)
-    return ReportStream(found.rate_hz, found.gap_p99_ms, found.gap_max_ms)
+def _stream(truth: FlightTruth) -> StreamStatistics:
+    return metrics.stream_statistics(truth.setpoint_arrivals_s)
 
 
 def _lookahead(truth: FlightTruth, config: Config) -> PathVisibility:

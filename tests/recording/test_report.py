@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from uav_recon.evaluation.metrics import Quality, StreamStatistics
-from uav_recon.recording.report import Report, ReportError, ReportQuality, ReportStream, save_report
+from uav_recon.recording.report import Report, ReportError, save_report
 from uav_recon.recording.report_page import Picture, verdict, write_report
 
 PIXEL = bytes.fromhex(
@@ -124,11 +123,6 @@ def test_numbers_that_are_not_finite_become_null() -> None:
     spoilt = dataclasses.replace(report, explored_fraction=float("nan"), path_length_m=np.float64("inf"))
     back = json.loads(spoilt.to_json(), parse_constant=refuse)
     assert back["explored_fraction"] is None and back["path_length_m"] is None
-
-
-def test_evaluation_and_report_use_the_same_names() -> None:
-    assert [f.name for f in dataclasses.fields(Quality)] == [f.name for f in dataclasses.fields(ReportQuality)]
-    assert [f.name for f in dataclasses.fields(StreamStatistics)] == [f.name for f in dataclasses.fields(ReportStream)]
 
 
 def test_the_page_needs_no_other_file(tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from uav_recon.evaluation.triangle_surface import TriangleSurface
+from uav_recon.types.flight_metrics import ModelQuality, StreamStatistics
 from uav_recon.types.frames import BoolArray, ByteArray, FloatArray
 
 SAMPLES = 300_000
@@ -34,31 +35,9 @@ class SurfaceTruth:
     points_again_world: FloatArray | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Quality:
-    """The quality section of report.json: cm, shares of 1, dB; None if it cannot be measured."""
-
-    accuracy_cm: float | None
-    completion_cm: float | None
-    recall_5cm: float | None
-    recall_2cm: float | None
-    f_score_2cm: float | None
-    psnr_db: float | None
-    accuracy_point_cm: float | None
-    completion_point_cm: float | None
-    point_floor_cm: float | None
-
-
-@dataclass(frozen=True, slots=True)
-class StreamStatistics:
-    """Rate and gaps of a periodic stream; None if there were too few arrivals."""
-
-    rate_hz: float | None
-    gap_p99_ms: float | None
-    gap_max_ms: float | None
-
-
-def measure(model: TriangleSurface, truth: SurfaceTruth, psnr: float | None, seed: int = 0, samples: int = SAMPLES) -> Quality:
+def measure(
+    model: TriangleSurface, truth: SurfaceTruth, psnr: float | None, seed: int = 0, samples: int = SAMPLES
+) -> ModelQuality:
     """Measure a model against ground truth, both in world.
 
     ``samples`` area-weighted points are drawn on the model. An empty model has a recall of zero and no accuracy.
@@ -67,7 +46,7 @@ def measure(model: TriangleSurface, truth: SurfaceTruth, psnr: float | None, see
     to_truth_m = truth.surface.distance_m(model_points)
     to_model_m = model.distance_m(truth.points_world)
     precision_2cm, recall_2cm = share_within(to_truth_m, 0.02), share_within(to_model_m, 0.02)
-    return Quality(
+    return ModelQuality(
         accuracy_cm=_mean_cm(to_truth_m),
         completion_cm=_mean_cm(to_model_m),
         recall_5cm=share_within(to_model_m, 0.05),

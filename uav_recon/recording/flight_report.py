@@ -13,8 +13,9 @@ from uav_recon.recording.mesh_file import load_mesh
 from uav_recon.recording.mesh_renders import render_mesh_images
 from uav_recon.recording.plots import coverage_over_time, path_over_plan, planning_over_time
 from uav_recon.recording.recall_plot import recall_over_time
-from uav_recon.recording.report import TIMED_RECALLS, MedianP95, ModeTimes, Report, ReportPlanning, ReportSafety, ReportStream
+from uav_recon.recording.report import TIMED_RECALLS, MedianP95, ModeTimes, Report, ReportPlanning, ReportSafety
 from uav_recon.recording.report_page import Picture, write_report
+from uav_recon.types.flight_metrics import StreamStatistics
 
 ON_THE_GROUND = ("idle", "ready", "done")
 
@@ -60,7 +61,7 @@ def build_report(folder: Path, card: FlightInfo, wall_s: float) -> Report:
         explored_fraction=None,
         quality=None,
         planning=_planning(timeline),
-        stream=ReportStream(None, None, None),
+        stream=StreamStatistics(None, None, None),
         safety=ReportSafety(None, None, None, None, None, refusals=len(timeline.refusals), failsafes=None),
         refused_views=dict(timeline.refused_views[-1].counts) if timeline.refused_views else None,
         reduced_speed_s=timeline.reduced_speed_s(min(stamps_s), max(stamps_s)) if stamps_s else {},

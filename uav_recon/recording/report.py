@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from uav_recon import json_codec
+from uav_recon.types.flight_metrics import ModelQuality, StreamStatistics
 
 REPORT = "report.json"
 TIMED_RECALLS = ("0.90", "0.95")  # the keys of time_to_recall_s
@@ -20,21 +21,6 @@ TIMED_RECALLS = ("0.90", "0.95")  # the keys of time_to_recall_s
 
 class ReportError(Exception):
     """Raised for a report with an invalid structure; the text is one line that names the key."""
-
-
-@dataclass(frozen=True, slots=True)
-class ReportQuality:
-    """Quality against ground truth: cm, shares of 1, dB. See evaluation.metrics."""
-
-    accuracy_cm: float | None
-    completion_cm: float | None
-    recall_5cm: float | None
-    recall_2cm: float | None
-    f_score_2cm: float | None
-    psnr_db: float | None
-    accuracy_point_cm: float | None
-    completion_point_cm: float | None
-    point_floor_cm: float | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,15 +79,6 @@ class ReportPlanning:
 
 
 @dataclass(frozen=True, slots=True)
-class ReportStream:
-    """Setpoint stream as received by the autopilot."""
-
-    rate_hz: float | None
-    gap_p99_ms: float | None
-    gap_max_ms: float | None
-
-
-@dataclass(frozen=True, slots=True)
 class ReportSafety:
     """Clearance, contacts, rejections and failsafes of a flight.
 
@@ -155,9 +132,9 @@ class Report:
     time_to_recall_s: Mapping[str, float | None]
     oracle_s: float | None
     explored_fraction: float | None
-    quality: ReportQuality | None
+    quality: ModelQuality | None
     planning: ReportPlanning
-    stream: ReportStream
+    stream: StreamStatistics
     safety: ReportSafety
     refused_views: Mapping[str, int] | None
     reduced_speed_s: Mapping[str, float] | None = None
