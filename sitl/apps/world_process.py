@@ -38,7 +38,7 @@ from sitl.truth.hull_clearance import HullClearance
 from sitl.world.onboard_tracker import OnboardTracker
 from sitl.world.pose_tracker import SimulatedTracker
 from sitl.world.quadrotor import AirframeDynamics, Quadrotor
-from sitl.world.range_finder import UpwardRangeFinder
+from sitl.world.range_finder import SimulatedUpwardRangeFinder
 from sitl.world.step_sizes import FINE_STEPS, StepSizes
 from uav_recon import json_codec
 from uav_recon.sensors.stream_format import StreamWriter
@@ -125,7 +125,7 @@ def _assemble(
     stream = StreamWriter(Path(options.stream), camera.header)
     tracker = SimulatedTracker(options.seed)
     if options.range_up_deg is not None and isinstance(flyer, Autopilot):
-        flyer.mount_range_finder(UpwardRangeFinder(scene, options.seed, math.radians(options.range_up_deg)))
+        flyer.mount_range_finder(SimulatedUpwardRangeFinder(scene, options.seed, math.radians(options.range_up_deg)))
     onboard = OnboardTracker(options.seed, flyer.fuse_own) if options.onboard_poses and isinstance(flyer, Autopilot) else None
     return OutsideWorld(flyer, camera, tracker, clearance, stream, now_s(), pitch_rad, pace, errors, onboard)
 

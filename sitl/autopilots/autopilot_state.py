@@ -12,7 +12,7 @@ from sitl.autopilots.position_controller import ControlSetpoint
 from sitl.geometry.quaternion import Vec3
 from sitl.world.battery import Battery
 from sitl.world.gimbal import Gimbal
-from sitl.world.range_finder import UpwardRangeFinder
+from sitl.world.range_finder import SimulatedUpwardRangeFinder
 
 
 class CommanderInterface(Protocol):
@@ -53,7 +53,7 @@ class AutopilotState:
     now_s: float = 0.0
     boot_s: float = 0.0
     battery: Battery = field(default_factory=Battery)
-    range_finder: UpwardRangeFinder | None = None
+    range_finder: SimulatedUpwardRangeFinder | None = None
     origin: tuple[int, int, int] | None = None  # degE7, degE7, mm
     home: Vec3 | None = None  # local NED
     rc_lost_at_s: float = math.inf

@@ -15,10 +15,10 @@ from sitl.autopilots.parameter_table import ParameterTable
 from sitl.autopilots.pilot_view import PilotView
 from sitl.geometry.ned_frd import frd_from_flu, ned_frd_from_enu_flu, ned_from_enu
 from sitl.geometry.quaternion import Quat, Vec3, conjugate, rotate
-from sitl.world.imu import Imu
+from sitl.world.imu import SimulatedImu
 from sitl.world.pose_tracker import PoseRecord
 from sitl.world.quadrotor import Quadrotor
-from sitl.world.range_finder import UpwardRangeFinder
+from sitl.world.range_finder import SimulatedUpwardRangeFinder
 
 _SLOW_S = 0.02  # period of commander and barometer (50 Hz)
 
@@ -71,7 +71,7 @@ class Autopilot(ABC):
         self._slow_steps = max(round(_SLOW_S / step_s), 1)
         self.vehicle = vehicle
         self.parameters = parameters
-        self._imu = Imu(seed, step_s)
+        self._imu = SimulatedImu(seed, step_s)
         self._server = server
         self._board = board
         self._requests = requests
@@ -166,7 +166,7 @@ class Autopilot(ABC):
         """Set the state of charge, 0 to 1."""
         self._board.battery.fraction = fraction
 
-    def mount_range_finder(self, sensor: UpwardRangeFinder) -> None:
+    def mount_range_finder(self, sensor: SimulatedUpwardRangeFinder) -> None:
         """Connect a range finder that looks up."""
         self._board.range_finder = sensor
 

@@ -12,7 +12,7 @@ from sitl.autopilots.autopilot_state import AutopilotState
 from sitl.autopilots.mavlink_codec import Packet, packet
 from sitl.autopilots.position_controller import ControlSetpoint
 from sitl.geometry.quaternion import euler_of
-from sitl.world.range_finder import RANGE_M, UpwardRangeFinder
+from sitl.world.range_finder import RANGE_M, SimulatedUpwardRangeFinder
 
 SENSORS = (
     mavlink.MAV_SYS_STATUS_SENSOR_3D_GYRO
@@ -105,7 +105,7 @@ class BaseMessages(ABC):
             [math.cos(half), 0.0, math.sin(half), 0.0], 0.0, g.pitch_rate, 0.0, 0, 0.0, 0.0, 1,
         )  # fmt: skip
 
-    def _distance_up(self, sensor: UpwardRangeFinder, boot_ms: int) -> Packet:
+    def _distance_up(self, sensor: SimulatedUpwardRangeFinder, boot_ms: int) -> Packet:
         """Return DISTANCE_SENSOR of a sensor that looks up, without field of view and quality."""
         low_m, high_m = RANGE_M
         kind, up = mavlink.MAV_DISTANCE_SENSOR_LASER, mavlink.MAV_SENSOR_ROTATION_PITCH_90

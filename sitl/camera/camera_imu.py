@@ -16,7 +16,7 @@ _STREAM = 0x1A0
 
 
 @dataclass(frozen=True)
-class ImuSample:
+class CameraImuSample:
     """One sample as the camera reports it: gyro (3,), rad/s; specific force (3,), m/s^2."""
 
     stamp_s: float
@@ -40,7 +40,7 @@ class CameraImu:
         self._step: F64 = np.repeat([e.gyro_walk, e.accel_walk], 3) / root
         self._bias: F64 = np.array([*e.gyro_bias_radps, *e.accel_bias_mps2])
 
-    def read(self, true_s: float, gyro: Vec3, specific_force: Vec3, imu_from_body: Quat, motors_on: bool) -> ImuSample:
+    def read(self, true_s: float, gyro: Vec3, specific_force: Vec3, imu_from_body: Quat, motors_on: bool) -> CameraImuSample:
         """Return the next sample for the true motion at true_s.
 
         gyro: rad/s, specific_force: m/s^2, body FLU.
@@ -48,7 +48,7 @@ class CameraImu:
         white, walk = self._rng.standard_normal((2, 6))
         noise = self._bias + (self._flight if motors_on else self._rest) * white
         self._bias = self._bias + self._step * walk
-        return ImuSample(
+        return CameraImuSample(
             true_s + self._errors.offset_s,
             np.asarray(rotate(imu_from_body, gyro)) + noise[:3],
             np.asarray(rotate(imu_from_body, specific_force)) + noise[3:],

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from sitl.camera.d435i import pinhole
 from sitl.faults.fault import AFTER_DISARM_S, Fault, Onset
-from sitl.faults.injectors.base import ATTENDED, DepthFrame, ImuSample, InjectionContext, Injector
+from sitl.faults.injectors.base import ATTENDED, DepthFrame, InjectionContext, Injector, StreamedImuSample
 from sitl.faults.mavlink_proxy import DelayedItems, LinkEnd, MavlinkProxy, Side
 from sitl.geometry.quaternion import yaw_of
 from sitl.geometry.transform import body_from_camera, world_from_body
@@ -238,13 +238,13 @@ class FaultyStream:
     def __init__(self, writer: CameraStreamOutput, meddler: FaultDirector) -> None:
         self._writer = writer
         self._meddler = meddler
-        self._waiting: list[tuple[float, int, PoseRecord | DepthFrame | ImuSample]] = []
+        self._waiting: list[tuple[float, int, PoseRecord | DepthFrame | StreamedImuSample]] = []
         self._numbers = itertools.count()
         self._lock = threading.Lock()  # images are rendered in a thread of their own
 
     def write_imu(self, stamp_s: float, gyro: NDArray[np.float64], force: NDArray[np.float64]) -> None:
         """Write an inertial sample, which the faults may delay, change or drop."""
-        self._queue(self._meddler.fate("imu", ImuSample(stamp_s, gyro, force)))
+        self._queue(self._meddler.fate("imu", StreamedImuSample(stamp_s, gyro, force)))
 
     def write_pose(
         self,
@@ -263,7 +263,7 @@ class FaultyStream:
         """Write a frame, which the faults may delay, change or drop."""
         self._queue(self._meddler.fate("depth", DepthFrame(stamp_s, depth_mm, rgb)))
 
-    def _queue(self, late: DelayedItems[PoseRecord] | DelayedItems[DepthFrame] | DelayedItems[ImuSample]) -> None:
+    def _queue(self, late: DelayedItems[PoseRecord] | DelayedItems[DepthFrame] | DelayedItems[StreamedImuSample]) -> None:
         now_s = self._meddler.context.now_s
         for wait_s, item in late:
             with self._lock:
@@ -275,14 +275,14 @@ class FaultyStream:
         while (item := self._due(now_s)) is not None:
             if isinstance(item, DepthFrame):
                 self._writer.write_frame(item.stamp_s, item.depth_mm, item.rgb)
-            elif isinstance(item, ImuSample):
+            elif isinstance(item, StreamedImuSample):
                 self._writer.write_imu(item.stamp_s, item.gyro_radps, item.specific_force_mps2)
             else:
                 self._writer.write_pose(
                     item.stamp_s, item.position_m, item.quat_wxyz, item.variance, item.quality, item.reset_counter
                 )
 
-    def _due(self, now_s: float) -> PoseRecord | DepthFrame | ImuSample | None:
+    def _due(self, now_s: float) -> PoseRecord | DepthFrame | StreamedImuSample | None:
         with self._lock:
             if self._waiting and self._waiting[0][0] <= now_s + 1e-9:
                 return heapq.heappop(self._waiting)[2]

@@ -26,7 +26,7 @@ class ImuNoise:
     baro_bias_m: float = 0.1
 
 
-class Imu:
+class SimulatedImu:
     """Angular rates and specific force with the errors of one device, drawn from the seed.
 
     Both are in the same body frame, which may be any.

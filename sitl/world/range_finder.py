@@ -22,7 +22,7 @@ _RAYS_APART_RAD = 0.012  # in the rings around the axis; ring n has 6 n rays
 F64 = NDArray[np.float64]
 
 
-class UpwardRangeFinder:
+class SimulatedUpwardRangeFinder:
     """A sensor that measures the nearest surface in its cone, at RATE_HZ.
 
     fov_rad: whole angle of the cone.

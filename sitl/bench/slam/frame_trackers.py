@@ -9,7 +9,7 @@ from uav_recon.types.camera import Frame, ImuSample
 from uav_recon.types.pose import Pose, StampedPose
 
 
-class FrameTracker(Protocol):
+class SequenceTracker(Protocol):
     """Tracker of the body's pose from frames and inertial samples.
 
     Calls block while they compute.
@@ -27,16 +27,16 @@ class FrameTracker(Protocol):
         ...
 
 
-def _joint() -> FrameTracker:
+def _joint() -> SequenceTracker:
     from uav_recon.localization.slam.slam_tracker import SlamTracker
 
     return SlamTracker()
 
 
-def _open3d() -> FrameTracker:
+def _open3d() -> SequenceTracker:
     from sitl.bench.slam.rgbd_odometry import RgbdOdometry
 
     return RgbdOdometry()
 
 
-METHODS: dict[str, Callable[[], FrameTracker]] = {"joint": _joint, "open3d": _open3d}
+METHODS: dict[str, Callable[[], SequenceTracker]] = {"joint": _joint, "open3d": _open3d}

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sitl.bench.slam.frame_trackers import FrameTracker
+from sitl.bench.slam.frame_trackers import SequenceTracker
 from uav_recon.sensors.stream_camera import depth_lookup_table
 from uav_recon.types.camera import Frame, ImuSample, Intrinsics
 from uav_recon.types.frames import BoolArray, FloatArray, IntArray
@@ -43,7 +43,7 @@ class TrackingRun:
 
 
 def run(
-    tracker: FrameTracker, sequence: RgbdSequence, report: Callable[[int, int], None] = lambda done, total: None
+    tracker: SequenceTracker, sequence: RgbdSequence, report: Callable[[int, int], None] = lambda done, total: None
 ) -> TrackingRun:
     """Track a sequence as in flight: a frame comes with the samples that arrived before it.
 

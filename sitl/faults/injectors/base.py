@@ -85,7 +85,7 @@ class Injector:
         """Return the result for a depth frame."""
         return [(0.0, frame)]
 
-    def imu(self, since_s: float, sample: ImuSample) -> DelayedItems[ImuSample]:
+    def imu(self, since_s: float, sample: StreamedImuSample) -> DelayedItems[StreamedImuSample]:
         """Return the result for an inertial sample."""
         return [(0.0, sample)]
 
@@ -116,7 +116,7 @@ class DepthFrame:
 
 
 @dataclass(frozen=True, slots=True)
-class ImuSample:
+class StreamedImuSample:
     """Inertial sample in transit: gyro (3,), rad/s; specific force (3,), m/s^2; body FLU."""
 
     stamp_s: float

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from sitl.faults.injectors.base import DepthFrame, ImuSample, InjectionContext, Injector
+from sitl.faults.injectors.base import DepthFrame, InjectionContext, Injector, StreamedImuSample
 from sitl.faults.mavlink_proxy import DelayedItems
 from sitl.world.pose_tracker import PoseRecord
 
@@ -42,7 +42,7 @@ class Delayed(Injector):
         """Return the fault's result for a depth frame."""
         return self._acts.depth(since_s - self._begun_s, frame)
 
-    def imu(self, since_s: float, sample: ImuSample) -> DelayedItems[ImuSample]:
+    def imu(self, since_s: float, sample: StreamedImuSample) -> DelayedItems[StreamedImuSample]:
         """Return the fault's result for an inertial sample."""
         return self._acts.imu(since_s - self._begun_s, sample)
 

@@ -7,10 +7,10 @@ from collections.abc import Callable
 
 import numpy as np
 
-from sitl.faults.injectors.base import ImuSample, Injector
+from sitl.faults.injectors.base import Injector, StreamedImuSample
 from sitl.faults.mavlink_proxy import DelayedItems
 
-Change = Callable[[ImuSample, np.random.Generator], ImuSample]
+Change = Callable[[StreamedImuSample, np.random.Generator], StreamedImuSample]
 
 
 class ImuSilence(Injector):
@@ -19,7 +19,7 @@ class ImuSilence(Injector):
     def __init__(self, for_s: float = 1e9) -> None:
         self._for_s = for_s
 
-    def imu(self, since_s: float, sample: ImuSample) -> DelayedItems[ImuSample]:
+    def imu(self, since_s: float, sample: StreamedImuSample) -> DelayedItems[StreamedImuSample]:
         """Drop the sample until for_s."""
         return [] if since_s < self._for_s else [(0.0, sample)]
 
@@ -33,7 +33,7 @@ class AlteredImu(Injector):
         self._until_s = from_s + for_s
         self._rng = np.random.default_rng(7)
 
-    def imu(self, since_s: float, sample: ImuSample) -> DelayedItems[ImuSample]:
+    def imu(self, since_s: float, sample: StreamedImuSample) -> DelayedItems[StreamedImuSample]:
         """Change the sample while the fault lasts."""
         acts = self._from_s <= since_s < self._until_s
         return [(0.0, self._change(sample, self._rng) if acts else sample)]
@@ -45,14 +45,14 @@ class FrozenImu(Injector):
     def __init__(self, gyro: bool = True, accelerometer: bool = True) -> None:
         self._gyro = gyro
         self._accelerometer = accelerometer
-        self._kept: ImuSample | None = None
+        self._kept: StreamedImuSample | None = None
 
-    def imu(self, since_s: float, sample: ImuSample) -> DelayedItems[ImuSample]:
+    def imu(self, since_s: float, sample: StreamedImuSample) -> DelayedItems[StreamedImuSample]:
         """Replace the values of the sensors that are frozen."""
         self._kept = self._kept or sample
         gyro = self._kept if self._gyro else sample
         force = self._kept if self._accelerometer else sample
-        return [(0.0, ImuSample(sample.stamp_s, gyro.gyro_radps, force.specific_force_mps2))]
+        return [(0.0, StreamedImuSample(sample.stamp_s, gyro.gyro_radps, force.specific_force_mps2))]
 
 
 def scaled_force(factor: float) -> Change:
@@ -69,7 +69,7 @@ def offset_force(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Change:
 def vibration(sigma_mps2: float) -> Change:
     """Return a change that adds white noise to the specific force, per axis and sample."""
 
-    def change(sample: ImuSample, rng: np.random.Generator) -> ImuSample:
+    def change(sample: StreamedImuSample, rng: np.random.Generator) -> StreamedImuSample:
         noise = rng.normal(0.0, sigma_mps2, 3)
         return dataclasses.replace(sample, specific_force_mps2=sample.specific_force_mps2 + noise)
 

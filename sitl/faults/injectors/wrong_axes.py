@@ -8,7 +8,7 @@ import math
 import numpy as np
 
 from sitl.faults.injectors import inertial_sensor, pose_stream
-from sitl.faults.injectors.base import ImuSample, InjectionContext, Injector
+from sitl.faults.injectors.base import InjectionContext, Injector, StreamedImuSample
 from sitl.geometry.quaternion import Quat, from_yaw, multiply
 from sitl.world.pose_tracker import PoseRecord
 
@@ -53,4 +53,4 @@ def height_negated(record: PoseRecord, _: float) -> PoseRecord:
 def imu_axes(*rows: tuple[float, float, float]) -> inertial_sensor.Change:
     """Return a change that assigns other true axes to those of the IMU: a row for each."""
     matrix = np.array(rows)
-    return lambda sample, _: ImuSample(sample.stamp_s, matrix @ sample.gyro_radps, matrix @ sample.specific_force_mps2)
+    return lambda sample, _: StreamedImuSample(sample.stamp_s, matrix @ sample.gyro_radps, matrix @ sample.specific_force_mps2)

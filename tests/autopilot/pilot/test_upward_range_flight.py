@@ -10,7 +10,7 @@ from flight_rig import AIRFRAME, BOUNDS, ENVELOPE, ORIGIN, PATIENCE, Rig
 from test_pilot_flight_ardupilot import CopterRig
 
 from sitl.scene.scene import Scene, load_scene
-from sitl.world.range_finder import MOUNT_M, UpwardRangeFinder
+from sitl.world.range_finder import MOUNT_M, SimulatedUpwardRangeFinder
 from uav_recon.autopilot.mavlink.tlog import FrameLog
 from uav_recon.autopilot.pilot.pilot import Pilot, make_pilot
 from uav_recon.autopilot.pilot.upward_range_finder import RangeFinderModel
@@ -57,7 +57,7 @@ def room() -> Scene:
 
 def cones_of(rig: RangeRig, room: Scene) -> list[FreeCone]:
     """Fly up and to the side under the lamp; return every cone on the way."""
-    rig.autopilot.mount_range_finder(UpwardRangeFinder(room, 3, FOV_RAD))
+    rig.autopilot.mount_range_finder(SimulatedUpwardRangeFinder(room, 3, FOV_RAD))
     rig.take_off_and_hover()
     cones, seen = [], 0
     duration_s = rig.fly((0.3, 0.2, 1.2), (-0.3, 0.2, 1.0), identifier=2).duration_s

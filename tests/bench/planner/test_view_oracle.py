@@ -1,10 +1,10 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from uav_recon.bench.planner.view_oracle import Lens, OracleFrontier, best_seen, cells_seen
+from uav_recon.bench.planner.view_oracle import OracleFrontier, OracleLens, best_seen, cells_seen
 from uav_recon.types.maps import FREE, OCCUPIED
 
-LENS = Lens(tan_h=1.0, tan_v=0.7, near=1.0, reach=30.0, pitch_min_rad=-1.0, pitch_max_rad=1.0)
+LENS = OracleLens(tan_h=1.0, tan_v=0.7, near=1.0, reach=30.0, pitch_min_rad=-1.0, pitch_max_rad=1.0)
 SHAPE = np.array([30, 20, 15])
 
 
@@ -27,13 +27,13 @@ def test_sees_all_from_in_front_none_from_behind_or_too_far() -> None:
     state, frontier = half_known()
     assert cells_seen(state, LENS, view(9.5, 9.5, 6.5), frontier) == 35
     assert cells_seen(state, LENS, view(9.5, 9.5, 6.5, np.pi), frontier) == 0
-    near_sighted = Lens(1.0, 0.7, 1.0, 9.0, -1.0, 1.0)
+    near_sighted = OracleLens(1.0, 0.7, 1.0, 9.0, -1.0, 1.0)
     assert cells_seen(state, near_sighted, view(9.5, 9.5, 6.5), frontier) == 0
 
 
 def test_the_field_of_view_is_limited() -> None:
     state, frontier = half_known()
-    narrow = Lens(0.25, 0.15, 1.0, 30.0, -1.0, 1.0)
+    narrow = OracleLens(0.25, 0.15, 1.0, 30.0, -1.0, 1.0)
     # the unknown voxels are 11 ahead: the view covers 2.75 to each side, 1.65 up and down
     assert cells_seen(state, narrow, view(9.5, 9.5, 6.5), frontier) == 5 * 3
 
@@ -61,7 +61,7 @@ def test_a_cut_corner_hides_a_cell_but_a_touched_edge_does_not() -> None:
 
 def test_pitch_looks_down() -> None:
     state, frontier = half_known()
-    flat = Lens(1.0, 0.2, 1.0, 40.0, -1.0, 1.0)
+    flat = OracleLens(1.0, 0.2, 1.0, 40.0, -1.0, 1.0)
     above = view(12.5, 9.5, 13.5, 0.0, np.arctan2(7.0, 8.0))
     assert cells_seen(state, flat, above, frontier) > 10
     assert cells_seen(state, flat, view(12.5, 9.5, 13.5), frontier) == 0

@@ -77,9 +77,11 @@ def described(found: FrontierProposals) -> list[tuple[object, ...]]:
     ]
 
 
-def oracle_lens(camera: CameraGeometry) -> view_oracle.Lens:
+def oracle_lens(camera: CameraGeometry) -> view_oracle.OracleLens:
     tan_h, tan_v = (float(np.tan(angle / 2)) * EDGE_MARGIN for angle in (camera.hfov_rad, camera.vfov_rad))
-    return view_oracle.Lens(tan_h, tan_v, camera.near_m / 0.1, camera.range_m / 0.1, camera.pitch_min_rad, camera.pitch_max_rad)
+    return view_oracle.OracleLens(
+        tan_h, tan_v, camera.near_m / 0.1, camera.range_m / 0.1, camera.pitch_min_rad, camera.pitch_max_rad
+    )
 
 
 def oracle_view(view: FloatArray, camera: CameraGeometry) -> FloatArray:

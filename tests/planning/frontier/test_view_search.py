@@ -42,7 +42,7 @@ def test_a_view_is_nearly_as_good_as_the_best_of_a_thousand(solid: Solid, camera
     space.stand(START)
     shell, lens = explore_shell(PlannerConfig(), camera, 0.1), camera.lens(0.1, 4.5)
     tan_h, tan_v = (float(np.tan(angle / 2)) * EDGE_MARGIN for angle in (camera.hfov_rad, camera.vfov_rad))
-    oracle = view_oracle.Lens(tan_h, tan_v, lens[2], lens[3], camera.pitch_min_rad, camera.pitch_max_rad)
+    oracle = view_oracle.OracleLens(tan_h, tan_v, lens[2], lens[3], camera.pitch_min_rad, camera.pitch_max_rad)
     reachable, shares = space.reachable[1:-1, 1:-1, 1:-1] > 0, []
     closed, off_centre = np.argwhere(voxels.state != FREE) + 0.5, 0
     asked, blockers = np.zeros(len(shell.offsets) + ROOM, dtype=np.int32), np.zeros(MAX_BLOCKERS, dtype=np.int32)

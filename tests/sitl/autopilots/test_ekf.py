@@ -20,7 +20,7 @@ from sitl.autopilots.px4.parameters import Px4Parameters
 from sitl.autopilots.px4.tuning import estimator_tuning
 from sitl.geometry.ned_frd import frd_from_flu, ned_frd_from_enu_flu, ned_from_enu
 from sitl.geometry.quaternion import Quat, Vec3, from_yaw, multiply
-from sitl.world.imu import Imu
+from sitl.world.imu import SimulatedImu
 from sitl.world.quadrotor import GRAVITY_MPS2, Quadrotor
 
 DT = 0.004
@@ -36,7 +36,7 @@ class Rig:
         self.resets: list[tuple[Vec3, float]] = []
         tuning = estimator_tuning(parameters or Px4Parameters.load())
         self.estimator = Estimator(tuning, lambda d, t: self.resets.append((d, t)))
-        self.imu = Imu(5)
+        self.imu = SimulatedImu(5)
         self.noise = random.Random(5)
         self.now_s = 40.0
         self.age_s = age_s

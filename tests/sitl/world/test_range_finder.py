@@ -15,7 +15,7 @@ from scripted_companion import Companion
 
 from sitl.geometry.quaternion import IDENTITY, Quat
 from sitl.scene.scene import Scene
-from sitl.world.range_finder import RANGE_M, UpwardRangeFinder, cone_directions
+from sitl.world.range_finder import RANGE_M, SimulatedUpwardRangeFinder, cone_directions
 
 FACES = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
 FOV_RAD = math.radians(27.0)
@@ -27,12 +27,12 @@ def sheet(z: float, x: tuple[float, float] = (-20.0, 20.0), y: tuple[float, floa
     return np.array([(x[0], y[0], z), (x[1], y[0], z), (x[1], y[1], z), (x[0], y[1], z)], np.float32)
 
 
-def finder(*sheets: NDArray[np.float32], seed: int = 1) -> UpwardRangeFinder:
+def finder(*sheets: NDArray[np.float32], seed: int = 1) -> SimulatedUpwardRangeFinder:
     vertices = np.concatenate(sheets)
     faces = np.concatenate([FACES + 4 * i for i in range(len(sheets))]).astype(np.int32)
     grey = np.full((len(vertices), 3), 128, np.uint8)
     scene = Scene("sheets", vertices, faces, grey, 0.0, np.full(3, -9.0), np.full(3, 9.0), np.zeros(3))
-    return UpwardRangeFinder(scene, seed, FOV_RAD)
+    return SimulatedUpwardRangeFinder(scene, seed, FOV_RAD)
 
 
 def pitched(angle_rad: float) -> Quat:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from uav_recon.bench.planner.recorded_stream import FAR_RANGES, Recording, recorded
+from uav_recon.bench.planner.recorded_stream import FAR_RANGES, RecordedStream, recorded
 from uav_recon.geometry.jit import kernel
 from uav_recon.types.camera import BODY_FROM_OPTICAL, Intrinsics
 from uav_recon.types.frames import Float32Array, FloatArray
@@ -52,7 +52,7 @@ _WAY_M = np.array(
 )
 
 
-def fly_through() -> Recording:
+def fly_through() -> RecordedStream:
     """Render all images of the flight. Takes about a second.
 
     The camera looks up to 15° down, and left and right of the path.
@@ -70,7 +70,7 @@ def fly_through() -> Recording:
         tilt = Pose.from_rotation_vector(np.array([0.0, pitch_rad[n], 0.0]), np.zeros(3))
         pose = Pose.from_yaw(float(yaw_rad[n]), place_m[n]) @ tilt @ Pose.from_matrix(BODY_FROM_OPTICAL)
         frames.append(recorded(_picture(pose), pose, LENS, n))
-    return Recording("built-in building", tuple(frames), LENS, LOW_M, HIGH_M, MAX_RANGE_M)
+    return RecordedStream("built-in building", tuple(frames), LENS, LOW_M, HIGH_M, MAX_RANGE_M)
 
 
 def _picture(pose: Pose) -> Float32Array:

@@ -16,7 +16,7 @@ from rich.progress import Progress, TaskID
 from uav_recon.app.option_validation import UsageError, require_writable_file
 from uav_recon.bench.planner import builtin_building, path_lengths, planner_tables, scaling, tours
 from uav_recon.bench.planner.map_agreement import agreement
-from uav_recon.bench.planner.recorded_stream import SIZE, STRIDE, Recording, load
+from uav_recon.bench.planner.recorded_stream import SIZE, STRIDE, RecordedStream, load
 from uav_recon.bench.planner.replay import judged_views, mapped_of, timed_plans, timed_stages
 from uav_recon.bench.planner.stages import MOUNTS_RAD, STAGES, warm_up
 from uav_recon.measurement import host_info, result_file
@@ -67,7 +67,7 @@ def bench_planner(stream: Path | None, size: str | None, stride: int | None, sca
     return 0
 
 
-def _replay(recording: Recording, calibration: Calibration, progress: Progress) -> Result:
+def _replay(recording: RecordedStream, calibration: Calibration, progress: Progress) -> Result:
     frames = recording.frames
     timed = timed_stages(recording, _tracked(progress, frames, "stages"))
     mapped = mapped_of(recording)
@@ -95,7 +95,7 @@ def _ratio_summary(ratios: list[float]) -> Result:
     return {"median": float(middle), "p05": float(low), "min": float(min(ratios)), "share_of_95": good, "views": len(ratios)}
 
 
-def _map_quality(recording: Recording, clearance_m: float, progress: Progress) -> Result:
+def _map_quality(recording: RecordedStream, clearance_m: float, progress: Progress) -> Result:
     """Return the agreement of the map with the reference, and path lengths in the reference.
 
     The map is made from the frames only, without the declared take-off cylinder.
@@ -120,7 +120,7 @@ def _map_quality(recording: Recording, clearance_m: float, progress: Progress) -
     }
 
 
-def _tour_quality(recording: Recording, progress: Progress) -> Result:
+def _tour_quality(recording: RecordedStream, progress: Progress) -> Result:
     folder = None if recording.folder is None else recording.folder / "atsp"
     cases = () if folder is None else tours.load_cases(folder)
     atsp.warm_up()
@@ -128,7 +128,7 @@ def _tour_quality(recording: Recording, progress: Progress) -> Result:
     return {"tour": {str(s.tasks): {"median_ms": s.median_ms, "gap": s.gap, "worst_gap": s.worst_gap} for s in scores}}
 
 
-def _growth(recording: Recording, progress: Progress) -> Result:
+def _growth(recording: RecordedStream, progress: Progress) -> Result:
     task = progress.add_task("growth", total=sum(scaling.ticks(recording, copies) for copies in scaling.COPIES))
     sizes = [scaling.measure(recording, copies, _ticking(progress, task)) for copies in scaling.COPIES]
     base = sizes[0].stages

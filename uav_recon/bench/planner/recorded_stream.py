@@ -38,7 +38,7 @@ _NO_COLOUR = np.zeros((1, 1, 3), dtype=np.uint8)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Recording:
+class RecordedStream:
     """Frames with their poses in a room with a known box (3,), (3,) in metres.
 
     stride: every stride-th row and column of an image is used.
@@ -67,7 +67,7 @@ def recorded(depth_m: AnyArray, world_from_camera: Pose, lens: Intrinsics, seque
     return PosedFrame(Frame(stamp_s, sequence, depth_m, lens, _NO_COLOUR, lens, Pose.identity()), world_from_camera)
 
 
-def load(folder: Path, size: str = SIZE, stride: int = STRIDE) -> Recording:
+def load(folder: Path, size: str = SIZE, stride: int = STRIDE) -> RecordedStream:
     """Read a stream at one of its sizes. Raises UsageError with one line for bad input."""
     with readable(f"--stream {folder}"):
         there = folder.is_dir()
@@ -99,7 +99,7 @@ def load(folder: Path, size: str = SIZE, stride: int = STRIDE) -> Recording:
         for n, (depth, matrix) in enumerate(zip(depth_mm, poses, strict=True))
     )
     reference = _reference(folder, GridSpec.covering(low_m, high_m, RESOLUTION_M))
-    return Recording(folder.name, frames, lens, low_m, high_m, max_range_m, stride, reference, folder)
+    return RecordedStream(folder.name, frames, lens, low_m, high_m, max_range_m, stride, reference, folder)
 
 
 def _metres(depth_mm: AnyArray, far_m: float) -> AnyArray:

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from uav_recon.bench.planner import view_oracle
-from uav_recon.bench.planner.recorded_stream import RESOLUTION_M, Recording
+from uav_recon.bench.planner.recorded_stream import RESOLUTION_M, RecordedStream
 from uav_recon.bench.planner.stages import Mount, PlannerStages, ReplayMap, oracle_lens, request_of
 from uav_recon.measurement.stage_timing import StageTimings, Stopwatch
 from uav_recon.planning.view_planner import ViewPlanner
@@ -18,7 +18,7 @@ JUDGED_EVERY = 5  # frames; brute force is slow
 SHELL_M = (0.5, 4.3)  # distances from a frontier at which brute force samples views
 
 
-def mapped_of(recording: Recording, mount: Mount = "gimbal") -> ReplayMap:
+def mapped_of(recording: RecordedStream, mount: Mount = "gimbal") -> ReplayMap:
     """Return the empty map of the recording's room."""
     return ReplayMap(recording, recording.grid, (recording.low_m, recording.high_m), mount)
 
@@ -36,7 +36,7 @@ class Timed:
         self.cpu.add(watch.cpu_ms)
 
 
-def timed_stages(recording: Recording, frames: Iterable[PosedFrame]) -> Timed:
+def timed_stages(recording: RecordedStream, frames: Iterable[PosedFrame]) -> Timed:
     """Return the lap times of STAGES."""
     mapped, timed = mapped_of(recording), Timed()
     stages = PlannerStages(mapped)
@@ -61,7 +61,7 @@ def timed_plans(mapped: ReplayMap, planner: ViewPlanner, frames: Iterable[PosedF
     return timed
 
 
-def judged_views(recording: Recording, frames: Iterable[PosedFrame], mount: Mount) -> list[float]:
+def judged_views(recording: RecordedStream, frames: Iterable[PosedFrame], mount: Mount) -> list[float]:
     """Return, for each chosen view, the cells it sees over those seen by the best random view.
 
     The best of 1,000 random views is used. Only every JUDGED_EVERY-th frame is evaluated.

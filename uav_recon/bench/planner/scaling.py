@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from uav_recon.bench.planner.recorded_stream import RESOLUTION_M, Recording
+from uav_recon.bench.planner.recorded_stream import RESOLUTION_M, RecordedStream
 from uav_recon.bench.planner.replay import timed_plans
 from uav_recon.bench.planner.stages import WHOLE, ReplayMap, request_of
 from uav_recon.measurement.host_info import resident_mb
@@ -50,7 +50,7 @@ def layout(copies: int) -> tuple[int, int]:
     return copies // rows, rows
 
 
-def measure(recording: Recording, copies: int, tick: Callable[[int], None]) -> Size:
+def measure(recording: RecordedStream, copies: int, tick: Callable[[int], None]) -> Size:
     """Replay the recording in a map of ``copies`` copies.
 
     Calls ``tick`` for each frame (see ticks).
@@ -91,7 +91,7 @@ def _told(frames: list[PosedFrame], tick: Callable[[int], None]) -> Iterator[Pos
         tick(1)
 
 
-def ticks(recording: Recording, copies: int) -> int:
+def ticks(recording: RecordedStream, copies: int) -> int:
     """Return the number of frames that measure() processes."""
     return len(recording.frames) + (copies - 1) * len(recording.frames[::FILLING_STEP])
 

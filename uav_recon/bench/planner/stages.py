@@ -12,8 +12,8 @@ from typing import Literal
 
 import numpy as np
 
-from uav_recon.bench.planner.recorded_stream import Recording
-from uav_recon.bench.planner.view_oracle import Lens, OracleFrontier
+from uav_recon.bench.planner.recorded_stream import RecordedStream
+from uav_recon.bench.planner.view_oracle import OracleFrontier, OracleLens
 from uav_recon.config import MotionConfig, PlannerConfig, VoxelConfig
 from uav_recon.mapping.occupancy.occupancy_map import DepthSensor, OccupancyMap
 from uav_recon.measurement.stage_timing import Stopwatch
@@ -112,9 +112,9 @@ def camera_of(lens: Intrinsics, range_m: float, mount: Mount = "gimbal") -> Came
     )
 
 
-def oracle_lens(camera: CameraGeometry, resolution_m: float) -> Lens:
+def oracle_lens(camera: CameraGeometry, resolution_m: float) -> OracleLens:
     """Return the same camera for brute force, with the same margin at the edge of the image."""
-    return Lens(
+    return OracleLens(
         tan_h=float(np.tan(camera.hfov_rad / 2)) * EDGE_MARGIN,
         tan_v=float(np.tan(camera.vfov_rad / 2)) * EDGE_MARGIN,
         near=camera.near_m / resolution_m,
@@ -128,7 +128,7 @@ class ReplayMap:
     """The map of one replay. fence_m: lower and upper corner (3,) in world."""
 
     def __init__(
-        self, recording: Recording, grid: GridSpec, fence_m: tuple[FloatArray, FloatArray], mount: Mount = "gimbal"
+        self, recording: RecordedStream, grid: GridSpec, fence_m: tuple[FloatArray, FloatArray], mount: Mount = "gimbal"
     ) -> None:
         self.fence_m = fence_m
         self.fence = fence_box(grid, *fence_m)
@@ -253,7 +253,7 @@ def heading_rad(posed: PosedFrame) -> float:
     return float(np.arctan2(axis[1], axis[0]))
 
 
-def warm_up(recording: Recording) -> None:
+def warm_up(recording: RecordedStream) -> None:
     """Compile every kernel of a replay, then run the first frames on separate objects."""
     mapped = ReplayMap(recording, recording.grid, (recording.low_m, recording.high_m))
     mapped.voxels.warm_up()

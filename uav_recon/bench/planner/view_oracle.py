@@ -24,7 +24,7 @@ _FACES = np.array([[-1, 0, 0], [1, 0, 0], [0, -1, 0], [0, 1, 0], [0, 0, -1], [0,
 
 
 @dataclass(frozen=True, slots=True)
-class Lens:
+class OracleLens:
     """Camera parameters of the oracle.
 
     tan_h, tan_v: tangents of the half angles.
@@ -66,7 +66,7 @@ class OracleFrontier:
         return np.column_stack([cell, around[cell, face]]).astype(np.int64)
 
 
-def cells_seen(state: ByteArray, lens: Lens, view: FloatArray, frontier: OracleFrontier) -> int:
+def cells_seen(state: ByteArray, lens: OracleLens, view: FloatArray, frontier: OracleFrontier) -> int:
     """Return how many cells of the frontier a view (x, y, z, yaw, pitch down) sees.
 
     The eye is at x, y, z.
@@ -75,7 +75,7 @@ def cells_seen(state: ByteArray, lens: Lens, view: FloatArray, frontier: OracleF
 
 
 def best_seen(
-    state: ByteArray, lens: Lens, reachable: BoolArray, frontier: OracleFrontier, shell: tuple[float, float], seed: int
+    state: ByteArray, lens: OracleLens, reachable: BoolArray, frontier: OracleFrontier, shell: tuple[float, float], seed: int
 ) -> int:
     """Return the most cells seen by any of 1,000 seeded random views.
 
@@ -90,7 +90,7 @@ def best_seen(
 
 
 def _random_views(
-    lens: Lens, reachable: BoolArray, cells: IntArray, shell: tuple[float, float], rng: np.random.Generator
+    lens: OracleLens, reachable: BoolArray, cells: IntArray, shell: tuple[float, float], rng: np.random.Generator
 ) -> FloatArray:
     middle = cells.mean(axis=0) + 0.5
     count = CANDIDATES * TRIES_PER_CANDIDATE

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from sitl.faults.fault import Fault
 from sitl.faults.fault_director import FaultDirector
-from sitl.faults.injectors.base import ImuSample, Injector
+from sitl.faults.injectors.base import Injector, StreamedImuSample
 from sitl.faults.injectors.delayed import Delayed
 from sitl.faults.injectors.inertial_sensor import (
     AlteredImu,
@@ -28,17 +28,17 @@ class Written:
     """Camera stream that keeps the inertial samples."""
 
     def __init__(self) -> None:
-        self.samples: list[ImuSample] = []
+        self.samples: list[StreamedImuSample] = []
 
     def write_imu(self, stamp_s: float, gyro_radps: NDArray[np.float64], specific_force_mps2: NDArray[np.float64]) -> None:
-        self.samples.append(ImuSample(stamp_s, gyro_radps, specific_force_mps2))
+        self.samples.append(StreamedImuSample(stamp_s, gyro_radps, specific_force_mps2))
 
 
-def sample(stamp_s: float = 10.0) -> ImuSample:
-    return ImuSample(stamp_s, np.array([0.1, 0.2, stamp_s]), np.array([1.0, 0.0, 9.8]))
+def sample(stamp_s: float = 10.0) -> StreamedImuSample:
+    return StreamedImuSample(stamp_s, np.array([0.1, 0.2, stamp_s]), np.array([1.0, 0.0, 9.8]))
 
 
-def one(trouble: Injector, since_s: float, stamp_s: float = 10.0) -> ImuSample:
+def one(trouble: Injector, since_s: float, stamp_s: float = 10.0) -> StreamedImuSample:
     late = trouble.imu(since_s, sample(stamp_s))
     assert len(late) == 1
     assert late[0][0] == 0.0
@@ -65,7 +65,7 @@ def test_force_is_scaled_and_offset_while_the_fault_lasts() -> None:
 def test_frozen_sensors_repeat_their_first_values(gyro: bool, accelerometer: bool) -> None:
     frozen = FrozenImu(gyro, accelerometer)
     one(frozen, 0.0, stamp_s=10.0)
-    moved = ImuSample(11.0, np.array([0.5, 0.5, 0.5]), np.array([2.0, 2.0, 2.0]))
+    moved = StreamedImuSample(11.0, np.array([0.5, 0.5, 0.5]), np.array([2.0, 2.0, 2.0]))
     ((_, later),) = frozen.imu(1.0, moved)
     assert later.stamp_s == 11.0
     assert (later.gyro_radps[2] == 10.0) == gyro
@@ -82,7 +82,7 @@ def test_vibration_is_white_with_the_given_sigma() -> None:
 class Slow(Injector):
     """Fault that delays each sample by 0.1 s."""
 
-    def imu(self, since_s: float, sample: ImuSample) -> DelayedItems[ImuSample]:
+    def imu(self, since_s: float, sample: StreamedImuSample) -> DelayedItems[StreamedImuSample]:
         return [(0.1, sample)]
 
 
