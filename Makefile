@@ -56,7 +56,7 @@ results:
 	$(PYTHON) -m results.generate
 
 # Measures claims: each command of results/claims.toml writes its results/current/*.json. On a machine with nothing else to do
-# about half an hour, `measure-long` about eight hours more. RUNS="planner help" measures these only.
+# about one and a half hours, `measure-long` about four hours more. RUNS="planner help" measures these only.
 RUNS ?=
 measure:
 	$(PYTHON) -m results.measure $(RUNS)

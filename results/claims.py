@@ -5,9 +5,12 @@ from __future__ import annotations
 import json
 import math
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
+
+from uav_recon.measurement.plausibility import impossible_value
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -110,24 +113,35 @@ class Figure:
 
 @dataclass(frozen=True)
 class Claim:
-    """Sentence, figures that support it, and the last measurement before this layout."""
+    """Sentence, and figures that support it.
+
+    unmeasured: why there is no result, while there is none. note: file in results/notes/ with an earlier measurement.
+    """
 
     id: str
     claim: str
     runs: tuple[Run, ...]
     figures: tuple[Figure, ...]
-    archived: str
-    commit: str = ""
+    unmeasured: str = ""
     note: str = ""
     timing: bool = False
-    readme: bool = False
+
+
+@dataclass(frozen=True)
+class Headline:
+    """A line of the table in README.md: the one value of a figure of a claim."""
+
+    text: str
+    claim: str
+    figure: str
 
 
 @dataclass(frozen=True)
 class Outcome:
     """Measured values of a claim in the order of its figures, and headers of its runs.
 
-    reason: why there are no values; '' if there are. files: names of the runs that have a JSON file.
+    reason: why there are no values; '' if there are. files: names of the runs that have a JSON file. stale: measured too
+    many commits ago, see revision_age.
     """
 
     claim: Claim
@@ -135,6 +149,7 @@ class Outcome:
     headers: tuple[Tree, ...] = field(default=())
     reason: str = ""
     files: tuple[str, ...] = ()
+    stale: bool = False
 
     @property
     def measured(self) -> bool:
@@ -164,7 +179,7 @@ def load_claims(root: Path = ROOT) -> tuple[tuple[Claim, ...], dict[str, Run]]:
 
     Raises ClaimError for a file that makes no sense.
     """
-    tree = tomllib.loads((root / CLAIMS).read_text(encoding="utf-8"))
+    tree = _tree(root)
     try:
         runs = {name: Run(name=name, **table) for name, table in tree["run"].items()}
         claims = tuple(_claim(table, runs) for table in tree["claim"])
@@ -177,6 +192,26 @@ def load_claims(root: Path = ROOT) -> tuple[tuple[Claim, ...], dict[str, Run]]:
     if used != set(runs):
         raise ClaimError(f"{CLAIMS}: no claim uses run {', '.join(sorted(set(runs) - used))}")
     return claims, runs
+
+
+def load_headlines(claims: Sequence[Claim], root: Path = ROOT) -> tuple[Headline, ...]:
+    """Return the lines of the table in README.md.
+
+    Raises ClaimError for a line whose figure no claim has.
+    """
+    try:
+        headlines = tuple(Headline(**table) for table in _tree(root)["headline"])
+    except (KeyError, TypeError) as error:
+        raise ClaimError(f"{CLAIMS}: headline: {error}") from None
+    known = {(claim.id, figure.name) for claim in claims for figure in claim.figures}
+    for line in headlines:
+        if (line.claim, line.figure) not in known:
+            raise ClaimError(f"{CLAIMS}: headline {line.text!r}: claim {line.claim} has no figure {line.figure!r}")
+    return headlines
+
+
+def _tree(root: Path) -> Tree:
+    return tomllib.loads((root / CLAIMS).read_text(encoding="utf-8"))
 
 
 def _claim(table: Tree, runs: dict[str, Run]) -> Claim:
@@ -198,7 +233,7 @@ def _figure(claim: str, table: Tree) -> Figure:
 def load_results(runs: dict[str, Run], root: Path = ROOT) -> dict[str, Tree]:
     """Return the JSON of every run that has one.
 
-    Raises ClaimError for a file that cannot be read or that no run writes.
+    Raises ClaimError for a file that cannot be read, that no run writes, or with a value that cannot be.
     """
     found: dict[str, Tree] = {}
     for path in sorted((root / CURRENT).glob("*")):
@@ -208,26 +243,49 @@ def load_results(runs: dict[str, Run], root: Path = ROOT) -> dict[str, Tree]:
             found[path.stem] = json.loads(path.read_text(encoding="utf-8"))
         except ValueError as error:
             raise ClaimError(f"{CURRENT}/{path.name}: not JSON: {error}") from None
+        try:
+            wrong = impossible_value(found[path.stem])
+        except KeyError as error:
+            raise ClaimError(f"{CURRENT}/{path.name}: no {error} there") from None
+        if wrong:
+            raise ClaimError(f"{CURRENT}/{path.name}: {wrong}")
     return found
 
 
 def evaluate(claim: Claim, results: dict[str, Tree]) -> Outcome:
     """Compare a claim with the results of its runs.
 
-    Raises ClaimError naming file and key where a key is missing.
+    Raises ClaimError naming file and key where a key is missing, or where the runs are of several commits.
     """
     files = tuple(run.name for run in claim.runs if run.name in results)
     missing = [run.path for run in claim.runs if run.name not in results]
     if missing:
-        reason = "no result yet" if not files else f"no {', '.join(missing)} yet"
+        reason = claim.unmeasured or "no result yet"
+        if files:
+            reason = f"no {', '.join(missing)} yet"
         return Outcome(claim, reason=reason, files=files)
     headers = tuple(at(results[run.name], "header", run.path) for run in claim.runs)
+    _require_one_commit(claim, results)
     contention = max(_number(header, "contention", run.path) for header, run in zip(headers, claim.runs, strict=True))
     if claim.timing and contention > MAX_CONTENTION:
         reason = f"other programs used the cores (contention {contention:.2f}, at most {MAX_CONTENTION} is used)"
         return Outcome(claim, reason=reason, files=files)
     values = (figure.worst([_value(figure, results[run.name], run.path) for run in claim.runs]) for figure in claim.figures)
     return Outcome(claim, tuple(values), headers, files=files)
+
+
+def _require_one_commit(claim: Claim, results: dict[str, Tree]) -> None:
+    """Raise ClaimError if a claim has figures of two commits: of two runs, or of the flights of one."""
+    first = ""
+    for run in claim.runs:
+        tree = results[run.name]
+        commits = [("header/commit", str(at(tree, "header/commit", run.path)))]
+        if isinstance(summary := tree.get("summary"), dict):
+            commits += [("summary/commits", str(commit).removesuffix("+changed")) for commit in summary.get("commits", ())]
+        for key, commit in commits:
+            first = first or commit
+            if commit != first:
+                raise ClaimError(f"{run.path}: {key}: {commit}; allowed: {first}, as the other figures of claim {claim.id}")
 
 
 def _value(figure: Figure, tree: Tree, file: str) -> float | str | None:

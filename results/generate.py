@@ -1,7 +1,7 @@
 """Write every generated page: `python -m results.generate`, or `make results`.
 
 Exit code 1, with one line: a claim or a JSON file is wrong. A clean tree stays unchanged: pages follow from the JSON files
-alone, and history.csv gets lines only for new results.
+and the history of commits alone, and history.csv gets lines only for new results.
 """
 
 from __future__ import annotations
@@ -9,10 +9,11 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from results.claims import ROOT, ClaimError, evaluate, load_claims, load_results
+from results.claims import ROOT, ClaimError, evaluate, load_claims, load_headlines, load_results
 from results.hazards_page import hazards_page
 from results.limits_page import limits_page
 from results.pages import history, insert_block, readme_block, results_page
+from results.revision_age import with_age
 
 HISTORY = "results/history.csv"
 
@@ -21,12 +22,14 @@ def pages(root: Path = ROOT) -> dict[str, str]:
     """Return the text of each generated file by its path below root. Raises ClaimError."""
     claims, runs = load_claims(root)
     results = load_results(runs, root)
-    outcomes = [evaluate(claim, results) for claim in claims]
+    outcomes = [with_age(evaluate(claim, results), root) for claim in claims]
     past = root / HISTORY
     return {
         "results/README.md": results_page(outcomes),
         HISTORY: history(past.read_text(encoding="utf-8") if past.exists() else "", outcomes),
-        "README.md": insert_block((root / "README.md").read_text(encoding="utf-8"), readme_block(outcomes)),
+        "README.md": insert_block(
+            (root / "README.md").read_text(encoding="utf-8"), readme_block(outcomes, load_headlines(claims, root))
+        ),
         "docs/hazards.md": hazards_page(results, root),
         "docs/limits.md": limits_page(root),
     }

@@ -98,7 +98,12 @@ def _conclude(options: SimOptions, flight: FlownFlight, console: Console) -> int
     report = evaluate_flight(options, flight.scene, flight.wall_s, flight.fault, console)
     console.print(summary(report, options.folder), markup=False, highlight=False, soft_wrap=True)
     if options.json is not None:
-        result = {"completed": report.completed, "times_real": flight.times_real, "report": report}
+        result = {
+            "completed": report.completed,
+            "times_real": flight.times_real,
+            "view_budget": options.view_budget,
+            "report": report,
+        }
         result_file.save(options.json, result)
     if flight.times_real is not None:
         console.print(f"lockstep flight at {flight.times_real:.1f} times real time")

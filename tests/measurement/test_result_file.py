@@ -11,15 +11,15 @@ import pytest
 
 from uav_recon.errors import UserError
 from uav_recon.measurement import host_info, result_file
-from uav_recon.measurement.machine_calibration import REFERENCE_EDT_S, REFERENCE_SORT_S, Calibration
+from uav_recon.measurement.machine_calibration import REFERENCE_S, Calibration
 from uav_recon.measurement.result_file import command_line, result_header
 
-BUSY = Calibration(4 * REFERENCE_EDT_S, 4 * REFERENCE_SORT_S, 2 * REFERENCE_EDT_S, 2 * REFERENCE_SORT_S)
+BUSY = Calibration(4 * REFERENCE_S, 2 * REFERENCE_S)
 
 
-def test_the_header_states_speed_ratio_and_contention_of_a_busy_machine() -> None:
+def test_the_header_states_reference_time_and_contention_of_a_busy_machine() -> None:
     header = result_header(BUSY)
-    assert (header.speed_ratio, header.contention) == (2.0, 2.0)
+    assert (header.reference_job_s, header.contention) == (2 * REFERENCE_S, 2.0)
     assert header.commit + ("+changed" if header.changed else "") == host_info.commit()
     assert header.date.endswith("Z")
     assert header.seconds > 0.0
@@ -46,3 +46,11 @@ def test_values_follow_the_header_and_numbers_that_are_not_finite_become_null(tm
 def test_a_file_that_cannot_be_written_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="cannot be written"):
         result_file.save(tmp_path / "missing" / "x.json", {}, result_header(BUSY))
+
+
+def test_a_value_that_cannot_be_is_not_written(tmp_path: Path) -> None:
+    path = tmp_path / "x.json"
+    report = {"views": 120, "time_to_recall_s": {"0.90": 119.4}, "flight_time_s": 168.5}
+    with pytest.raises(UserError, match=r"report/views: 120; allowed 0 to 60 \(the budget of views\); not written"):
+        result_file.save(path, {"view_budget": 60, "report": report}, result_header(BUSY))
+    assert not path.exists()

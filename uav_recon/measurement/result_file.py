@@ -5,6 +5,7 @@ Every command with `--json` writes its file here, so that `results/generate.py` 
 
 from __future__ import annotations
 
+import json
 import os
 import shlex
 import sys
@@ -18,6 +19,7 @@ from uav_recon import json_codec
 from uav_recon.errors import EXIT_FAILURE, UserError
 from uav_recon.measurement import host_info
 from uav_recon.measurement.machine_calibration import Calibration, calibrate
+from uav_recon.measurement.plausibility import impossible_value
 
 HEADER = "header"
 PROGRAM = "uav-recon"
@@ -29,8 +31,8 @@ class ResultHeader:
 
     command: as typed; an absolute path below the working directory is made relative, any other is cut to its name.
     commit, changed: of the source tree (host_info.revision). date: end of the run, UTC, ISO 8601.
-    speed_ratio: processor time of the calibration jobs here / on the reference machine; above 1 this machine is slower.
-    contention: wall time / processor time of the same jobs; above 1 other programs used the cores.
+    reference_job_s: processor time of the calibration job here, raw. contention: wall time / processor time of the same job;
+    above 1 other programs used the cores.
     seconds: wall time from the start of the process to the writing of the file.
     """
 
@@ -41,7 +43,7 @@ class ResultHeader:
     processor: str
     cores: int
     memory_gib: float
-    speed_ratio: float
+    reference_job_s: float
     contention: float
     seconds: float
 
@@ -61,7 +63,7 @@ def result_header(calibration: Calibration | None = None) -> ResultHeader:
         processor=host_info.processor_name(),
         cores=os.cpu_count() or 0,
         memory_gib=round(host_info.memory_gib(), 1),
-        speed_ratio=round(measured.cpu_factor, 3),
+        reference_job_s=round(measured.cpu_s, 5),
         contention=round(measured.factor / measured.cpu_factor, 3),
         seconds=round(host_info.process_age_s(), 1),
     )
@@ -81,9 +83,11 @@ def command_line(words: Sequence[str], folder: Path) -> str:
 def save(path: Path, values: Mapping[str, Any], header: ResultHeader | None = None) -> None:
     """Write header and values, whole or not at all; a number that is not finite becomes null.
 
-    Raises UserError if the file cannot be written.
+    Raises UserError if the file cannot be written, or for a value that cannot be; see plausibility.
     """
     text = json_codec.to_page({HEADER: header or result_header(), **values})
+    if wrong := impossible_value(json.loads(text)):
+        raise UserError(f"--json {path}: {wrong}; not written", EXIT_FAILURE)
     temporary = path.with_name(path.name + ".new")
     try:
         temporary.write_text(text, encoding="utf-8")

@@ -153,15 +153,18 @@ def _accuracy(trainer: NeuralMapper, scene: seeded_views.MapperScene) -> trainin
 
 
 def _show(console: Console, result: Endurance, title: str) -> None:
-    table = narrow_table(title, "views", "kept", "save", "add", "step", "surface", "held up", "RAM", "disk")
+    table = narrow_table(title, "views", "kept", "save", "add", "step", "surface", "held up", "RAM", "disk", "machine")
     for part in result.parts:
         numbers = (part.save_ms, part.add_ms, part.step_ms, part.surface_ms, part.checkpoint_ms)
         table.add_row(
-            str(part.views), str(part.kept), *(f"{ms / part.calibration_cpu:.1f}" for ms in numbers),
-            f"{part.resident_mb:.0f}", f"{part.checkpoint_mb:.0f}",
+            str(part.views), str(part.kept), *(f"{ms:.1f}" for ms in numbers),
+            f"{part.resident_mb:.0f}", f"{part.checkpoint_mb:.0f}", f"{part.calibration_cpu:.2f}",
         )  # fmt: skip
     console.print(table)
-    console.print("save to held up (the longest wait for a checkpoint): ms, calibrated; RAM and disk (the checkpoint's): MB")
+    console.print(
+        "save to held up (the longest wait for a checkpoint): ms, raw; RAM and disk (the checkpoint's): MB; machine: times as "
+        "slow as the reference machine"
+    )
     for when, accuracy in ((f"when {MAX_VIEWS} views were kept", result.when_full), ("at the end", result.at_the_end)):
         if accuracy is not None:
             console.print(
