@@ -125,13 +125,17 @@ def add_truth_metrics(
     report: Report, options: SimOptions, scene: Scene, cut: VisibleTruth, progress: Progress = no_report,
     truth_from_odom: Pose | None = None,
 ) -> Report:  # fmt: skip
-    """Add the explored fraction of the truth, and the recall of its surface over time."""
+    """Add the explored fraction of the truth, and the recall of its surface over time.
+
+    A recall that training reaches after the landing has no time.
+    """
     voxels, curve = load_map(options.folder), recall_over_time(options.folder, cut, progress, truth_from_odom)
+    flown = [point for point in curve or () if point[0] <= report.flight_time_s]
     return dataclasses.replace(
         report,
         explored_fraction=None if voxels is None else _explored_fraction(voxels, scene, cut, truth_from_odom),
         recall_over_time=curve,
-        time_to_recall_s={recall: time_to(curve or (), float(recall)) for recall in TIMED_RECALLS},
+        time_to_recall_s={recall: time_to(flown, float(recall)) for recall in TIMED_RECALLS},
         oracle_s=REFERENCE_TIMES_S.get(scene.name),
     )
 
