@@ -55,7 +55,7 @@ def derived(config: PlannerConfig, fence_min_m: FloatArray, fence_max_m: FloatAr
 def _for_room(size_m: FloatArray, camera: CameraGeometry) -> dict[str, float]:
     """Return lengths in metres and counts for a box of size (3,) in metres.
 
-    The rules were tested in flights in rooms of 25 to 35 m2 (docs/archive/results-2026-11.md). The camera shows surface
+    The rules were tested in flights in rooms of 25 to 35 m2. The camera shows surface
     well up to its surface range, and the shorter side of its image limits the size of a cluster. The floor area gives the
     distance to the next task. A box larger than LARGEST_M is treated as a building, in which the radius of "near" does not
     grow.
