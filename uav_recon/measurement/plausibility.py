@@ -1,4 +1,4 @@
-"""Values of a result that cannot be: more views than the budget, a recall reached after the landing.
+"""Values of a result that cannot be: more views than the budget, a recall after the landing.
 
 A result is a tree of dictionaries and lists as in a JSON file; see result_file. A flight has its figures in ``report``
 (`sim`) or in an element of ``flights`` (`sweep`).
