@@ -235,16 +235,16 @@ class FaultDirector:
 class FaultyStream:
     """Camera stream that applies the faults before the real writer."""
 
-    def __init__(self, writer: CameraStreamOutput, meddler: FaultDirector) -> None:
+    def __init__(self, writer: CameraStreamOutput, director: FaultDirector) -> None:
         self._writer = writer
-        self._meddler = meddler
+        self._director = director
         self._waiting: list[tuple[float, int, PoseRecord | DepthFrame | StreamedImuSample]] = []
         self._numbers = itertools.count()
         self._lock = threading.Lock()  # images are rendered in a thread of their own
 
     def write_imu(self, stamp_s: float, gyro: NDArray[np.float64], force: NDArray[np.float64]) -> None:
         """Write an inertial sample, which the faults may delay, change or drop."""
-        self._queue(self._meddler.fate("imu", StreamedImuSample(stamp_s, gyro, force)))
+        self._queue(self._director.fate("imu", StreamedImuSample(stamp_s, gyro, force)))
 
     def write_pose(
         self,
@@ -257,14 +257,14 @@ class FaultyStream:
     ) -> None:
         """Write a pose, which the faults may delay, change or drop."""
         record = PoseRecord(stamp_s, position_m, quat_wxyz, variance, quality, reset_counter)
-        self._queue(self._meddler.fate("pose", record))
+        self._queue(self._director.fate("pose", record))
 
     def write_frame(self, stamp_s: float, depth_mm: NDArray[np.uint16], rgb: NDArray[np.uint8]) -> None:
         """Write a frame, which the faults may delay, change or drop."""
-        self._queue(self._meddler.fate("depth", DepthFrame(stamp_s, depth_mm, rgb)))
+        self._queue(self._director.fate("depth", DepthFrame(stamp_s, depth_mm, rgb)))
 
     def _queue(self, late: DelayedItems[PoseRecord] | DelayedItems[DepthFrame] | DelayedItems[StreamedImuSample]) -> None:
-        now_s = self._meddler.context.now_s
+        now_s = self._director.context.now_s
         for wait_s, item in late:
             with self._lock:
                 heapq.heappush(self._waiting, (now_s + wait_s, next(self._numbers), item))

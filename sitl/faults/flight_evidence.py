@@ -152,7 +152,7 @@ class FlightEvidence:
 
 
 def gather(
-    meddler: FaultDirector,
+    director: FaultDirector,
     limits: GuardLimits,
     hull_s: F64,
     hull_m: F64,
@@ -164,18 +164,18 @@ def gather(
 
     hull_m: clearance to the scene. Distances to the obstacles of the fault are added here.
     """
-    world, ledger, tap = meddler.context.world, meddler.truth_samples, meddler.proxy
+    world, ledger, tap = director.context.world, director.truth_samples, director.proxy
     assert tap is not None
     stamps = np.array([m.stamp_s for m in ledger])
     positions = np.array([m.position_m for m in ledger]).reshape(-1, 3)
     armed = np.array([m.armed for m in ledger], dtype=np.bool_)
     airborne, boxes_m = armed & (positions[:, 2] > 0.05), np.full(len(stamps), math.inf)
-    for obstacle in meddler.context.obstacles:
+    for obstacle in director.context.obstacles:
         boxes_m[airborne] = np.minimum(boxes_m[airborne], obstacle.hull_m(stamps[airborne], positions[airborne], radius_m))
     wire = decode(tap.sent)
     return FlightEvidence(
-        onset_s=meddler.onset_s,
-        end_s=meddler.end_s,
+        onset_s=director.onset_s,
+        end_s=director.end_s,
         stamp_s=stamps,
         position_m=positions,
         velocity_mps=np.array([m.velocity_mps for m in ledger]).reshape(-1, 3),
@@ -194,7 +194,7 @@ def gather(
         heard=tuple(heartbeats_in(tap.heard)),
         limits=limits,
         boot_s=world.flyer.boot_s,
-        notes=dict(meddler.context.notes),
+        notes=dict(director.context.notes),
         firmware=world.flyer.version,
         stop_codes=stop_codes,
         reported=tuple((stamp_s, codes_in(text)) for stamp_s, text in wire.texts),

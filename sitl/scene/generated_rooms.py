@@ -187,7 +187,7 @@ class _Flat:
             x, y = rng.uniform(room.x0 + half_x, room.x1 - half_x), rng.uniform(room.y0 + half_y, room.y1 - half_y)
             x = (x, room.x1 - half_x - 0.01, x, room.x0 + half_x + 0.01)[side]
             y = (room.y0 + half_y + 0.01, y, room.y1 - half_y - 0.01, y)[side]
-            if self._stand(room, piece, x, y, turn, 0.02):
+            if self._place(room, piece, x, y, turn, 0.02):
                 return
 
     def _anywhere(self, room: _Area, piece: Piece) -> None:
@@ -195,10 +195,10 @@ class _Flat:
         for _ in range(TRIES):
             turn = rng.choice([0.0, 0.5 * math.pi, rng.uniform(-math.pi, math.pi)])
             x, y = rng.uniform(room.x0, room.x1), rng.uniform(room.y0, room.y1)
-            if self._stand(room, piece, x, y, float(turn), float(rng.choice([0.05, 0.3, 0.8]))):
+            if self._place(room, piece, x, y, float(turn), float(rng.choice([0.05, 0.3, 0.8]))):
                 return
 
-    def _stand(self, room: _Area, piece: Piece, x: float, y: float, turn_rad: float, gap_m: float) -> bool:
+    def _place(self, room: _Area, piece: Piece, x: float, y: float, turn_rad: float, gap_m: float) -> bool:
         """Place a piece if it fits into the room with the gap to other pieces; return True if so."""
         half_x, half_y = piece.reach(turn_rad)
         place = _Area(x - half_x, y - half_y, x + half_x, y + half_y)

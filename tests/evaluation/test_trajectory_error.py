@@ -138,7 +138,7 @@ def test_the_path_shorter_than_the_drift_length_has_no_drift() -> None:
 
 @given(st.floats(0.0, np.pi), SEEDS)
 @settings(max_examples=50, deadline=None)
-def test_angles_are_exact_near_nought_and_pi(angle: float, seed: int) -> None:
+def test_angles_are_exact_near_zero_and_pi(angle: float, seed: int) -> None:
     axis = np.random.default_rng(seed).standard_normal(3)
     rotation = Rotation.from_rotvec(angle * axis / np.linalg.norm(axis)).as_matrix()
     assert rotation_angles_rad(rotation[None])[0] == pytest.approx(angle, abs=1e-7)

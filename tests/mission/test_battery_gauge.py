@@ -15,7 +15,7 @@ PERIOD_S = 0.05
 def told(
     *said: tuple[float, float], charge: BatteryGaugeFilter | None = None, flying: bool = True, begun_s: float = 0.0
 ) -> BatteryGaugeFilter:
-    """A charge that was told each share for so many seconds."""
+    """A charge that was read at each share for some seconds."""
     charge = charge or BatteryGaugeFilter()
     for k, share in enumerate(_each(said)):
         charge.update(begun_s + k * PERIOD_S, share, flying)

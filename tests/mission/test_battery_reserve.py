@@ -31,7 +31,7 @@ WORDS = st.lists(st.one_of(SHARES, st.just(math.nan)), max_size=300)
 def flown(
     share: float, per_s: float, for_s: float, grain: float = 0.01
 ) -> tuple[ConsumptionEstimator, BatteryGaugeFilter, float]:
-    """A flight that burns so much, told by a gauge in whole hundredths."""
+    """A flight with a consumption, read from a gauge in whole hundredths."""
     burn, charge = ConsumptionEstimator(), BatteryGaugeFilter()
     now_s = 0.0
     for k in range(round(for_s / PERIOD_S) + 1):
@@ -113,7 +113,7 @@ def test_what_is_drawn_of_late_counts_where_it_is_more() -> None:
     assert 0.0045 <= burn.per_s(now_s + 40.0) <= 0.0055
 
 
-def test_where_the_gauge_slips_the_measure_begins_anew_as_pessimistic_as_it_was() -> None:
+def test_where_the_gauge_slips_the_measure_begins_again_as_pessimistic_as_it_was() -> None:
     for per_s, after in ((0.0008, 0.002), (0.005, 0.005)):
         burn, charge, now_s = flown(0.9, per_s, 90.0)
         slipped = round(0.9 - per_s * 90.0 - 0.2, 2)
@@ -125,7 +125,7 @@ def test_where_the_gauge_slips_the_measure_begins_anew_as_pessimistic_as_it_was(
         assert burn.is_reliable(now_s + 40.0)
 
 
-def test_on_the_ground_everything_begins_anew() -> None:
+def test_on_the_ground_everything_begins_again() -> None:
     burn, _, now_s = flown(0.9, 0.01, 60.0)
     burn.update(now_s + 1.0, 0.3, flying=False)
     burn.update(now_s + 9.0, 1.0, flying=True)

@@ -210,7 +210,7 @@ def test_a_mapper_that_died_early_leaves_the_bare_surface_of_the_map(
     assert {None if request.surface is None else len(request.surface.position_world) for request in asked} == {elements}
 
 
-def test_a_new_map_epoch_holds_maps_anew_and_goes_on(desk: Desk) -> None:
+def test_a_new_map_epoch_holds_maps_again_and_goes_on(desk: Desk) -> None:
     desk.conductor.request_start()
     desk.run(30.0, until=Phase.SURVEY)
     desk.run(12.0)

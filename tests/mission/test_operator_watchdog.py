@@ -21,7 +21,7 @@ RETURNS = Reason(ReasonCode.OPERATOR_LOST_RETURNING, (30.0,))
 def told(
     heard: Callable[[float], bool], seconds: float, timeout_s: float = 30.0
 ) -> tuple[list[tuple[float, Reason]], list[float]]:
-    """What is told of a flight that begins at 100 s with an operator there, and when it had to go home; instants count from
+    """What is known of a flight that begins at 100 s with an operator there, and when it had to go home; instants count from
     there. heard: whether there is a sign of life in that second.
     """
     one, received_s = OperatorWatchdog(timeout_s), 100.0

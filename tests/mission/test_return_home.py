@@ -161,7 +161,7 @@ def test_what_stands_on_the_pad_is_judged_from_near(desk: Desk, stays: bool) -> 
 
 
 def seconds_home(folder: Path, slow_s: float) -> float:
-    """From the operator's call, 2.3 m away, until it lands; for so long nothing fast is let pass."""
+    """From the operator's call, 2.3 m away, until it lands; until then nothing fast is let pass."""
     folder.mkdir()
     desk = Desk(folder)
     desk.planner.left = [np.array([2.5, 0.0, 1.1])]

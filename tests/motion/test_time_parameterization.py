@@ -11,7 +11,7 @@ from scipy.optimize import linprog
 from uav_recon.motion.time_parameterization import PER_SPAN, Curve, fastest, node_times, smoothed
 from uav_recon.types.frames import FloatArray
 
-FREE = np.full(1000, np.inf)  # no silence to heed
+FREE = np.full(1000, np.inf)  # no silence that limits it
 
 
 def straight_band(metres: float, spans: int) -> FloatArray:

@@ -42,7 +42,7 @@ class Vehicle:
         progress.publish(MissionProgress(99.9, "survey", "explore", 31, 120, 42.7, 18.4, 5, 7, 40, 0.2, None, False))
         if mission:
             self.intent.publish(Intent(99.9, Goal.FLY))
-        self.clerk = CommandHandler(self, vehicle, self.intent, progress, odom, self.perception, self.orders, self.clock)
+        self.handler = CommandHandler(self, vehicle, self.intent, progress, odom, self.perception, self.orders, self.clock)
 
     def request_land(self, why: Reason) -> None:
         self.asked.append(f"land: {why.code.value}")
@@ -54,13 +54,13 @@ class Vehicle:
         self.received_s = self.clock.now_s()
 
     def order(self, word: str) -> tuple[bool, str]:
-        answer = self.clerk.serve(word)
+        answer = self.handler.serve(word)
         return answer["ok"], answer["said"]
 
     def refused(self, word: str) -> Reason | None:
         """The reason of a refusal, None for an order that is carried out; its text and codes are the answer's."""
         order = OperatorCommand(word)
-        answer, reason = self.clerk.serve(word), self.clerk._refusal(order)
+        answer, reason = self.handler.serve(word), self.handler._refusal(order)
         if answer["ok"]:
             return None
         assert reason is not None
@@ -145,18 +145,18 @@ def test_a_mission_that_died_a_moment_ago_is_silent() -> None:
     flying = Vehicle(FlightPhase.FLYING)
     flying.clock.advance_to(100.0 + SILENT_S)
     assert not flying.order("return")[0]
-    assert flying.clerk.status().mission == "silent"
+    assert flying.handler.status().mission == "silent"
 
 
 def test_an_unknown_word_is_told_the_known_ones() -> None:
-    answer = Vehicle(FlightPhase.FLYING).clerk.serve("jump")
+    answer = Vehicle(FlightPhase.FLYING).handler.serve("jump")
     unknown = Reason(ReasonCode.UNKNOWN_COMMAND, ("'jump'", "start, hold, return, land, status"))
     assert (answer["said"], answer["codes"]) == (unknown.text(), ["unknown-command"])
 
 
 def test_status_reads_like_an_instrument_panel() -> None:
     refused = Reason(ReasonCode.REFUSED, details=(Reason(ReasonCode.POSE_STALE),))
-    answer = Vehicle(FlightPhase.FLYING, note=refused).clerk.serve("status")
+    answer = Vehicle(FlightPhase.FLYING, note=refused).handler.serve("status")
     told = Status(**json.loads(json.dumps(answer["status"], allow_nan=False)))
     assert told.lines() == [
         "pilot     flying",
@@ -193,7 +193,7 @@ def test_what_perception_rejected_is_in_the_status() -> None:
     frames = ((ReasonCode.DEPTH_FRAME_EMPTY, 3), (ReasonCode.DEPTH_FRAME_NOISE, 12))
     newest = Reason(ReasonCode.DEPTH_FRAME_EMPTY, (0.1,))
     flying.perception.publish(PerceptionStatus(99.5, 800, frames, (("jump", 2),), newest, 97.0))
-    status = flying.clerk.status()
+    status = flying.handler.status()
     assert status.perception == {"depth-frame-empty": 3, "depth-frame-noise": 12, "pose jump": 2}
     assert Status.told(status.as_json()) == status
     assert status.lines()[-1] == (
@@ -210,7 +210,7 @@ def test_the_camera_and_the_pad_that_is_awaited_are_in_the_status() -> None:
             99.5, origin=Reason(ReasonCode.PAD_AWAITED, (0.5,)), camera=(streams, Reason(ReasonCode.CAMERA_USB2, ("2.1", "15")))
         )
     )
-    status = ready.clerk.status()
+    status = ready.handler.status()
     assert status.camera_codes == ("camera-streams", "camera-usb2")
     assert Status.told(json.loads(json.dumps(status.as_json()))) == status
     assert [line for line in status.lines() if line.startswith(("camera", "origin"))] == [
@@ -221,10 +221,10 @@ def test_the_camera_and_the_pad_that_is_awaited_are_in_the_status() -> None:
 
 
 def test_what_is_not_known_is_a_dash() -> None:
-    clerk = Vehicle(FlightPhase.CONNECTING).clerk
+    handler = Vehicle(FlightPhase.CONNECTING).handler
     for channel in ("_vehicle", "_odom", "_progress", "_intent"):
-        setattr(clerk, channel, MemoryChannel(VehicleState))
-    lines = clerk.status().lines()
+        setattr(handler, channel, MemoryChannel(VehicleState))
+    lines = handler.status().lines()
     assert lines[:3] == ["pilot     starting", "mission   silent", "mode      -"]
     battery = VehicleState(
         1.0, Pose.identity(), np.zeros(3), False, "LAND", FlightPhase.LANDED, float("nan"), False, 0.0, -1, 0, None
@@ -261,5 +261,5 @@ def test_on_the_ground_status_says_what_the_mission_waits_for() -> None:
         waiting = Vehicle(phase)
         progress = MissionProgress(99.9, "ready", "", 0, 120, 1.0, 0.0, 0, 0, 0, 0.0, missing, False)
         waiting.progress.publish(progress)
-        status = waiting.clerk.status()
+        status = waiting.handler.status()
         assert (status.note, status.note_codes) == (text_of(note), codes_of(note))

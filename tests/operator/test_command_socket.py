@@ -1,4 +1,4 @@
-"""The operator's socket: one line each way, and no client hurts whoever polls."""
+"""The operator's socket: one line each way, and no client hurts the one that polls."""
 
 from __future__ import annotations
 

@@ -84,7 +84,7 @@ def test_from_holding_it_comes_up_at_once_from_retreating_after_two_healthy_seco
     assert ladder.step(health(3.0)) == (FailsafeAction.RETREAT, because(ReasonCode.MISSION_SILENT, 6.0))
     assert ladder.step(health(4.9))[0] is FailsafeAction.RETREAT
     assert ladder.step(health(4.95, pose_age_s=0.3))[0] is FailsafeAction.RETREAT
-    assert ladder.step(health(5.0))[0] is FailsafeAction.RETREAT, "healthy anew"
+    assert ladder.step(health(5.0))[0] is FailsafeAction.RETREAT, "healthy again"
     assert ladder.step(health(6.99))[0] is FailsafeAction.RETREAT
     assert ladder.step(health(7.0)) == (FailsafeAction.FLY, None)
     assert ladder.step(health(8.0, pose_age_s=2.0))[0] is FailsafeAction.LAND

@@ -180,7 +180,7 @@ def along_x(way_m: float) -> FloatArray:
 
 
 def wall(room_m: float, stamp_s: float) -> ForwardDepth:
-    """One return straight ahead, so far before the hull."""
+    """One return straight ahead, at a distance before the hull."""
     ranges = np.full((1, 1), room_m + HULL_RADIUS_M - MOUNT.translation_m[0])
     return ForwardDepth(MinRangeGrid(stamp_s, MOUNT, ranges, (0.95, 0.55), 0.9), HULL_RADIUS_M)
 

@@ -132,7 +132,7 @@ def test_a_turn_is_eight_degrees_beside_what_can_be_flown(turn_deg: float, good:
     assert (verdict.why and verdict.why.code) is (None if good else ReasonCode.POSE_TURN)
 
 
-def test_a_source_that_says_so_begins_anew() -> None:
+def test_a_source_that_says_so_begins_again() -> None:
     gate = settled()
     assert judge(gate, pose(STEP_S, (3.0, 2.0, 1.0), 1.0, reset_counter=1)) == PoseVerdict(True, again=True)
     assert judge(gate, pose(2 * STEP_S, (3.0, 2.0, 1.0), 1.0, reset_counter=1)) == PoseVerdict(True)
@@ -232,7 +232,7 @@ def test_a_negative_variance_is_none() -> None:
     assert not judge(gate, pose(2 * STEP_S, (0.21, 0.0, 1.0), covariance=-np.eye(6))).good
 
 
-def test_a_track_that_goes_back_in_time_begins_anew() -> None:
+def test_a_track_that_goes_back_in_time_begins_again() -> None:
     gate, t, counted = settled(), 1.0, 0
     for _ in range(3):
         for n in range(15):  # too few at a time

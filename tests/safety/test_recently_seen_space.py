@@ -101,7 +101,7 @@ def test_views_are_spread_over_the_memory_so_that_a_fast_camera_does_not_shorten
     assert sight.saw_free((-3.5, 0.0, 1.0), 13.0)
 
 
-def test_a_camera_of_another_size_begins_anew() -> None:
+def test_a_camera_of_another_size_begins_again() -> None:
     sight = looked()
     sight.add(MinRangeGrid(6.0, MOUNT, np.full((3, 4), 2.0, np.float32), (0.95, 0.55), 0.9), HERE)
     assert sight.saw_free((2.0, 0.0, 1.0), 6.0)

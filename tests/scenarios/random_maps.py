@@ -23,7 +23,7 @@ RESOLUTIONS_M = (0.05, 0.08, 0.1, 0.1, 0.15, 0.2)
 
 @dataclass
 class RandomMap:
-    """truth: what there is. fence_m: (2, 3). known: what the map has seen so far."""
+    """truth: what there is. fence_m: (2, 3). known: what the map has seen by now."""
 
     kind: str
     grid: GridSpec

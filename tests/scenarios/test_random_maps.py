@@ -24,7 +24,7 @@ from uav_recon.types.tasks import NothingLeft, PlanRequest, ViewPath, Viewpoint
 MAPS, BLOCKS = 1000, 10
 BORDER = 1e-6  # voxels: a way may bend on the very border of a flyable voxel
 VIEW_M = 0.3  # d_s: from a view to the nearest side of anything that is not known free
-CLIP = 0.25  # voxels: a line between two waypoints may clip a corner by so much
+CLIP = 0.25  # voxels: a line between two waypoints may clip a corner by this much
 MOUNT_M = np.array([0.1, 0.0, 0.0])
 pytestmark = pytest.mark.slow
 TILT_RAD = np.radians(15.0)

@@ -59,9 +59,9 @@ def make_command_handler(wires: FlightChannels, pilot: Pilot, orders: Channel[Gi
 
 def make_command_socket(config: Config, wires: FlightChannels, pilot: Pilot, clock: Clock) -> CommandSocket:
     """Open the command socket at the pilot. Raises UserError if it cannot be opened."""
-    clerk = make_command_handler(wires, pilot, operator_command_sender(config.runtime.folder), clock)
+    handler = make_command_handler(wires, pilot, operator_command_sender(config.runtime.folder), clock)
     try:
-        return CommandSocket(operator_socket(config), clerk.serve, clock)
+        return CommandSocket(operator_socket(config), handler.serve, clock)
     except CommandSocketError as error:
         raise UserError(f"runtime.operator: {error}", EXIT_CONFIG) from None
 

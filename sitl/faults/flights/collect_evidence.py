@@ -13,7 +13,7 @@ from uav_recon.recording.flight_log import read_timeline
 from uav_recon.types.reason import codes_in
 
 
-def evidence_of(meddler: FaultDirector, config: Config, truth: Path, radius_m: float) -> FlightEvidence:
+def evidence_of(director: FaultDirector, config: Config, truth: Path, radius_m: float) -> FlightEvidence:
     """Return the evidence of a finished flight.
 
     truth: file with the simulator's ground truth, in the same folder as the product's own log. radius_m: radius of the hull
@@ -29,4 +29,4 @@ def evidence_of(meddler: FaultDirector, config: Config, truth: Path, radius_m: f
         hull_s, hull_m = told["stamp_s"][measured], told["hull_m"][measured]
     outcomes = read_timeline(truth.parent).outcomes
     stop_codes = outcomes[-1].stop_codes if outcomes else ()
-    return gather(meddler, limits, hull_s, hull_m, radius_m, stop_codes, codes_in)
+    return gather(director, limits, hull_s, hull_m, radius_m, stop_codes, codes_in)

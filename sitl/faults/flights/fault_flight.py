@@ -225,9 +225,9 @@ def flight(
         )
         for scenario in scenarios
     ]
-    meddler = FaultDirector(troubles, stage.number, split=split)
-    fly_in_lockstep(options, config, scene, Console(quiet=True), meddler.lands, timelapse=False, meddler=meddler)
-    return evidence_of(meddler, config, options.folder / "truth.npz", options.radius_m)
+    director = FaultDirector(troubles, stage.number, split=split)
+    fly_in_lockstep(options, config, scene, Console(quiet=True), director.lands, timelapse=False, director=director)
+    return evidence_of(director, config, options.folder / "truth.npz", options.radius_m)
 
 
 def attended(config: Config) -> Config:

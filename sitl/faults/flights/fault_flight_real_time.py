@@ -51,8 +51,8 @@ class Supervised(SimProcesses):
                 self._pids[name] = self._child(name).process.pid
             self._roster.tell(self._pids, self._exits)
             while self._child("world").process.poll() is None:
-                self._bury()
-                self._raise_again()
+                self._collect_exits()
+                self._restart_due()
                 time.sleep(_LOOK_S)
             world = self._child("world")
             if world.process.returncode != 0:
@@ -60,7 +60,7 @@ class Supervised(SimProcesses):
         finally:
             self._end_all()
 
-    def _bury(self) -> None:
+    def _collect_exits(self) -> None:
         for child in [c for c in self._children if c.process.poll() is not None and c.name != "world"]:
             code = int(child.process.returncode)
             self._children.remove(child)
@@ -70,7 +70,7 @@ class Supervised(SimProcesses):
                 self._due_s[child.name] = time.monotonic() + RESTART_S[child.name]
             self._roster.tell(self._pids, self._exits)
 
-    def _raise_again(self) -> None:
+    def _restart_due(self) -> None:
         kept_down = self._roster.blocked_restarts() if self._due_s else frozenset[str]()
         for name, due_s in list(self._due_s.items()):
             if name not in kept_down and time.monotonic() >= due_s:

@@ -68,17 +68,17 @@ def fly(order: WorldProcessOptions) -> FlightEvidence:
         scenario.observe_s,
         scenario.observe_after_disarm_s,
     )
-    meddler = FaultDirector([trouble], order.number, LONGEST_WAIT_S)
+    director = FaultDirector([trouble], order.number, LONGEST_WAIT_S)
     with contextlib.ExitStack() as ends:
         line = None if order.line is None else SerialLine(Path(order.line))
         end = ends.enter_context(contextlib.closing(line or UdpPeer(remote=("127.0.0.1", options.port))))
-        world, relay = _outside(order, options, meddler.autopilot_link(end), ends)
-        meddler.enter(world, None, time.monotonic())
-        at = meddler.context
+        world, relay = _outside(order, options, director.autopilot_link(end), ends)
+        director.enter(world, None, time.monotonic())
+        at = director.context
         at.config, at.roster, at.line = Path(order.config), ProcessRegistry(Path(options.stream).parent), line
-        _fly(world, relay, meddler)
+        _fly(world, relay, director)
         world.truth_log.save(Path(options.truth), world)
-    return evidence_of(meddler, product_config.load(Path(order.config)), Path(options.truth), options.radius_m)
+    return evidence_of(director, product_config.load(Path(order.config)), Path(options.truth), options.radius_m)
 
 
 def _outside(
@@ -96,7 +96,7 @@ def _outside(
     return make_firmware_world(binary, options, scene, relay.port, ends), relay
 
 
-def _fly(world: OutsideWorld, relay: Relay | None, meddler: FaultDirector) -> None:
+def _fly(world: OutsideWorld, relay: Relay | None, director: FaultDirector) -> None:
     """Run the world until the flight is over."""
     turns = RateKeeper(1.0 / TURN_S, time.monotonic())
 
@@ -104,8 +104,8 @@ def _fly(world: OutsideWorld, relay: Relay | None, meddler: FaultDirector) -> No
         if relay is not None:
             relay.pass_on()
         if turns.due(now_s):
-            meddler.turn(now_s)
-        return meddler.over(finished=False)
+            director.turn(now_s)
+        return director.over(finished=False)
 
     run(world, ended)
 

@@ -17,7 +17,7 @@ from sitl.faults.reason_codes import CONTROL_LOST, LANDING, REDUCED_SPEED
 
 _LAND = (176, 21)  # DO_SET_MODE and NAV_LAND; in flight the product requests no other mode
 _TOLD_S = 1.0 + 0.05  # a second, and one or two iterations of the pilot's loop
-_ALOFT_M = 0.3
+_AIRBORNE_M = 0.3
 _BEFORE_S = 0.5  # it may report first, and send the command once it knows the current mode
 _FLYING_S = 0.5  # a product that sent a setpoint this recently was running and in control
 _OURS_S = 3.0  # a landing this soon after the command is the one requested
@@ -85,7 +85,7 @@ def _airborne(e: FlightEvidence, stamp_s: float) -> bool:
 
     There a mode command can only request a landing; on the ground it requests the flight's own mode.
     """
-    return bool(np.interp(stamp_s, e.stamp_s, e.position_m[:, 2]) > _ALOFT_M)
+    return bool(np.interp(stamp_s, e.stamp_s, e.position_m[:, 2]) > _AIRBORNE_M)
 
 
 def _lost(e: FlightEvidence, asked: list[float]) -> list[tuple[float, float, bool]]:

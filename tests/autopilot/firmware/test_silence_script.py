@@ -135,7 +135,7 @@ def test_it_lands_once_when_the_companion_has_been_silent_for_so_long() -> None:
     b.run(5.0, heard=False)
     assert b.orders == [LAND]
     assert b.texts == ["Companion silent: landing"]
-    assert b.parameters["FS_GCS_ENABLE"] == 0.0, "it would begin its wait anew"
+    assert b.parameters["FS_GCS_ENABLE"] == 0.0, "it would begin its wait again"
     b.armed = False
     b.run(0.1, heard=False)
     assert b.parameters["FS_GCS_ENABLE"] == 5.0

@@ -58,7 +58,7 @@ def heartbeat(rig: Rig, mode: str, armed: bool = True) -> Any:
 
 
 def speak_twice(rig: Rig, crowd: Crowd, mode: str, seconds: float, armed: bool = True) -> None:
-    """For so long another autopilot speaks with the vehicle's name."""
+    """For some time another autopilot speaks with the vehicle's name."""
     for turn in range(round(seconds * 100)):
         boot_ms = 900_000 + 10 * turn
         crowd.say(mavlink.MAVLink_local_position_ned_message(boot_ms, 3.0, -2.0, -1.5, 0.3, 0.0, 0.0), 1, 1)

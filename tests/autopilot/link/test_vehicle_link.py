@@ -312,7 +312,7 @@ def test_a_reboot_forgets_the_origin(pair: tuple[VehicleLink, Wire]) -> None:
 
 
 def test_no_pose_is_sent_by_a_clock_in_doubt(pair: tuple[VehicleLink, Wire]) -> None:
-    """An autopilot that begins anew in the air: the first answer of its new clock ends the feed, and we ask more often."""
+    """An autopilot that restarts in the air: the first answer of its new clock ends the feed, and we ask more often."""
     link, far = pair
     converge(link, far)
     pose, sent = StampedPose(4.0, Pose.identity(), np.zeros(3)), []
@@ -333,7 +333,7 @@ def test_no_pose_is_sent_by_a_clock_in_doubt(pair: tuple[VehicleLink, Wire]) -> 
     assert far.sent[0].time_usec == pytest.approx(1e6, abs=2e3)
 
 
-def test_an_autopilot_that_counts_anew_is_understood_at_once(pair: tuple[VehicleLink, Wire]) -> None:
+def test_an_autopilot_that_restarts_its_count_is_understood_at_once(pair: tuple[VehicleLink, Wire]) -> None:
     """Its first answer is numbered like one of before; by its round trip it is new."""
     link, far = pair
     converge(link, far)

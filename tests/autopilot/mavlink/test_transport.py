@@ -53,7 +53,7 @@ class Peer:
 
 
 class Udp:
-    """A link, its gate, its clock, and whoever speaks to it."""
+    """A link, its gate, its clock, and its peers."""
 
     def __init__(self, peer_host: str | None = None) -> None:
         self.port = free_port()

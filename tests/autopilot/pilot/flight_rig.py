@@ -123,7 +123,7 @@ class Tap:
 
 
 class Rig:
-    """One flight. The mission is whoever calls fly(), land() and silent()."""
+    """One flight. The test is the mission: it calls fly(), land() and silent()."""
 
     firmware: FirmwareProfile = PX4
     parameters: ParameterCheck | None = None

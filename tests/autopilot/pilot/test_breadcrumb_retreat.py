@@ -105,7 +105,7 @@ def lines_run(work: Callable[[], object]) -> int:
 
 
 def serpentine(most: int) -> list[tuple[float, float, float]]:
-    """So many breadcrumbs between shelves of 30 m, 1.5 m apart: no loop that could be cut out."""
+    """Breadcrumbs between shelves of 30 m, 1.5 m apart: no loop that could be cut out."""
     places = []
     for n in range(most):
         lap, along = divmod(n, 150)

@@ -61,7 +61,7 @@ def _alert_s(height_m: Callable[[float], float], until_s: float) -> float:
 @pytest.mark.parametrize("rest_m", [-0.012, -0.004, 0.0, 0.03])
 @pytest.mark.parametrize("sinks_mps", [0.0, 0.005, -0.005])
 def test_a_landing_at_rest_is_told_of_ten_seconds_later_wherever_its_estimate_wanders(rest_m: float, sinks_mps: float) -> None:
-    """The last height on the way down was 0.047 m, and the estimate crept to 0.05 m below it 8 s later: that began anew."""
+    """The last height on the way down was 0.047 m, and the estimate crept to 0.05 m below it 8 s later: that began again."""
 
     def height_m(now_s: float) -> float:
         return max(1.247 - 0.3 * now_s, rest_m) - sinks_mps * max(now_s - 4.0, 0.0) + 0.006 * math.sin(2.0 * now_s)

@@ -229,7 +229,7 @@ def test_a_wide_hull_does_not_pass_where_a_narrow_one_does(radius_m: float, lead
 
 
 def _lane(half_m: float) -> BoolArray:
-    """Known free so far to both sides of the x axis; the nearest voxels that are not lie half a voxel beyond."""
+    """Known free to a distance on both sides of the x axis; the nearest voxels that are not lie half a voxel beyond."""
     free, half = np.zeros(GRID.shape, np.bool_), round(half_m / 0.1)
     free[:, 40 - half : 40 + half] = True
     return free

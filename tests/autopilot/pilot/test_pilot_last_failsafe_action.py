@@ -17,7 +17,7 @@ ASKED = f"COMMAND_LONG {MODE}"
 
 
 def refuse_every_mode(commander: Any) -> None:
-    """MAV_RESULT_TEMPORARILY_REJECTED, to whoever asks."""
+    """MAV_RESULT_TEMPORARILY_REJECTED, to every request."""
     vars(commander)["request_mode"] = lambda *request: 1
 
 

@@ -114,7 +114,7 @@ def test_poses_that_come_back_do_not_stop_a_landing(hovering: Rig) -> None:
 
 
 def test_a_reset_of_odom_holds_the_new_place(hovering: Rig) -> None:
-    """The source begins anew 0.4 m aside and says so: the setpoint follows in the same tick, no flight back, and after a second
+    """The source restarts 0.4 m aside and says so: the setpoint follows in the same tick, no flight back, and after a second
     of rest it lands: what is known free was mapped in the old odom.
     """
     rig = hovering
@@ -183,7 +183,7 @@ def test_poses_that_no_clock_lets_us_feed_hold_then_land(hovering: Rig) -> None:
 
 
 def test_nothing_is_cleared_on_a_map_of_the_old_odom(hovering: Rig) -> None:
-    """Odom begins anew 1.5 m aside: a way that is free in the old map leads into a wall 2.2 m off."""
+    """Odom begins again 1.5 m aside: a way that is free in the old map leads into a wall 2.2 m off."""
     rig = hovering
     middle_m = GRID.origin_world_m[1] + (np.arange(GRID.shape[1]) + 0.5) * GRID.resolution_m
     rig.free[:, np.abs(middle_m) >= 2.2, :] = False

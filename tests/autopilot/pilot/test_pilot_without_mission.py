@@ -70,7 +70,7 @@ def test_a_mission_that_comes_back_late_is_heard_after_two_seconds(hovering: Rig
     assert hovering.pilot.phase is FlightPhase.FLYING
 
 
-def test_a_mission_started_anew_in_the_air_is_not_waited_for(hovering: Rig) -> None:
+def test_a_mission_restarted_in_the_air_is_not_waited_for(hovering: Rig) -> None:
     silent_s, _ = silenced(hovering)
     hovering.run(silent_s + 4.0 - hovering.clock.now_s())
     hovering.intent = (Goal.STANDBY, None)

@@ -295,7 +295,7 @@ def test_a_reported_drift_is_kept_for_a_while(flight: Flight) -> None:
     assert flight.monitor.drift(flight.n * PERIOD_S + 3.0) is None
 
 
-def test_a_jump_of_odom_itself_begins_anew(flight: Flight) -> None:
+def test_a_jump_of_odom_itself_begins_again(flight: Flight) -> None:
     here = Pose.from_yaw(0.0, np.array([2.0, 1.0, 1.0])) @ BODY_FROM_DEPTH
     frame = Frame(flight.n * PERIOD_S, flight.n, 0.5 * _depth(here), LENS, np.zeros((2, 2, 3), np.uint8), LENS, here)
     assert not flight.see(lambda depth_m: 0.5 * depth_m)

@@ -146,7 +146,7 @@ def test_views_of_the_first_three_seconds_tell_nothing() -> None:
     assert flight.peak_mps > 0.0
 
 
-def test_a_reported_drift_fades_and_a_new_odom_begins_anew() -> None:
+def test_a_reported_drift_fades_and_a_new_odom_begins_again() -> None:
     flight = Flight((0.05, 0.0, 0.0))
     flight.look_about(12.0)
     for _ in range(150):

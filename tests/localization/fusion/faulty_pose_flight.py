@@ -44,7 +44,7 @@ class FlownOdometry:
     fusion: FusionFilter = field(default_factory=FusionFilter)
 
     def since(self, seconds: float) -> int:
-        """Index of the first sample so long after the onset."""
+        """Index of the first sample at a time after the onset."""
         return int(np.searchsorted(self.stamps_s, ONSET_S + seconds))
 
     def step_m(self) -> float:

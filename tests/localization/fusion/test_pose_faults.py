@@ -120,7 +120,7 @@ def test_b4_two_closed_loops_are_two_epochs() -> None:
     assert flown.step_m() < 0.02
 
 
-def test_b4_a_tracker_that_begins_anew_is_accepted_once_it_has_proven_itself() -> None:
+def test_b4_a_tracker_that_begins_again_is_accepted_once_it_has_proven_itself() -> None:
     again = shifted(x=-3.0, y=1.0, yaw_deg=140.0)
 
     def reset(pose: StampedPose, since_s: float) -> StampedPose | None:
@@ -138,7 +138,7 @@ def test_b4_a_tracker_that_begins_anew_is_accepted_once_it_has_proven_itself() -
 
 @pytest.mark.parametrize("turn_deg", [180.0, 90.0, 15.0])
 def test_b9_a_heading_lost_for_good_is_never_flown_on(turn_deg: float) -> None:
-    """Nor once the place is lost and odom could begin anew: the gyro knows better, and an autopilot that lands would follow."""
+    """Nor once the place is lost and odom could restart: the gyro knows better, and an autopilot that lands would follow."""
     flown = fly(shifted(yaw_deg=turn_deg, about_origin=False), seconds=8.0)
     assert flown.first(LOST) <= 0.3
     assert flown.healths(0.3) == {LOST}
@@ -151,7 +151,7 @@ def test_b9_a_heading_lost_for_good_is_never_flown_on(turn_deg: float) -> None:
 
 
 def test_b5_a_slow_drift_is_followed_without_a_step() -> None:
-    """0.05 m/s is nothing that an IMU can tell from flight; depth against the map is the witness (guard, mapper)."""
+    """0.05 m/s is nothing that an IMU can tell from flight; depth against the map shows it (guard, mapper)."""
     flown = fly(lambda pose, since_s: shifted(x=0.05 * since_s)(pose, since_s), seconds=10.0)
     assert flown.step_m() < 0.015
     assert flown.odom[-1].correction.epoch == flown.resets() == 0
@@ -351,7 +351,7 @@ def test_a_blow_that_turned_it_is_followed(axis: int) -> None:
     assert flown.resets() == flown.fusion.correction.epoch == flown.fusion.rejected.total() == 0
 
 
-def test_without_inertial_samples_there_is_no_witness_and_it_says_so() -> None:
+def test_without_inertial_samples_nothing_contradicts_them_and_it_says_so() -> None:
     flown = fly(undisturbed, imu=False)
     assert flown.healths(0.0) == {DEGRADED}
     assert flown.odom[-1].why == Reason(ReasonCode.NO_IMU)

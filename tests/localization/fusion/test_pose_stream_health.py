@@ -60,7 +60,7 @@ def test_refused_poses_are_reported_as_such() -> None:
     assert _watch().health(0.4, imu_fault=None, on_trial=True) == (LOST, Reason(ReasonCode.POSES_DISAGREE, (0.4,)))
 
 
-def test_no_imu_is_no_witness() -> None:
+def test_without_an_imu_nothing_contradicts_the_poses() -> None:
     assert _watch().health(0.1, imu_fault=Reason(ReasonCode.NO_IMU), on_trial=False) == (DEGRADED, Reason(ReasonCode.NO_IMU))
 
 

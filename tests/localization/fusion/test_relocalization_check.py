@@ -47,7 +47,7 @@ def test_after_a_loss_it_takes_a_second() -> None:
 
 
 @pytest.mark.parametrize(("slip_m", "slip_rad"), [(0.06, 0.0), (0.0, math.radians(3.2)), (-3.0, 0.0)])
-def test_one_that_slips_begins_anew(slip_m: float, slip_rad: float) -> None:
+def test_one_that_slips_begins_again(slip_m: float, slip_rad: float) -> None:
     trial = _run([_measurement(0), _measurement(1), _measurement(2), _measurement(3, slip_m, slip_rad)])
     assert len(trial) == 1
     assert not trial.satisfies(MAP_STEP)
@@ -62,7 +62,7 @@ def test_a_small_slip_is_noise() -> None:
     assert _run([_measurement(k, slip_m=0.04 * (k % 2), slip_rad=0.03 * (k % 2)) for k in range(4)]).satisfies(MAP_STEP)
 
 
-def test_without_a_witness_it_is_enough_to_move_as_a_vehicle_can() -> None:
+def test_without_a_second_sensor_it_is_enough_to_move_as_a_vehicle_can() -> None:
     def steps(way_m: float) -> list[PoseMeasurement]:
         return [PoseMeasurement(k / 15, (way_m * k, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), SOURCE) for k in range(4)]
 

@@ -17,16 +17,16 @@ TURN_S = 1.0 / 60.0
 
 def watched_s(trouble: Fault, lands_s: float, lifts_again_s: float = 1e9) -> tuple[float, bool]:
     """Until when a flight is watched that is up at 1 s, and whether the motors ran at the end."""
-    meddler = FaultDirector([trouble], seed=1)
+    director = FaultDirector([trouble], seed=1)
     world = SimpleNamespace(flyer=SimpleNamespace(truth=lambda: None))
     seen: Any = SimpleNamespace(world=world, now_s=0.0, notes={})
-    meddler.context = seen
-    meddler._begun_s = 0.0
+    director.context = seen
+    director._begun_s = 0.0
     for turn in range(60 * 200):
         now_s = seen.now_s = turn * TURN_S
         armed = 1.0 <= now_s < lands_s or now_s >= lifts_again_s
-        meddler._watch(TruthSample(now_s, (0.0, 0.0, 1.2 if armed else 0.0), (0.0, 0.0, 0.0), 0.0, armed, "OFFBOARD", 0.9))
-        if meddler.over(finished=now_s >= lands_s):
+        director._watch(TruthSample(now_s, (0.0, 0.0, 1.2 if armed else 0.0), (0.0, 0.0, 0.0), 0.0, armed, "OFFBOARD", 0.9))
+        if director.over(finished=now_s >= lands_s):
             return now_s, armed
     raise AssertionError("never over")
 

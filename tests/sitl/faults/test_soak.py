@@ -41,7 +41,7 @@ for line in sys.stdin:
 """
 
 
-def theatre(folder: Path) -> InjectionContext:
+def injection_context(folder: Path) -> InjectionContext:
     world: Any = None
     return InjectionContext(world, random.Random(1), roster=ProcessRegistry(folder), config=folder / "config.toml")
 
@@ -94,7 +94,7 @@ def resident_mb(folder: Path) -> float:
 
 
 def test_a_process_that_grows_is_seen_to(tmp_path: Path, holder: subprocess.Popen[str]) -> None:
-    at, footprints = theatre(tmp_path), ResourceUsage(for_s=40.0)
+    at, footprints = injection_context(tmp_path), ResourceUsage(for_s=40.0)
     for second in range(41):
         if second >= 10:
             assert taken(holder, 1_000_000) == "done"
@@ -116,7 +116,7 @@ def test_a_process_that_grows_is_seen_to(tmp_path: Path, holder: subprocess.Pope
 
 
 def test_a_process_that_ends_is_counted_once(tmp_path: Path, holder: subprocess.Popen[str]) -> None:
-    at, footprints = theatre(tmp_path), ResourceUsage(for_s=40.0)
+    at, footprints = injection_context(tmp_path), ResourceUsage(for_s=40.0)
     footprints.turn(at, 0.0)
     holder.kill()
     holder.wait()
@@ -147,7 +147,7 @@ def test_the_operator_holds_lets_go_a_few_times_and_lands() -> None:
 
 
 def test_orders_are_given_once_by_the_command_line_and_nobody_is_left(tmp_path: Path) -> None:
-    at, told = theatre(tmp_path), OperatorCommands([(0.0, "hold"), (2.0, "land")])
+    at, told = injection_context(tmp_path), OperatorCommands([(0.0, "hold"), (2.0, "land")])
     (tmp_path / "config.toml").write_text("[nonsense]\n", encoding="utf-8")
     begun_s = time.monotonic()
     told.turn(at, 0.0)

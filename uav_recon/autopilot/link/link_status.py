@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from uav_recon.autopilot.link.link_alerts import TWO
+from uav_recon.autopilot.link.link_alerts import TWO_AUTOPILOTS
 from uav_recon.types.reason import Reason
 
 
@@ -27,4 +27,4 @@ class LinkStatus:
     @property
     def autopilot_fault(self) -> Reason | None:
         """Reason not to trust that the messages come from the autopilot that is flown, or None."""
-        return self.identity_fault or (TWO if self.duplicate_autopilot else None)
+        return self.identity_fault or (TWO_AUTOPILOTS if self.duplicate_autopilot else None)

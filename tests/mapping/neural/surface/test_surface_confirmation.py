@@ -29,19 +29,19 @@ def as_array(*rows: list[float]) -> Float32Array:
     return np.array(rows, dtype=np.float32)
 
 
-def borne(depths: depth_visibility.DepthVisibility) -> list[bool]:
+def supported(depths: depth_visibility.DepthVisibility) -> list[bool]:
     points = as_array(MEASURED, BESIDE, BEHIND)
     facing = np.tile(as_array([0.0, 0.0, -1.0]), (3, 1))
     return [bool(it) for it in confirmed_by_depth(evidence(), depths, points, facing)]
 
 
 def test_surface_is_confirmed_by_an_end_point_or_a_depth_image() -> None:
-    assert borne(images(WALL_M)) == [True, True, False]  # nothing was seen behind the wall
+    assert supported(images(WALL_M)) == [True, True, False]  # nothing was seen behind the wall
 
 
 def test_without_a_depth_image_only_end_points_confirm() -> None:
-    assert borne(depth_visibility.DepthVisibility()) == [True, False, False]
+    assert supported(depth_visibility.DepthVisibility()) == [True, False, False]
 
 
 def test_a_depth_image_that_sees_beyond_outweighs_an_end_point() -> None:
-    assert borne(images(2.5)) == [False, False, False]
+    assert supported(images(2.5)) == [False, False, False]

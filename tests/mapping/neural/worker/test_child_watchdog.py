@@ -21,12 +21,12 @@ def given_up_after_s(
     pulse: ProcessActivity, grows: bool = False, patient: bool = False, longest_s: float = 200.0
 ) -> float | None:
     """Return the seconds from a request until the child is given up; None for never."""
-    vigil, now_s = ChildWatchdog(), 0.0
-    vigil.asked(now_s)
+    watchdog, now_s = ChildWatchdog(), 0.0
+    watchdog.asked(now_s)
     while now_s < longest_s:
         now_s += CHECK_PERIOD_S
         used_s = pulse.processor_s + (now_s if grows else 0.0)
-        if vigil.is_hung(now_s, ProcessActivity(used_s, pulse.at_rest), patient):
+        if watchdog.is_hung(now_s, ProcessActivity(used_s, pulse.at_rest), patient):
             return now_s
     return None
 
@@ -52,17 +52,17 @@ def test_a_compiling_child_is_waited_for_unless_it_sleeps() -> None:
 
 
 def test_a_child_without_a_pending_request_may_sleep() -> None:
-    vigil = ChildWatchdog()
-    assert not vigil.is_hung(100.0, ProcessActivity(1.0, at_rest=True), patient=False)
-    vigil.asked(100.0)
-    vigil.answered()
-    assert not vigil.is_hung(300.0, ProcessActivity(1.0, at_rest=True), patient=False)
+    watchdog = ChildWatchdog()
+    assert not watchdog.is_hung(100.0, ProcessActivity(1.0, at_rest=True), patient=False)
+    watchdog.asked(100.0)
+    watchdog.answered()
+    assert not watchdog.is_hung(300.0, ProcessActivity(1.0, at_rest=True), patient=False)
 
 
 def test_an_ended_process_is_not_reported_as_hung() -> None:
-    vigil = ChildWatchdog()
-    vigil.asked(0.0)
-    assert not vigil.is_hung(1000.0, None, patient=False)
+    watchdog = ChildWatchdog()
+    watchdog.asked(0.0)
+    assert not watchdog.is_hung(1000.0, None, patient=False)
     assert activity_of(2**22 + 1) is None
 
 

@@ -44,7 +44,7 @@ def wait_for(condition: Callable[[], bool]) -> None:
         pause.wait(0.01)
 
 
-def theatre(folder: Path) -> InjectionContext:
+def injection_context(folder: Path) -> InjectionContext:
     world: Any = None
     return InjectionContext(world, dice=None, roster=ProcessRegistry(folder), config=folder / "config.toml")  # type: ignore[arg-type]
 
@@ -67,7 +67,7 @@ def written(writer: subprocess.Popen[str], count: int) -> str:
 
 
 def test_who_toils_is_gone_with_its_file_when_the_time_is_over(tmp_path: Path) -> None:
-    at = theatre(tmp_path)
+    at = injection_context(tmp_path)
     toil = BusyProcesses("import sys, time; open(sys.argv[1], 'w').close(); time.sleep(60)", 2, for_s=5.0)
     toil.begin(at)
     wait_for(lambda: {p.name for p in tmp_path.iterdir()} == {"toil-0", "toil-1"})
@@ -81,14 +81,14 @@ def test_who_toils_is_gone_with_its_file_when_the_time_is_over(tmp_path: Path) -
 def test_no_file_of_the_product_grows_beyond_the_limit(tmp_path: Path, writer: subprocess.Popen[str]) -> None:
     assert written(writer, 5000) == "done"
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    FileSizeLimitOfProcesses(4096).begin(theatre(tmp_path))
+    FileSizeLimitOfProcesses(4096).begin(injection_context(tmp_path))
     assert written(writer, 1) == "File too large"
     assert (tmp_path / "written").stat().st_size == 5000
     assert resource.getrlimit(resource.RLIMIT_FSIZE) == before, "of the referee, who must write too"
 
 
 def test_what_a_process_takes_is_noted(tmp_path: Path, writer: subprocess.Popen[str]) -> None:
-    at, weighed = theatre(tmp_path), ProcessUsageMonitor("pilot")
+    at, weighed = injection_context(tmp_path), ProcessUsageMonitor("pilot")
     assert written(writer, 10) == "done"
     weighed.begin(at)
     weighed.turn(at, 0.0)

@@ -227,7 +227,7 @@ def test_a_call_of_the_planner_hangs_while_the_mission_runs() -> None:
         def runs(self, stage: str) -> bool:
             return not hung.stalls(clock.now_s(), stage)
 
-    free, stuck = (HookedExecutor(InlineExecutor(clock), meddler).submit(lambda: 7, 0.1) for meddler in (NoHook(), Hung()))
+    free, stuck = (HookedExecutor(InlineExecutor(clock), director).submit(lambda: 7, 0.1) for director in (NoHook(), Hung()))
     assert not free.done()
     clock.advance_to(1.0)
     assert free.done() and free.result() == 7

@@ -42,25 +42,25 @@ class Line:
         self.forged.append(data)
 
 
-def theatre() -> InjectionContext:
+def injection_context() -> InjectionContext:
     world: Any = None
     line: Any = Line()
     return InjectionContext(world, random.Random(1), proxy=line)
 
 
 def test_who_has_gone_asks_no_more_and_his_last_question_is_noted() -> None:
-    meddler = FaultDirector([Fault("D8", [OperatorSilent()])], 0)
-    at = meddler.context = theatre()
+    director = FaultDirector([Fault("D8", [OperatorSilent()])], 0)
+    at = director.context = injection_context()
     at.now_s = 7.0
-    assert meddler.attends()
+    assert director.attends()
     OperatorSilent().begin(at)
     at.now_s = 8.0
-    assert not meddler.attends()
+    assert not director.attends()
     assert at.notes == {ATTENDED: 7.0}
 
 
 def test_who_is_heard_now_and_then_asks_once_in_ten_seconds() -> None:
-    at, rare = theatre(), OperatorIntermittent(10.0)
+    at, rare = injection_context(), OperatorIntermittent(10.0)
     asked = []
     for second in range(40):
         rare.turn(at, second + 0.4)
@@ -69,7 +69,7 @@ def test_who_is_heard_now_and_then_asks_once_in_ten_seconds() -> None:
 
 
 def test_a_forged_ground_station_is_heard_once_a_second_and_looks_like_one() -> None:
-    at, station = theatre(), GroundStation()
+    at, station = injection_context(), GroundStation()
     for turn in range(60 * 3):
         station.turn(at, turn / 60.0)
     proxy: Any = at.proxy

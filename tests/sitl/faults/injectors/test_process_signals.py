@@ -48,7 +48,7 @@ def sleeper() -> Iterator[subprocess.Popen[bytes]]:
     process.stdout.close()
 
 
-def theatre(roster: ProcessRegistry, armed: bool = True) -> InjectionContext:
+def injection_context(roster: ProcessRegistry, armed: bool = True) -> InjectionContext:
     world: Any = SimpleNamespace(flyer=SimpleNamespace(truth=lambda: SimpleNamespace(armed=armed)))
     return InjectionContext(world, dice=None, roster=roster)  # type: ignore[arg-type]
 
@@ -68,7 +68,7 @@ def test_the_roster_is_empty_at_first_and_repeats_what_it_was_told(tmp_path: Pat
 def test_a_stopped_process_goes_on_after_its_time(tmp_path: Path, sleeper: subprocess.Popen[bytes]) -> None:
     roster = ProcessRegistry(tmp_path)
     roster.tell({"mission": sleeper.pid}, [])
-    trouble, at = ProcessStopped("mission", for_s=5.0), theatre(roster)
+    trouble, at = ProcessStopped("mission", for_s=5.0), injection_context(roster)
     trouble.begin(at)
     wait_for(lambda: state_of(sleeper.pid) == "T")
     trouble.turn(at, 4.9)
@@ -80,7 +80,7 @@ def test_a_stopped_process_goes_on_after_its_time(tmp_path: Path, sleeper: subpr
 def test_a_killed_process_is_kept_down_for_its_time(tmp_path: Path, sleeper: subprocess.Popen[bytes]) -> None:
     roster = ProcessRegistry(tmp_path)
     roster.tell({"mission": sleeper.pid}, [])
-    trouble, at = ProcessKilled("mission", "pilot", for_s=2.0), theatre(roster)
+    trouble, at = ProcessKilled("mission", "pilot", for_s=2.0), injection_context(roster)
     trouble.begin(at)
     assert sleeper.wait(PATIENCE_S) == -signal.SIGKILL
     trouble.turn(at, 1.9)
@@ -92,7 +92,7 @@ def test_a_killed_process_is_kept_down_for_its_time(tmp_path: Path, sleeper: sub
 def test_how_a_process_ends_that_was_asked_to_is_noted(tmp_path: Path, sleeper: subprocess.Popen[bytes]) -> None:
     roster = ProcessRegistry(tmp_path)
     roster.tell({"pilot": sleeper.pid}, [])
-    trouble, at = ProcessTerminated("pilot"), theatre(roster)
+    trouble, at = ProcessTerminated("pilot"), injection_context(roster)
     trouble.begin(at)
     assert sleeper.wait(PATIENCE_S) == 7
     trouble.turn(at, 0.1)

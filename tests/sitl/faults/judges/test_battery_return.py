@@ -15,9 +15,9 @@ from sitl.faults.table.all_scenarios import SCENARIOS
 
 
 def there_and_back(share: float, per_s: float, astray_m: float = 0.0) -> FlightEvidence:
-    """To 4 m within 8 s, there until 10 s, back over the pad at 14 s, motors off at 18 s. From a share, with so much a second.
+    """To 4 m within 8 s, there until 10 s, back over the pad at 14 s, motors off at 18 s. From a share, with a share a second.
 
-    astray_m: at 12 s, 2 m before the pad, it goes out again so far.
+    astray_m: at 12 s, 2 m before the pad, it goes out again by this distance.
     """
     e = evidence()
     t = e.stamp_s

@@ -232,7 +232,7 @@ def test_what_each_frame_may_be_off_does_not_add_up_over_a_while() -> None:
     assert any("velocity jumps" in words for words in violations(ramped(0.0, 4.2)))
 
 
-def test_a_pilot_that_starts_anew_may_begin_elsewhere_also_over_a_while() -> None:
+def test_a_pilot_that_restarts_may_begin_elsewhere_also_over_a_while() -> None:
     e = evidence()
     again = np.where(e.wire.setpoint_s > 8.0, 0.9, 0.0)
     keep = (e.wire.setpoint_s < 7.4) | (e.wire.setpoint_s > 8.0)

@@ -29,14 +29,14 @@ POSE = PoseRecord(10.0, np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]), np.full(6, 
 PICTURE = DepthFrame(10.0, np.zeros((4, 6), np.uint16), None)
 
 
-def theatre() -> InjectionContext:
+def injection_context() -> InjectionContext:
     world: Any = None
     return InjectionContext(world, random.Random(1), now_s=7.0)
 
 
 def moments(scenario: Scenario, number: int) -> dict[str, float]:
     """When each trouble of the pair's n-th flight begins, in seconds after the flight's moment, to a hundredth."""
-    at = theatre()
+    at = injection_context()
     for trouble in scenario.injectors(number):
         for turn in range(int(APART_S * 100) + 1):
             at.now_s = turn / 100.0
@@ -45,7 +45,7 @@ def moments(scenario: Scenario, number: int) -> dict[str, float]:
 
 
 def test_until_its_moment_there_is_no_trouble_and_then_it_is_told() -> None:
-    at, silence = theatre(), Delayed(PoseSilence(for_s=1.0), 0.5, "B1")
+    at, silence = injection_context(), Delayed(PoseSilence(for_s=1.0), 0.5, "B1")
     silence.turn(at, 0.49)
     assert (len(silence.pose(0.49, POSE)), at.notes) == (1, {})
     silence.turn(at, 0.52)
@@ -57,7 +57,7 @@ def test_until_its_moment_there_is_no_trouble_and_then_it_is_told() -> None:
 
 
 def test_whatever_a_trouble_touches_it_touches_later() -> None:
-    at = theatre()
+    at = injection_context()
     lost, crash = Delayed(PacketLoss("both", 1.0), 0.5, "D3"), Delayed(Crash("pilot", back_s=0.2), 0.5, "A7")
     for trouble in (lost, crash):
         trouble.turn(at, 0.4)
@@ -86,8 +86,8 @@ def test_a_trouble_that_never_began_has_nothing_to_end() -> None:
     for turned_s, ends in ((0.4, 0), (0.6, 1)):
         trouble = Ended()
         late = Delayed(trouble, 0.5, "X")
-        late.turn(theatre(), turned_s)
-        late.end(theatre())
+        late.turn(injection_context(), turned_s)
+        late.end(injection_context())
         assert trouble.ends == ends
 
 

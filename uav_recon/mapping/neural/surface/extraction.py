@@ -115,8 +115,8 @@ def confirmed_by_depth(
     through it; an equal number is enough where an end point lies in its cell.
     """
     seen = images.votes(points, normal)
-    borne: BoolArray = (seen > 0.0) | ((seen == 0.0) & evidence.contains_end_point(points))
-    return borne & ~evidence.contradicts(points, normal)
+    supported: BoolArray = (seen > 0.0) | ((seen == 0.0) & evidence.contains_end_point(points))
+    return supported & ~evidence.contradicts(points, normal)
 
 
 def surface_elements(
