@@ -1,4 +1,7 @@
-"""State of a simulated autopilot: clock, commander, flight control, estimator, gimbal, battery, origin and home."""
+"""State of a simulated autopilot: clock, commander, control, estimator, gimbal, battery.
+
+Also origin and home.
+"""
 
 from __future__ import annotations
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class ModelQuality:
-    """Quality of a model against ground truth: cm, shares of 1, dB; None if it cannot be measured.
+    """Quality of a model against ground truth: cm, shares of 1, dB; None if not measurable.
 
     See evaluation/metrics. It is the section `quality` of report.json.
     """
