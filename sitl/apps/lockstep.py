@@ -150,13 +150,13 @@ NO_HOOK = NoHook()
 class HookedPending(Generic[T]):
     """Pending result of the planner; not done while the hook stops the planner."""
 
-    def __init__(self, inner: Pending[T], director: LockstepHook) -> None:
+    def __init__(self, inner: Pending[T], hook: LockstepHook) -> None:
         self._inner = inner
-        self._director = director
+        self._hook = hook
 
     def done(self) -> bool:
         """Return True if the result is available."""
-        return self._director.runs("planner") and self._inner.done()
+        return self._hook.runs("planner") and self._inner.done()
 
     def result(self) -> T:
         """Return the result of the work."""
@@ -166,13 +166,13 @@ class HookedPending(Generic[T]):
 class HookedExecutor:
     """Executor of the mission's planning, in which the hook can make a call hang."""
 
-    def __init__(self, inner: InlineExecutor, director: LockstepHook) -> None:
+    def __init__(self, inner: InlineExecutor, hook: LockstepHook) -> None:
         self._inner = inner
-        self._director = director
+        self._hook = hook
 
     def submit(self, work: Callable[[], T], cost_s: float) -> Pending[T]:
         """Start work; its result becomes available after cost_s of simulated time."""
-        return HookedPending(self._inner.submit(work, cost_s), self._director)
+        return HookedPending(self._inner.submit(work, cost_s), self._hook)
 
     def close(self) -> None:
         """Do nothing: work runs inline."""
@@ -283,17 +283,17 @@ class LockstepFlight:
 
 def fly_in_lockstep(
     options: SimOptions, config: Config, scene: Scene, console: Console, land: Callable[[], bool], timelapse: bool = True,
-    director: LockstepHook = NO_HOOK,
+    hook: LockstepHook = NO_HOOK,
 ) -> LockstepResult:  # fmt: skip
     """Run a flight in lockstep and write its results to options.folder.
 
     land: returns True if the operator wants to land now. timelapse: store states of the surface, from which recall over
     time is computed. The last argument is the hook of this flight.
     """
-    flight = LockstepFlight(options, config, scene, director, timelapse)
+    flight = LockstepFlight(options, config, scene, hook, timelapse)
     started_s, processor_s = time.perf_counter(), time.process_time()
     with ProgressDisplay(console, flight.channels) as screen:
-        while not director.over(flight.conductor.finished) and flight.simulated_s < LONGEST_S:
+        while not hook.over(flight.conductor.finished) and flight.simulated_s < LONGEST_S:
             flight.step(land, screen)
         flight.conductor.close()
     wall_s, processor_s = time.perf_counter() - started_s, time.process_time() - processor_s

@@ -57,17 +57,17 @@ def never_split(scenario: str) -> bool:
 class FaultDirector:
     """Hook of a flight that starts the faults and applies them.
 
-    troubles: one fault, or several that share the flight until their onsets. At each onset split(scenario) returns whether this
+    faults: one fault, or several that share the flight until their onsets. At each onset split(scenario) returns whether this
     flight is the one with that fault; if not, the flight continues with the remaining faults. The last remaining fault is flown
     without a split.
     max_onset_wait_s: the flight ends after this time if no fault has begun.
     """
 
     def __init__(
-        self, troubles: Sequence[Fault], seed: int, max_onset_wait_s: float = MAX_ONSET_WAIT_S,
+        self, faults: Sequence[Fault], seed: int, max_onset_wait_s: float = MAX_ONSET_WAIT_S,
         split: Callable[[str], bool] = never_split,
     ) -> None:  # fmt: skip
-        self._troubles = list(troubles)
+        self._faults = list(faults)
         self._split = split
         self._injectors: Sequence[Injector] = ()
         self._longest_s = math.inf
@@ -174,11 +174,11 @@ class FaultDirector:
             return
         if now.armed and now.mode in EXTERNAL_CONTROL_MODES and now.position_m[2] > AIRBORNE_M:
             self._airborne_s = min(self._airborne_s, now.stamp_s)
-        for trouble in [each for each in self._troubles if self._onset_due(each.onset, now)]:
-            if len(self._troubles) == 1 or self._split(trouble.scenario):
-                self._begin_fault(trouble, now.stamp_s)
+        for fault in [each for each in self._faults if self._onset_due(each.onset, now)]:
+            if len(self._faults) == 1 or self._split(fault.scenario):
+                self._begin_fault(fault, now.stamp_s)
                 return
-            self._troubles.remove(trouble)
+            self._faults.remove(fault)
 
     def _onset_due(self, onset: Onset, now: TruthSample) -> bool:
         """Return whether the onset condition is met."""
@@ -194,13 +194,13 @@ class FaultDirector:
         truth = self.context.world.flyer.truth()
         return off_nose_rad(truth.velocity, truth.quat_wxyz) <= _SEEN_RAD
 
-    def _begin_fault(self, trouble: Fault, now_s: float) -> None:
+    def _begin_fault(self, fault: Fault, now_s: float) -> None:
         """Begin this fault and drop all others."""
-        self._troubles = [trouble]
+        self._faults = [fault]
         self.onset_s = now_s
-        self._longest_s = trouble.observe_s
-        self._injectors = trouble.injectors
-        self._stands_s = trouble.observe_after_disarm_s
+        self._longest_s = fault.observe_s
+        self._injectors = fault.injectors
+        self._stands_s = fault.observe_after_disarm_s
         for injector in self._injectors:
             injector.begin(self.context)
 

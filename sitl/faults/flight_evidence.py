@@ -164,15 +164,15 @@ def gather(
 
     hull_m: clearance to the scene. Distances to the obstacles of the fault are added here.
     """
-    world, ledger, tap = director.context.world, director.truth_samples, director.proxy
-    assert tap is not None
+    world, ledger, proxy = director.context.world, director.truth_samples, director.proxy
+    assert proxy is not None
     stamps = np.array([m.stamp_s for m in ledger])
     positions = np.array([m.position_m for m in ledger]).reshape(-1, 3)
     armed = np.array([m.armed for m in ledger], dtype=np.bool_)
     airborne, boxes_m = armed & (positions[:, 2] > 0.05), np.full(len(stamps), math.inf)
     for obstacle in director.context.obstacles:
         boxes_m[airborne] = np.minimum(boxes_m[airborne], obstacle.hull_m(stamps[airborne], positions[airborne], radius_m))
-    wire = decode(tap.sent)
+    wire = decode(proxy.sent)
     return FlightEvidence(
         onset_s=director.onset_s,
         end_s=director.end_s,
@@ -190,8 +190,8 @@ def gather(
         failsafes=tuple(world.flyer.failsafes),
         texts=tuple(world.flyer.texts),
         wire=wire,
-        arrived_s=setpoints_in(tap.arrived),
-        heard=tuple(heartbeats_in(tap.heard)),
+        arrived_s=setpoints_in(proxy.arrived),
+        heard=tuple(heartbeats_in(proxy.heard)),
         limits=limits,
         boot_s=world.flyer.boot_s,
         notes=dict(director.context.notes),

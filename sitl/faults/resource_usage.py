@@ -49,8 +49,8 @@ class ResourceUsage(Injector):
             at.notes[f"{name} MB/h"] = track.mb_per_h()
             at.notes[f"{name} descriptors"] = track.more_descriptors()
         assert at.config is not None
-        told = {name: vars(track) for name, track in self._tracks.items()}
-        at.config.with_name("soak.json").write_text(json.dumps(told), encoding="utf-8")
+        tracks = {name: vars(track) for name, track in self._tracks.items()}
+        at.config.with_name("soak.json").write_text(json.dumps(tracks), encoding="utf-8")
         at.config.with_name("soak.svg").write_text(draw(self._tracks), encoding="utf-8")
 
     def _keep(self, at: InjectionContext, since_s: float) -> None:
@@ -63,9 +63,9 @@ class ResourceUsage(Injector):
                 lines.write("s," + ",".join(f"{name} MB,{name} descriptors" for name in PROCESSES) + "\n")
             lines.write(f"{since_s:.1f},{words}\n")
 
-    def _look(self, name: str, roster: ProcessRegistry, since_s: float) -> None:
+    def _look(self, name: str, registry: ProcessRegistry, since_s: float) -> None:
         if name not in self._tracks:
-            pid = child_of(roster.pid("mission"), CHILDREN[name]) if name in CHILDREN else roster.pid(name)
+            pid = child_of(registry.pid("mission"), CHILDREN[name]) if name in CHILDREN else registry.pid(name)
             if pid is None:
                 return
             self._tracks[name] = Track(pid)

@@ -34,18 +34,18 @@ class OperatorCommands(Injector):
 
     def __init__(self, orders: Sequence[tuple[float, str]]) -> None:
         self._orders = list(orders)
-        self._told = list[subprocess.Popen[bytes]]()
+        self._orders_sent = list[subprocess.Popen[bytes]]()
 
     def turn(self, at: InjectionContext, since_s: float) -> None:
         """Give the commands that are due, without waiting for a reply."""
         while self._orders and since_s >= self._orders[0][0]:
             command = [sys.executable, "-m", "uav_recon", self._orders.pop(0)[1], "--config", str(at.config)]
-            self._told.append(subprocess.Popen(die_with_parent_command(command), stdout=subprocess.DEVNULL))  # noqa: S603 - our own program
-        self._told = [each for each in self._told if each.poll() is None]
+            self._orders_sent.append(subprocess.Popen(die_with_parent_command(command), stdout=subprocess.DEVNULL))  # noqa: S603 - our own program
+        self._orders_sent = [each for each in self._orders_sent if each.poll() is None]
 
     def end(self, at: InjectionContext) -> None:
         """Wait for the processes of all commands."""
-        for each in self._told:
+        for each in self._orders_sent:
             each.wait()
 
 

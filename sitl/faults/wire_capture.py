@@ -114,8 +114,8 @@ def setpoints_in(arrived: Sequence[tuple[float, bytes]]) -> F64:
     parser.robust_parsing = True
     kind = mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED
     whole = [(stamp_s, frame) for stamp_s, frame in arrived if message_id(frame) == kind]
-    told = [stamp_s for stamp_s, frame in whole for m in parser.parse_buffer(frame) or () if m.get_msgId() == kind]
-    return np.array(told, dtype=np.float64)
+    found = [stamp_s for stamp_s, frame in whole for m in parser.parse_buffer(frame) or () if m.get_msgId() == kind]
+    return np.array(found, dtype=np.float64)
 
 
 def heartbeats_in(heard: Sequence[tuple[float, bytes]], system: int = 1) -> list[tuple[float, int, bool]]:
@@ -125,13 +125,13 @@ def heartbeats_in(heard: Sequence[tuple[float, bytes]], system: int = 1) -> list
     """
     parser = mavlink.MAVLink(None)
     parser.robust_parsing = True
-    told = []
+    found = []
     for stamp_s, data in heard:
         wanted = data if parser.buf_len() else _heartbeats(data)
         for m in parser.parse_buffer(wanted) or () if wanted else ():
             if m.get_type() == "HEARTBEAT" and m.get_srcSystem() == system and m.autopilot in _AUTOPILOTS:
-                told.append((stamp_s, int(m.custom_mode), bool(m.base_mode & 128)))
-    return told
+                found.append((stamp_s, int(m.custom_mode), bool(m.base_mode & 128)))
+    return found
 
 
 def _heartbeats(data: bytes) -> bytes:

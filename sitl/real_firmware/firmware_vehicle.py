@@ -219,7 +219,7 @@ def _version(message: ReceivedMessage) -> str:
     In flight_custom_version ArduPilot has eight letters of the commit. PX4 has three bytes of a vendor version, followed by
     five bytes of the commit in reverse order.
     """
-    number, told = message.flight_sw_version, bytes(message.flight_custom_version)
-    letters = told.rstrip(b"\0")
-    commit = letters.decode("ascii") if letters.isalnum() else told[:2:-1].hex()
+    number, custom = message.flight_sw_version, bytes(message.flight_custom_version)
+    letters = custom.rstrip(b"\0")
+    commit = letters.decode("ascii") if letters.isalnum() else custom[:2:-1].hex()
     return f"{number >> 24 & 0xFF}.{number >> 16 & 0xFF}.{number >> 8 & 0xFF}" + (f" ({commit})" if letters else "")

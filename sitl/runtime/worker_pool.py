@@ -85,14 +85,14 @@ def _done(work: Callable[[], T]) -> T:
 def _terminate(processes: Iterable[BaseProcess]) -> None:
     left = list(processes)
     for _ in range(int(GRACE_S / SIGTERM_PERIOD_S)):
-        left = [process for process in left if _told(process, signal.SIGTERM)]
+        left = [process for process in left if _signal_group(process, signal.SIGTERM)]
         for process in left:
             process.join(SIGTERM_PERIOD_S / len(left))
     for process in left:
-        _told(process, signal.SIGKILL)
+        _signal_group(process, signal.SIGKILL)
 
 
-def _told(process: BaseProcess, number: signal.Signals) -> bool:
+def _signal_group(process: BaseProcess, number: signal.Signals) -> bool:
     """Send a signal to a process and its group. Return False if none of them exists any more."""
     if process.pid is None:
         return False

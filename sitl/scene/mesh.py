@@ -39,8 +39,8 @@ def read_mesh(file: Path) -> Mesh:
         loaded = trimesh.load_scene(str(file), process=False)
         parts = [_part(geometry) for geometry in loaded.dump() if isinstance(geometry, trimesh.Trimesh)]
     except Exception as error:  # trimesh's readers pass on the exceptions of their parsers
-        told = isinstance(error, OSError | ValueError) and str(error)
-        reason = str(error).splitlines()[0] if told else "damaged, or of another kind"
+        has_text = isinstance(error, OSError | ValueError) and str(error)
+        reason = str(error).splitlines()[0] if has_text else "damaged, or of another kind"
         raise MeshError(f"{file}: cannot be read as a mesh ({reason})") from None
     if not any(len(part.faces) for part in parts):
         raise MeshError(f"{file}: the mesh is empty")

@@ -185,7 +185,7 @@ def test_status_says_why_the_speed_is_reduced() -> None:
     status = Status.of(1.0, vehicle, None, None, False)
     assert "speed     at most 0.30 m/s: no inertial samples" in status.lines()
     assert (status.max_speed_mps, status.slow_codes) == (0.3, ("no-imu",))
-    assert Status.told(json.loads(json.dumps(status.as_json()))) == status
+    assert Status.from_json(json.loads(json.dumps(status.as_json()))) == status
 
 
 def test_what_perception_rejected_is_in_the_status() -> None:
@@ -195,7 +195,7 @@ def test_what_perception_rejected_is_in_the_status() -> None:
     flying.perception.publish(PerceptionStatus(99.5, 800, frames, (("jump", 2),), newest, 97.0))
     status = flying.handler.status()
     assert status.perception == {"depth-frame-empty": 3, "depth-frame-noise": 12, "pose jump": 2}
-    assert Status.told(status.as_json()) == status
+    assert Status.from_json(status.as_json()) == status
     assert status.lines()[-1] == (
         "rejected  perception: 12 depth-frame-noise, 3 depth-frame-empty, 2 pose jump;"
         " newest 3 s ago: depth frame: returns in 10% of the pixels"
@@ -212,7 +212,7 @@ def test_the_camera_and_the_pad_that_is_awaited_are_in_the_status() -> None:
     )
     status = ready.handler.status()
     assert status.camera_codes == ("camera-streams", "camera-usb2")
-    assert Status.told(json.loads(json.dumps(status.as_json()))) == status
+    assert Status.from_json(json.loads(json.dumps(status.as_json()))) == status
     assert [line for line in status.lines() if line.startswith(("camera", "origin"))] == [
         "origin    no odometry yet: waiting until the pose source has been at rest on the pad for 0.5 s",
         "camera    depth 480x270 at 15 Hz, colour 424x240 at 15 Hz, IMU none, USB 2.1",

@@ -128,7 +128,7 @@ def test_each_answer_over_the_socket_is_one_that_the_pilot_counts(tmp_path: Path
         asked += 1
         if asked > 3:
             raise Enough
-        return Status.told(send_command(path, "status")["status"])
+        return Status.from_json(send_command(path, "status")["status"])
 
     served.start()
     page = Seen()

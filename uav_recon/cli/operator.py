@@ -123,7 +123,7 @@ def _asked(path: Path) -> Status:
     answer = send_command(path, "status")
     if not answer["ok"]:
         raise UserError(f"status refused: {answer['said']}")
-    return Status.told(answer["status"])
+    return Status.from_json(answer["status"])
 
 
 def _as_json(status: Status) -> str:

@@ -55,7 +55,7 @@ def _is_the_pilots(answer: Any, word: str) -> bool:
         return False
     try:
         if word == "status" and answer["ok"]:
-            Status.told(answer.get("status"))
+            Status.from_json(answer.get("status"))
     except ValueError:
         return False
     return True

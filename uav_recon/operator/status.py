@@ -104,7 +104,7 @@ class Status:
         )
 
     @staticmethod
-    def told(tree: Any) -> Status:
+    def from_json(tree: Any) -> Status:
         """Return the status from the output of as_json. Raises ValueError for anything else."""
         try:
             return json_codec.from_tree(Status, tree)

@@ -86,7 +86,7 @@ class ArduPilotCommander:
         self._invalid_since_s = math.inf
         self._idle_since_s = math.inf
         self._active_failsafes: set[str] = set()
-        self._told_s = 0.0
+        self._reported_s = 0.0
         self.configure(parameters)
 
     def configure(self, parameters: ArduPilotParameters) -> None:
@@ -211,8 +211,8 @@ class ArduPilotCommander:
         if self.armed:
             self._watch(c)
             self._disarm_by_itself(c)
-        elif c.booted_s - self._told_s >= _PREARM_REPORT_PERIOD_S:
-            self._told_s = c.booted_s
+        elif c.booted_s - self._reported_s >= _PREARM_REPORT_PERIOD_S:
+            self._reported_s = c.booted_s
             reason = self.arming_refusal(c)
             if reason:
                 self._say(CRITICAL, f"PreArm: {reason}")
@@ -231,16 +231,16 @@ class ArduPilotCommander:
         self._check_failsafe("Battery is critical", c.battery_mah < self._critical_mah, self._critical_lands)
         self._check_failsafe(_BREACH, not self.admits(c.distance_from_home_m, c.height_above_home_m), self._fence_lands)
 
-    def _check_failsafe(self, trouble: str, present: bool, lands: bool) -> None:
+    def _check_failsafe(self, cause: str, present: bool, lands: bool) -> None:
         if not present:
-            self._active_failsafes.discard(trouble)
-        elif trouble not in self._active_failsafes:
-            self._active_failsafes.add(trouble)
-            self._say(CRITICAL, trouble)
+            self._active_failsafes.discard(cause)
+        elif cause not in self._active_failsafes:
+            self._active_failsafes.add(cause)
+            self._say(CRITICAL, cause)
             if lands and self.mode is not ArduPilotMode.LAND:
-                self.failsafes.append(f"{trouble}: LAND")
+                self.failsafes.append(f"{cause}: LAND")
                 self.mode = ArduPilotMode.LAND
-                self.pause_s = 0.0 if trouble in _WITHOUT_PAUSE else _PAUSE_S
+                self.pause_s = 0.0 if cause in _WITHOUT_PAUSE else _PAUSE_S
 
     def _disarm_by_itself(self, c: ArduPilotCondition) -> None:
         """Disarm after landing: at once in LAND, after DISARM_DELAY in other modes."""

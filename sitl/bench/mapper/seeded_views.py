@@ -181,6 +181,6 @@ def _keyframes(taken: SceneCaptures, options: SceneOptions) -> tuple[PosedFrame,
     for n in range(len(taken.depth_mm)):
         frame = Frame(n * VIEW_PERIOD_S, n, metres[taken.depth_mm[n]], depth, taken.rgb[n], rgb, Pose(mounted[:4], mounted[4:]))
         true, shift, turn = Pose.from_matrix(taken.world_from_depth[n]), rng.normal(size=3), rng.normal(size=3)
-        told = Pose.from_rotation_vector(sigma_rad * turn, np.zeros(3)) @ Pose(true.quat_wxyz, np.zeros(3))
-        keyframes.append(PosedFrame(frame, Pose(told.quat_wxyz, true.translation_m + sigma_m * shift)))
+        given = Pose.from_rotation_vector(sigma_rad * turn, np.zeros(3)) @ Pose(true.quat_wxyz, np.zeros(3))
+        keyframes.append(PosedFrame(frame, Pose(given.quat_wxyz, true.translation_m + sigma_m * shift)))
     return tuple(keyframes)

@@ -58,7 +58,7 @@ class SetpointRegularity:
     @property
     def kept(self) -> bool:
         """Return True if all three limits are met."""
-        return all(told <= bar for told, bar in zip(self.limited_ms, LIMITS_MS.values(), strict=True))
+        return all(measured <= bar for measured, bar in zip(self.limited_ms, LIMITS_MS.values(), strict=True))
 
     @property
     def limited_ms(self) -> tuple[float, float, float]:
@@ -127,8 +127,8 @@ def measure(seconds: float, negative: bool, autopilot: str, say: Callable[[str],
             raise UserError(f"the vehicle did not fly: {_last_words(log)}")
         if not flown:  # the negative control prevented the take-off: no setpoint arrived
             return setpoint_regularity(np.zeros(0), 0.0, seconds)
-        with np.load(out) as told:
-            return setpoint_regularity(told["arrivals_s"], float(told["begin_s"]), float(told["end_s"]))
+        with np.load(out) as measured:
+            return setpoint_regularity(measured["arrivals_s"], float(measured["begin_s"]), float(measured["end_s"]))
 
 
 def _config(folder: Path, autopilot: str) -> Config:
@@ -193,16 +193,18 @@ def _last_words(log: Path) -> str:
     return lines[-1].strip() if lines else "and nobody said why"
 
 
-def _show(console: Console, told: SetpointRegularity, minutes: float, negative: bool, factor: float) -> None:
+def _show(console: Console, measured: SetpointRegularity, minutes: float, negative: bool, factor: float) -> None:
     who = "the pilot as a thread of the load (negative control)" if negative else "the pilot as it flies"
-    console.print(f"{who}: {told.setpoints} setpoints in {minutes:g} minutes, {told.rate_hz:.2f} a second", highlight=False)
+    console.print(
+        f"{who}: {measured.setpoints} setpoints in {minutes:g} minutes, {measured.rate_hz:.2f} a second", highlight=False
+    )
     table = narrow_table("", "between two", "ms", "bar")
-    table.add_row("median", f"{told.median_ms:.1f}", "")
-    for (name, bar_ms), value_ms in zip(LIMITS_MS.items(), told.limited_ms, strict=True):
+    table.add_row("median", f"{measured.median_ms:.1f}", "")
+    for (name, bar_ms), value_ms in zip(LIMITS_MS.items(), measured.limited_ms, strict=True):
         table.add_row(name, f"{value_ms:.1f}", f"{bar_ms:.0f}")
     console.print(table)
-    word = "kept" if told.kept else "missed"
-    wanted = "missed, as it must be" if negative and not told.kept else word
+    word = "kept" if measured.kept else "missed"
+    wanted = "missed, as it must be" if negative and not measured.kept else word
     console.print(
         f"{wanted}; commit {host_info.commit()}, {host_info.processor()}, {factor:.2f} times as slow as the reference"
     )

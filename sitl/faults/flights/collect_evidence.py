@@ -24,9 +24,9 @@ def evidence_of(director: FaultDirector, config: Config, truth: Path, radius_m: 
         safety.fence_min_m, safety.fence_max_m, safety.fence_inset_m, safety.max_speed_mps, safety.max_acceleration_mps2,
         float(np.radians(safety.max_yaw_rate_degps)),
     )  # fmt: skip
-    with np.load(truth) as told:
-        measured = np.isfinite(told["hull_m"])
-        hull_s, hull_m = told["stamp_s"][measured], told["hull_m"][measured]
+    with np.load(truth) as stored:
+        measured = np.isfinite(stored["hull_m"])
+        hull_s, hull_m = stored["stamp_s"][measured], stored["hull_m"][measured]
     outcomes = read_timeline(truth.parent).outcomes
     stop_codes = outcomes[-1].stop_codes if outcomes else ()
     return gather(director, limits, hull_s, hull_m, radius_m, stop_codes, codes_in)

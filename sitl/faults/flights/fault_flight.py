@@ -215,7 +215,7 @@ def flight(
     make_folder(options.folder)
     config = attended(flight_config(options, scene, folder))
     product_config.save(config, options.folder / "config.toml")
-    troubles = [
+    faults = [
         Fault(
             scenario.id,
             [*scenario.injectors(stage.number), *hostile(scenario.id, config)],
@@ -225,8 +225,8 @@ def flight(
         )
         for scenario in scenarios
     ]
-    director = FaultDirector(troubles, stage.number, split=split)
-    fly_in_lockstep(options, config, scene, Console(quiet=True), director.lands, timelapse=False, director=director)
+    director = FaultDirector(faults, stage.number, split=split)
+    fly_in_lockstep(options, config, scene, Console(quiet=True), director.lands, timelapse=False, hook=director)
     return evidence_of(director, config, options.folder / "truth.npz", options.radius_m)
 
 

@@ -38,7 +38,7 @@ class Supervised(SimProcesses):
 
     def __init__(self, commands: dict[str, list[str]], logs: Path, runtime: Path) -> None:
         super().__init__(commands, logs, runtime, Console(quiet=True))
-        self._roster = ProcessRegistry(runtime)
+        self._registry = ProcessRegistry(runtime)
         self._exits = list[Exit]()
         self._pids: dict[str, int] = {}
         self._due_s: dict[str, float] = {}  # when to restart a process that ended
@@ -49,7 +49,7 @@ class Supervised(SimProcesses):
             for name in self._commands:
                 self.start(name)
                 self._pids[name] = self._child(name).process.pid
-            self._roster.tell(self._pids, self._exits)
+            self._registry.tell(self._pids, self._exits)
             while self._child("world").process.poll() is None:
                 self._collect_exits()
                 self._restart_due()
@@ -68,16 +68,16 @@ class Supervised(SimProcesses):
             self._pids.pop(child.name, None)
             if code not in NEVER_AGAIN and (code != 0 or child.name == "pilot"):
                 self._due_s[child.name] = time.monotonic() + RESTART_S[child.name]
-            self._roster.tell(self._pids, self._exits)
+            self._registry.tell(self._pids, self._exits)
 
     def _restart_due(self) -> None:
-        kept_down = self._roster.blocked_restarts() if self._due_s else frozenset[str]()
+        kept_down = self._registry.blocked_restarts() if self._due_s else frozenset[str]()
         for name, due_s in list(self._due_s.items()):
             if name not in kept_down and time.monotonic() >= due_s:
                 del self._due_s[name]
                 self.start(name)
                 self._pids[name] = self._child(name).process.pid
-                self._roster.tell(self._pids, self._exits)
+                self._registry.tell(self._pids, self._exits)
 
 
 def flight_in_real_time(

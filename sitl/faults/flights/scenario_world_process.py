@@ -61,21 +61,21 @@ class WorldProcessOptions:
 def fly(order: WorldProcessOptions) -> FlightEvidence:
     """Run until the observation ends. Raises OSError if a port cannot be opened, FirmwareError."""
     options, scenario = WorldOptions.load(Path(order.world)), SCENARIOS[order.scenario]
-    trouble = Fault(
+    fault = Fault(
         scenario.id,
-        scenario.troubles(order.number, live=True),
+        scenario.injectors_of(order.number, live=True),
         scenario.onset,
         scenario.observe_s,
         scenario.observe_after_disarm_s,
     )
-    director = FaultDirector([trouble], order.number, LONGEST_WAIT_S)
+    director = FaultDirector([fault], order.number, LONGEST_WAIT_S)
     with contextlib.ExitStack() as ends:
         line = None if order.line is None else SerialLine(Path(order.line))
         end = ends.enter_context(contextlib.closing(line or UdpPeer(remote=("127.0.0.1", options.port))))
         world, relay = _outside(order, options, director.autopilot_link(end), ends)
         director.enter(world, None, time.monotonic())
         at = director.context
-        at.config, at.roster, at.line = Path(order.config), ProcessRegistry(Path(options.stream).parent), line
+        at.config, at.registry, at.line = Path(order.config), ProcessRegistry(Path(options.stream).parent), line
         _fly(world, relay, director)
         world.truth_log.save(Path(options.truth), world)
     return evidence_of(director, product_config.load(Path(order.config)), Path(options.truth), options.radius_m)

@@ -39,7 +39,7 @@ class InjectionContext:
 
     dice: seeded by the flight's seed.
     channels: the product's own channels, for hostile stages in lockstep.
-    roster, config: the processes of a real-time flight, and the configuration file that they read.
+    registry, config: the processes of a real-time flight, and the configuration file that they read.
     line: the serial line of the link, for a fault that needs one.
     notes: values that injectors measured.
     """
@@ -53,7 +53,7 @@ class InjectionContext:
     abort: bool = False  # the operator has commanded a landing
     attends: bool = True  # the operator queries the status once a second
     obstacles: list[Obstacle] = field(default_factory=list)
-    roster: ProcessRegistry | None = None
+    registry: ProcessRegistry | None = None
     line: SerialLine | None = None
     config: Path | None = None
     notes: dict[str, float] = field(default_factory=dict)

@@ -113,9 +113,9 @@ class FileSizeLimitOfProcesses(Injector):
 
         The channels between the processes are in memory and are not affected.
         """
-        roster = processes_of(at)
-        mission = roster.pid("mission")
-        for pid in (mission, roster.pid("pilot"), child_of(mission, MAPPER), child_of(mission, RECORDER)):
+        registry = processes_of(at)
+        mission = registry.pid("mission")
+        for pid in (mission, registry.pid("pilot"), child_of(mission, MAPPER), child_of(mission, RECORDER)):
             if pid is not None:
                 _, hard = resource.prlimit(pid, resource.RLIMIT_FSIZE)
                 resource.prlimit(pid, resource.RLIMIT_FSIZE, (self._max_bytes, hard))

@@ -13,9 +13,9 @@ class Delayed(Injector):
     Until then it has no effect.
     """
 
-    def __init__(self, trouble: Injector, wait_s: float, name: str) -> None:
-        self.needs = trouble.needs
-        self._trouble = trouble
+    def __init__(self, injector: Injector, wait_s: float, name: str) -> None:
+        self.needs = injector.needs
+        self._injector = injector
         self._wait_s = wait_s
         self._name = name
         self._acts = Injector()
@@ -23,11 +23,11 @@ class Delayed(Injector):
 
     def turn(self, at: InjectionContext, since_s: float) -> None:
         """Begin the fault when it is due, and run its turn."""
-        if self._acts is not self._trouble and since_s >= self._wait_s:
-            self._acts = self._trouble
+        if self._acts is not self._injector and since_s >= self._wait_s:
+            self._acts = self._injector
             self._begun_s = since_s
             at.notes[self._name] = at.now_s
-            self._trouble.begin(at)
+            self._injector.begin(at)
         self._acts.turn(at, since_s - self._begun_s)
 
     def end(self, at: InjectionContext) -> None:

@@ -278,11 +278,11 @@ class FalseBatteryCharge(Injector):
 
         With another number, the frame would be taken for a late one.
         """
-        told = [share for from_s, until_s, share in self._spells if from_s <= since_s < until_s]
-        if not told or message_id(frame) != SYS_STATUS:
+        shares = [share for from_s, until_s, share in self._spells if from_s <= since_s < until_s]
+        if not shares or message_id(frame) != SYS_STATUS:
             return [(0.0, frame)]
         message, voice = mavlink.MAVLink(None).decode(bytearray(frame)), mavlink.MAVLink(None, 1, 1)
-        message.battery_remaining, voice.seq = -1 if math.isnan(told[0]) else round(told[0] * 100), frame[4]
+        message.battery_remaining, voice.seq = -1 if math.isnan(shares[0]) else round(shares[0] * 100), frame[4]
         return [(0.0, bytes(message.pack(voice)))]
 
 

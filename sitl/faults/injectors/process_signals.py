@@ -156,5 +156,5 @@ class ChildProcessSignalled(Injector):
 
 def processes_of(at: InjectionContext) -> ProcessRegistry:
     """Return the processes of the flight. Only a real-time flight has them."""
-    assert at.roster is not None
-    return at.roster
+    assert at.registry is not None
+    return at.registry

@@ -46,8 +46,8 @@ USUAL = Room()
 def violations(e: FlightEvidence, room: Room = USUAL) -> list[str]:
     """Return a message with values for each violated limit; empty if none was violated."""
     checks = (_numbers, _speed, _steps, _place, _authority, _disarm, _end, statustext_missing)
-    told = (check(e) for check in checks)
-    return [said for said in (_clear(e, room.clear_m), *told, _fence(e, room.overshoot_m)) if said]
+    found = (check(e) for check in checks)
+    return [said for said in (_clear(e, room.clear_m), *found, _fence(e, room.overshoot_m)) if said]
 
 
 def _clear(e: FlightEvidence, min_m: float) -> str:

@@ -109,8 +109,8 @@ class Tally(Injector):
 
 def _known_free(at: InjectionContext) -> NDArray[np.bool_] | None:
     """Return the free space that the guard received last, or None before the first."""
-    told = at.channels.free.latest()
-    return None if told is None else np.unpackbits(told.bits).astype(np.bool_)
+    published = at.channels.free.latest()
+    return None if published is None else np.unpackbits(published.bits).astype(np.bool_)
 
 
 def filled(grid: Any, points_m: NDArray[np.float32]) -> NDArray[np.bool_]:

@@ -16,7 +16,7 @@ from sitl.faults.judges.reaction_metrics import Measure, tries_s
 from sitl.faults.reason_codes import CONTROL_LOST, LANDING, REDUCED_SPEED
 
 _LAND = (176, 21)  # DO_SET_MODE and NAV_LAND; in flight the product requests no other mode
-_TOLD_S = 1.0 + 0.05  # a second, and one or two iterations of the pilot's loop
+_REPORTED_S = 1.0 + 0.05  # a second, and one or two iterations of the pilot's loop
 _AIRBORNE_M = 0.3
 _BEFORE_S = 0.5  # it may report first, and send the command once it knows the current mode
 _FLYING_S = 0.5  # a product that sent a setpoint this recently was running and in control
@@ -74,9 +74,9 @@ def statustext_missing(e: FlightEvidence) -> str:
     ]
     for what, why, from_s, known_s in due:
         reasons = [stamp_s for stamp_s, codes in e.reported if REDUCED_SPEED not in codes and not set(codes).isdisjoint(why)]
-        told = any(from_s - _BEFORE_S <= stamp_s <= known_s + _TOLD_S for stamp_s in reasons)
-        if not told and known_s + _TOLD_S < e.end_s:
-            return f"{what} {known_s - e.onset_s:.1f} s after the fault and not reported within {_TOLD_S:.2f} s"
+        reported = any(from_s - _BEFORE_S <= stamp_s <= known_s + _REPORTED_S for stamp_s in reasons)
+        if not reported and known_s + _REPORTED_S < e.end_s:
+            return f"{what} {known_s - e.onset_s:.1f} s after the fault and not reported within {_REPORTED_S:.2f} s"
     return ""
 
 

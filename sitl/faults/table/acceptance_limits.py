@@ -51,7 +51,7 @@ def stops(within_m: float, late_s: float = 0.0) -> Limit:
     return Limit("stop distance", m.stopped_within(late_s), within_m, "m")
 
 
-def told(*codes: str, within_s: float, ardupilot: float | None = None) -> Limit:
+def reports(*codes: str, within_s: float, ardupilot: float | None = None) -> Limit:
     """Return a limit for the time until the first STATUSTEXT with one of these codes.
 
     G7 allows one second after the reaction itself.

@@ -55,7 +55,7 @@ from sitl.faults.table.acceptance_limits import (
     down,
     holds,
     lands,
-    told,
+    reports,
 )  # fmt: skip
 from sitl.faults.table.arenas import GAP, PEN, START
 from sitl.faults.table.scenario import SHORT_VIEWS, Limit, Scenario
@@ -139,7 +139,7 @@ TABLE_E = (
         "forged commands",
         "another system, another component, MAVLink 1: modes, disarm, terminate, positions",
         lambda n: [SpoofedSystem(*((42, 1), (1, 77), COMPANION, (1, 1))[n % 4], version_1=n % 4 == 3)],
-        (NO_FAILSAFE, COMPLETES, told(*codes.INTRUDERS, within_s=1.0)),
+        (NO_FAILSAFE, COMPLETES, reports(*codes.INTRUDERS, within_s=1.0)),
         observe_s=180.0,
         views=SHORT_VIEWS,
     ),
@@ -148,7 +148,7 @@ TABLE_E = (
         "second autopilot",
         "a second autopilot with the vehicle's own ID sends for 10 s: in our mode, armed and disarmed",
         lambda n: [SecondAutopilot(SecondAutopilot.OURS, armed=n % 2 == 0)],
-        (holds(1.0), told(codes.TWO_AUTOPILOTS, within_s=1.0), NO_FAILSAFE, COMPLETES),
+        (holds(1.0), reports(codes.TWO_AUTOPILOTS, within_s=1.0), NO_FAILSAFE, COMPLETES),
         observe_s=240.0,
         views=SHORT_VIEWS,
     ),
@@ -157,7 +157,7 @@ TABLE_E = (
         "second autopilot's mode",
         "a second autopilot with the vehicle's own ID reports a pilot's mode for 10 s, and for 0.1 s",
         lambda n: [SecondAutopilot(SecondAutopilot.PILOTS, briefly=n % 2 == 1)],
-        (told(codes.TWO_AUTOPILOTS, codes.MODE_CHANGED, within_s=1.0), lands(5.0), down(30.0)),
+        (reports(codes.TWO_AUTOPILOTS, codes.MODE_CHANGED, within_s=1.0), lands(5.0), down(30.0)),
         observe_s=45.0,
     ),
     Scenario(
@@ -165,7 +165,7 @@ TABLE_E = (
         "second autopilot lands",
         "a second autopilot with the vehicle's own ID reports a landing mode for 10 s, and for 0.1 s",
         lambda n: [SecondAutopilot(SecondAutopilot.LANDING, briefly=n % 2 == 1)],
-        (told(codes.TWO_AUTOPILOTS, codes.AUTOPILOT_LANDS, within_s=1.0), holds(1.0), down(120.0)),
+        (reports(codes.TWO_AUTOPILOTS, codes.AUTOPILOT_LANDS, within_s=1.0), holds(1.0), down(120.0)),
         observe_s=120.0,
         views=SHORT_VIEWS,
     ),
@@ -174,7 +174,7 @@ TABLE_E = (
         "heartbeats of other programs",
         "a router or companion program sends with the autopilot's ID, with states of its own too, or with the product's ID",
         lambda n: [ProgramHeartbeats(PROGRAMS[n % len(PROGRAMS)], states=n % len(PROGRAMS) < 2)],
-        (told(codes.INTRUDER_HEARTBEAT, codes.INTRUDER_OWN_ID, within_s=1.0), STREAMS, NO_FAILSAFE, COMPLETES),
+        (reports(codes.INTRUDER_HEARTBEAT, codes.INTRUDER_OWN_ID, within_s=1.0), STREAMS, NO_FAILSAFE, COMPLETES),
         observe_s=180.0,
         views=SHORT_VIEWS,
     ),
@@ -185,7 +185,7 @@ TABLE_E = (
         lambda n: [ProgramHeartbeats(PROGRAMS[n % len(PROGRAMS)], states=n % len(PROGRAMS) < 2)],
         (
             Limit("first arm command", m.first_arm, 60.0, "s"),
-            told(codes.INTRUDER_HEARTBEAT, codes.INTRUDER_OWN_ID, within_s=60.0),  # once the flight begins
+            reports(codes.INTRUDER_HEARTBEAT, codes.INTRUDER_OWN_ID, within_s=60.0),  # once the flight begins
             NO_FAILSAFE,
             RETURNS,
         ),
@@ -298,7 +298,7 @@ TABLE_E = (
             Limit("command to land", m.asked_to_land, 0.15, "s"),
             lands(0.5),
             down(30.0),
-            told(codes.OPERATOR_LAND, codes.MISSION_LAND, within_s=1.15),
+            reports(codes.OPERATOR_LAND, codes.MISSION_LAND, within_s=1.15),
         ),
         onset=ANY,
     ),
@@ -427,7 +427,7 @@ TABLE_G = (
         "parameter changed in flight",
         "as G5, written by a ground station during fast flight",
         lambda n: [Parameter(*PARAMETERS[n % 5])],  # the others would end its poses, or set the action at a fence
-        (holds(1.0), told(codes.PARAMETER_CHANGED, within_s=1.0), down(60.0), NO_FAILSAFE),
+        (holds(1.0), reports(codes.PARAMETER_CHANGED, within_s=1.0), down(60.0), NO_FAILSAFE),
         onset=Onset(speed_mps=0.5),
     ),
     Scenario(

@@ -49,7 +49,7 @@ from sitl.faults.table.acceptance_limits import (
     flies_on,
     holds,
     lands,
-    told,
+    reports,
 )
 from sitl.faults.table.scenario import SHORT_VIEWS, Limit, Scenario
 
@@ -72,7 +72,7 @@ TABLE_C = (
         "frames lost for 3 s",
         "no frame for 3 s during fast flight",
         lambda n: [DepthSilence(3.0)],
-        (holds(0.4), STREAMS, COMPLETES, told(codes.NO_DEPTH, codes.DEPTH_STALE, within_s=1.4)),
+        (holds(0.4), STREAMS, COMPLETES, reports(codes.NO_DEPTH, codes.DEPTH_STALE, within_s=1.4)),
         onset=Onset(speed_mps=0.5),
         observe_s=180.0,
         views=24,
@@ -254,7 +254,7 @@ TABLE_D = (
         "nothing sent for 3 s",
         "all messages to the autopilot are lost for 3 s",
         lambda n: [PacketLoss("up", 3.0)],
-        (UNHEARD_LANDS, NO_ORDER, down(30.0), told(codes.AUTOPILOT_LANDS, within_s=2.3, ardupilot=3.5)),
+        (UNHEARD_LANDS, NO_ORDER, down(30.0), reports(codes.AUTOPILOT_LANDS, within_s=2.3, ardupilot=3.5)),
         onset=FAST,
     ),
     Scenario(

@@ -65,9 +65,9 @@ def _both(first: Scenario, second: Scenario, number: int) -> Sequence[Injector]:
     dice.shuffle(scenarios)
     waits_s = (0.0, dice.uniform(0.0, APART_S))
     return [
-        Delayed(trouble, wait_s, scenario.id)
+        Delayed(injector, wait_s, scenario.id)
         for scenario, wait_s in zip(scenarios, waits_s, strict=True)
-        for trouble in scenario.injectors(number)
+        for injector in scenario.injectors(number)
     ]
 
 

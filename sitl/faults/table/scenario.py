@@ -99,13 +99,15 @@ class Scenario:
         """Return the hull radius (m) of its n-th flight."""
         return self.radii_m[number % len(self.radii_m)]
 
-    def troubles(self, number: int, live: bool) -> Sequence[Injector]:
+    def injectors_of(self, number: int, live: bool) -> Sequence[Injector]:
         """Return the injectors of its n-th flight, in lockstep or in real time."""
         return self.live(number) if live and self.live is not None else self.injectors(number)
 
     def needs(self, number: int, live: bool) -> Capabilities:
         """Return the capabilities that the injectors of its n-th flight need."""
-        return functools.reduce(operator.or_, (trouble.needs for trouble in self.troubles(number, live)), Capabilities.NOTHING)
+        return functools.reduce(
+            operator.or_, (injector.needs for injector in self.injectors_of(number, live)), Capabilities.NOTHING
+        )
 
     def flown(self, live: bool) -> bool:
         """Return whether it can be flown, in lockstep or in real time."""

@@ -33,8 +33,8 @@ from sitl.faults.table.acceptance_limits import (
     holds,
     lands,
     lands_no_sooner,
+    reports,
     stops,
-    told,
 )
 from sitl.faults.table.scenario import Limit, Scenario
 
@@ -54,7 +54,7 @@ TABLE_A = (
             NO_FAILSAFE,
             NO_JUMP,
             flies_on(1.0, late_s=5.0),
-            told(codes.MISSION_SILENT, codes.MISSION_STALE, within_s=1.6),
+            reports(codes.MISSION_SILENT, codes.MISSION_STALE, within_s=1.6),
         ),
         onset=FAST,
         live=lambda n: [ProcessStopped("mission", 5.0)],

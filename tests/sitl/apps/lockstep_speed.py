@@ -55,7 +55,7 @@ def main(scene_name: str | None, views: int, seed: int) -> None:
         make_folder(options.folder)
         watch = Stopwatch()
         config = flight_config(options, scene, Path(folder))
-        flight = fly_in_lockstep(options, config, scene, Console(quiet=True), lambda: False, timelapse=False, director=watch)
+        flight = fly_in_lockstep(options, config, scene, Console(quiet=True), lambda: False, timelapse=False, hook=watch)
     wall_s, factor = flight.wall_s - watch.took_s, float(np.mean(watch.factors))
     low, high = np.percentile(watch.factors, [5, 95])
     raw = flight.simulated_s / wall_s

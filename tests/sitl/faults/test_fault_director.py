@@ -15,9 +15,9 @@ from sitl.faults.table.all_scenarios import SCENARIOS
 TURN_S = 1.0 / 60.0
 
 
-def watched_s(trouble: Fault, lands_s: float, lifts_again_s: float = 1e9) -> tuple[float, bool]:
+def watched_s(fault: Fault, lands_s: float, lifts_again_s: float = 1e9) -> tuple[float, bool]:
     """Until when a flight is watched that is up at 1 s, and whether the motors ran at the end."""
-    director = FaultDirector([trouble], seed=1)
+    director = FaultDirector([fault], seed=1)
     world = SimpleNamespace(flyer=SimpleNamespace(truth=lambda: None))
     seen: Any = SimpleNamespace(world=world, now_s=0.0, notes={})
     director.context = seen
@@ -33,14 +33,14 @@ def watched_s(trouble: Fault, lands_s: float, lifts_again_s: float = 1e9) -> tup
 
 @pytest.mark.parametrize("stands_s", [2.0, 20.0])
 def test_a_landed_vehicle_is_watched_for_as_long_as_its_row_says(stands_s: float) -> None:
-    trouble = Fault("A7", [Injector()], Onset((1.0, 1.0), speed_mps=0.0), 60.0, stands_s)
-    end_s, armed = watched_s(trouble, lands_s=12.0)
+    fault = Fault("A7", [Injector()], Onset((1.0, 1.0), speed_mps=0.0), 60.0, stands_s)
+    end_s, armed = watched_s(fault, lands_s=12.0)
     assert end_s == pytest.approx(12.0 + stands_s, abs=0.05)
     assert not armed
 
 
 def test_one_that_starts_its_motors_again_is_seen_to() -> None:
-    trouble = Fault("A7", [Injector()], Onset((1.0, 1.0), speed_mps=0.0), 60.0, SCENARIOS["A7"].observe_after_disarm_s)
-    end_s, armed = watched_s(trouble, lands_s=12.0, lifts_again_s=17.0)
+    fault = Fault("A7", [Injector()], Onset((1.0, 1.0), speed_mps=0.0), 60.0, SCENARIOS["A7"].observe_after_disarm_s)
+    end_s, armed = watched_s(fault, lands_s=12.0, lifts_again_s=17.0)
     assert armed
     assert end_s == pytest.approx(62.0, abs=0.1)

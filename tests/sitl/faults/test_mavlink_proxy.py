@@ -1,4 +1,4 @@
-"""The proxy on the byte pipe: whole frames, each trouble on its way, and a capture of what was really said."""
+"""The proxy on the byte pipe: whole frames, each fault on its way, and a capture of what was really said."""
 
 from __future__ import annotations
 
@@ -36,15 +36,15 @@ def heartbeat(mode: int) -> bytes:
     return bytes(mavlink.MAVLink_heartbeat_message(2, 12, 129, mode, 4, 3).pack(mavlink.MAVLink(None, 1, 1)))
 
 
-def proxied(trouble: Injector) -> tuple[MavlinkProxy, list[float], PipeEnd]:
+def proxied(injector: Injector) -> tuple[MavlinkProxy, list[float], PipeEnd]:
     ours, theirs = pipe()
     clock = [0.0]
 
     def up(frame: bytes) -> DelayedItems[bytes]:
-        return trouble.to_autopilot(clock[0], frame)
+        return injector.to_autopilot(clock[0], frame)
 
     def down(frame: bytes) -> DelayedItems[bytes]:
-        return trouble.to_product(clock[0], frame)
+        return injector.to_product(clock[0], frame)
 
     return MavlinkProxy(ours, Side.PRODUCT, lambda: clock[0], up, down), clock, theirs
 
@@ -156,12 +156,12 @@ def test_the_heading_of_odometry_is_in_the_worlds_axes(from_north_deg: float) ->
 
 
 def test_the_far_proxy_keeps_what_arrives_and_spoils_what_leaves() -> None:
-    trouble, clock = Jitter(0.3, seed=1), [0.0]
+    injector, clock = Jitter(0.3, seed=1), [0.0]
     end = UdpPeer(remote=None)
     product = UdpPeer(remote=("127.0.0.1", end.local_port))
     proxy = MavlinkProxy(
         end, Side.AUTOPILOT, lambda: clock[0],
-        lambda f: trouble.to_autopilot(0.0, f), lambda f: trouble.to_product(0.0, f),
+        lambda f: injector.to_autopilot(0.0, f), lambda f: injector.to_product(0.0, f),
     )  # fmt: skip
     try:
         product.write(setpoint(1.0) + heartbeat(3))
@@ -187,10 +187,10 @@ def test_the_far_proxy_keeps_what_arrives_and_spoils_what_leaves() -> None:
 
 
 def test_a_link_that_was_late_for_a_while_is_in_time_again() -> None:
-    trouble = Jitter(0.3, for_s=60.0, seed=1)
-    late = [late_s for k in range(50) for late_s, _ in trouble.to_autopilot(59.0 + 0.01 * k, heartbeat(1))]
+    injector = Jitter(0.3, for_s=60.0, seed=1)
+    late = [late_s for k in range(50) for late_s, _ in injector.to_autopilot(59.0 + 0.01 * k, heartbeat(1))]
     assert 0.2 < max(late) <= 0.3
-    assert [late_s for k in range(50) for late_s, _ in trouble.to_product(60.0 + k, heartbeat(1))] == [0.0] * 50
+    assert [late_s for k in range(50) for late_s, _ in injector.to_product(60.0 + k, heartbeat(1))] == [0.0] * 50
 
 
 def test_setpoints_are_counted_where_they_arrive_and_sound() -> None:

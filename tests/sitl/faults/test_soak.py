@@ -43,7 +43,7 @@ for line in sys.stdin:
 
 def injection_context(folder: Path) -> InjectionContext:
     world: Any = None
-    return InjectionContext(world, random.Random(1), roster=ProcessRegistry(folder), config=folder / "config.toml")
+    return InjectionContext(world, random.Random(1), registry=ProcessRegistry(folder), config=folder / "config.toml")
 
 
 @pytest.fixture
@@ -153,16 +153,16 @@ def test_orders_are_given_once_by_the_command_line_and_nobody_is_left(tmp_path: 
     told.turn(at, 0.0)
     told.turn(at, 0.1)
     assert time.monotonic() - begun_s < 2.0, "nobody waits for it"
-    assert len(told._told) == 1
+    assert len(told._orders_sent) == 1
     deadline_s, pause = time.monotonic() + 60.0, threading.Event()
-    while told._told:
+    while told._orders_sent:
         assert time.monotonic() < deadline_s
         told.turn(at, 0.2)
         pause.wait(0.05)
     told.turn(at, 2.0)
-    assert len(told._told) == 1
+    assert len(told._orders_sent) == 1
     told.end(at)
-    assert told._told[0].returncode == 78, "it read the flight's own config"
+    assert told._orders_sent[0].returncode == 78, "it read the flight's own config"
 
 
 def test_a_soak_is_held_to_flat_memory_descriptors_and_its_length() -> None:

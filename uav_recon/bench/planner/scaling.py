@@ -74,7 +74,7 @@ def measure(recording: RecordedStream, copies: int, tick: Callable[[int], None])
     mapped.start(frames[0])
     # the planner processes the filled map once, unmeasured: in a flight it would have seen the map grow
     planner.plan(request_of(mapped.fuse(frames[0], Stopwatch()), frames[0]))
-    laps = timed_plans(mapped, planner, _told(frames, tick)).cpu
+    laps = timed_plans(mapped, planner, _counted(frames, tick)).cpu
     gc.collect()
     return Size(
         copies=copies,
@@ -85,7 +85,7 @@ def measure(recording: RecordedStream, copies: int, tick: Callable[[int], None])
     )
 
 
-def _told(frames: list[PosedFrame], tick: Callable[[int], None]) -> Iterator[PosedFrame]:
+def _counted(frames: list[PosedFrame], tick: Callable[[int], None]) -> Iterator[PosedFrame]:
     for posed in frames:
         yield posed
         tick(1)

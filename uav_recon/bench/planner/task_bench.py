@@ -136,7 +136,9 @@ def _show(console: Console, result: Result) -> None:
     )
     title = "tasks of surface: milliseconds of the processor, and calibrated"
     table = narrow_table(title, "phase", "plans", "tasks", "median", "p95", "max", "cal.", "p95", "max")
-    for phase, told in result["phases"].items():
-        spreads = [told[name][key] for name in ("cpu_ms", "cpu_ms_calibrated") for key in ("median_ms", "p95_ms", "max_ms")]
-        table.add_row(phase, str(told["plans"]), f"{told['tasks']:.1f}", *(f"{value:.1f}" for value in spreads))
+    for phase, phase_result in result["phases"].items():
+        spreads = [
+            phase_result[name][key] for name in ("cpu_ms", "cpu_ms_calibrated") for key in ("median_ms", "p95_ms", "max_ms")
+        ]
+        table.add_row(phase, str(phase_result["plans"]), f"{phase_result['tasks']:.1f}", *(f"{value:.1f}" for value in spreads))
     console.print(table)

@@ -133,13 +133,13 @@ def test_a_mode_chosen_by_the_pilot_stays_when_the_companion_falls_silent() -> N
     assert mode_of(c) == "ALT_HOLD"
 
 
-@pytest.mark.parametrize(("fraction", "trouble"), [(0.19, "Battery is low"), (0.11, "Battery is low")])
-def test_an_empty_battery_lands(fraction: float, trouble: str) -> None:
+@pytest.mark.parametrize(("fraction", "cause"), [(0.19, "Battery is low"), (0.11, "Battery is low")])
+def test_an_empty_battery_lands(fraction: float, cause: str) -> None:
     c = flying()
     c.copter.set_battery(fraction)
     c.run(0.2)
     assert mode_of(c) == "LAND"
-    assert c.copter.failsafes == [f"{trouble}: LAND"]
+    assert c.copter.failsafes == [f"{cause}: LAND"]
 
 
 def test_a_silent_transmitter_leads_to_a_landing() -> None:

@@ -148,7 +148,7 @@ def test_a_flight_is_held_to_its_bars() -> None:
     assert not verdict.passed(ROW, "ardupilot"), "whose limit is higher"
     assert not judge(ROW, evidence(obstacle_distance_m=np.full(600, 0.3)), []).passed(ROW, "px4")
     assert not judge(ROW, evidence(), ["contact"]).passed(ROW, "px4")
-    assert not judge(ROW, evidence(onset_s=math.inf), []).passed(ROW, "px4"), "a trouble that never came proves nothing"
+    assert not judge(ROW, evidence(onset_s=math.inf), []).passed(ROW, "px4"), "a fault that never came proves nothing"
 
 
 def test_a_program_that_breaks_fails_its_rows_and_says_with_what(monkeypatch: pytest.MonkeyPatch) -> None:

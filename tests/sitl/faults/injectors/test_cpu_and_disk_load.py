@@ -46,7 +46,7 @@ def wait_for(condition: Callable[[], bool]) -> None:
 
 def injection_context(folder: Path) -> InjectionContext:
     world: Any = None
-    return InjectionContext(world, dice=None, roster=ProcessRegistry(folder), config=folder / "config.toml")  # type: ignore[arg-type]
+    return InjectionContext(world, dice=None, registry=ProcessRegistry(folder), config=folder / "config.toml")  # type: ignore[arg-type]
 
 
 @pytest.fixture

@@ -1,4 +1,4 @@
-"""Each trouble does what its name says, from its moment on, and nothing before."""
+"""Each fault does what its name says, from its moment on, and nothing before."""
 
 from __future__ import annotations
 
@@ -42,8 +42,8 @@ def frame(stamp_s: float = 10.0) -> DepthFrame:
     return DepthFrame(stamp_s, np.full((4, 6), 2000, np.uint16), np.zeros((2, 3, 3), np.uint8))
 
 
-def one(trouble: Injector, since_s: float = 0.0) -> PoseRecord:
-    late = trouble.pose(since_s, record())
+def one(injector: Injector, since_s: float = 0.0) -> PoseRecord:
+    late = injector.pose(since_s, record())
     assert len(late) == 1
     return late[0][1]
 
@@ -156,12 +156,12 @@ def test_what_becomes_known_as_free_is_counted_once_what_was_under_way_is_mapped
     shows(OCCUPIED, OCCUPIED, OCCUPIED, FREE, UNKNOWN, FREE)  # of a frame from before
     claims.turn(at, SETTLED_S)
     walls.turn(at, UNDER_WAY_S)
-    for trouble in (walls, claims):
-        trouble.end(at)
+    for injector in (walls, claims):
+        injector.end(at)
     assert at.notes == {FREED: 0.0, CLAIMED: 0.0}
     shows(OCCUPIED, FREE, FREE, FREE, FREE, UNKNOWN)
-    for trouble in (walls, claims):
-        trouble.end(at)
+    for injector in (walls, claims):
+        injector.end(at)
     assert at.notes == {FREED: 50.0, CLAIMED: 3.0}, "the third is no wall"
 
 

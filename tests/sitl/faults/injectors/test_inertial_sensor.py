@@ -38,8 +38,8 @@ def sample(stamp_s: float = 10.0) -> StreamedImuSample:
     return StreamedImuSample(stamp_s, np.array([0.1, 0.2, stamp_s]), np.array([1.0, 0.0, 9.8]))
 
 
-def one(trouble: Injector, since_s: float, stamp_s: float = 10.0) -> StreamedImuSample:
-    late = trouble.imu(since_s, sample(stamp_s))
+def one(injector: Injector, since_s: float, stamp_s: float = 10.0) -> StreamedImuSample:
+    late = injector.imu(since_s, sample(stamp_s))
     assert len(late) == 1
     assert late[0][0] == 0.0
     return late[0][1]
@@ -86,13 +86,13 @@ class Slow(Injector):
         return [(0.1, sample)]
 
 
-def faulty_stream(trouble: Injector) -> tuple[FaultDirector, Any, Written]:
+def faulty_stream(injector: Injector) -> tuple[FaultDirector, Any, Written]:
     """A fault director whose fault has begun, its stream, and what reaches the writer."""
     written = Written()
     world: Any = SimpleNamespace(stream=written)
-    director = FaultDirector([Fault("B1", [trouble])], seed=1)
+    director = FaultDirector([Fault("B1", [injector])], seed=1)
     director.enter(world, None, 0.0)
-    director._begin_fault(director._troubles[0], 0.0)
+    director._begin_fault(director._faults[0], 0.0)
     return director, world.stream, written
 
 

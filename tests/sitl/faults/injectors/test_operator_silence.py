@@ -1,4 +1,4 @@
-"""The operator of the campaign's flights, the troubles that take him away, and what is measured of the answer."""
+"""The operator of the campaign's flights, the faults that take him away, and what is measured of the answer."""
 
 from __future__ import annotations
 

@@ -48,57 +48,57 @@ def sleeper() -> Iterator[subprocess.Popen[bytes]]:
     process.stdout.close()
 
 
-def injection_context(roster: ProcessRegistry, armed: bool = True) -> InjectionContext:
+def injection_context(registry: ProcessRegistry, armed: bool = True) -> InjectionContext:
     world: Any = SimpleNamespace(flyer=SimpleNamespace(truth=lambda: SimpleNamespace(armed=armed)))
-    return InjectionContext(world, dice=None, roster=roster)  # type: ignore[arg-type]
+    return InjectionContext(world, dice=None, registry=registry)  # type: ignore[arg-type]
 
 
-def test_the_roster_is_empty_at_first_and_repeats_what_it_was_told(tmp_path: Path) -> None:
-    roster = ProcessRegistry(tmp_path)
-    assert roster.pid("pilot") is None
-    assert roster.exits() == []
-    assert roster.blocked_restarts() == frozenset()
-    roster.tell({"pilot": 12}, [Exit("mission", -9, 3.5)])
-    roster.block_restart(("mission",))
+def test_the_registry_is_empty_at_first_and_repeats_what_it_was_told(tmp_path: Path) -> None:
+    registry = ProcessRegistry(tmp_path)
+    assert registry.pid("pilot") is None
+    assert registry.exits() == []
+    assert registry.blocked_restarts() == frozenset()
+    registry.tell({"pilot": 12}, [Exit("mission", -9, 3.5)])
+    registry.block_restart(("mission",))
     assert ProcessRegistry(tmp_path).pid("pilot") == 12
     assert ProcessRegistry(tmp_path).exits() == [Exit("mission", -9, 3.5)]
     assert ProcessRegistry(tmp_path).blocked_restarts() == {"mission"}
 
 
 def test_a_stopped_process_goes_on_after_its_time(tmp_path: Path, sleeper: subprocess.Popen[bytes]) -> None:
-    roster = ProcessRegistry(tmp_path)
-    roster.tell({"mission": sleeper.pid}, [])
-    trouble, at = ProcessStopped("mission", for_s=5.0), injection_context(roster)
-    trouble.begin(at)
+    registry = ProcessRegistry(tmp_path)
+    registry.tell({"mission": sleeper.pid}, [])
+    injector, at = ProcessStopped("mission", for_s=5.0), injection_context(registry)
+    injector.begin(at)
     wait_for(lambda: state_of(sleeper.pid) == "T")
-    trouble.turn(at, 4.9)
+    injector.turn(at, 4.9)
     assert state_of(sleeper.pid) == "T"
-    trouble.turn(at, 5.0)
+    injector.turn(at, 5.0)
     wait_for(lambda: state_of(sleeper.pid) == "S")
 
 
 def test_a_killed_process_is_kept_down_for_its_time(tmp_path: Path, sleeper: subprocess.Popen[bytes]) -> None:
-    roster = ProcessRegistry(tmp_path)
-    roster.tell({"mission": sleeper.pid}, [])
-    trouble, at = ProcessKilled("mission", "pilot", for_s=2.0), injection_context(roster)
-    trouble.begin(at)
+    registry = ProcessRegistry(tmp_path)
+    registry.tell({"mission": sleeper.pid}, [])
+    injector, at = ProcessKilled("mission", "pilot", for_s=2.0), injection_context(registry)
+    injector.begin(at)
     assert sleeper.wait(PATIENCE_S) == -signal.SIGKILL
-    trouble.turn(at, 1.9)
-    assert roster.blocked_restarts() == {"mission", "pilot"}
-    trouble.turn(at, 2.0)
-    assert roster.blocked_restarts() == frozenset()
+    injector.turn(at, 1.9)
+    assert registry.blocked_restarts() == {"mission", "pilot"}
+    injector.turn(at, 2.0)
+    assert registry.blocked_restarts() == frozenset()
 
 
 def test_how_a_process_ends_that_was_asked_to_is_noted(tmp_path: Path, sleeper: subprocess.Popen[bytes]) -> None:
-    roster = ProcessRegistry(tmp_path)
-    roster.tell({"pilot": sleeper.pid}, [])
-    trouble, at = ProcessTerminated("pilot"), injection_context(roster)
-    trouble.begin(at)
+    registry = ProcessRegistry(tmp_path)
+    registry.tell({"pilot": sleeper.pid}, [])
+    injector, at = ProcessTerminated("pilot"), injection_context(registry)
+    injector.begin(at)
     assert sleeper.wait(PATIENCE_S) == 7
-    trouble.turn(at, 0.1)
+    injector.turn(at, 0.1)
     assert at.notes == {}
-    roster.tell({}, [Exit("pilot", 7, 1.0)])
-    trouble.turn(at, 0.2)
+    registry.tell({}, [Exit("pilot", 7, 1.0)])
+    injector.turn(at, 0.2)
     assert at.notes == {"exit code": 7.0, "ended armed": 1.0}
 
 

@@ -256,4 +256,4 @@ def test_a_row_may_allow_more_of_the_fence_and_is_held_to_that() -> None:
     out = dataclasses.replace(e, position_m=spoilt(e.position_m, (200, 1), 3.5))
     assert violations(out) == violations(out, Room(overshoot_m=0.30)) == ["fence overshot by 0.50 m"]
     assert violations(out, Room(overshoot_m=0.51)) == []
-    assert all(scenario.room.overshoot_m == 0.30 for scenario in TABLE), "none but a pair of two troubles"
+    assert all(scenario.room.overshoot_m == 0.30 for scenario in TABLE), "none but a pair of two faults"

@@ -113,7 +113,7 @@ def test_only_the_codes_that_are_asked_for_count_as_told() -> None:
     lost = (codes.NO_POSE,)
     e = evidence(reported=((4.0, lost), (5.3, ("refused", "speed-limit")), (6.0, lost), (19.0, lost)))
     assert statustext_delay(codes.NO_POSE, codes.POSE_STALE)(e) == pytest.approx(1.0), (
-        "what was said before the trouble is not about it"
+        "what was said before the fault is not about it"
     )
     assert statustext_delay(codes.POSE_STALE)(e) == math.inf
     assert statustext_delay()(e) == math.inf
@@ -134,7 +134,7 @@ def test_a_landing_is_measured_from_the_last_setpoint_that_leads_anywhere_or_tur
     assert m.landing_after_a_stop(rewired(e, velocity_mps=down)) == pytest.approx(4.55, abs=NEAR), "down is nowhere"
     turns = np.remainder(3.0 + 0.3 * np.minimum(e.wire.setpoint_s, 13.0), 2.0 * np.pi)
     assert m.landing_after_a_stop(rewired(e, yaw_rad=turns)) == pytest.approx(2.0, abs=NEAR)
-    assert m.landing_after_a_stop(evidence(onset_s=12.0)) == pytest.approx(3.0, abs=NEAR), "it stood as the trouble began"
+    assert m.landing_after_a_stop(evidence(onset_s=12.0)) == pytest.approx(3.0, abs=NEAR), "it stood as the fault began"
     assert m.landing_after_a_stop(evidence(mode=("OFFBOARD",) * 600, armed=np.ones(600, bool))) == math.inf
 
 
@@ -146,7 +146,7 @@ def test_how_soon_it_no_longer_goes_on() -> None:
     swung = np.where((e.stamp_s > e.onset_s + 2.0)[:, None], (-0.4, 0.3, 0.0), (0.5, 0.0, 0.0))
     assert m.stopped_after(0.1)(evidence(velocity_mps=swung)) == pytest.approx(2.0, abs=NEAR), "it swings back"
     assert m.stopped_after(0.1)(evidence(velocity_mps=-swung)) == pytest.approx(2.0, abs=NEAR), "whichever way it went"
-    assert m.stopped_after(0.1)(evidence(onset_s=math.inf)) == math.inf, "the trouble never came"
+    assert m.stopped_after(0.1)(evidence(onset_s=math.inf)) == math.inf, "the fault never came"
 
 
 def test_off_its_way_is_aside_of_its_setpoints_while_it_follows_them() -> None:
@@ -155,7 +155,7 @@ def test_off_its_way_is_aside_of_its_setpoints_while_it_follows_them() -> None:
     assert m.off_its_way(dataclasses.replace(e, position_m=late)) < 0.02, "behind is not aside"
     aside = dataclasses.replace(e, position_m=spoilt(late, (200, 1), 0.4))
     assert m.off_its_way(aside) == pytest.approx(0.4, abs=0.01)
-    assert m.off_its_way(dataclasses.replace(aside, onset_s=7.0)) < 0.02, "before the trouble"
+    assert m.off_its_way(dataclasses.replace(aside, onset_s=7.0)) < 0.02, "before the fault"
     assert m.off_its_way(dataclasses.replace(e, position_m=spoilt(e.position_m, (500, 1), 0.4))) < 0.02, "it lands by then"
     assert m.off_its_way(rewired(e, setpoint_s=e.wire.setpoint_s - 20.0)) == math.inf
 

@@ -1,4 +1,4 @@
-"""Two troubles in one flight: each from its own moment on, and held to the worse of the two reactions."""
+"""Two faults in one flight: each from its own moment on, and held to the worse of the two reactions."""
 
 from __future__ import annotations
 
@@ -35,16 +35,16 @@ def injection_context() -> InjectionContext:
 
 
 def moments(scenario: Scenario, number: int) -> dict[str, float]:
-    """When each trouble of the pair's n-th flight begins, in seconds after the flight's moment, to a hundredth."""
+    """When each fault of the pair's n-th flight begins, in seconds after the flight's moment, to a hundredth."""
     at = injection_context()
-    for trouble in scenario.injectors(number):
+    for injector in scenario.injectors(number):
         for turn in range(int(APART_S * 100) + 1):
             at.now_s = turn / 100.0
-            trouble.turn(at, at.now_s)
+            injector.turn(at, at.now_s)
     return at.notes
 
 
-def test_until_its_moment_there_is_no_trouble_and_then_it_is_told() -> None:
+def test_until_its_moment_there_is_no_fault_and_then_it_is_told() -> None:
     at, silence = injection_context(), Delayed(PoseSilence(for_s=1.0), 0.5, "B1")
     silence.turn(at, 0.49)
     assert (len(silence.pose(0.49, POSE)), at.notes) == (1, {})
@@ -56,16 +56,16 @@ def test_until_its_moment_there_is_no_trouble_and_then_it_is_told() -> None:
     assert len(silence.pose(1.53, POSE)) == 1
 
 
-def test_whatever_a_trouble_touches_it_touches_later() -> None:
+def test_whatever_a_fault_touches_it_touches_later() -> None:
     at = injection_context()
     lost, crash = Delayed(PacketLoss("both", 1.0), 0.5, "D3"), Delayed(Crash("pilot", back_s=0.2), 0.5, "A7")
-    for trouble in (lost, crash):
-        trouble.turn(at, 0.4)
+    for injector in (lost, crash):
+        injector.turn(at, 0.4)
     assert (lost.to_autopilot(0.4, b"a"), lost.to_product(0.4, b"b")) == ([(0.0, b"a")], [(0.0, b"b")])
     assert not crash.stalls(0.4, "pilot")
     assert not crash.restarts(9.0, "pilot")
-    for trouble in (lost, crash):
-        trouble.turn(at, 0.5)
+    for injector in (lost, crash):
+        injector.turn(at, 0.5)
     assert lost.to_autopilot(0.6, b"a") == lost.to_product(0.6, b"b") == []
     assert crash.stalls(0.69, "pilot")
     assert [crash.restarts(0.69, "pilot"), crash.restarts(0.71, "pilot"), crash.restarts(0.8, "pilot")] == [False, True, False]
@@ -76,7 +76,7 @@ def test_whatever_a_trouble_touches_it_touches_later() -> None:
     assert dark.depth(0.3, PICTURE) == []
 
 
-def test_a_trouble_that_never_began_has_nothing_to_end() -> None:
+def test_a_fault_that_never_began_has_nothing_to_end() -> None:
     class Ended(PoseSilence):
         ends = 0
 
@@ -84,11 +84,11 @@ def test_a_trouble_that_never_began_has_nothing_to_end() -> None:
             self.ends += 1
 
     for turned_s, ends in ((0.4, 0), (0.6, 1)):
-        trouble = Ended()
-        late = Delayed(trouble, 0.5, "X")
+        injector = Ended()
+        late = Delayed(injector, 0.5, "X")
         late.turn(injection_context(), turned_s)
         late.end(injection_context())
-        assert trouble.ends == ends
+        assert injector.ends == ends
 
 
 def test_ten_rows_make_forty_five_pairs_none_with_itself() -> None:
@@ -110,7 +110,7 @@ def test_a_pair_flies_no_longer_than_the_shorter_of_its_flights() -> None:
 
 
 @pytest.mark.parametrize("name", ["A1+B1", "B4+D2", "C1+D2"])
-def test_either_trouble_may_come_first_and_the_other_follows_soon(name: str) -> None:
+def test_either_fault_may_come_first_and_the_other_follows_soon(name: str) -> None:
     begun = [moments(SCENARIOS[name], number) for number in range(12)]
     assert begun == [moments(SCENARIOS[name], number) for number in range(12)], "a flight can be flown again"
     first, second = name.split("+")
@@ -133,7 +133,7 @@ def test_the_worse_of_two_reactions_wins() -> None:
     )
     only = judge(scenario, dataclasses.replace(late, notes={"A1": ONSET_S}), [])
     assert math.isnan(only.figures[1])
-    assert not only.passed(scenario, "px4"), "a trouble that never came proves nothing"
+    assert not only.passed(scenario, "px4"), "a fault that never came proves nothing"
 
 
 def test_each_pair_is_held_to_what_its_worse_row_does_and_to_its_stream() -> None:

@@ -39,7 +39,7 @@ def test_a_flight_by_odometry_that_is_off_for_half_a_second_breaks(scenario: str
 
 
 def late(e: FlightEvidence, by_s: float) -> FlightEvidence:
-    """Old poses under new stamps, from the trouble on."""
+    """Poses of an earlier time under new stamps, from the fault on."""
     w = e.wire
     old_s = np.where(w.odometry_s >= e.onset_s, w.odometry_s - by_s, w.odometry_s)
     return rewired(e, odometry_m=np.stack([np.interp(old_s, w.odometry_s, w.odometry_m[:, k]) for k in range(3)], axis=1))
