@@ -22,6 +22,7 @@ ALLOWED = {
     "channels": {"types", "interfaces"},
     "config": {"types", "config_constraints"},
     **dict.fromkeys(STAGES, BASE),
+    **{stage: {*BASE, "safety"} for stage in ("mapping", "motion")},  # a rule of the guard has one home
     "safety": {"types"},
     "autopilot": {"types", "interfaces", "clock", "channels", "config", "safety"},
     "mission": {"types", "interfaces", "clock"},

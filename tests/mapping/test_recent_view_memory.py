@@ -11,11 +11,11 @@ from uav_recon.mapping.recent_view_memory import RecentViewMemory
 from uav_recon.motion.clearance import ClearanceMap
 from uav_recon.motion.sight_forecast import OLDER_S, EnteredHull, SightForecast
 from uav_recon.safety.recently_seen_space import RecentlySeenSpace
+from uav_recon.safety.sight_speed_limit import SightSpeedLimit, entered_points
 from uav_recon.types.camera import Frame, Intrinsics, PosedFrame, body_from_camera
 from uav_recon.types.maps import FREE, GridSpec, VoxelMap
 from uav_recon.types.pose import Pose
 from uav_recon.types.recent_views import RecentViews
-from uav_recon.types.sight_speed_limit import SightSpeedLimit, entered_points
 
 LENS = Intrinsics.from_fov(212, 120, math.radians(87), math.radians(58))
 POSITION_M = np.array([0.1, 0.02, -0.03])

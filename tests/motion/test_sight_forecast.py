@@ -12,12 +12,12 @@ from uav_recon.motion import MotionPlanner
 from uav_recon.motion.clearance import ClearanceMap
 from uav_recon.motion.sight_forecast import KNOWN_S, OLDER_S, EnteredHull, SightForecast
 from uav_recon.motion.yaw_policy import YawAlongPath
+from uav_recon.safety.sight_speed_limit import SightSpeedLimit
 from uav_recon.types.camera import body_from_camera
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.maps import OCCUPIED, VoxelMap
 from uav_recon.types.pose import Pose
 from uav_recon.types.recent_views import RecentViews
-from uav_recon.types.sight_speed_limit import SightSpeedLimit
 from uav_recon.types.trajectory import Setpoint, Trajectory
 
 HALF_TAN = (math.tan(math.radians(43.5)), math.tan(math.radians(29.0)))

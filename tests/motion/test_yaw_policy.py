@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation
 from uav_recon.motion import MotionPlanner
 from uav_recon.motion.sight_forecast import EnteredHull
 from uav_recon.motion.yaw_policy import AT_VIEWS, BLIND_SHARE, SHARE, YawAlongPath
+from uav_recon.safety.sight_speed_limit import SightSpeedLimit
 from uav_recon.types.frames import BoolArray, FloatArray
-from uav_recon.types.sight_speed_limit import SightSpeedLimit
 from uav_recon.types.tasks import ViewPath
 from uav_recon.types.trajectory import Setpoint, Trajectory
 

@@ -50,6 +50,9 @@ TESTS = {
     "pose_gate": ("test_pose_gate", "test_safety_values"),
     "obstacle_speed_limit": ("test_obstacle_speed_limit", *BY_GUARD),
     "recently_seen_space": ("test_recently_seen_space", *BY_GUARD),
+    "sight_speed_limit": ("test_sight_speed_limit", *BY_GUARD),
+    "free_cone_memory": ("test_free_cone_memory",),
+    "free_cone_rule": ("test_free_cone_rule", "test_free_cone_memory"),
 }
 AT_RANDOM = "not nothing_invalid_ever_leaves and not nothing_hostile_reaches"
 NEEDLESS = ("dash", "terminal", "cacheprovider", "unraisableexception", "threadexception", "hypothesispytest")

@@ -13,10 +13,10 @@ import numpy as np
 
 from uav_recon.geometry.jit import kernel
 from uav_recon.motion.clearance import ROOT, ClearanceMap, clearance_at
+from uav_recon.safety.sight_speed_limit import SightSpeedLimit, entered_points
 from uav_recon.types.frames import AnyArray, BoolArray, FloatArray
 from uav_recon.types.maps import FREE, GridSpec, VoxelMap
 from uav_recon.types.recent_views import RecentViews
-from uav_recon.types.sight_speed_limit import SightSpeedLimit, entered_points
 
 OLDER_S = 0.5  #: brake: ages are taken as larger by this: the guard stores a view each 0.4 s, and the motion may be late
 KNOWN_S = 0.6  #: brake: a view on the way counts from this time on: until then it may be neither taken nor stored

@@ -16,9 +16,9 @@ from uav_recon.config import Config
 from uav_recon.motion.clearance import ClearanceMap
 from uav_recon.motion.sight_forecast import EnteredHull, SightForecast
 from uav_recon.motion.time_scaling import STEP_S
+from uav_recon.safety.sight_speed_limit import SightSpeedLimit
 from uav_recon.types.frames import BoolArray, FloatArray
 from uav_recon.types.recent_views import RecentViews
-from uav_recon.types.sight_speed_limit import SightSpeedLimit
 
 #: brake: planned speed outside the camera's view, of blind_speed_mps: the transition to a new motion adds to it
 BLIND_SHARE = 0.9

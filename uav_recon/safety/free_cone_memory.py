@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from uav_recon.safety.free_cone_rule import points_in_cones
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.free_cone import FreeCone
 
@@ -45,9 +46,6 @@ class FreeConeMemory:
     def ages_s(self, places_m: FloatArray, now_s: float) -> FloatArray:
         """Return the ages (N,) of the newest cones around positions (N, 3); infinity for none."""
         fresh = np.flatnonzero(now_s - self._stamp_s <= self._memory_s)
-        off_m = places_m[None] - self._apex_m[fresh, None]
-        along_m = np.einsum("vni,vi->vn", off_m, self._axis[fresh])
-        distance_m = np.linalg.norm(off_m, axis=2)
-        inside = (along_m >= self._cos[fresh, None] * distance_m) & (distance_m <= self._reach_m[fresh, None])
+        inside = points_in_cones(places_m, self._apex_m[fresh], self._axis[fresh], self._cos[fresh], self._reach_m[fresh])
         age_s = np.where(inside, (now_s - self._stamp_s[fresh])[:, None], math.inf)
         return np.asarray(age_s.min(axis=0, initial=math.inf))

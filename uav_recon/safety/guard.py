@@ -16,10 +16,10 @@ from uav_recon.safety.free_space_check import FreeSpaceCheck
 from uav_recon.safety.obstacle_speed_limit import ForwardDepth, Margins, fastest_mps
 from uav_recon.safety.recently_seen_space import RecentlySeenSpace
 from uav_recon.safety.setpoint_continuity import ClearedMotion, ContinuityCheck
+from uav_recon.safety.sight_speed_limit import SightSpeedLimit, entered_points
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
-from uav_recon.types.sight_speed_limit import SightSpeedLimit, entered_points
 from uav_recon.types.trajectory import Refusal, Setpoint
 
 _MAKER = object()

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
 
-from uav_recon.types.frames import BoolArray, FloatArray, frozen
+from uav_recon.types.frames import FloatArray, frozen
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -16,7 +15,7 @@ class FreeCone:
 
     stamp_s: of the measurement, companion's clock. map_epoch: of the maps that go with the pose. apex_odom_m: (3,), position
     of the sensor. axis_odom: (3,), unit vector. half_angle_rad: from the axis to the side, below a right angle. reach_m: radius
-    of the sphere. With such an angle it is convex.
+    of the sphere. With such an angle it is convex. `safety/free_cone_rule` says which points are inside.
     """
 
     stamp_s: float
@@ -29,18 +28,3 @@ class FreeCone:
     def __post_init__(self) -> None:
         for name in ("apex_odom_m", "axis_odom"):
             object.__setattr__(self, name, frozen(np.asarray(getattr(self, name), dtype=np.float64)))
-
-    def contains(self, points_odom_m: FloatArray) -> BoolArray:
-        """Return a mask (...) of the points (..., 3) in the cone."""
-        off_m = points_odom_m - self.apex_odom_m
-        distance_m = np.linalg.norm(off_m, axis=-1)
-        inside: BoolArray = (off_m @ self.axis_odom >= math.cos(self.half_angle_rad) * distance_m) & (
-            distance_m <= self.reach_m
-        )
-        return inside
-
-    def box(self) -> tuple[FloatArray, FloatArray]:
-        """Return the lower and upper corner (3,) of a box around the cone."""
-        end_m = self.apex_odom_m + self.reach_m * self.axis_odom
-        aside_m = self.reach_m * math.sin(self.half_angle_rad)
-        return np.minimum(self.apex_odom_m, end_m) - aside_m, np.maximum(self.apex_odom_m, end_m) + aside_m

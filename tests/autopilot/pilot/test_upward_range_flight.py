@@ -15,6 +15,7 @@ from uav_recon.autopilot.mavlink.tlog import FrameLog
 from uav_recon.autopilot.pilot.pilot import Pilot, make_pilot
 from uav_recon.autopilot.pilot.upward_range_finder import RangeFinderModel
 from uav_recon.mapping.occupancy.occupancy_map import DepthSensor, OccupancyMap
+from uav_recon.safety.free_cone_rule import points_in_cones
 from uav_recon.safety.guard import Guard
 from uav_recon.safety.recently_seen_space import RecentlySeenSpace
 from uav_recon.types.free_cone import FreeCone
@@ -76,7 +77,9 @@ def test_no_cone_and_no_voxel_that_it_frees_holds_a_true_surface(kind: type[Rang
     cones = cones_of(rig, room)
     assert len(cones) > 30
     surface = room.samples.points.astype(np.float64)
-    assert not any(cone.contains(surface).any() for cone in cones)
+    apex_m, axis = np.array([cone.apex_odom_m for cone in cones]), np.array([cone.axis_odom for cone in cones])
+    cos, reach_m = np.array([math.cos(cone.half_angle_rad) for cone in cones]), np.array([cone.reach_m for cone in cones])
+    assert not points_in_cones(surface, apex_m, axis, cos, reach_m).any()
     grid = GridSpec.covering(room.fence_min - 0.3, room.fence_max + 0.3, 0.1)
     space = OccupancyMap(grid, DepthSensor(0.3, 0.04, 0.05), 5.0, room.fence_min.tolist(), room.fence_max.tolist(), 1.1)
     assert sum(space.integrate_cone(cone) for cone in cones) > 0

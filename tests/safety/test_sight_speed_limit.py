@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from uav_recon.types.sight_speed_limit import SightSpeedLimit, entered_points
+from uav_recon.safety.sight_speed_limit import SightSpeedLimit, entered_points
 
 LIMIT = SightSpeedLimit(full_speed_mps=1.0, blind_speed_mps=0.3, blind_fresh_s=3.0, blind_stale_s=10.0, blind_memory_s=60.0)
 
