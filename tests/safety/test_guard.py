@@ -138,7 +138,7 @@ def test_a_refusal_brakes_within_the_limit_from_where_it_was_told_to_be() -> Non
         positions.append(position[0])
     assert np.linalg.norm(velocity) == 0.0
     assert positions[-1] - place[0] == pytest.approx(1.0 / 4.0, abs=1e-6), "v squared over 2a"
-    assert guard.refusals == 1, "one episode, however many samples"
+    assert guard.refusals.total == 1, "one episode, however many samples"
 
 
 def test_speed_towards_the_fence_must_leave_room_to_stop() -> None:
@@ -201,7 +201,7 @@ def test_refusals_count_episodes() -> None:
     guard.clear(proposal((9, 0, 1), identifier=2), situation(6 * DT))
     guard.clear(proposal(identifier=2), situation(7 * DT))
     guard.clear(proposal((9, 0, 1), identifier=2), situation(8 * DT))
-    assert guard.refusals == 3
+    assert guard.refusals.total == 3
 
 
 HOSTILE = st.one_of(

@@ -323,7 +323,7 @@ def test_one_trajectory_is_one_episode_however_high_its_number() -> None:
     guard = resting()
     for n in range(1, 4):
         refusal(guard, proposal((9.0, 0.0, 1.0), identifier=int("1000")), 10.0 + n * 0.03)
-    assert guard.refusals == 1
+    assert guard.refusals.total == 1
 
 
 def test_a_clock_that_goes_back_does_not_speed_up_the_brake() -> None:

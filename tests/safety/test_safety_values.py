@@ -8,28 +8,33 @@ from typing import Any
 import pytest
 from guard_rooms import BOUNDS, ENVELOPE, proposal, situation
 
-from uav_recon.safety.failsafe import FailsafeInputs, FailsafeTimeouts
+from uav_recon.safety.failsafe_conditions import CONDITIONS, FailsafeInputs, FailsafeTimeouts, Observation
 from uav_recon.safety.guard import _motion_of
 from uav_recon.safety.pose_gate import PoseVerdict
 from uav_recon.safety.setpoint_continuity import ContinuityCheck
+
+INPUTS = FailsafeInputs(0.0, 0.0, 0.0, 0.0, True)
+TIMEOUTS = FailsafeTimeouts(
+    pose_timeout_s=0.2,
+    pose_land_s=1.0,
+    intent_timeout_s=0.5,
+    retreat_timeout_s=5.0,
+    land_timeout_s=20.0,
+    depth_timeout_s=0.3,
+    depth_retreat_s=3.0,
+    depth_land_s=10.0,
+)
 
 VALUES = (
     BOUNDS,
     BOUNDS.margins,
     ENVELOPE,
     ENVELOPE.fence,
-    FailsafeInputs(0.0, 0.0, 0.0, 0.0, True, 0),
+    INPUTS,
+    Observation(INPUTS, 0.0, TIMEOUTS),
+    CONDITIONS[0],
     ContinuityCheck(),
-    FailsafeTimeouts(
-        pose_timeout_s=0.2,
-        pose_land_s=1.0,
-        intent_timeout_s=0.5,
-        retreat_timeout_s=5.0,
-        land_timeout_s=20.0,
-        depth_timeout_s=0.3,
-        depth_retreat_s=3.0,
-        depth_land_s=10.0,
-    ),
+    TIMEOUTS,
     PoseVerdict(True),
     proposal(),
     situation(0.0),

@@ -15,6 +15,7 @@ from uav_recon.safety.envelope import Envelope, Vec3
 from uav_recon.safety.free_space_check import FreeSpaceCheck
 from uav_recon.safety.obstacle_speed_limit import ForwardDepth, Margins, fastest_mps
 from uav_recon.safety.recently_seen_space import RecentlySeenSpace
+from uav_recon.safety.refusals import RefusalCounter
 from uav_recon.safety.setpoint_continuity import ClearedMotion, ContinuityCheck
 from uav_recon.safety.sight_speed_limit import SightSpeedLimit, entered_points
 from uav_recon.types.frames import FloatArray
@@ -121,7 +122,7 @@ class Guard:
         self._steps = ContinuityCheck()
         self._rest_until_s = -math.inf
         self._refused: int | None = None
-        self.refusals = 0  # episodes: a trajectory rejected at thirty samples in a row counts once
+        self.refusals = RefusalCounter()  # episodes: a trajectory rejected at thirty samples in a row counts once
 
     def clear(self, proposal: SetpointProposal | None, situation: GuardInputs) -> tuple[ClearedSetpoint, Refusal | None]:
         """Check one sample. Without a proposal the vehicle brakes and holds.
@@ -273,7 +274,8 @@ class Guard:
         if proposal is None or fault is None:
             self._refused = None
             return None
-        self.refusals += self._refused != proposal.trajectory_id
+        if self._refused != proposal.trajectory_id:
+            self.refusals.add()
         self._refused = proposal.trajectory_id
         return Refusal(fault, instead)
 

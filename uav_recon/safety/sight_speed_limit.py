@@ -12,7 +12,7 @@ import numpy as np
 
 from uav_recon.types.frames import FloatArray
 
-_STEEP = 0.1  # a direction with a smaller level part has no side of its own
+_STEEP_SHARE = 0.1  #: internal: a direction with a smaller level part has no side of its own
 #: refuse: a motion outside the view that is too fast for the age of the space this far off its path, of the hull's radius
 _OFF_SHARE = 0.7
 
@@ -49,7 +49,7 @@ def entered_points(
     its end. Four lie around its front now, and four at the end.
     """
     level = np.hypot(direction[:, 0], direction[:, 1])
-    steep = level < _STEEP
+    steep = level < _STEEP_SHARE
     aside = np.stack([-direction[:, 1], direction[:, 0], np.zeros(len(level))], axis=1) / np.where(steep, 1.0, level)[:, None]
     aside[steep] = (1.0, 0.0, 0.0)
     above = np.cross(direction, aside)

@@ -28,7 +28,7 @@ from uav_recon.channels import MemoryChannel
 from uav_recon.clock import ManualClock
 from uav_recon.interfaces import ByteLink
 from uav_recon.safety.envelope import Envelope, Fence
-from uav_recon.safety.failsafe import FailsafeTimeouts
+from uav_recon.safety.failsafe_conditions import FailsafeTimeouts
 from uav_recon.safety.guard import Guard, GuardBounds
 from uav_recon.safety.obstacle_speed_limit import Margins
 from uav_recon.safety.recently_seen_space import RecentlySeenSpace

@@ -7,18 +7,19 @@ import dataclasses
 from flight_rig import PATIENCE
 
 from uav_recon.autopilot.pilot.failsafe_monitor import FailsafeMonitor
-from uav_recon.safety.failsafe import FailsafeAction, FailsafeInputs
+from uav_recon.safety.failsafe_conditions import FailsafeAction, FailsafeInputs
+from uav_recon.safety.refusals import RefusalCounter
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
 
-GOOD = FailsafeInputs(now_s=10.0, pose_age_s=0.0, intent_age_s=0.0, depth_age_s=0.0, inside=True, refusals=0)
+GOOD = FailsafeInputs(now_s=10.0, pose_age_s=0.0, intent_age_s=0.0, depth_age_s=0.0, inside=True)
 SILENT = dataclasses.replace(GOOD, intent_age_s=1.0)
 LONG_SILENT = dataclasses.replace(GOOD, now_s=10.1, intent_age_s=21.0)
 UNCERTAIN = Reason(ReasonCode.CLOCK_UNCERTAIN)
 
 
 def test_it_flies_without_a_reason_until_an_input_fails() -> None:
-    failsafe = FailsafeMonitor(PATIENCE)
+    failsafe = FailsafeMonitor(PATIENCE, RefusalCounter())
     assert not failsafe.update(GOOD, None)
     assert (failsafe.action, failsafe.reason) == (FailsafeAction.FLY, None)
     assert failsafe.update(SILENT, None)
@@ -26,7 +27,7 @@ def test_it_flies_without_a_reason_until_an_input_fails() -> None:
 
 
 def test_only_a_more_severe_action_is_news() -> None:
-    failsafe = FailsafeMonitor(PATIENCE)
+    failsafe = FailsafeMonitor(PATIENCE, RefusalCounter())
     assert [failsafe.update(inputs, None) for inputs in (SILENT, SILENT, LONG_SILENT, LONG_SILENT)] == [
         True,
         False,
@@ -36,7 +37,7 @@ def test_only_a_more_severe_action_is_news() -> None:
 
 
 def test_only_a_landing_has_a_landing_reason() -> None:
-    failsafe = FailsafeMonitor(PATIENCE)
+    failsafe = FailsafeMonitor(PATIENCE, RefusalCounter())
     failsafe.update(SILENT, None)
     assert failsafe.landing_reason is None
     failsafe.update(LONG_SILENT, None)
@@ -44,7 +45,7 @@ def test_only_a_landing_has_a_landing_reason() -> None:
 
 
 def test_an_uncertain_clock_is_a_detail_of_a_reason_and_no_reason_of_its_own() -> None:
-    failsafe = FailsafeMonitor(PATIENCE)
+    failsafe = FailsafeMonitor(PATIENCE, RefusalCounter())
     failsafe.update(GOOD, UNCERTAIN)
     assert failsafe.reason is None
     failsafe.update(SILENT, UNCERTAIN)
@@ -52,17 +53,19 @@ def test_an_uncertain_clock_is_a_detail_of_a_reason_and_no_reason_of_its_own() -
 
 
 def test_before_the_flight_inputs_prevent_the_takeoff_and_leave_no_action() -> None:
-    failsafe = FailsafeMonitor(PATIENCE)
+    failsafe = FailsafeMonitor(PATIENCE, RefusalCounter())
     assert not failsafe.prevents_takeoff(SILENT)
     assert failsafe.prevents_takeoff(LONG_SILENT)
     assert (failsafe.action, failsafe.reason) == (FailsafeAction.FLY, None)
 
 
 def test_refusals_before_the_flight_do_not_count() -> None:
-    failsafe = FailsafeMonitor(PATIENCE, refusals=3)
-    failsafe.count_refusals(3, False, 10.0)
-    failsafe.count_refusals(3, False, 12.0)
-    assert failsafe.refused_s == 0.0
-    failsafe.count_refusals(4, False, 13.0)
-    failsafe.count_refusals(5, False, 14.5)
-    assert failsafe.refused_s == 1.5
+    counter = RefusalCounter()
+    counter.add()
+    refusals = FailsafeMonitor(PATIENCE, counter).refusals
+    refusals.update(False, 10.0)
+    assert refusals.refused_s == 0.0
+    for now_s in (13.0, 14.5):
+        counter.add()
+        refusals.update(False, now_s)
+    assert refusals.refused_s == 1.5

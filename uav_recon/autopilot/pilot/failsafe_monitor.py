@@ -1,29 +1,25 @@
-"""Failsafe monitor: the failsafe action of a flight, its reason, and the time of refusals."""
+"""Failsafe monitor: the failsafe action of a flight, its reason, and the flight's refusals."""
 
 from __future__ import annotations
 
-from uav_recon.autopilot.pilot.refusal_timer import RefusalTimer
-from uav_recon.safety.failsafe import Failsafe, FailsafeAction, FailsafeInputs, FailsafeTimeouts
+from uav_recon.safety.failsafe import Failsafe
+from uav_recon.safety.failsafe_conditions import FailsafeAction, FailsafeInputs, FailsafeTimeouts
+from uav_recon.safety.refusals import RefusalCounter, RefusalHistory
 from uav_recon.types.reason import Reason
 
 
 class FailsafeMonitor:
     """The failsafe of one flight.
 
-    refusals: number of refusals before it. ``action``: the action in flight; FLY until the vehicle flies. ``reason``: why it is
-    not FLY.
+    counter: of refusals. ``refusals``: those of this flight. ``action``: the action in flight; FLY until the vehicle flies.
+    ``reason``: why it is not FLY.
     """
 
-    def __init__(self, timeouts: FailsafeTimeouts, refusals: int = 0) -> None:
+    def __init__(self, timeouts: FailsafeTimeouts, counter: RefusalCounter) -> None:
         self._failsafe = Failsafe(timeouts)
-        self._refusal_timer = RefusalTimer(timeouts.land_timeout_s, refusals)
+        self.refusals = RefusalHistory(counter, quiet_s=timeouts.land_timeout_s)
         self.action = FailsafeAction.FLY
         self.reason: Reason | None = None
-
-    @property
-    def refused_s(self) -> float:
-        """Duration in seconds of refusals without a motion in between."""
-        return self._refusal_timer.refused_s
 
     @property
     def landing_reason(self) -> Reason | None:
@@ -46,7 +42,3 @@ class FailsafeMonitor:
         self.action, reason = self._failsafe.step(inputs)
         self.reason = reason.with_detail(detail) if reason is not None and detail is not None else reason
         return self.action > before
-
-    def count_refusals(self, refusals: int, moving: bool, now_s: float) -> None:
-        """Record the number of refusals, and whether a motion is flown at this instant."""
-        self._refusal_timer.update(refusals, moving, now_s)

@@ -6,6 +6,7 @@ import math
 
 from uav_recon.autopilot.pilot.message_validation import trajectory_fault
 from uav_recon.interfaces import Channel
+from uav_recon.safety.refusals import RefusalCounter
 from uav_recon.types.reason import Reason
 from uav_recon.types.trajectory import Goal, Intent, Trajectory
 
@@ -17,10 +18,10 @@ Key = tuple[int, float]
 class MissionInput:
     """The newest intent and its trajectory.
 
-    A rejected trajectory is not accepted again. ``malformed`` counts malformed ones.
+    A rejected trajectory is not accepted again. refusals: counts malformed ones.
     """
 
-    def __init__(self, intent: Channel[Intent], fresh_s: float) -> None:
+    def __init__(self, intent: Channel[Intent], fresh_s: float, refusals: RefusalCounter) -> None:
         self._channel = intent
         self._fresh_s = fresh_s
         self._intent: Intent | None = None
@@ -29,7 +30,7 @@ class MissionInput:
         self.trajectory: Trajectory | None = None
         self.news: Reason | None = None  # what it has to tell people, once: None in every other turn
         self._told: Reason | None = None
-        self.malformed = 0
+        self._refusals = refusals
 
     def update(self, now_s: float) -> Reason | None:
         """Read the newest intent; return why its trajectory cannot be flown, once, None if it can."""
@@ -54,7 +55,7 @@ class MissionInput:
         self.trajectory = trajectory
         if fault:
             self.reject_trajectory()
-            self.malformed += 1
+            self._refusals.add()
         return fault
 
     def reject_trajectory(self) -> None:

@@ -27,7 +27,7 @@ from uav_recon.autopilot.pilot.takeoff_sequence import TakeoffSequence
 from uav_recon.autopilot.pilot.upward_range_finder import STREAM, NoRangeFinder, RangeFinderModel, UpwardRangeFinder
 from uav_recon.clock import RateKeeper
 from uav_recon.interfaces import ByteLink, Channel, Clock
-from uav_recon.safety.failsafe import FailsafeAction, FailsafeTimeouts
+from uav_recon.safety.failsafe_conditions import FailsafeAction, FailsafeTimeouts
 from uav_recon.safety.guard import Guard, GuardInputs
 from uav_recon.safety.pose_gate import PoseGate
 from uav_recon.safety.recently_seen_space import RecentlySeenSpace
@@ -108,7 +108,7 @@ class Pilot:
         self._preflight = PreflightSetup(link, origin, airframe.gimbal, parameters)
         self._tick = RateKeeper(setpoint_rate_hz, clock.now_s())
         self._poses = PoseFeed(channels.odom, link, PoseGate(guard.envelope.max_yaw_rate_radps))
-        self._mission_input = MissionInput(channels.intent, patience.intent_timeout_s)
+        self._mission_input = MissionInput(channels.intent, patience.intent_timeout_s, guard.refusals)
         hull = (airframe.vehicle_radius_m, airframe.vehicle_height_m)
         self._surroundings = Surroundings(channels.free, channels.nearby, sight, *hull)
         self._range_finder = (
@@ -123,7 +123,7 @@ class Pilot:
             link, guard, self._poses, self._mission_input, self._surroundings, self._selector, parameters, self._estimate
         )
         self._takeoff = TakeoffSequence(link, self._authority)
-        self._failsafe = FailsafeMonitor(patience)
+        self._failsafe = FailsafeMonitor(patience, guard.refusals)
         self.phase = FlightPhase.CONNECTING
         self._note: Reason | None = None
         self._reporter = StatusTextReporter(link)
@@ -228,7 +228,7 @@ class Pilot:
             return
         self._estimate.update_height(self._selector.newest_setpoint, now_s)
         uncertain = None if self._link.status.time_known else Reason(ReasonCode.CLOCK_UNCERTAIN)
-        if self._failsafe.update(self._situation.health(now_s, self._failsafe.refused_s), uncertain):
+        if self._failsafe.update(self._situation.health(now_s, self._failsafe.refusals), uncertain):
             self._note = self._failsafe.reason
         if self._poses.pose is not None and self._failsafe.action < FailsafeAction.RETREAT:
             self._selector.was_at(self._poses.pose.odom_from_body)
@@ -296,11 +296,11 @@ class Pilot:
         self._link.alerts.begin()
         self._takeoff.begin(here.now_s)
         self._estimate.begin()
-        self._failsafe = FailsafeMonitor(self._patience, self._situation.refusals)
+        self._failsafe = FailsafeMonitor(self._patience, self._guard.refusals)
         self._selector.rebase(here, rest_s=0.0)
 
     def _arm(self, now_s: float) -> None:
-        unfit = self._failsafe.prevents_takeoff(self._situation.health(now_s, self._failsafe.refused_s))
+        unfit = self._failsafe.prevents_takeoff(self._situation.health(now_s, self._failsafe.refusals))
         wanted = self._mission_input.goal(now_s) is Goal.FLY and not unfit
         outcome = self._takeoff.arm(now_s, wanted, self._land_wanted)
         if outcome is Outcome.GIVEN_UP:
@@ -361,7 +361,7 @@ class Pilot:
             self._situation.situation(now_s),
             unsure=self._poses.unsure is not None,
         )
-        self._failsafe.count_refusals(self._situation.refusals, self._selector.moves, now_s)
+        self._failsafe.refusals.update(self._selector.moves, now_s)
         if refusal is not None:
             self._note = _refused(refusal.reason)
         if self.phase is FlightPhase.FLYING and cleared.setpoint.velocity_mps[2] > 0.0:

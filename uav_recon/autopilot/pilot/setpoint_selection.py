@@ -16,7 +16,7 @@ from uav_recon.autopilot.pilot.flown_views import FlownViews
 from uav_recon.autopilot.pilot.mission_input import MissionInput
 from uav_recon.autopilot.pilot.obstacle_evasion import ObstacleEvasion
 from uav_recon.autopilot.pilot.setpoint_blending import SetpointBlender
-from uav_recon.safety.failsafe import FailsafeAction
+from uav_recon.safety.failsafe_conditions import FailsafeAction
 from uav_recon.safety.guard import ClearedSetpoint, Guard, GuardInputs, SetpointProposal
 from uav_recon.types.pose import Pose
 from uav_recon.types.reason import Reason
@@ -41,8 +41,8 @@ _HOVER_SHARE = 0.9
 class SetpointSelector:
     """Selects the setpoint and records the breadcrumbs.
 
-    ``blocked``: why there is no path back or aside any more, None while there is one. ``evasions`` counts trajectories stopped
-    by sudden obstacles or a push, and each step aside. ``moves``: the newest setpoint is of a motion, and not of a hold.
+    ``blocked``: why there is no path back or aside any more, None while there is one. ``moves``: the newest setpoint is of a
+    motion, and not of a hold. A trajectory stopped by a sudden obstacle or a push, and each step aside, counts as a refusal.
     """
 
     def __init__(self, guard: Guard, mandate: MissionInput, hover_height_m: float, *, vehicle_radius_m: float) -> None:
@@ -66,7 +66,6 @@ class SetpointSelector:
         self._giving = False  # evasion is active
         self.evasion = ObstacleEvasion(guard, vehicle_radius_m=vehicle_radius_m)
         self.blocked: Reason | None = None
-        self.evasions = 0
         self.moves = False
 
     @property
@@ -149,7 +148,7 @@ class SetpointSelector:
         cleared, refusal = self._guard.clear(None if astray else self._proposal(trajectory, situation.now_s, False), situation)
         if astray:  # pushed and led outwards, it would be over the fence before it stops
             refusal = Refusal(Reason(ReasonCode.OFF_PATH, (off_m,)), cleared.setpoint)
-            self.evasions = self.evasions + 1
+            self._guard.refusals.add()
         if refusal is not None:
             self._braking = True
             self._mandate.reject_trajectory()
@@ -210,7 +209,7 @@ class SetpointSelector:
 
     def _turn_down(self) -> None:
         """Reject the mission's trajectory, so that it plans again from where the vehicle is."""
-        self.evasions += 1
+        self._guard.refusals.add()
         self._mandate.reject_trajectory()
 
     def _retreat(self, situation: GuardInputs, unsure: bool) -> tuple[ClearedSetpoint, Refusal | None]:

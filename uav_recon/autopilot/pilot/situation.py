@@ -15,8 +15,9 @@ from uav_recon.autopilot.pilot.pose_feed import PoseFeed
 from uav_recon.autopilot.pilot.setpoint_selection import SetpointSelector
 from uav_recon.autopilot.pilot.surroundings import Surroundings
 from uav_recon.safety.envelope import Vec3
-from uav_recon.safety.failsafe import FailsafeInputs
+from uav_recon.safety.failsafe_conditions import FailsafeInputs
 from uav_recon.safety.guard import Guard, GuardInputs
+from uav_recon.safety.refusals import RefusalHistory
 from uav_recon.types.pose import Pose, PoseHealth
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
@@ -49,11 +50,6 @@ class SituationBuilder:
         self._steering = steering
         self._estimate = estimate
 
-    @property
-    def refusals(self) -> int:
-        """Number of proposals that were rejected by any part."""
-        return self._guard.refusals + self._mandate.malformed + self._steering.evasions
-
     def situation(self, now_s: float) -> GuardInputs:
         """Return the guard's inputs.
 
@@ -70,8 +66,8 @@ class SituationBuilder:
             now_s, self._position_m, yaw_rad, body_from_odom, age_s, intent_age_s, pose.map_epoch, free, ahead, slow
         )
 
-    def health(self, now_s: float, refused_s: float) -> FailsafeInputs:
-        """Return the failsafe's inputs. refused_s: duration of refusals without a motion."""
+    def health(self, now_s: float, refusals: RefusalHistory) -> FailsafeInputs:
+        """Return the failsafe's inputs. refusals: of this flight."""
         inside = self._guard.envelope.fence.holds(self._position_m)
         pose_s = min(self._poses.sound_s, self._link.status.pose_fed_s)  # no other poses are used for flight
         two = TWO_AUTOPILOTS if self._link.status.duplicate_autopilot else None
@@ -80,7 +76,8 @@ class SituationBuilder:
         ages_s = (now_s - pose_s, self._mandate.age_s(now_s), self._lookout.depth_age_s(now_s))
         rejected = self._lookout.rejects_depth(now_s, self._guard.bounds.depth_timeout_s)
         unsure = self._poses.unsure if self._steering.has_climbed else None
-        return FailsafeInputs(now_s, *ages_s, inside, self.refusals, lost, wrong, refused_s, rejected, unsure)
+        many = refusals.many(now_s)
+        return FailsafeInputs(now_s, *ages_s, inside, many, lost, wrong, refusals.refused_s, rejected, unsure)
 
     def state(self, now_s: float, phase: FlightPhase, note: Reason | None, operator_s: float, gimbal: bool) -> VehicleState:
         """Return the state for the mission, with the autopilot's own pose before there is odometry.
@@ -103,7 +100,7 @@ class SituationBuilder:
             human_in_control=phase is FlightPhase.YIELDED,
             camera_pitch_down_rad=t.camera_pitch_down_rad if gimbal else math.nan,
             trajectory_id=-1 if trajectory is None else trajectory.identifier,
-            refusals=self.refusals,
+            refusals=self._guard.refusals.total,
             note=_shortened(note),
             operator_received_s=operator_s,
             max_speed_mps=math.inf if self.slow_reason is None else self._guard.bounds.retreat_speed_mps,
