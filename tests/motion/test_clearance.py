@@ -5,7 +5,7 @@ from hall import room_around, voxel_map
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from uav_recon.motion.clearance import ROOT, ClearanceMap, blocked, clearances_at
+from uav_recon.motion.clearance import ClearanceMap, blocked, clearances_at
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.maps import FREE, OCCUPIED
 
@@ -14,7 +14,7 @@ NO_BOX = (np.full(3, -np.inf), np.full(3, np.inf), 0.0)
 
 def rooms_at(space: ClearanceMap, points: FloatArray) -> FloatArray:
     out = np.empty(len(points))
-    clearances_at(space.distance2, space.frame, space.resolution_m, ROOT, points, out)
+    clearances_at(space, points, out)
     return out
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -23,29 +23,30 @@ MAX_CLEARANCE_LOSS_M = (
 )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ClearanceMap:
-    """Map data for kernels: squared distances (nx, ny, nz) in voxels, and the frame.
+class ClearanceMap(NamedTuple):
+    """Map data for kernels, which take it as one argument.
 
+    distance2: (nx, ny, nz) squared distances in voxels.
     frame: (10,) origin (3), lower (3) and upper corner (3) of the box that the body's centre stays in, and the clearance that
-    counts at the box's border; metres.
+        counts at the box's border; metres.
+    resolution_m: edge of a voxel.
+    root: (256,) square root of each value of a byte.
     """
 
     distance2: ByteArray
     frame: FloatArray
     resolution_m: float
+    root: FloatArray
 
     @staticmethod
     def of(voxels: VoxelMap, low_m: FloatArray, high_m: FloatArray, border_m: float) -> ClearanceMap:
         """Return the space of a map inside a box (infinite corners: no box)."""
         frame = np.array([*voxels.grid.origin_world_m, *low_m, *high_m, border_m], dtype=np.float64)
-        return ClearanceMap(voxels.distance2, frame, float(voxels.grid.resolution_m))
+        return ClearanceMap(distance2=voxels.distance2, frame=frame, resolution_m=float(voxels.grid.resolution_m), root=ROOT)
 
 
 @kernel
-def clearance_at(
-    distance2: AnyArray, frame: AnyArray, resolution_m: float, root: AnyArray, x: float, y: float, z: float
-) -> float:
+def clearance_at(space: ClearanceMap, x: float, y: float, z: float) -> float:
     """Return the clearance of a point: metres to the nearest centre of a voxel not known free.
 
     It is 0 in such a voxel and outside the grid. Near a side of the box to stay in, it is at most the distance to that side
@@ -53,6 +54,7 @@ def clearance_at(
     The value is interpolated trilinearly between the eight voxel centres around the point. It is at least the value of the
     point's own voxel less half a voxel, so that every path through cells that the planner calls flyable remains flyable.
     """
+    distance2, frame, resolution_m, root = space
     nx, ny, nz = distance2.shape
     u, v, w = (x - frame[0]) / resolution_m, (y - frame[1]) / resolution_m, (z - frame[2]) / resolution_m
     i, j, k = math.floor(u), math.floor(v), math.floor(w)
@@ -75,19 +77,14 @@ def clearance_at(
 
 
 @kernel
-def clearances_at(
-    distance2: AnyArray, frame: AnyArray, resolution_m: float, root: AnyArray, points: AnyArray, out: AnyArray
-) -> None:
+def clearances_at(space: ClearanceMap, points: AnyArray, out: AnyArray) -> None:
     """Fill ``out`` (N,) with clearance_at of each of the points (N, 3 or more)."""
     for n in range(len(points)):
-        out[n] = clearance_at(distance2, frame, resolution_m, root, points[n, 0], points[n, 1], points[n, 2])
+        out[n] = clearance_at(space, points[n, 0], points[n, 1], points[n, 2])
 
 
 @kernel
-def free_distances(
-    distance2: AnyArray, frame: AnyArray, resolution_m: float, root: AnyArray, points: AnyArray, heading: AnyArray,
-    min_m: float, way_m: AnyArray,
-) -> None:  # fmt: skip
+def free_distances(space: ClearanceMap, points: AnyArray, heading: AnyArray, min_m: float, way_m: AnyArray) -> None:
     """Shorten ``way_m`` to where the clearance along each heading is no longer above ``min_m``.
 
     way_m: (N,) metres from each point (N, 3 or more) along its heading (N, 3). A heading of zero length leaves its entry
@@ -99,17 +96,14 @@ def free_distances(
         while flat > 1e-9 and went_m < way_m[n]:
             share = went_m / flat
             x, y, z = points[n, 0] + share * dx, points[n, 1] + share * dy, points[n, 2] + share * dz
-            left_m = clearance_at(distance2, frame, resolution_m, root, x, y, z) - min_m
+            left_m = clearance_at(space, x, y, z) - min_m
             if left_m <= 0.0:
                 way_m[n] = went_m
-            went_m += max(left_m, 0.5 * resolution_m)
+            went_m += max(left_m, 0.5 * space.resolution_m)
 
 
 @kernel
-def _blocked(
-    distance2: AnyArray, frame: AnyArray, resolution_m: float, root: AnyArray, points: AnyArray, first: int, min_m: float,
-    out: AnyArray,
-) -> int:  # fmt: skip
+def _blocked(space: ClearanceMap, points: AnyArray, first: int, min_m: float, out: AnyArray) -> int:
     """Mark blocked samples in ``out`` (N,) and return the first one, or -1.
 
     Which samples are checked depends on the whole trajectory and not on ``first``: a trajectory that was clear as a whole is
@@ -130,7 +124,7 @@ def _blocked(
             since_m = 0.0
         if n < first or not looks:
             continue
-        room_m = clearance_at(distance2, frame, resolution_m, root, points[n, 0], points[n, 1], points[n, 2])
+        room_m = clearance_at(space, points[n, 0], points[n, 1], points[n, 2])
         begun_m = room_m if begun_m == np.inf else begun_m
         enough = room_m >= min_m
         reached = reached or enough or travelled_m > MAX_ESCAPE_M
@@ -150,7 +144,7 @@ def blocked(space: ClearanceMap, points_m: FloatArray, first: int, min_m: float)
     what a trajectory out of a tight spot may do.
     """
     out = np.zeros(len(points_m), dtype=np.bool_)
-    _blocked(space.distance2, space.frame, space.resolution_m, ROOT, points_m, first, min_m, out)
+    _blocked(space, points_m, first, min_m, out)
     return out
 
 

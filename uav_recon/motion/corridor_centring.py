@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 
 from uav_recon.geometry.jit import kernel
-from uav_recon.motion.clearance import ROOT, ClearanceMap
+from uav_recon.motion.clearance import ClearanceMap
 from uav_recon.motion.elastic_band import ElasticBand, min_clearance, mirror
 from uav_recon.types.frames import AnyArray
 
@@ -21,26 +21,18 @@ def centred(band: ElasticBand, space: ClearanceMap, wanted_m: float) -> ElasticB
     control, held = band.control.copy(), band.held.copy()
     for node in band.view_node:
         held[node : node + 3] = True  # all control points that determine where a view is passed
-    _centre(control, held, space.distance2, space.frame, space.resolution_m, ROOT, wanted_m)
+    _centre(control, held, space, wanted_m)
     return dataclasses.replace(band, control=control)
 
 
 @kernel
-def _centre(
-    control: AnyArray,
-    held: AnyArray,
-    distance2: AnyArray,
-    frame: AnyArray,
-    resolution_m: float,
-    root: AnyArray,
-    wanted_m: float,
-) -> None:
+def _centre(control: AnyArray, held: AnyArray, space: ClearanceMap, wanted_m: float) -> None:
     for _ in range(ROUNDS):
         moved = False
         for i in range(2, len(control) - 2):
             if held[i]:
                 continue
-            max_m = min_clearance(control, i, distance2, frame, resolution_m, root, 0.0)
+            max_m = min_clearance(control, i, space, 0.0)
             if max_m >= wanted_m:
                 continue
             axis, step_m = -1, 0.0
@@ -49,7 +41,7 @@ def _centre(
                 for side in (-STEP_M, STEP_M):
                     control[i, d] = at + side
                     mirror(control)
-                    room_m = min_clearance(control, i, distance2, frame, resolution_m, root, 0.0)
+                    room_m = min_clearance(control, i, space, 0.0)
                     if room_m > max_m + 1e-6:
                         max_m, axis, step_m = room_m, d, side
                 control[i, d] = at

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from uav_recon.geometry.jit import kernel
-from uav_recon.motion.clearance import ROOT, ClearanceMap, clearance_at
+from uav_recon.motion.clearance import ClearanceMap, clearance_at
 from uav_recon.motion.sight_forecast import SightForecast
 from uav_recon.motion.yaw_policy import AT_VIEWS, YawPolicy
 from uav_recon.types.frames import AnyArray, BoolArray, FloatArray, IntArray
@@ -137,10 +137,7 @@ class ElasticBand:
         control = self.control.copy()
         view = np.full(len(control), -1, dtype=np.int64)
         view[self.view_node + 1] = course.view_vertex
-        _relax(
-            control, self.held, view, course.vertex, tolerance[0], tolerance[1], space.distance2, space.frame,
-            space.resolution_m, ROOT, wanted_m, min_m,
-        )  # fmt: skip
+        _relax(control, self.held, view, course.vertex, tolerance[0], tolerance[1], space, wanted_m, min_m)
         return ElasticBand(control, self.view_node, self.held)
 
 
@@ -157,9 +154,7 @@ def mirror(control: AnyArray) -> None:
 
 
 @kernel
-def min_clearance(
-    control: AnyArray, i: int, distance2: AnyArray, frame: AnyArray, resolution_m: float, root: AnyArray, enough_m: float
-) -> float:
+def min_clearance(control: AnyArray, i: int, space: ClearanceMap, enough_m: float) -> float:
     """Return the least clearance at the nodes and span middles that depend on control point i.
 
     Stops at the first value below ``enough_m`` and returns it.
@@ -170,14 +165,14 @@ def min_clearance(
         x = (control[j - 1, 0] + 4 * control[j, 0] + control[j + 1, 0]) / 6
         y = (control[j - 1, 1] + 4 * control[j, 1] + control[j + 1, 1]) / 6
         z = (control[j - 1, 2] + 4 * control[j, 2] + control[j + 1, 2]) / 6
-        min_m = min(min_m, clearance_at(distance2, frame, resolution_m, root, x, y, z))
+        min_m = min(min_m, clearance_at(space, x, y, z))
         if min_m < enough_m:
             return min_m
     for j in range(max(i - 2, 1), min(i + 1, last - 1) + 1):
         x = (control[j - 1, 0] + 23 * (control[j, 0] + control[j + 1, 0]) + control[j + 2, 0]) / 48
         y = (control[j - 1, 1] + 23 * (control[j, 1] + control[j + 1, 1]) + control[j + 2, 1]) / 48
         z = (control[j - 1, 2] + 23 * (control[j, 2] + control[j + 1, 2]) + control[j + 2, 2]) / 48
-        min_m = min(min_m, clearance_at(distance2, frame, resolution_m, root, x, y, z))
+        min_m = min(min_m, clearance_at(space, x, y, z))
         if min_m < enough_m:
             return min_m
     return min_m
@@ -236,7 +231,7 @@ def _turn_within(control: AnyArray, view: AnyArray, vertex: AnyArray, i: int, to
 @kernel
 def _relax(  # noqa: C901, PLR0912
     control: AnyArray, held: AnyArray, view: AnyArray, vertex: AnyArray, tolerance_m: float, tolerance_rad: float,
-    distance2: AnyArray, frame: AnyArray, resolution_m: float, root: AnyArray, wanted_m: float, min_m: float,
+    space: ClearanceMap, wanted_m: float, min_m: float,
 ) -> None:  # fmt: skip
     """Minimise the bending energy by Gauss-Seidel iteration.
 
@@ -266,16 +261,16 @@ def _relax(  # noqa: C901, PLR0912
                 sees = True
                 for j in range(i - 1, i + 2):
                     sees = sees and (view[j] < 0 or _off_view(control, j, vertex[view[j]]) <= tolerance_m)
-                if sees and min_clearance(control, i, distance2, frame, resolution_m, root, wanted_m) >= wanted_m:
+                if sees and min_clearance(control, i, space, wanted_m) >= wanted_m:
                     break
-                has_m = min_clearance(control, i, distance2, frame, resolution_m, root, 0.0) if sees else 0.0
+                has_m = min_clearance(control, i, space, 0.0) if sees else 0.0
                 for d in range(3):
                     control[i, d] = old[d]
                 mirror(control)
                 if not sees:
                     continue
                 if had_m < 0.0:
-                    had_m = min_clearance(control, i, distance2, frame, resolution_m, root, 0.0)
+                    had_m = min_clearance(control, i, space, 0.0)
                 if had_m >= min_m and has_m >= had_m:
                     for d in range(3):
                         share = (1.0, 0.5, 0.25)[attempt] if attempt < 3 else (1.0 if d == attempt - 3 else 0.0)

@@ -8,13 +8,14 @@ from __future__ import annotations
 import dataclasses
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from uav_recon.geometry.jit import kernel
-from uav_recon.motion.clearance import ROOT, ClearanceMap, clearance_at
+from uav_recon.motion.clearance import ClearanceMap, clearance_at
 from uav_recon.safety.sight_speed_limit import SightSpeedLimit, entered_points
-from uav_recon.types.frames import AnyArray, BoolArray, FloatArray
+from uav_recon.types.frames import AnyArray, BoolArray, Float32Array, FloatArray, IntArray
 from uav_recon.types.maps import FREE, GridSpec, VoxelMap
 from uav_recon.types.recent_views import RecentViews
 
@@ -32,6 +33,39 @@ class EnteredHull:
 
     radius_m: float
     stopping_m: float
+
+
+class HullPath(NamedTuple):
+    """The positions of a motion, and what sees from them.
+
+    place: (M, 5). reached_s: (M,) instants. tangents: (2,) of half the camera's angles, horizontal and vertical. radius_m: of
+    the hull. oldest_s: a position this long before another does not count for it.
+    """
+
+    place: FloatArray
+    reached_s: FloatArray
+    tangents: FloatArray
+    radius_m: float
+    oldest_s: float
+
+
+class RecentViewArrays(NamedTuple):
+    """The arrays of RecentViews, with their shapes and units."""
+
+    stamp_s: FloatArray
+    depth_from_world: FloatArray
+    place_world: FloatArray
+    body_world: FloatArray
+    range_m: Float32Array
+    half_tan: FloatArray
+
+    @staticmethod
+    def of(views: RecentViews) -> RecentViewArrays:
+        """Return the arrays of views."""
+        return RecentViewArrays(
+            stamp_s=views.stamp_s, depth_from_world=views.depth_from_world, place_world=views.place_world,
+            body_world=views.body_world, range_m=views.range_m, half_tan=views.half_tan,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,42 +112,37 @@ class SightForecast:
         unit = direction[nodes] / np.maximum(length, 1e-9)
         points = entered_points(place[nodes, :3], unit, stopping_m, self.hull.radius_m, reach_m)
         seen_s = np.empty(len(nodes))
-        v, first = self.views, len(self.place)
-        _last_sights(
-            points, nodes + first, np.vstack([self.place, place]), np.concatenate([self.reached_s, reached_s]),
-            self.tangents, self.hull.radius_m, self.limit.blind_stale_s, v.stamp_s, v.depth_from_world, v.place_world,
-            v.body_world, v.range_m, v.half_tan, self.space.distance2, self.space.frame, self.space.resolution_m, ROOT, seen_s,
+        path = HullPath(
+            place=np.vstack([self.place, place]), reached_s=np.concatenate([self.reached_s, reached_s]),
+            tangents=self.tangents, radius_m=self.hull.radius_m, oldest_s=self.limit.blind_stale_s,
         )  # fmt: skip
+        _last_sights(points, nodes + len(self.place), path, RecentViewArrays.of(self.views), self.space, seen_s)
         limit_mps[nodes] = self.limit.at(reached_s[nodes] - seen_s + OLDER_S)
         return limit_mps
 
 
 @kernel
-def _line_is_free(
-    distance2: AnyArray, frame: AnyArray, resolution_m: float, root: AnyArray, here: AnyArray, there: AnyArray, way_m: float
-) -> bool:
+def _line_is_free(space: ClearanceMap, here: AnyArray, there: AnyArray, way_m: float) -> bool:
     """Return True if a line of sight keeps clear of anything that may not be free."""
     went_m = 0.0
     while went_m < way_m:
         share = went_m / way_m
         x, y = here[0] + share * (there[0] - here[0]), here[1] + share * (there[1] - here[1])
         z = here[2] + share * (there[2] - here[2])
-        left_m = clearance_at(distance2, frame, resolution_m, root, x, y, z) - LINE_M - LINE_SHARE * went_m
+        left_m = clearance_at(space, x, y, z) - LINE_M - LINE_SHARE * went_m
         if left_m <= 0.0:
             return False
-        went_m += max(left_m, 0.5 * resolution_m)
+        went_m += max(left_m, 0.5 * space.resolution_m)
     return True
 
 
 @kernel
-def _seen_on_the_way(
-    point: AnyArray, n: int, place: AnyArray, reached_s: AnyArray, tangents: AnyArray, radius_m: float, oldest_s: float,
-    distance2: AnyArray, frame: AnyArray, resolution_m: float, root: AnyArray,
-) -> float:  # fmt: skip
+def _seen_on_the_way(point: AnyArray, n: int, path: HullPath, space: ClearanceMap) -> float:
     """Return the last instant before node n at which the motion sees a point or is there.
 
     It is -infinity if there is none.
     """
+    place, reached_s, tangents, radius_m, oldest_s = path
     examined_s = np.inf
     for m in range(n - 1, -1, -1):
         at_s = reached_s[m]
@@ -132,20 +161,18 @@ def _seen_on_the_way(
         deep, below = cos * ahead - sin * dz, -sin * ahead - cos * dz
         if deep <= 0.0 or abs(aside) > tangents[0] * deep or abs(below) > tangents[1] * deep:
             continue
-        if _line_is_free(distance2, frame, resolution_m, root, place[m], point, math.sqrt(way2)):
+        if _line_is_free(space, place[m], point, math.sqrt(way2)):
             return float(at_s)
     return -np.inf
 
 
 @kernel
-def _seen_before(
-    point: AnyArray, radius_m: float, stamp_s: AnyArray, depth_from_world: AnyArray, place_world: AnyArray,
-    body_world: AnyArray, range_m: AnyArray, half_tan: AnyArray,
-) -> float:  # fmt: skip
+def _seen_before(point: AnyArray, radius_m: float, views: RecentViewArrays) -> float:
     """Return the stamp of the newest view that saw past a point or took place there.
 
     It is -infinity if there is none.
     """
+    stamp_s, depth_from_world, place_world, body_world, range_m, half_tan = views
     rows, columns = range_m.shape[1], range_m.shape[2]
     for v in range(len(stamp_s) - 1, -1, -1):
         dx, dy, dz = point[0] - body_world[v, 0], point[1] - body_world[v, 1], point[2] - body_world[v, 2]
@@ -168,25 +195,18 @@ def _seen_before(
 
 @kernel
 def _last_sights(
-    points: AnyArray, nodes: AnyArray, place: AnyArray, reached_s: AnyArray, tangents: AnyArray, radius_m: float,
-    oldest_s: float, stamp_s: AnyArray, depth_from_world: AnyArray, place_world: AnyArray, body_world: AnyArray,
-    range_m: AnyArray, half_tan: AnyArray, distance2: AnyArray, frame: AnyArray, resolution_m: float, root: AnyArray,
-    out: AnyArray,
-) -> None:  # fmt: skip
+    points: FloatArray, nodes: IntArray, path: HullPath, views: RecentViewArrays, space: ClearanceMap, out: FloatArray
+) -> None:
     """Fill ``out`` (N,) with the last sight of each node: of the point not seen for longest.
 
-    points: (N, K, 3) of each node. nodes: (N,) index of each in place (M, 5) and reached_s (M,).
+    points: (N, K, 3) of each node. nodes: (N,) index of each in the path.
     """
     for i in range(len(points)):
         out[i] = np.inf
         for k in range(points.shape[1]):
-            seen_s = _seen_on_the_way(
-                points[i, k], nodes[i], place, reached_s, tangents, radius_m, oldest_s, distance2, frame, resolution_m, root
-            )
+            seen_s = _seen_on_the_way(points[i, k], nodes[i], path, space)
             if seen_s == -np.inf:
-                seen_s = _seen_before(
-                    points[i, k], radius_m, stamp_s, depth_from_world, place_world, body_world, range_m, half_tan
-                )
+                seen_s = _seen_before(points[i, k], path.radius_m, views)
             out[i] = min(out[i], seen_s)
             if seen_s == -np.inf:
                 break

@@ -25,18 +25,6 @@ HALVINGS = 16
 TINY = 1e-12
 
 
-@dataclass(frozen=True, slots=True)
-class PaceLimits:
-    """Limits of speed (m/s), acceleration (m/s²), turn rate (rad/s) and its change (rad/s²)."""
-
-    speed: float
-    climb: float
-    descent: float
-    acceleration: float
-    rate: float
-    spin: float
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Curve:
     """A spline at its M nodes.

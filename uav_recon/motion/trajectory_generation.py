@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from uav_recon.config import MotionConfig
-from uav_recon.motion.clearance import ROOT, ClearanceMap, clearances_at, free_distances
+from uav_recon.motion.clearance import ClearanceMap, clearances_at, free_distances
 from uav_recon.motion.elastic_band import SPAN_M, SPAN_S, ElasticBand
 from uav_recon.motion.initial_state import InitialState
-from uav_recon.motion.node_speed_limits import node_speed_limits
+from uav_recon.motion.node_speed_limits import CurveNodes, NodeLimits, node_speed_limits
 from uav_recon.motion.sight_forecast import SightForecast
 from uav_recon.motion.time_parameterization import (
     FEEDFORWARD_OVERSHOOT_S,
@@ -186,12 +186,17 @@ class Pacer:
     ) -> None:  # fmt: skip
         room_m = np.full(len(cap), np.inf)
         if space is not None:
-            clearances_at(space.distance2, space.frame, space.resolution_m, ROOT, curve.place, room_m)
-        node_speed_limits(
-            curve.slope, curve.along_m, room_m, max_speed_mps, band.view_node, PER_SPAN, self.clearance_m, OPEN_M, self.speed,
-            self.tight_speed, self.climb, self.descent, self.rate, self.blur_radps, self.blur_distance_m, SPREAD_M,
-            entry.velocity, BRAKING * self.acceleration, MAX_PACE, cap,
+            clearances_at(space, curve.place, room_m)
+        nodes = CurveNodes(
+            slope=curve.slope, along_m=curve.along_m, room_m=room_m, max_speed_mps=max_speed_mps, view_node=band.view_node,
+            per_span=PER_SPAN,
         )  # fmt: skip
+        limits = NodeLimits(
+            clearance_m=self.clearance_m, open_m=OPEN_M, spread_m=SPREAD_M, speed=self.speed, tight_speed=self.tight_speed,
+            climb=self.climb, descent=self.descent, rate=self.rate, blur_radps=self.blur_radps,
+            blur_distance_m=self.blur_distance_m, braking=BRAKING * self.acceleration, max_pace=MAX_PACE,
+        )  # fmt: skip
+        node_speed_limits(nodes, limits, entry.velocity, cap)
 
     def _leaning(self, curve: Curve, entry: InitialState) -> FloatArray:
         """Return acceleration limits (M,) up to which the camera sees the path.
@@ -259,7 +264,7 @@ class Pacer:
         max_speed_mps = np.full(len(slope), np.inf)
         for heading in (slope, bent):
             way_m = np.full(len(slope), far_m)
-            free_distances(space.distance2, space.frame, space.resolution_m, ROOT, curve.place, heading, min_m, way_m)
+            free_distances(space, curve.place, heading, min_m, way_m)
             faster = np.linalg.norm(heading, axis=1) / flat[:, 0]
             max_speed_mps = np.minimum(max_speed_mps, way_m / (self.run_on_s * np.maximum(faster, 1.0)))
         return np.asarray(np.maximum(max_speed_mps, RUN_ON_MPS))
