@@ -239,7 +239,7 @@ def test_every_snapshot_equals_one_from_scratch_and_marks_changed_tiles() -> Non
             room.integrate(posed(depth_m if step % 5 else 0.6 * depth_m, pose))  # sometimes all surfaces are nearer
         picture = room.snapshot()
         np.testing.assert_array_equal(picture.distance2, by_scipy(picture.state, 11))
-        assert not room._scratch.hits.any()  # a frame leaves no data for the next one
+        assert not room._scratch.hits.counts.any()  # a frame leaves no data for the next one
         known = np.count_nonzero((picture.state != UNKNOWN)[8:, 16:, 1:])
         np.testing.assert_allclose(room.explored_m3(), known * 1e-3)
         if last is not None and last.revision < picture.revision:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
+from numpy.typing import NDArray
 
 from uav_recon.geometry.jit import kernel
-from uav_recon.types.frames import AnyArray
+from uav_recon.types.frames import AnyArray, Float32Array
 
 CELL = 2  # pixels per cell of the pooled depth
 LEVELS = 7  # sliding minima over 1, 2, 4 ... 64 cells
@@ -13,14 +16,23 @@ STRIP = 8  # width in cells of a vertical image strip; the farthest return of ea
 LARGEST_WINDOW = (1 << LEVELS) - 1  # cells across; four windows of the last level cover it
 
 
-@kernel
-def min_pool(depth_m: AnyArray, near_m: float, lowest_m: AnyArray, farthest_m: AnyArray, valid: AnyArray) -> None:
-    """Compute sliding minima and counts of the pixels with a return (finite, at least near_m).
+class PooledDepth(NamedTuple):
+    """Sliding minima of an image of (h, w) cells, and counts of its pixels with a return.
 
-    lowest_m: (LEVELS, h, w) float32 over cells; each window extends right and down from its cell and is clipped at the
-    border; infinite where there is no return. farthest_m: (ceil(w / STRIP),) float32, 0 where there is no return. valid: (h
-    + 1, w + 1) int32, the integral image of the counts.
+    lowest_m: (LEVELS, h, w) over cells; each window extends right and down from its cell and is clipped at the border; infinite
+    where there is no return. farthest_m: (ceil(w / STRIP),), 0 where there is no return. valid: (h + 1, w + 1), the integral
+    image of the counts.
     """
+
+    lowest_m: Float32Array
+    farthest_m: Float32Array
+    valid: NDArray[np.int32]
+
+
+@kernel
+def min_pool(depth_m: AnyArray, near_m: float, pooled: PooledDepth) -> None:
+    """Compute sliding minima and counts of the pixels with a return (finite, at least near_m)."""
+    lowest_m, farthest_m, valid = pooled
     width = depth_m.shape[1]
     nearest_m = np.full(2 * lowest_m.shape[2], np.inf, dtype=np.float32)
     returns = np.zeros(2 * lowest_m.shape[2], dtype=np.int32)

@@ -8,6 +8,8 @@ flat over (y, z) in bytes: a shift along y is an offset.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from uav_recon.geometry.jit import kernel
@@ -15,6 +17,24 @@ from uav_recon.types.frames import AnyArray, ByteArray, IntArray
 from uav_recon.types.maps import FREE, LARGEST_DISTANCE_VOXELS, TILE
 
 CHUNK = 64  # bytes; flat loops run over whole chunks and need no tail loop
+
+
+class FieldMemory(NamedTuple):
+    """Arrays kept between updates of a grid (nx, ny, nz).
+
+    first, last: (nx,) the rows [first, last) of each plane of constant x that may have changed.
+    border: (ny * nz + CHUNK,) distance to the nearer end of the voxel's column along z, at most the reach.
+    outside: (ny * nz + CHUNK,) a plane of voxels that are not free.
+    planes: (nx * ny * nz + CHUNK,) squared distance within each plane of constant x.
+    scratch: (3, ...) work arrays of one plane.
+    """
+
+    first: IntArray
+    last: IntArray
+    border: ByteArray
+    outside: ByteArray
+    planes: ByteArray
+    scratch: ByteArray
 
 
 class DistanceField:
@@ -30,14 +50,18 @@ class DistanceField:
         self._shape = shape
         self._reach = reach
         nx, ny, nz = shape
-        self._planes = np.zeros(nx * ny * nz + CHUNK, dtype=np.uint8)  # squared distance within each plane of constant x
-        self._scratch = np.zeros((3, (ny + 2 * LARGEST_DISTANCE_VOXELS) * nz + 3 * CHUNK), dtype=np.uint8)
-        self._outside = np.zeros(ny * nz + CHUNK, dtype=np.uint8)  # a plane of voxels that are not free
         z = np.arange(nz)
         border = np.minimum(np.minimum(z + 1, nz - z), reach).astype(np.uint8)
-        self._border = np.resize(border, ny * nz + CHUNK)
         self.first = np.full(nx, ny, dtype=np.int64)
         self.last = np.zeros(nx, dtype=np.int64)
+        self._memory = FieldMemory(
+            first=self.first,
+            last=self.last,
+            border=np.resize(border, ny * nz + CHUNK),
+            outside=np.zeros(ny * nz + CHUNK, dtype=np.uint8),
+            planes=np.zeros(nx * ny * nz + CHUNK, dtype=np.uint8),
+            scratch=np.zeros((3, (ny + 2 * LARGEST_DISTANCE_VOXELS) * nz + 3 * CHUNK), dtype=np.uint8),
+        )
 
     def invalidate_all(self) -> None:
         """Mark the whole grid as changed."""
@@ -49,10 +73,7 @@ class DistanceField:
         Only the rows [first[x], last[x]) of each x may have changed their free space. state, distance2: flat; distance2 is
         CHUNK longer than the grid. tile_revision of each tile in which distance2 changed is set to ``revision``.
         """
-        _update(
-            state, self._shape, self._reach, self.first, self.last, self._border, self._outside, self._planes, self._scratch,
-            distance2, tile_revision, revision,
-        )  # fmt: skip
+        _update(state, self._shape, self._reach, self._memory, distance2, tile_revision, revision)
 
 
 def distance2_to_not_free(state: ByteArray, reach: int) -> ByteArray:
@@ -137,43 +158,42 @@ def _differ(one: AnyArray, other: AnyArray) -> bool:
 
 @kernel
 def _update(
-    state: AnyArray, shape: tuple[int, int, int], reach: int, first: AnyArray, last: AnyArray, border: AnyArray,
-    outside: AnyArray, planes: AnyArray, scratch: AnyArray, distance2: AnyArray, tile_revision: AnyArray, revision: int,
+    state: ByteArray, shape: tuple[int, int, int], reach: int, memory: FieldMemory, distance2: ByteArray,
+    tile_revision: IntArray, revision: int,
 ) -> None:  # fmt: skip
     """Update the planes, then distance2; see DistanceField.update. Leaves [first, last) empty."""
     nx, _, _ = shape
+    first, last = memory.first, memory.last
     begin, end = nx, 0
     for x in range(nx):
         if first[x] < last[x]:
             begin, end = min(begin, x), x + 1
-            _renew_plane(state, shape, x, reach, first, last, border, planes, scratch)
+            _renew_plane(state, shape, x, reach, memory)
     for x in range(max(begin - reach + 1, 0), min(end + reach - 1, nx)):
         low, high = shape[1], 0
         for near in range(max(x - reach + 1, begin), min(x + reach, end)):
             low, high = min(low, first[near]), max(high, last[near])
         if low < high:
-            _renew_across(shape, x, reach, low, high, outside, planes, scratch[0], distance2, tile_revision, revision)
+            _renew_across(shape, x, reach, low, high, memory, distance2, tile_revision, revision)
     for x in range(begin, end):
         first[x], last[x] = shape[1], 0
 
 
 @kernel
-def _renew_plane(
-    state: AnyArray, shape: tuple[int, int, int], x: int, reach: int, first: AnyArray, last: AnyArray, border: AnyArray,
-    planes: AnyArray, scratch: AnyArray,
-) -> None:  # fmt: skip
+def _renew_plane(state: ByteArray, shape: tuple[int, int, int], x: int, reach: int, memory: FieldMemory) -> None:
     """Update the distances within the plane x.
 
     Sets [first[x], last[x]) to the rows in which they changed.
     """
     _, ny, nz = shape
+    first, last, planes = memory.first, memory.last, memory.planes
     low, high = max(first[x] - reach + 1, 0), min(last[x] + reach - 1, ny)
     from_row, to_row = low - reach + 1, high + reach - 1
     inner, outer = max(from_row, 0), min(to_row, ny)
-    best, lines, spare = scratch
+    best, lines, spare = memory.scratch
     base = (inner - from_row) * nz
     plane = x * ny * nz
-    _along_z(state[plane + inner * nz : plane + outer * nz], border, reach, lines[base:], spare)
+    _along_z(state[plane + inner * nz : plane + outer * nz], memory.border, reach, lines[base:], spare)
     lines[CHUNK : CHUNK + base] = 0
     lines[CHUNK + (outer - from_row) * nz : CHUNK + (to_row - from_row) * nz] = 0
     size = (high - low) * nz
@@ -194,11 +214,12 @@ def _renew_plane(
 
 @kernel
 def _renew_across(
-    shape: tuple[int, int, int], x: int, reach: int, low: int, high: int, outside: AnyArray, planes: AnyArray, best: AnyArray,
-    distance2: AnyArray, tile_revision: AnyArray, revision: int,
+    shape: tuple[int, int, int], x: int, reach: int, low: int, high: int, memory: FieldMemory, distance2: ByteArray,
+    tile_revision: IntArray, revision: int,
 ) -> None:  # fmt: skip
     """Update distance2 of the rows [low, high) at x from the planes within reach."""
     nx, ny, nz = shape
+    outside, planes, best = memory.outside, memory.planes, memory.scratch[0]
     size = (high - low) * nz
     old = distance2[(x * ny + low) * nz :]
     whole = -(-size // CHUNK) * CHUNK

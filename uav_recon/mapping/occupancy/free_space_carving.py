@@ -2,28 +2,34 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from uav_recon.geometry.jit import kernel
-from uav_recon.mapping.occupancy.depth_min_pooling import CELL, LARGEST_WINDOW, STRIP
+from uav_recon.mapping.occupancy.depth_min_pooling import CELL, LARGEST_WINDOW, STRIP, PooledDepth
+from uav_recon.mapping.occupancy.grid_camera import GridCamera
 from uav_recon.mapping.occupancy.log_odds import CLEAR_STEPS, MIN_LOG_ODDS, NOISE_SIGMAS, add_log_odds
-from uav_recon.types.frames import AnyArray
+from uav_recon.types.frames import AnyArray, Float32Array, IntArray
 
 VALID_SHARE = 0.75  # minimum share of the footprint with returns for a voxel to be freed
 Axes = tuple[np.float32, np.float32, np.float32]
 SIDES = 5  # left, right, top, bottom, and the nearest depth
 
 
-@kernel
-def view_box(
-    camera: AnyArray, rotation: AnyArray, origin: AnyArray, far: float, pixels: tuple[int, int], shape: tuple[int, int, int],
-    box: AnyArray,
-) -> None:  # fmt: skip
-    """Compute the voxel box (2, 3) around the view frustum, clipped to the grid.
+class ProjectedVoxels(NamedTuple):
+    """N voxels in the pooled image: depth in voxels, right and down in cells."""
 
-    origin and far in voxels; pixels (H, W).
-    """
-    fx, fy, cx, cy = camera
+    depth: Float32Array
+    right: Float32Array
+    down: Float32Array
+
+
+@kernel
+def view_box(camera: GridCamera, pixels: tuple[int, int], shape: tuple[int, int, int], box: IntArray) -> None:
+    """Compute the voxel box (2, 3) around the view frustum, clipped to the grid; pixels (H, W)."""
+    fx, fy, cx, cy = camera.pinhole_px
+    rotation, origin, far = camera.rotation, camera.origin, camera.far_m / camera.resolution_m
     for axis in range(3):
         low = high = 0.0
         for u in (-0.5, pixels[1] - 0.5):
@@ -36,12 +42,12 @@ def view_box(
 
 
 @kernel
-def _sides(camera: AnyArray, rotation: AnyArray, pixels: tuple[int, int], nearest: float) -> AnyArray:
+def _sides(pinhole_px: AnyArray, rotation: AnyArray, pixels: tuple[int, int], nearest: float) -> AnyArray:
     """Return the planes (SIDES, 4) float32 of the view frustum, in voxels from the camera.
 
     A point is inside where a·x + b·y + c·z + d >= 0.
     """
-    fx, fy, cx, cy = camera
+    fx, fy, cx, cy = pinhole_px
     sides = np.zeros((SIDES, 4), dtype=np.float32)
     for axis in range(3):
         x, y, z = rotation[axis, 0], rotation[axis, 1], rotation[axis, 2]
@@ -88,7 +94,7 @@ def _spans(
 
 @kernel
 def _no_return_behind(
-    camera: AnyArray, step: Axes, start: Axes, count: int, farthest_m: AnyArray, edge_m: np.float32, extent_m: np.float32
+    pinhole_px: AnyArray, step: Axes, start: Axes, count: int, farthest_m: AnyArray, edge_m: np.float32, extent_m: np.float32
 ) -> bool:
     """Return True if a run of voxels has no return behind any of its voxels.
 
@@ -96,9 +102,9 @@ def _no_return_behind(
     """
     along = np.float32(count - 1)
     z, end_z = start[2], start[2] + step[2] * along
-    fu, nearest = np.float32(camera[0] / CELL), min(z, end_z)
+    fu, nearest = np.float32(pinhole_px[0] / CELL), min(z, end_z)
     u, end_u = np.divide(start[0], z), np.divide(start[0] + step[0] * along, end_z)
-    middle, half = np.float32((camera[2] + 0.5) / CELL), np.divide(np.float32(0.5), nearest)
+    middle, half = np.float32((pinhole_px[2] + 0.5) / CELL), np.divide(np.float32(0.5), nearest)
     low, high = (min(u, end_u) - half) * fu + middle, (max(u, end_u) + half) * fu + middle
     farthest = np.float32(0.0)
     for strip in range(max(int(low), 0) // STRIP, min(int(max(high, np.float32(0.0))) // STRIP + 1, farthest_m.size)):
@@ -107,14 +113,14 @@ def _no_return_behind(
 
 
 @kernel
-def _project(camera: AnyArray, step: Axes, start: Axes, depth: AnyArray, right: AnyArray, down: AnyArray) -> None:
+def _project(pinhole_px: AnyArray, step: Axes, start: Axes, run: ProjectedVoxels) -> None:
     """Project a run of voxels along z into the pooled image.
 
-    start and step: centre of the first voxel and offset to the next one, in voxels along the camera axes. Writes depth in
-    voxels, right and down in cells.
+    start and step: centre of the first voxel and offset to the next one, in voxels along the camera axes.
     """
-    fu, fv = np.float32(camera[0] / CELL), np.float32(camera[1] / CELL)
-    cu, cv = np.float32((camera[2] + 0.5) / CELL), np.float32((camera[3] + 0.5) / CELL)
+    depth, right, down = run
+    fu, fv = np.float32(pinhole_px[0] / CELL), np.float32(pinhole_px[1] / CELL)
+    cu, cv = np.float32((pinhole_px[2] + 0.5) / CELL), np.float32((pinhole_px[3] + 0.5) / CELL)
     for n in range(depth.size):
         along = np.float32(np.int32(n))
         z = start[2] + step[2] * along
@@ -126,14 +132,15 @@ def _project(camera: AnyArray, step: Axes, start: Axes, depth: AnyArray, right: 
 
 @kernel
 def _select_candidates(
-    run: AnyArray, held: AnyArray, index: int, depth: AnyArray, right: AnyArray, down: AnyArray, finest: AnyArray,
-    edge_m: np.float32, extent_m: np.float32, kept: AnyArray, kept_at: AnyArray, number: int,
+    odds: AnyArray, held: AnyArray, index: int, run: ProjectedVoxels, finest: AnyArray, edge_m: np.float32,
+    extent_m: np.float32, kept: AnyArray, kept_at: ProjectedVoxels, number: int,
 ) -> int:  # fmt: skip
     """Append the voxels of a run that are candidates for carving; returns the new number.
 
     A candidate is not yet at the lower clamp, has no hit, and lies in front of the depth at its centre pixel. Branch-free.
     """
     rows, columns = finest.shape
+    depth, right, down = run
     kept_depth, kept_right, kept_down = kept_at
     last_row, last_column = np.int32(rows - 1), np.int32(columns - 1)
     for n in range(depth.size):
@@ -142,23 +149,22 @@ def _select_candidates(
         i, j = max(min(i, last_row), np.int32(0)), max(min(j, last_column), np.int32(0))
         kept[number], kept_depth[number], kept_right[number], kept_down[number] = index + n, z, u, v
         behind_m = finest[i, j] - z * edge_m
-        number += int((run[n] != MIN_LOG_ODDS) & (held[n] == 0) & (behind_m > extent_m))
+        number += int((odds[n] != MIN_LOG_ODDS) & (held[n] == 0) & (behind_m > extent_m))
     return number
 
 
 @kernel
-def _windows(
-    camera: AnyArray, cells: tuple[int, int], depth: AnyArray, right: AnyArray, down: AnyArray, window: AnyArray
-) -> None:
+def _windows(pinhole_px: AnyArray, cells: tuple[int, int], voxels: ProjectedVoxels, window: AnyArray) -> None:
     """Compute the window of the pooled depth that covers each voxel's footprint.
 
     The minimum over a window takes four look-ups. window (3, N) int32: the index of the first look-up in (LEVELS, *cells),
     and the offsets right and down to the others.
     """
-    fu, fv = np.float32(0.5 * camera[0] / CELL), np.float32(0.5 * camera[1] / CELL)
+    fu, fv = np.float32(0.5 * pinhole_px[0] / CELL), np.float32(0.5 * pinhole_px[1] / CELL)
     zero, none, one = np.float32(0.0), np.int32(0), np.int32(1)
     rows, columns = np.int32(cells[0]), np.int32(cells[1])
     first, across, below = window[0], window[1], window[2]
+    depth, right, down = voxels
     for n in range(depth.size):
         inverse = np.divide(np.float32(1.0), depth[n])
         u, v, ru, rv = right[n], down[n], fu * inverse, fv * inverse
@@ -189,9 +195,8 @@ def _valid_share(valid: AnyArray, window: int, right: int, down: int) -> float:
 
 @kernel
 def carve_free(  # noqa: C901, PLR0915
-    lowest_m: AnyArray, farthest_m: AnyArray, valid: AnyArray, camera: AnyArray, rotation: AnyArray, origin: AnyArray,
-    pixels: tuple[int, int], far_m: float, noise_per_m: float, doubtful: int, resolution_m: float, box: AnyArray,
-    shape: tuple[int, int, int], hits: AnyArray, odds: AnyArray, listed: AnyArray,
+    pooled: PooledDepth, camera: GridCamera, pixels: tuple[int, int], doubtful: int, box: IntArray, shape: tuple[int, int, int],
+    hits: AnyArray, odds: AnyArray, listed: IntArray,
 ) -> int:  # fmt: skip
     """Free the voxels of a box without hits that lie in front of all returns in their footprint.
 
@@ -201,18 +206,21 @@ def carve_free(  # noqa: C901, PLR0915
     (f * b). The observation adds CLEAR steps where the margin is more than twice that, else ``doubtful`` steps. Lists the
     flat indices of the voxels whose state may change and returns their number.
     """
+    lowest_m, farthest_m, valid = pooled
+    pinhole_px, rotation, origin, resolution_m = camera.pinhole_px, camera.rotation, camera.origin, camera.resolution_m
     levels, rows, columns = lowest_m.shape
-    pooled = lowest_m.reshape(levels * rows * columns)
+    flat_m = lowest_m.reshape(levels * rows * columns)
     low_x, low_y, low_z = box[0]
     nx, ny, nz = box[1, 0] - low_x, box[1, 1] - low_y, box[1, 2] - low_z
-    nearest = max(1.0, max(camera[0], camera[1]) / (CELL * LARGEST_WINDOW))
-    sides = _sides(camera, rotation, pixels, nearest)
-    far2 = np.float32((far_m / resolution_m) ** 2)
+    nearest = max(1.0, max(pinhole_px[0], pinhole_px[1]) / (CELL * LARGEST_WINDOW))
+    sides = _sides(pinhole_px, rotation, pixels, nearest)
+    far2 = np.float32((camera.far_m / resolution_m) ** 2)
     first, last = np.empty(ny, dtype=np.int32), np.empty(ny, dtype=np.int32)
     run_at, kept_at = np.empty((3, nz), dtype=np.float32), np.empty((3, ny * nz + 1), dtype=np.float32)
+    kept_voxels = ProjectedVoxels(depth=kept_at[0], right=kept_at[1], down=kept_at[2])
     kept, window = np.empty(ny * nz + 1, dtype=np.int64), np.empty((3, ny * nz), dtype=np.int32)
     extent_m = np.float32(0.5 * resolution_m * (abs(rotation[0, 2]) + abs(rotation[1, 2]) + abs(rotation[2, 2])))
-    edge_m, noise, two = np.float32(resolution_m), np.float32(NOISE_SIGMAS * noise_per_m), np.float32(2.0)
+    edge_m, noise, two = np.float32(resolution_m), np.float32(NOISE_SIGMAS * camera.noise_per_m), np.float32(2.0)
     step = (np.float32(rotation[2, 0]), np.float32(rotation[2, 1]), np.float32(rotation[2, 2]))
     holes = valid[rows, columns] < pixels[0] * pixels[1]
     dy, dz = low_y + 0.5 - origin[1], low_z + 0.5 - origin[2]
@@ -238,19 +246,19 @@ def carve_free(  # noqa: C901, PLR0915
                 np.float32(rotation[0, 1] * dx + rotation[1, 1] * y + rotation[2, 1] * z),
                 np.float32(rotation[0, 2] * dx + rotation[1, 2] * y + rotation[2, 2] * z),
             )
-            if _no_return_behind(camera, step, start, count, farthest_m, edge_m, extent_m):
+            if _no_return_behind(pinhole_px, step, start, count, farthest_m, edge_m, extent_m):
                 continue
-            depth, right, down = run_at[0, :count], run_at[1, :count], run_at[2, :count]
-            _project(camera, step, start, depth, right, down)
+            projected = ProjectedVoxels(depth=run_at[0, :count], right=run_at[1, :count], down=run_at[2, :count])
+            _project(pinhole_px, step, start, projected)
             some = _select_candidates(
-                run, hits[(i * ny + j) * nz + begin :], index, depth, right, down, lowest_m[0], edge_m, extent_m,
-                kept, kept_at, some,
-            )  # fmt: skip
-        _windows(camera, (rows, columns), kept_at[0, :some], kept_at[1, :some], kept_at[2, :some], window)
+                run, hits[(i * ny + j) * nz + begin :], index, projected, lowest_m[0], edge_m, extent_m, kept, kept_voxels, some
+            )
+        candidates = ProjectedVoxels(depth=kept_at[0, :some], right=kept_at[1, :some], down=kept_at[2, :some])
+        _windows(pinhole_px, (rows, columns), candidates, window)
         for n in range(some):
             a, right_by, down_by = window[0, n], window[1, n], window[2, n]
-            upper = min(pooled[np.uint32(a)], pooled[np.uint32(a + right_by)])
-            lower = min(pooled[np.uint32(a + down_by)], pooled[np.uint32(a + right_by + down_by)])
+            upper = min(flat_m[np.uint32(a)], flat_m[np.uint32(a + right_by)])
+            lower = min(flat_m[np.uint32(a + down_by)], flat_m[np.uint32(a + right_by + down_by)])
             behind = min(upper, lower)
             gap = behind - kept_at[0, n] * edge_m
             if not (gap > extent_m and behind < np.float32(np.inf)):

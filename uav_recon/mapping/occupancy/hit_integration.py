@@ -2,30 +2,48 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
+from numpy.typing import NDArray
 
 from uav_recon.geometry.jit import kernel
+from uav_recon.mapping.occupancy.grid_camera import GridCamera
 from uav_recon.mapping.occupancy.log_odds import add_log_odds
-from uav_recon.types.frames import AnyArray
+from uav_recon.types.frames import AnyArray, Float32Array, IntArray
 
 SOLID_SHARE = 0.15  # hits with less than this share of the pixels of a facing voxel are a speckle or a wire
 
 
+class HitCounts(NamedTuple):
+    """Returns of one frame by voxel.
+
+    counts: (N + 1,) returns in each of the N voxels of the view's box in C order, then those outside it. touched: (H * W + 1,)
+    indices in the box of the voxels with a return.
+    """
+
+    counts: NDArray[np.int32]
+    touched: NDArray[np.int32]
+
+
 @kernel
-def count_hits(
-    depth_m: AnyArray, camera: AnyArray, rotation: AnyArray, origin: AnyArray, near_m: float, far_m: float,
-    resolution_m: float, box: AnyArray, hits: AnyArray, touched: AnyArray,
-) -> int:  # fmt: skip
+def count_hits(depth_m: Float32Array, camera: GridCamera, box: IntArray, hits: HitCounts) -> int:
     """Count the returns that end in each voxel of a box; returns the number of voxels hit.
 
-    ``touched`` lists the voxels hit. depth_m (H, W); camera: fx, fy, cx, cy; rotation and origin (voxels) of the camera in
-    the grid; box (2, 3) voxels of the grid. hits: int32, all zero, one element per voxel of the box in C order and one more
-    for pixels without a return or with a return outside the box. touched: int32, indices in the box; H * W + 1 long.
-    Branch-free, because the branches would be unpredictable.
+    ``touched`` lists the voxels hit. depth_m: (H, W). box: (2, 3) voxels of the grid. hits.counts must be all zero; its last
+    element is for pixels without a return or with a return outside the box. Branch-free, because the branches would be
+    unpredictable.
     """
-    fx, fy, cx, cy = camera
+    fx, fy, cx, cy = camera.pinhole_px
+    rotation, origin, resolution_m, counts, touched = (
+        camera.rotation,
+        camera.origin,
+        camera.resolution_m,
+        hits.counts,
+        hits.touched,
+    )
     width = depth_m.shape[1]
-    near, far = np.float32(near_m), np.float32(far_m)
+    near, far = np.float32(camera.near_m), np.float32(camera.far_m)
     far2, zero = far * far, np.float32(0.0)
     scale = 1.0 / resolution_m
     across_x, across_y = np.float32(rotation[0, 0] * scale / fx), np.float32(rotation[1, 0] * scale / fx)
@@ -36,7 +54,7 @@ def count_hits(
     end_x, end_y, end_z = np.float32(box[1, 0] - box[0, 0]), np.float32(ny), np.float32(nz)
     middle, per_pixel = np.float32(cx), np.float32(1.0 / fx)
     ends = np.empty(width, dtype=np.int32)
-    hits[nowhere] = 1
+    counts[nowhere] = 1
     number = 0
     for v in range(depth_m.shape[0]):
         y = (v - cy) / fy
@@ -61,40 +79,40 @@ def count_hits(
             ends[u] = index if seen else nowhere
         for u in range(width):
             end = np.uint32(ends[u])
-            count = hits[end]
+            count = counts[end]
             touched[number] = end
             number += int(count == 0)
-            hits[end] = count + 1
-    hits[nowhere] = 0
+            counts[end] = count + 1
+    counts[nowhere] = 0
     return number
 
 
 @kernel
 def mark_occupied(
-    touched: AnyArray, number: int, camera: AnyArray, rotation: AnyArray, origin: AnyArray, noise_per_m: float,
-    resolution_m: float, box: AnyArray, shape: tuple[int, int, int], hits: AnyArray, odds: AnyArray, listed: AnyArray,
-    listing: int,
+    hits: HitCounts, number: int, camera: GridCamera, box: IntArray, shape: tuple[int, int, int], odds: AnyArray,
+    listed: IntArray, listing: int,
 ) -> int:  # fmt: skip
     """Add the log-odds of the voxels with returns and clear the hit counts.
 
     The weight is larger for solid hits with low depth noise. Appends the flat indices of the voxels whose state may change
     to listed[listing:]; returns the new length of the list.
     """
+    counts, rotation, origin, resolution_m = hits.counts, camera.rotation, camera.origin, camera.resolution_m
     ny, nz = box[1, 1] - box[0, 1], box[1, 2] - box[0, 2]
     for n in range(number):
-        end = touched[n]
+        end = hits.touched[n]
         i = end // (ny * nz)
         j = (end - i * ny * nz) // nz
         k = end - (i * ny + j) * nz
         i, j, k = i + box[0, 0], j + box[0, 1], k + box[0, 2]
         x, y, z = i + 0.5 - origin[0], j + 0.5 - origin[1], k + 0.5 - origin[2]
         depth = (rotation[0, 2] * x + rotation[1, 2] * y + rotation[2, 2] * z) * resolution_m
-        facing = camera[0] * resolution_m
-        sigma_m = noise_per_m * depth * depth
+        facing = camera.pinhole_px[0] * resolution_m
+        sigma_m = camera.noise_per_m * depth * depth
         weight = 1
-        if hits[end] * depth * depth >= SOLID_SHARE * facing * facing:
+        if counts[end] * depth * depth >= SOLID_SHARE * facing * facing:
             weight = 4 if sigma_m <= 0.25 * resolution_m else 2 if sigma_m <= 0.5 * resolution_m else 1
-        hits[end] = 0
+        counts[end] = 0
         index = (i * shape[1] + j) * shape[2] + k
         if add_log_odds(odds, index, weight):
             listed[listing] = index

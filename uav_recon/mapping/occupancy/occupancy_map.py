@@ -19,6 +19,7 @@ import numpy as np
 from uav_recon.mapping.occupancy.cone_clearing import clear_cone
 from uav_recon.mapping.occupancy.depth_fusion import FrameScratch, fuse
 from uav_recon.mapping.occupancy.distance_field import DistanceField
+from uav_recon.mapping.occupancy.grid_camera import GridCamera
 from uav_recon.mapping.occupancy.log_odds import FREE_AT, MIN_LOG_ODDS, copy_changed, new_states
 from uav_recon.mapping.occupancy.occlusion_reset import reset_behind_new_obstacles
 from uav_recon.mapping.occupancy.snapshot_pool import SnapshotPool
@@ -104,15 +105,15 @@ class OccupancyMap:
         if stride > 1:
             depth_m = np.ascontiguousarray(depth_m[::stride, ::stride])
             depth_m.setflags(write=False)
-        camera = lens.pinhole_px() / stride
-        noise_per_m = self._sensor.noise_px / (camera[0] * self._sensor.baseline_m)
+        pinhole_px = lens.pinhole_px() / stride
+        noise_per_m = self._sensor.noise_px / (pinhole_px[0] * self._sensor.baseline_m)
         pose, resolution_m = posed.world_from_depth, self.grid.resolution_m
         scratch, origin = self._scratch.fit(depth_m.shape), (pose.translation_m - self.grid.origin_world_m) / resolution_m
-        number = fuse(
-            depth_m, camera, pose.rotation(), origin,
-            float(self._sensor.depth_min_m), self._max_range_m, noise_per_m, resolution_m, self.grid.shape,
-            scratch.lowest_m, scratch.farthest_m, scratch.valid, scratch.hits, scratch.touched, self._odds, scratch.listed,
+        camera = GridCamera(
+            pinhole_px=pinhole_px, rotation=pose.rotation(), origin=origin, near_m=float(self._sensor.depth_min_m),
+            far_m=self._max_range_m, noise_per_m=noise_per_m, resolution_m=resolution_m,
         )  # fmt: skip
+        number = fuse(depth_m, camera, self.grid.shape, scratch.pooled, scratch.hits, self._odds, scratch.listed)
         known = self._snapshots.current.state
         return self._apply_state_changes(
             reset_behind_new_obstacles(

@@ -7,7 +7,10 @@ are interpolated node by node. The sum is that of feature_grid.gather(), in anot
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
+from numpy.typing import NDArray
 
 from uav_recon.geometry.jit import fast_kernel
 from uav_recon.mapping.neural.sdf_numba.feature_grid import FEATURES, LEVELS, POINTS, FeatureGrid
@@ -22,6 +25,18 @@ _ZERO = np.float32(0.0)
 _ONE = np.float32(1.0)
 _STEP = np.uint64(1)
 _TWO = np.uint64(2)
+
+
+class AxisTables(NamedTuple):
+    """Interpolation along each axis, by level and node.
+
+    cell: (LEVELS, 3, length) int32 cell of each node. share: (LEVELS, 3, length) where it lies between the cell and the next.
+    shared: number of levels, the coarsest, that are interpolated for whole blocks.
+    """
+
+    cell: NDArray[np.int32]
+    share: Float32Array
+    shared: int
 
 
 def fill_distances(field: NumbaSdfField, nodes: SparseNodes) -> None:
@@ -39,14 +54,12 @@ def fill_distances(field: NumbaSdfField, nodes: SparseNodes) -> None:
             share[level, axis] = at - cell[level, axis].astype(np.float32)
     spans = (EDGE - 1) * float(nodes.voxel_m) * grid.inverse_cell_per_m
     shared = int(np.count_nonzero(np.ceil(spans) + 2 <= MAX_SHARED))  # the coarsest come first
-    _fill(grid, field.network, field.scratch, cell, share, shared, nodes.blocks, nodes.values.reshape(-1, EDGE**3))
+    tables = AxisTables(cell=cell, share=share, shared=shared)
+    _fill(grid, field.network, field.scratch, tables, nodes.blocks, nodes.values.reshape(-1, EDGE**3))
 
 
 @fast_kernel
-def _fill(
-    grid: FeatureGrid, net: Network, s: Scratch, cell: AnyArray, share: Float32Array, shared: int, blocks: AnyArray,
-    values: Float32Array,
-) -> None:  # fmt: skip
+def _fill(grid: FeatureGrid, net: Network, s: Scratch, tables: AxisTables, blocks: AnyArray, values: Float32Array) -> None:
     raw = np.zeros((FEATURES, MAX_SHARED, MAX_SHARED, MAX_SHARED), dtype=np.float32)
     along_y = np.zeros((FEATURES, MAX_SHARED, EDGE, MAX_SHARED), dtype=np.float32)
     along_xy = np.zeros((LEVELS * FEATURES, EDGE, EDGE * MAX_SHARED), dtype=np.float32)
@@ -56,7 +69,7 @@ def _fill(
     out = values.reshape(-1)
     count = 0
     for block in range(blocks.shape[0]):
-        _share_levels(grid, shared, cell, share, blocks, block, raw, along_y, along_xy)
+        _share_levels(grid, tables, blocks, block, raw, along_y, along_xy)
         node = 0
         while node < EDGE**3:
             start = count
@@ -65,8 +78,8 @@ def _fill(
                 target[count] = block * EDGE**3 + node
                 count += values[block, node] < ABSENT
                 node += 1
-            _along_z(shared, cell, share, blocks, block, flat, inner, start, count, s.encoded)
-            _each_node(grid, shared, cell, share, blocks, block, inner, start, count, s.node, s.weight, s.encoded)
+            _along_z(tables, blocks, block, flat, inner, start, count, s.encoded)
+            _each_node(grid, tables, blocks, block, inner, start, count, s)
             if count == POINTS:
                 distance_alone(net, s)
                 for p in range(POINTS):
@@ -79,13 +92,14 @@ def _fill(
 
 @fast_kernel
 def _share_levels(  # noqa: C901
-    grid: FeatureGrid, shared: int, cell: AnyArray, share: Float32Array, blocks: AnyArray, block: int, raw: Float32Array,
-    along_y: Float32Array, along_xy: Float32Array,
+    grid: FeatureGrid, tables: AxisTables, blocks: AnyArray, block: int, raw: Float32Array, along_y: Float32Array,
+    along_xy: Float32Array,
 ) -> None:  # fmt: skip
     """Interpolate the coarse levels along y, then x, for all nodes of a block.
 
     Indices are unsigned, because numba adds a check for negative values to signed ones.
     """
+    cell, share, shared = tables
     features, layer = grid.features.reshape(-1), along_y.reshape(FEATURES, MAX_SHARED, EDGE * MAX_SHARED)
     x0, y0, z0 = (np.uint64(blocks[block, 0] * EDGE), np.uint64(blocks[block, 1] * EDGE),
                   np.uint64(blocks[block, 2] * EDGE))  # fmt: skip
@@ -124,10 +138,11 @@ def _share_levels(  # noqa: C901
 
 @fast_kernel
 def _along_z(
-    shared: int, cell: AnyArray, share: Float32Array, blocks: AnyArray, block: int, along_xy: Float32Array, inner: AnyArray,
-    start: int, end: int, encoded: Float32Array,
+    tables: AxisTables, blocks: AnyArray, block: int, along_xy: Float32Array, inner: AnyArray, start: int, end: int,
+    encoded: Float32Array,
 ) -> None:  # fmt: skip
     """Interpolate the coarse levels at nodes start to end of a batch, all of one block."""
+    cell, share, shared = tables
     z0 = blocks[block, 2] * EDGE
     for level in range(shared):
         k0 = cell[level, 2, z0]
@@ -143,10 +158,11 @@ def _along_z(
 
 @fast_kernel
 def _each_node(
-    grid: FeatureGrid, shared: int, cell: AnyArray, share: Float32Array, blocks: AnyArray, block: int, inner: AnyArray,
-    start: int, end: int, at: AnyArray, weight: Float32Array, encoded: Float32Array,
-) -> None:  # fmt: skip
+    grid: FeatureGrid, tables: AxisTables, blocks: AnyArray, block: int, inner: AnyArray, start: int, end: int, s: Scratch
+) -> None:
     """Interpolate the fine levels at the same nodes."""
+    cell, share, shared = tables
+    at, weight, encoded = s.node, s.weight, s.encoded
     features = grid.features.reshape(-1)
     x0, y0, z0 = blocks[block, 0] * EDGE, blocks[block, 1] * EDGE, blocks[block, 2] * EDGE
     for level in range(shared, LEVELS):
