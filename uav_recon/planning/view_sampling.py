@@ -5,7 +5,7 @@ All elevations from which the mount can see the frontier are sampled.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -59,8 +59,7 @@ def _circles(radii_m: tuple[float, ...], elevations_rad: FloatArray) -> FloatArr
     return np.array(rows)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ViewShell:
+class ViewShell(NamedTuple):
     """Offsets of candidate view positions around a frontier, in three parts.
 
     The parts are the shell [d_r, d_f] itself, the space beyond it, and the space inside it.
@@ -87,7 +86,7 @@ def explore_shell(config: PlannerConfig, camera: CameraGeometry, resolution_m: f
         for (low_m, high_m), count in zip(spans_m, _OFFSETS, strict=True)
     ]
     ends = np.cumsum([len(part) for part in parts])
-    return ViewShell(np.concatenate(parts), ends.astype(np.int64), np.array(_PLACES, dtype=np.int64))
+    return ViewShell(offsets=np.concatenate(parts), ends=ends.astype(np.int64), places=np.array(_PLACES, dtype=np.int64))
 
 
 def _part(camera: CameraGeometry, low: float, high: float, count: int) -> FloatArray:

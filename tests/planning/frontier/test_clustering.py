@@ -30,7 +30,7 @@ def random_state(rng: np.random.Generator, shape: tuple[int, int, int]) -> State
 
 
 def contents(frontiers: Frontiers) -> dict[int, tuple[bytes, bytes]]:
-    keys = [int(frontiers.table.key[row]) for row in frontiers.rows()]
+    keys = [int(frontiers.table.rows.key[row]) for row in frontiers.rows()]
     found = {key: (c.cells.tobytes(), c.faces.tobytes()) for key, c in zip(keys, frontiers.clusters(), strict=True)}
     assert len(found) == len(keys)
     return found
@@ -113,9 +113,9 @@ def test_incremental_updates_equal_a_computation_from_scratch() -> None:
         sizes.append(len(fresh))
         place = rng.uniform(0, shape)
         near = [f.table.nearest(place, 12) for f in (frontiers, fresh)]
-        assert frontiers.table.key[near[0]].tolist() == fresh.table.key[near[1]].tolist()
+        assert frontiers.table.rows.key[near[0]].tolist() == fresh.table.rows.key[near[1]].tolist()
         behind = [
-            dict(zip(f.table.key[f.rows()].tolist(), f.table.beyond[f.rows()].tolist(), strict=True))
+            dict(zip(f.table.rows.key[f.rows()].tolist(), f.table.rows.beyond[f.rows()].tolist(), strict=True))
             for f in (frontiers, fresh)
         ]
         assert behind[0] == behind[1]
@@ -128,14 +128,14 @@ def test_a_cluster_far_from_a_change_keeps_its_row_and_key() -> None:
     low, high, ignored = np.zeros(3, dtype=np.int64), np.array(state.shape), np.zeros(state.shape, dtype=np.uint8)
     frontiers = Frontiers()
     frontiers.update(map_of(state, 1), low, high, ignored)
-    rows = {int(frontiers.table.key[row]): int(row) for row in frontiers.rows()}
-    far = {key: row for key, row in rows.items() if frontiers.table.centre[row, 0] > 40}
+    rows = {int(frontiers.table.rows.key[row]): int(row) for row in frontiers.rows()}
+    far = {key: row for key, row in rows.items() if frontiers.table.rows.centre[row, 0] > 40}
     state[10:20, 10:20] = FREE
     tiles = np.ones((12, 6), dtype=np.int64)
     tiles[:4, :4] = 2
     frontiers.update(map_of(state, 2, tiles), low, high, ignored)
     assert far
-    assert all(int(frontiers.table.key[row]) == key for key, row in far.items())
+    assert all(int(frontiers.table.rows.key[row]) == key for key, row in far.items())
 
 
 def test_a_few_cells_are_a_frontier_while_connected_to_more_in_the_next_block() -> None:
@@ -162,8 +162,8 @@ def test_the_nearest_clusters_are_returned_in_order() -> None:
     rows = frontiers.rows()
     for _ in range(5):
         place = rng.uniform(0, state.shape)
-        away = np.linalg.norm(frontiers.table.centre[rows] - place, axis=1)
-        near = rows[np.argsort(away + np.where(frontiers.table.beyond[rows] < OPENING, FARTHER, 0.0))]
+        away = np.linalg.norm(frontiers.table.rows.centre[rows] - place, axis=1)
+        near = rows[np.argsort(away + np.where(frontiers.table.rows.beyond[rows] < OPENING, FARTHER, 0.0))]
         assert frontiers.table.nearest(place, 10).tolist() == near[:10].tolist()
     assert sorted(frontiers.table.nearest(place, len(rows) + 5)) == sorted(rows)
 

@@ -55,11 +55,11 @@ class Follower:
 
     def row_of(self, cluster: int) -> int:
         """Return the cluster's row in the table of views, -1 for none."""
-        return self.views.table.row_of.get(int(self.frontiers.table.key[cluster]), -1)
+        return self.views.table.row_of.get(int(self.frontiers.table.rows.key[cluster]), -1)
 
     def rows(self) -> list[int]:
         """Return the rows in the table of views that hold a task."""
-        shown = self.views.table.shown
+        shown = self.views.table.rows.shown
         return [row for row in self.views.table.row_of.values() if shown[row] >= MIN_SEEN]
 
 
@@ -110,13 +110,15 @@ def test_a_view_is_reachable_and_shows_the_promised_cells(solid: Solid, camera: 
     lens = oracle_lens(camera)
     for row in follower.frontiers.table.nearest(START * 10 + 1, BATCH):
         kept, table = follower.row_of(int(row)), follower.views.table
-        if kept < 0 or not table.shown[kept]:
+        if kept < 0 or not table.rows.shown[kept]:
             continue
         cells = np.stack(np.unravel_index(table.promised[kept], world.grid.shape), axis=-1)
-        assert len(cells) == table.shown[kept]
+        assert len(cells) == table.rows.shown[kept]
         assert set(table.promised[kept]) <= set(follower.frontiers.flat(int(row)))
         target = view_oracle.OracleFrontier(cells, follower.low, follower.high)
-        assert view_oracle.cells_seen(voxels.state, lens, oracle_view(table.view[kept], camera), target) >= 0.98 * len(cells)
+        assert view_oracle.cells_seen(voxels.state, lens, oracle_view(table.rows.pose[kept], camera), target) >= 0.98 * len(
+            cells
+        )
     situation = PlanningContext(voxels, follower.space, np.zeros(0, dtype=np.int64), START)
     for proposal in found.proposals:
         assert situation.holds(proposal.place)
@@ -181,7 +183,7 @@ def test_a_view_does_not_depend_on_the_position_of_the_vehicle() -> None:
         follower = Follower(world.grid)
         follower.follow(voxels, position)
         table = follower.views.table
-        seen.append({key: (*table.view[row].tolist(), table.shown[row]) for key, row in table.row_of.items()})
+        seen.append({key: (*table.rows.pose[row].tolist(), table.rows.shown[row]) for key, row in table.row_of.items()})
     common = seen[0].keys() & seen[1].keys()
     assert len(common) > 10
     assert all(seen[0][key] == seen[1][key] for key in common)
@@ -194,7 +196,7 @@ def test_openings_that_no_plan_has_looked_at_are_counted() -> None:
     table = follower.frontiers.table
     asked = set(table.nearest(START * 10 + 1, BATCH).tolist())
     rest = [row for row in follower.frontiers.rows().tolist() if row not in asked]
-    assert found.openings_later == int(np.count_nonzero(table.beyond[rest] >= OPENING))
+    assert found.openings_later == int(np.count_nonzero(table.rows.beyond[rest] >= OPENING))
     assert follower.frontiers.openings >= found.openings_later > 0
 
 
@@ -319,7 +321,9 @@ def test_on_the_stream_a_view_is_nearly_as_good_as_the_best_of_a_thousand(
             if most >= MIN_SEEN:
                 best.append(most)
                 mine.append(
-                    view_oracle.cells_seen(voxels.state, lens, oracle_view(follower.views.table.view[kept], camera), target)
+                    view_oracle.cells_seen(
+                        voxels.state, lens, oracle_view(follower.views.table.rows.pose[kept], camera), target
+                    )
                 )
     share = np.array(mine) / np.array(best)
     assert len(share) > 60

@@ -48,7 +48,7 @@ def test_a_gap_in_front_of_a_wall_ranks_after_nearby_openings() -> None:
     frontiers.update(voxel_map(state), np.zeros(3, dtype=np.int64), np.array(state.shape), np.zeros_like(state))
     table = frontiers.table
     rows = table.nearest(np.array([gap_x + 3.0, 12.0, 4.0]), 10)
-    assert [round(float(x)) for x in table.centre[rows, 0]] == [near_x + 3, gap_x + 3, far_x + 3]
-    assert table.beyond[rows].tolist() == [30 * (DEPTH - SHALLOW), 0, 30 * (DEPTH - SHALLOW)]
+    assert [round(float(x)) for x in table.rows.centre[rows, 0]] == [near_x + 3, gap_x + 3, far_x + 3]
+    assert table.rows.beyond[rows].tolist() == [30 * (DEPTH - SHALLOW), 0, 30 * (DEPTH - SHALLOW)]
     assert 0 < OPENING < 30 * (DEPTH - SHALLOW)
     assert near_x - gap_x < FARTHER < far_x - gap_x

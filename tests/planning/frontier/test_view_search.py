@@ -17,7 +17,7 @@ from uav_recon.planning.free_space.flyable_space import FlyableSpace
 from uav_recon.planning.free_space.subvoxel_clearance import SIDES2
 from uav_recon.planning.frontier.frontiers import Frontiers
 from uav_recon.planning.frontier.view_cache import MAX_BLOCKERS, targets
-from uav_recon.planning.frontier.view_search import ROOM, _ranked, best_view
+from uav_recon.planning.frontier.view_search import ROOM, SearchScene, _ranked, best_view
 from uav_recon.planning.frontier.visibility_bound import HASH_SIZE
 from uav_recon.planning.view_sampling import explore_shell
 from uav_recon.types.maps import FREE, TILE
@@ -45,13 +45,16 @@ def test_a_view_is_nearly_as_good_as_the_best_of_a_thousand(solid: Solid, camera
     oracle = view_oracle.OracleLens(tan_h, tan_v, lens[2], lens[3], camera.pitch_min_rad, camera.pitch_max_rad)
     reachable, shares = space.reachable[1:-1, 1:-1, 1:-1] > 0, []
     closed, off_centre = np.argwhere(voxels.state != FREE) + 0.5, 0
+    scene = SearchScene(
+        distance2=voxels.distance2.reshape(-1), shape=world.grid.shape, reachable=space.reachable.reshape(-1),
+        berth=space.berth, lens=lens,
+    )  # fmt: skip
     asked, blockers = np.zeros(len(shell.offsets) + ROOM, dtype=np.int32), np.zeros(MAX_BLOCKERS, dtype=np.int32)
     for row in frontiers.rows():
         points, first = targets(frontiers.faces, frontiers.flat(int(row)))
         view, seen, asks, hidden, boxes = best_view(
-            voxels.distance2.reshape(-1), world.grid.shape, space.reachable.reshape(-1), space.berth, lens, shell.offsets,
-            shell.ends, shell.places, frontiers.table.centre[row], points, first, asked, blockers,
-        )  # fmt: skip
+            scene, shell, frontiers.table.rows.centre[row], points, first, asked, blockers
+        )
         assert asks <= len(asked)
         assert hidden < MAX_BLOCKERS
         assert len(set(blockers[:hidden].tolist())) == hidden

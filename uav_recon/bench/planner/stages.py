@@ -237,7 +237,7 @@ class PlannerStages:
         place = (view.position_world - grid.origin_world_m) / grid.resolution_m
         centre = (proposal.task.centroid_world - grid.origin_world_m) / grid.resolution_m
         rows = self._frontiers.rows()
-        away2 = ((self._frontiers.table.centre[rows] - centre) ** 2).sum(axis=1)
+        away2 = ((self._frontiers.table.rows.centre[rows] - centre) ** 2).sum(axis=1)
         cells = self._frontiers.cluster(int(rows[np.argmin(away2)])).cells
         return ChosenView(np.array([*place, view.yaw_rad, view.pitch_down_rad]), OracleFrontier(cells, *self._mapped.fence))
 

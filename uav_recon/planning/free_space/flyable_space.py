@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,6 +19,44 @@ NEVER = 256  # larger than any squared distance stored in a byte
 MAX_LEAPS = 12
 CONFINED_M = 1.5  # along each axis from the vehicle: if there are fewer reachable positions than ...
 CONFINED_M3 = 1.5  # ... this, it is confined
+
+
+class MapArrays(NamedTuple):
+    """The arrays of a VoxelMap that the space depends on.
+
+    state, distance2: (nx, ny, nz). tile_revision: (tiles along x, along y).
+    """
+
+    state: ByteArray
+    distance2: ByteArray
+    tile_revision: IntArray
+
+
+class ClearanceRule(NamedTuple):
+    """The condition for a voxel to be flyable.
+
+    box: (2, 3) first and one-past-last voxel. needed2: least squared distance, voxels. leaps2: (MAX_LEAPS - 1,) squared
+    distances from which one more sample of a line is known to be open.
+    """
+
+    box: IntArray
+    needed2: int
+    leaps2: IntArray
+
+
+class SpaceArrays(NamedTuple):
+    """Arrays of a FlyableSpace that an update writes; see there.
+
+    blocks_shape: (3,) of the blocks of ``regions``. changed: (blocks,) output, the changed blocks, each once.
+    """
+
+    mask: ByteArray
+    free: ByteArray
+    leap: ByteArray
+    mask_revision: IntArray
+    block_revision: IntArray
+    blocks_shape: IntArray
+    changed: IntArray
 
 
 class FlyableSpace:
@@ -46,12 +85,12 @@ class FlyableSpace:
         extend to its near face.
         """
         self.grid = grid
-        needed2 = (clearance_m / grid.resolution_m + 0.5 - 1e-3) ** 2
-        self._needed2 = int(min(np.ceil(needed2), NEVER))
-        needed = math.sqrt(self._needed2) + math.sqrt(3.0)  # twice the distance from a point to its voxel's centre
-        self._leaps2 = np.array([min(math.ceil((needed + 0.5 * n) ** 2), NEVER) for n in range(1, MAX_LEAPS)], dtype=np.int64)
-        self._box = np.array([np.clip(low, 0, grid.shape), np.clip(high, 0, grid.shape)], dtype=np.int64)
-        self.berth = clearance_box(grid.shape, self._box[0], self._box[1], self._needed2)
+        needed2 = int(min(np.ceil((clearance_m / grid.resolution_m + 0.5 - 1e-3) ** 2), NEVER))
+        needed = math.sqrt(needed2) + math.sqrt(3.0)  # twice the distance from a point to its voxel's centre
+        leaps2 = np.array([min(math.ceil((needed + 0.5 * n) ** 2), NEVER) for n in range(1, MAX_LEAPS)], dtype=np.int64)
+        box = np.array([np.clip(low, 0, grid.shape), np.clip(high, 0, grid.shape)], dtype=np.int64)
+        self._rule = ClearanceRule(box=box, needed2=needed2, leaps2=leaps2)
+        self.berth = clearance_box(grid.shape, box[0], box[1], needed2)
         self._escape = EscapePath(grid.resolution_m)
         self._start()
 
@@ -65,7 +104,11 @@ class FlyableSpace:
         self.reachable_revision: IntArray = self.regions.tile_revision
         self.mask_revision = np.zeros_like(self.reachable_revision)
         self.block_revision = np.zeros(len(self.regions.blocks.counts), dtype=np.int64)
-        self._changed = np.empty(len(self.regions.blocks.counts), dtype=np.int64)
+        self._arrays = SpaceArrays(
+            mask=self.mask, free=self.free, leap=self.leap, mask_revision=self.mask_revision,
+            block_revision=self.block_revision, blocks_shape=self.regions.blocks.shape,
+            changed=np.empty(len(self.regions.blocks.counts), dtype=np.int64),
+        )  # fmt: skip
         self.revision = 0
         self._seen: tuple[int, int] = (0, -1)  # map epoch and revision
 
@@ -84,14 +127,11 @@ class FlyableSpace:
             self.mask_revision.fill(self.revision)
         since = self._seen[1] if voxels.map_epoch == self._seen[0] else -1
         self._seen = (voxels.map_epoch, voxels.revision)
-        count = _renew(
-            voxels.state, voxels.distance2, voxels.tile_revision, since, self._box, self._needed2, self._leaps2,
-            self.regions.blocks.shape,
-            self.mask, self.free, self.leap, self.mask_revision, self.block_revision, self._changed, self.revision + 1,
-        )  # fmt: skip
+        arrays = MapArrays(state=voxels.state, distance2=voxels.distance2, tile_revision=voxels.tile_revision)
+        count = _renew(arrays, since, self._rule, self._arrays, self.revision + 1)
         if count:
             self.revision += 1
-            self.regions.update(self.mask, self._changed[:count], self.revision)
+            self.regions.update(self.mask, self._arrays.changed[:count], self.revision)
 
     def stand(self, position_world: FloatArray) -> IntArray | None:
         """Return the flat cells from the vehicle's cell to the nearest flyable one, both included.
@@ -143,26 +183,12 @@ class FlyableSpace:
 
 @kernel
 def _renew(  # noqa: C901, PLR0912
-    state: ByteArray,
-    distance2: ByteArray,
-    tile_revision: IntArray,
-    since: int,
-    box: IntArray,
-    needed2: int,
-    leaps2: IntArray,
-    blocks_shape: IntArray,
-    mask: ByteArray,
-    free: ByteArray,
-    leap: ByteArray,
-    mask_revision: IntArray,
-    block_revision: IntArray,
-    changed: IntArray,
-    revision: int,
+    voxels: MapArrays, since: int, rule: ClearanceRule, space: SpaceArrays, revision: int
 ) -> int:
-    """Update mask, free and leap in the changed tiles and return the number of changed blocks.
-
-    changed: filled with the changed blocks, each once.
-    """
+    """Update mask, free and leap in the changed tiles and return the number of changed blocks."""
+    state, distance2, tile_revision = voxels
+    box, needed2, leaps2 = rule
+    mask, free, leap, mask_revision, block_revision, blocks_shape, changed = space
     nx, ny, nz = state.shape
     count = 0
     column = np.zeros(nz, dtype=np.uint8)

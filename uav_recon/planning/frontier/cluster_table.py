@@ -6,10 +6,13 @@ The rows of a block are released when the block is clustered again.
 from __future__ import annotations
 
 import math
+from typing import Any, TypeVar, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from uav_recon.geometry.jit import kernel
+from uav_recon.planning.frontier.cluster_rows import ClusterRows
 from uav_recon.planning.frontier.clustering import BLOCK, MIN_CELLS, cut, is_speck
 from uav_recon.planning.frontier.unknown_volume import weigh
 from uav_recon.types.frames import ByteArray, FloatArray, IntArray
@@ -18,36 +21,29 @@ _FIRST_ROWS = 256
 _AROUND = 5  # blocks along each side of the square that is searched first
 OPENING = 150  # voxels; a cluster with less unknown space beyond it is a gap in front of a wall ...
 FARTHER = 100.0  # ... and its distance counts this many voxels more
-# indices of ClusterTable.fill
+# indices of ClusterRows.fill
 POOL = 0
 SPARE = 1
+_Column = TypeVar("_Column", bound=NDArray[Any])
 
 
 class ClusterTable:
-    """The frontier clusters of one grid, one row per cluster.
-
-    head: (blocks) first row of a block + 1, or 0.
-    after: (M,) next row of the block + 1, or 0.
-    count: (M,) number of cells; 0 = the row is unused.
-    speck: (M,) 1 = too few connected cells to be worth a view.
-    key: (M,) hash of the cells and their unknown faces.
-    start: (M,) start of the cells' flat indices in ``pool``.
-    centre: (M, 3) mean of the cells' centres, voxels.
-    beyond: (M,) unknown voxels behind the cluster, see unknown_volume.py.
-    """
+    """The frontier clusters of one grid, one row per cluster."""
 
     def __init__(self, shape: tuple[int, int, int]) -> None:
-        self.head = np.zeros((-(-shape[0] // BLOCK), -(-shape[1] // BLOCK)), dtype=np.int64)
-        self.after = np.zeros(0, dtype=np.int64)
-        self.count = np.zeros(0, dtype=np.int64)
-        self.speck = np.zeros(0, dtype=np.uint8)
-        self.key = np.zeros(0, dtype=np.int64)
-        self.start = np.zeros(0, dtype=np.int64)
-        self.centre = np.zeros((0, 3))
-        self.beyond = np.zeros(0, dtype=np.int64)
-        self.spare = np.zeros(0, dtype=np.int64)  # stack of unused rows
-        self.fill = np.zeros(2, dtype=np.int64)  # used length of pool, number of unused rows
-        self.pool = np.zeros(0, dtype=np.int64)
+        self.rows = ClusterRows(
+            head=np.zeros((-(-shape[0] // BLOCK), -(-shape[1] // BLOCK)), dtype=np.int64),
+            after=np.zeros(0, dtype=np.int64),
+            cells=np.zeros(0, dtype=np.int64),
+            speck=np.zeros(0, dtype=np.uint8),
+            key=np.zeros(0, dtype=np.int64),
+            start=np.zeros(0, dtype=np.int64),
+            centre=np.zeros((0, 3)),
+            beyond=np.zeros(0, dtype=np.int64),
+            spare=np.zeros(0, dtype=np.int64),
+            fill=np.zeros(2, dtype=np.int64),
+            pool=np.zeros(0, dtype=np.int64),
+        )
         self._more_rows()
         self._more_pool(0)
 
@@ -55,24 +51,21 @@ class ClusterTable:
         """Replace the clusters of ``blocks`` (N, 2)."""
         done = 0
         while True:
-            done, cells, clusters = _cut_blocks(
-                faces, ignored, blocks, done, max_extent, self.head, self.after, self.count, self.speck, self.key,
-                self.start, self.centre, self.spare, self.fill, self.pool,
-            )  # fmt: skip
+            done, cells, clusters = _cut_blocks(faces, ignored, blocks, done, max_extent, self.rows)
             if done == len(blocks):
                 break
-            if self.fill[SPARE] < clusters:
+            if self.rows.fill[SPARE] < clusters:
                 self._more_rows()
-            if len(self.pool) - self.fill[POOL] < cells:
+            if len(self.rows.pool) - self.rows.fill[POOL] < cells:
                 self._more_pool(cells)
-        _mark_specks(faces, ignored, blocks, self.head, self.after, self.count, self.speck, self.start, self.pool)
+        _mark_specks(faces, ignored, blocks, self.rows)
 
     def weigh(self, state: ByteArray, faces: ByteArray, low: IntArray, high: IntArray, asked: ByteArray) -> None:
         """Update ``beyond`` for the clusters of the marked blocks; see unknown_volume.py.
 
         asked: (blocks) 1 = marked.
         """
-        weigh(state, faces, low, high, asked, self.head, self.after, self.count, self.start, self.pool, self.beyond)
+        weigh(state, faces, low, high, asked, self.rows)
 
     def nearest(self, place: FloatArray, most: int, *, specks: bool = False) -> IntArray:
         """Return the rows of the ``most`` clusters nearest to a position (3,), voxels.
@@ -80,60 +73,58 @@ class ClusterTable:
         Ties are ordered by key, so that the order depends on the map only. A cluster with less than OPENING voxels beyond
         it counts as FARTHER voxels farther away. specks: those count too.
         """
-        skipped = np.zeros_like(self.speck) if specks else self.speck
-        return _nearest(self.head, self.after, self.count, skipped, self.key, self.centre, self.beyond, place, most)
+        rows = self.rows._replace(speck=np.zeros_like(self.rows.speck)) if specks else self.rows
+        return _nearest(rows, place, most)
 
     def size(self, *, specks: bool = False) -> int:
         """Return the number of clusters. specks: those count too."""
-        used = self.count > 0
-        return int(np.count_nonzero(used if specks else used & (self.speck == 0)))
+        used = self.rows.cells > 0
+        return int(np.count_nonzero(used if specks else used & (self.rows.speck == 0)))
 
     def _more_rows(self) -> None:
-        old = len(self.count)
+        rows, old = self.rows, len(self.rows.cells)
         new = max(2 * old, _FIRST_ROWS)
-        for name in ("after", "count", "speck", "key", "start", "centre", "beyond"):
-            column = getattr(self, name)
-            grown = np.zeros((new, *column.shape[1:]), dtype=column.dtype)
-            grown[:old] = column
-            setattr(self, name, grown)
         spare = np.zeros(new, dtype=np.int64)
-        left = int(self.fill[SPARE])
-        spare[:left] = self.spare[:left]
+        left = int(rows.fill[SPARE])
+        spare[:left] = rows.spare[:left]
         spare[left : left + new - old] = np.arange(new - 1, old - 1, -1)
-        self.spare = spare
-        self.fill[SPARE] = left + new - old
+        rows.fill[SPARE] = left + new - old
+        self.rows = rows._replace(
+            after=_grown(rows.after, new),
+            cells=_grown(rows.cells, new),
+            speck=_grown(rows.speck, new),
+            key=_grown(rows.key, new),
+            start=_grown(rows.start, new),
+            centre=_grown(rows.centre, new),
+            beyond=_grown(rows.beyond, new),
+            spare=spare,
+        )
 
     def _more_pool(self, wanted: int) -> None:
         """Compact the pool; leave room for the same amount again and for ``wanted`` entries."""
-        live = int(self.count.sum())
+        live = int(self.rows.cells.sum())
         pool = np.zeros(2 * live + wanted + 4096, dtype=np.int64)
-        self.fill[POOL] = _pack(self.count, self.start, self.pool, pool)
-        self.pool = pool
+        self.rows.fill[POOL] = _pack(self.rows, pool)
+        self.rows = self.rows._replace(pool=pool)
+
+
+def _grown(column: _Column, length: int) -> _Column:
+    """Return a column of a greater length, filled up with zeros."""
+    grown = np.zeros((length, *column.shape[1:]), dtype=column.dtype)
+    grown[: len(column)] = column
+    return cast("_Column", grown)
 
 
 @kernel
 def _cut_blocks(
-    faces: ByteArray,
-    ignored: ByteArray,
-    blocks: IntArray,
-    done: int,
-    max_extent: float,
-    head: IntArray,
-    after: IntArray,
-    count: IntArray,
-    speck: ByteArray,
-    key: IntArray,
-    start: IntArray,
-    centre: FloatArray,
-    spare: IntArray,
-    fill: IntArray,
-    pool: IntArray,
+    faces: ByteArray, ignored: ByteArray, blocks: IntArray, done: int, max_extent: float, rows: ClusterRows
 ) -> tuple[int, int, int]:
     """Cluster blocks[done:]; return the index where it stopped, and the missing room.
 
     The missing room is the number of cells and rows of the next block, 0 if all blocks are done.
     """
     _, ny, nz = faces.shape
+    head, after, spare, fill, pool, centre = rows.head, rows.after, rows.spare, rows.fill, rows.pool, rows.centre
     cells = np.empty(BLOCK * BLOCK * nz, dtype=np.int64)
     starts = np.empty(BLOCK * BLOCK * nz + 1, dtype=np.int64)
     for n in range(done, len(blocks)):
@@ -144,7 +135,7 @@ def _cut_blocks(
             return n, total, clusters
         row = head[bi, bj] - 1
         while row >= 0:
-            count[row] = 0
+            rows.cells[row] = 0
             spare[fill[SPARE]] = row
             fill[SPARE] += 1
             row = after[row] - 1
@@ -155,7 +146,7 @@ def _cut_blocks(
             after[row] = head[bi, bj]
             head[bi, bj] = row + 1
             a, b = starts[cluster], starts[cluster + 1]
-            start[row], count[row], speck[row] = fill[POOL], b - a, 0
+            rows.start[row], rows.cells[row], rows.speck[row] = fill[POOL], b - a, 0
             digest, sx, sy, sz = b - a, 0, 0, 0
             for m in range(a, b):
                 flat = cells[m]
@@ -167,24 +158,15 @@ def _cut_blocks(
                 sz += k
                 digest = (digest ^ (flat * 64 + faces[i, j, k])) * 1099511628211  # FNV-1a, one cell at a time
                 digest ^= digest >> 29
-            key[row] = digest
+            rows.key[row] = digest
             centre[row, 0], centre[row, 1], centre[row, 2] = sx / (b - a) + 0.5, sy / (b - a) + 0.5, sz / (b - a) + 0.5
     return len(blocks), 0, 0
 
 
 @kernel
-def _mark_specks(
-    faces: ByteArray,
-    ignored: ByteArray,
-    blocks: IntArray,
-    head: IntArray,
-    after: IntArray,
-    count: IntArray,
-    speck: ByteArray,
-    start: IntArray,
-    pool: IntArray,
-) -> None:
+def _mark_specks(faces: ByteArray, ignored: ByteArray, blocks: IntArray, rows: ClusterRows) -> None:
     """Update ``speck`` of the small clusters in and around ``blocks``."""
+    head = rows.head
     asked = np.zeros(head.shape, dtype=np.bool_)
     for n in range(len(blocks)):
         for bi in range(max(blocks[n, 0] - 1, 0), min(blocks[n, 0] + 2, head.shape[0])):
@@ -194,23 +176,14 @@ def _mark_specks(
                 asked[bi, bj] = True
                 row = head[bi, bj] - 1
                 while row >= 0:
-                    if count[row] < MIN_CELLS:
-                        speck[row] = 1 if is_speck(faces, ignored, pool[start[row]]) else 0
-                    row = after[row] - 1
+                    if rows.cells[row] < MIN_CELLS:
+                        rows.speck[row] = 1 if is_speck(faces, ignored, rows.pool[rows.start[row]]) else 0
+                    row = rows.after[row] - 1
 
 
 @kernel
-def _nearest(  # noqa: C901
-    head: IntArray,
-    after: IntArray,
-    count: IntArray,
-    speck: ByteArray,
-    key: IntArray,
-    centre: FloatArray,
-    beyond: IntArray,
-    place: FloatArray,
-    most: int,
-) -> IntArray:
+def _nearest(table: ClusterRows, place: FloatArray, most: int) -> IntArray:  # noqa: C901
+    head, after, speck, key, centre, beyond = table.head, table.after, table.speck, table.key, table.centre, table.beyond
     rows = np.empty(most, dtype=np.int64)
     far2 = np.empty(most)
     found = 0
@@ -249,11 +222,11 @@ def _nearest(  # noqa: C901
 
 
 @kernel
-def _pack(count: IntArray, start: IntArray, pool: IntArray, packed: IntArray) -> int:
+def _pack(rows: ClusterRows, packed: IntArray) -> int:
     used = 0
-    for row in range(len(count)):
-        for n in range(count[row]):
-            packed[used + n] = pool[start[row] + n]
-        start[row] = used
-        used += count[row]
+    for row in range(len(rows.cells)):
+        for n in range(rows.cells[row]):
+            packed[used + n] = rows.pool[rows.start[row] + n]
+        rows.start[row] = used
+        used += rows.cells[row]
     return used

@@ -15,6 +15,7 @@ from uav_recon.planning.frontier.cluster_table import OPENING
 from uav_recon.planning.frontier.frontiers import Frontiers
 from uav_recon.planning.frontier.reachable_tiles import Reach, ReachableTiles
 from uav_recon.planning.frontier.view_cache import ViewCache
+from uav_recon.planning.frontier.view_search import SearchScene
 from uav_recon.planning.view_sampling import explore_shell
 from uav_recon.types.frames import ByteArray, FloatArray, IntArray
 from uav_recon.types.maps import FREE, UNKNOWN, GridSpec, VoxelMap
@@ -104,10 +105,10 @@ class FrontierViews:
             clusters = nearest[asked:wanted]
             before, asked = asked, wanted
             if before:
-                near = self._tiles.near(frontiers.table.centre[clusters], self._reach)
+                near = self._tiles.near(frontiers.table.rows.centre[clusters], self._reach)
                 clusters, without = clusters[near], without + int(np.count_nonzero(~near))
             for cluster, held in zip(clusters.tolist(), self._held(voxels, space, frontiers, clusters), strict=True):
-                row = held if self.table.is_about(held, int(frontiers.table.key[cluster])) else -1
+                row = held if self.table.is_about(held, int(frontiers.table.rows.key[cluster])) else -1
                 if row < 0 and (searches > 0 or not found):
                     searches -= 1
                     row = self._search(voxels, space, space.reachable, frontiers, cluster, lens)
@@ -123,7 +124,7 @@ class FrontierViews:
                     self._tiles.update(space)
                     nearest = frontiers.table.nearest(here, total, specks=specks)
                 wanted = min(2 * wanted, wanted + MAX_MORE, total)
-        openings_later = frontiers.openings - int(np.count_nonzero(frontiers.table.beyond[nearest[:asked]] >= OPENING))
+        openings_later = frontiers.openings - int(np.count_nonzero(frontiers.table.rows.beyond[nearest[:asked]] >= OPENING))
         proposals = self._proposals(voxels, found, lens)
         return FrontierProposals(proposals, without, total - asked + later, max(openings_later, 0))
 
@@ -146,24 +147,30 @@ class FrontierViews:
 
         Rows with a view are protected from replacement in this plan.
         """
-        keys = frontiers.table.key[clusters].tolist()
+        keys = frontiers.table.rows.key[clusters].tolist()
         held = self.table.holding(keys, voxels.distance2, space.reachable, frontiers.closed, space.reachable_revision)
-        self.table.used[[row for row in held if row >= 0 and self.table.shown[row] >= self._demand.min_cells]] = self._plans
+        self.table.used[[row for row in held if row >= 0 and self.table.rows.shown[row] >= self._demand.min_cells]] = (
+            self._plans
+        )
         return held
 
     def _search(
         self, voxels: VoxelMap, space: Flyable, reachable: ByteArray, frontiers: Frontiers, cluster: int, lens: FloatArray
     ) -> int:
-        table, revisions = frontiers.table, (voxels.revision, space.revision)
-        row = self.table.search(
-            int(table.key[cluster]), voxels.distance2, reachable, space.berth, lens, frontiers.faces,
-            frontiers.flat(cluster), table.centre[cluster], revisions, self._plans,
+        clusters, revisions = frontiers.table.rows, (voxels.revision, space.revision)
+        scene = SearchScene(
+            distance2=voxels.distance2.reshape(-1), shape=voxels.grid.shape, reachable=reachable.reshape(-1),
+            berth=space.berth, lens=lens,
         )  # fmt: skip
-        self._centre[row] = table.centre[cluster]
+        row = self.table.search(
+            int(clusters.key[cluster]), scene, frontiers.faces, frontiers.flat(cluster), clusters.centre[cluster], revisions,
+            self._plans,
+        )  # fmt: skip
+        self._centre[row] = clusters.centre[cluster]
         return row
 
     def _worth(self, row: int) -> bool:
-        return bool(self.table.shown[row] >= self._demand.min_cells)
+        return bool(self.table.rows.shown[row] >= self._demand.min_cells)
 
     def _proposals(self, voxels: VoxelMap, found: list[int], lens: FloatArray) -> list[CandidateView]:
         """Return tasks for the views that together cover the clusters.
@@ -173,14 +180,14 @@ class FrontierViews:
         """
         if not found:
             return []
-        best_first = sorted(found, key=lambda row: (-int(self.table.shown[row]), self.table.key[row]))
+        best_first = sorted(found, key=lambda row: (-int(self.table.rows.shown[row]), self.table.key[row]))
         covering = self.table.covering(best_first, voxels.distance2, voxels.grid.shape, lens, COVERED_SHARE)
         place = {row: n for n, row in enumerate(found)}
         covering.sort(key=lambda one: place[one[0]])
         return [self._proposal(voxels.grid, row, cells) for row, cells in covering if len(cells) >= self._demand.min_cells]
 
     def _proposal(self, grid: GridSpec, row: int, cells: IntArray) -> CandidateView:
-        x, y, z, yaw, pitch = self.table.view[row].tolist()
+        x, y, z, yaw, pitch = self.table.rows.pose[row].tolist()
         place = np.array([x, y, z])
         viewpoint = Viewpoint(grid.origin_world_m + place * grid.resolution_m, yaw, pitch)
         centroid_world = grid.origin_world_m + self._centre[row] * grid.resolution_m
@@ -193,10 +200,10 @@ class FrontierViews:
         row = self._search(voxels, space, space.reachable, frontiers, cluster, lens)
         if self._worth(row):
             return None
-        asked = self.table.asked[row, : self.table.counts[row, 0]]
+        asked = self.table.rows.asked[row, : self.table.rows.counts[row, 0]]
         if not space.mask.reshape(-1)[np.where(asked >= 0, asked, ~asked)].any():
             return ReasonCode.FRONTIERS_TOO_NARROW
-        if self.table.shown[row]:
+        if self.table.rows.shown[row]:
             return ReasonCode.FRONTIERS_TOO_FEW_CELLS
         row = self._search(voxels, space, space.mask, frontiers, cluster, lens)
         beyond = self._worth(row)
@@ -213,7 +220,7 @@ class FrontierViews:
         self._revision = -BATCH  # the first plan may search a whole batch
         self.table = ViewCache(explore_shell(self._config, self._camera, resolution_m))
         self._reach = float(np.abs(self.table.shell.offsets).max(initial=0.0))  # of a place from its frontier, along an axis
-        self._centre = np.zeros((len(self.table.shown), 3))  # cluster centres by row, voxels
+        self._centre = np.zeros((len(self.table.rows.shown), 3))  # cluster centres by row, voxels
 
 
 def warm_up(config: PlannerConfig, camera: CameraGeometry) -> None:

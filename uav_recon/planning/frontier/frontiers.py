@@ -91,11 +91,11 @@ class Frontiers:
 
         The others are gaps in front of a wall.
         """
-        return int(np.count_nonzero(self.table.beyond[self.rows()] >= OPENING))
+        return int(np.count_nonzero(self.table.rows.beyond[self.rows()] >= OPENING))
 
     def rows(self) -> IntArray:
         """Return the rows of the table that hold a cluster, in no particular order."""
-        return np.flatnonzero((self.table.count > 0) & (self.table.speck == 0))
+        return np.flatnonzero((self.table.rows.cells > 0) & (self.table.rows.speck == 0))
 
     def clusters(self) -> list[Frontier]:
         """Return all clusters, in no particular order."""
@@ -109,8 +109,8 @@ class Frontiers:
 
     def flat(self, row: int) -> IntArray:
         """Return a copy of the flat cell indices (N,) of one row of the table, ascending."""
-        start = self.table.start[row]
-        return self.table.pool[start : start + self.table.count[row]].copy()
+        start = self.table.rows.start[row]
+        return self.table.rows.pool[start : start + self.table.rows.cells[row]].copy()
 
     def beyond(self, voxels: VoxelMap, promised: Sequence[IntArray]) -> IntArray:
         """Return the number of unknown voxels (N,) behind each of N sets of frontier cells.
@@ -136,4 +136,4 @@ class Frontiers:
         self.faces = np.zeros(shape, dtype=np.uint8)
         self.closed = np.full((-(-shape[0] // TILE), -(-shape[1] // TILE)), -1, dtype=np.int64)
         self.table = ClusterTable(shape)
-        self._dirty = np.zeros(self.table.head.shape, dtype=np.uint8)
+        self._dirty = np.zeros(self.table.rows.head.shape, dtype=np.uint8)

@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from uav_recon.geometry.jit import kernel
+from uav_recon.planning.frontier.cluster_rows import ClusterRows
 from uav_recon.types.frames import ByteArray, IntArray
 from uav_recon.types.maps import TILE, UNKNOWN
 
@@ -72,29 +73,18 @@ def unknown_volume_of_each(
 
 
 @kernel
-def weigh(
-    state: ByteArray,
-    faces: ByteArray,
-    low: IntArray,
-    high: IntArray,
-    asked: ByteArray,
-    head: IntArray,
-    after: IntArray,
-    count: IntArray,
-    start: IntArray,
-    pool: IntArray,
-    out: IntArray,
-) -> None:
-    """Compute unknown_volume() of the clusters in the marked blocks, into ``out`` by row.
+def weigh(state: ByteArray, faces: ByteArray, low: IntArray, high: IntArray, asked: ByteArray, rows: ClusterRows) -> None:
+    """Compute unknown_volume() of the clusters in the marked blocks, into rows.beyond.
 
-    asked: (blocks) 1 = marked. The other arrays are columns of a ClusterTable.
+    asked: (blocks) 1 = marked.
     """
+    start, cells, pool = rows.start, rows.cells, rows.pool
     for i in range(asked.shape[0]):
         for j in range(asked.shape[1]):
-            row = head[i, j] - 1 if asked[i, j] else -1
+            row = rows.head[i, j] - 1 if asked[i, j] else -1
             while row >= 0:
-                out[row] = unknown_volume(state, faces, pool[start[row] : start[row] + count[row]], low, high)
-                row = after[row] - 1
+                rows.beyond[row] = unknown_volume(state, faces, pool[start[row] : start[row] + cells[row]], low, high)
+                row = rows.after[row] - 1
 
 
 @kernel

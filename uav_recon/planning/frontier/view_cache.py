@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from uav_recon.geometry.jit import kernel
 from uav_recon.geometry.rows import copy_row
 from uav_recon.geometry.traversal import first_obstacle
 from uav_recon.planning.camera_frustum import LineOfSight, in_view, sight
-from uav_recon.planning.frontier.view_search import ROOM, best_view
+from uav_recon.planning.frontier.view_search import ROOM, SearchScene, best_view
 from uav_recon.planning.frontier.visibility_bound import Int32Array
 from uav_recon.planning.view_sampling import ViewShell
 from uav_recon.types.frames import BoolArray, ByteArray, FloatArray, IntArray
@@ -19,15 +21,32 @@ SAMPLE_CELLS = 24  # sample of the cells of a view, tested to find out which oth
 SAMPLE_POINTS = 6 * SAMPLE_CELLS
 
 
+class ViewRows(NamedTuple):
+    """Search results in R rows.
+
+    shown: (R,) number of cells that the view shows, 0 = none.
+    pose: (R, 5), see view_search.best_view(); also for asked, blockers and box.
+    counts: (R, 4) filled lengths of asked and blockers, and the revisions of map and space at the search.
+    points, first: (R, ...) targets() of a sample of the cells shown.
+    samples: (R,) number of sampled cells.
+    """
+
+    shown: IntArray
+    pose: FloatArray
+    asked: Int32Array
+    blockers: Int32Array
+    box: IntArray
+    counts: IntArray
+    points: FloatArray
+    first: IntArray
+    samples: IntArray
+
+
 class ViewCache:
     """Search results by row, for one map and shell.
 
     row_of: row by the key of a cluster.
-    shown: (R,) number of cells that the view shows, 0 = none.
-    view: (R, 5), see view_search.best_view(); also for asked, blockers and box.
-    counts: (R, 4) filled lengths of asked and blockers, and the revisions of map and space at the search.
-    points, first: (R, ...) targets() of a sample of the cells shown.
-    samples: (R,) number of sampled cells.
+    rows: the results.
     promised: by row, flat indices of the cells shown.
     used: (R,) number of the plan that last used the row.
     """
@@ -37,25 +56,24 @@ class ViewCache:
         self.row_of: dict[int, int] = {}
         self.key = [0] * ROWS
         self.promised = [np.zeros(0, dtype=np.int64)] * ROWS
-        self.shown = np.zeros(ROWS, dtype=np.int64)
-        self.view = np.zeros((ROWS, 5))
-        self.asked = np.zeros((ROWS, len(shell.offsets) + ROOM), dtype=np.int32)
-        self.blockers = np.zeros((ROWS, MAX_BLOCKERS), dtype=np.int32)
-        self.box = np.zeros((ROWS, 2, 4), dtype=np.int64)
-        self.counts = np.zeros((ROWS, 4), dtype=np.int64)
-        self.points = np.zeros((ROWS, SAMPLE_POINTS, 3))
-        self.first = np.zeros((ROWS, SAMPLE_CELLS + 1), dtype=np.int64)
-        self.samples = np.zeros(ROWS, dtype=np.int64)
+        self.rows = ViewRows(
+            shown=np.zeros(ROWS, dtype=np.int64),
+            pose=np.zeros((ROWS, 5)),
+            asked=np.zeros((ROWS, len(shell.offsets) + ROOM), dtype=np.int32),
+            blockers=np.zeros((ROWS, MAX_BLOCKERS), dtype=np.int32),
+            box=np.zeros((ROWS, 2, 4), dtype=np.int64),
+            counts=np.zeros((ROWS, 4), dtype=np.int64),
+            points=np.zeros((ROWS, SAMPLE_POINTS, 3)),
+            first=np.zeros((ROWS, SAMPLE_CELLS + 1), dtype=np.int64),
+            samples=np.zeros(ROWS, dtype=np.int64),
+        )
         self.used = np.full(ROWS, -1, dtype=np.int64)
         self._next = 0
 
     def search(
         self,
         key: int,
-        distance2: ByteArray,
-        reachable: ByteArray,
-        berth: FloatArray,
-        lens: FloatArray,
+        scene: SearchScene,
         faces: ByteArray,
         flat: IntArray,
         centre: FloatArray,
@@ -66,8 +84,7 @@ class ViewCache:
 
         Rows used by ``plan`` are not replaced.
 
-        distance2, faces: of the map.
-        reachable, berth: of the flyable space; reachable is padded.
+        faces: of the map.
         flat: (N,) cells of the cluster.
         centre: (3,) centre of the cluster, voxels.
         revisions: of the map and of the space.
@@ -78,12 +95,8 @@ class ViewCache:
         self._next = (self._next + 1) % ROWS
         if self.row_of.get(self.key[row]) == row:
             del self.row_of[self.key[row]]
-        self.promised[row] = _answer(
-            row, distance2.reshape(-1), faces, reachable.reshape(-1), berth, lens, self.shell.offsets, self.shell.ends,
-            self.shell.places, centre, flat, self.shown, self.view, self.asked, self.blockers,
-            self.box, self.counts, self.points, self.first, self.samples,
-        )  # fmt: skip
-        self.counts[row, 2:] = revisions
+        self.promised[row] = _answer(row, scene, self.shell, faces, centre, flat, self.rows)
+        self.rows.counts[row, 2:] = revisions
         self.key[row], self.row_of[key] = key, row
         return row
 
@@ -104,9 +117,7 @@ class ViewCache:
         moved: (tiles) revision of the space at which ``reachable`` last changed in the tile.
         """
         rows = np.array([self.row_of.get(key, -1) for key in keys], dtype=np.int64)
-        _still_hold(
-            rows, distance2.reshape(-1), reachable.reshape(-1), closed, moved, self.asked, self.blockers, self.box, self.counts
-        )
+        _still_hold(rows, distance2.reshape(-1), reachable.reshape(-1), closed, moved, self.rows)
         held: list[int] = rows.tolist()
         return held
 
@@ -118,17 +129,15 @@ class ViewCache:
         Those that add most cells come first. Each is given with the flat indices of the cells that it shows and none before it
         does.
         """
-        places, samples = np.array(rows, dtype=np.int64), self.samples[rows]
+        places, samples = np.array(rows, dtype=np.int64), self.rows.samples[rows]
         owner = np.full((len(rows), max(1, int(samples.max()))), -1, dtype=np.int64)
-        shows = _sights(
-            places, distance2.reshape(-1), shape, lens, self.view, self.points, self.first, self.samples, owner.shape[1]
-        )
-        chosen = _cover(shows, samples, self.shown[rows] / np.maximum(samples, 1), share, owner)
+        shows = _sights(places, distance2.reshape(-1), shape, lens, self.rows, owner.shape[1])
+        chosen = _cover(shows, samples, self.rows.shown[rows] / np.maximum(samples, 1), share, owner)
         owners, cells = [], [self.promised[row] for row in rows]
-        for n, row in enumerate(rows):
-            ends = np.arange(self.samples[row] + 1) * len(cells[n]) // max(int(self.samples[row]), 1)
+        for n in range(len(rows)):
+            ends = np.arange(samples[n] + 1) * len(cells[n]) // max(int(samples[n]), 1)
             # a sample stands for the cells up to the next
-            owners.append(np.repeat(owner[n, : self.samples[row]], np.diff(ends)))
+            owners.append(np.repeat(owner[n, : samples[n]], np.diff(ends)))
         by = np.concatenate(owners)
         order = np.argsort(by, kind="stable")
         borders = np.searchsorted(by[order], np.arange(len(rows) + 1))
@@ -162,39 +171,20 @@ def targets(faces: ByteArray, flat: IntArray) -> tuple[FloatArray, IntArray]:
 
 @kernel
 def _answer(
-    row: int,
-    distance2: ByteArray,
-    faces: ByteArray,
-    reachable: ByteArray,
-    berth: FloatArray,
-    lens: FloatArray,
-    offsets: FloatArray,
-    ends: IntArray,
-    quotas: IntArray,
-    centre: FloatArray,
-    flat: IntArray,
-    shown: IntArray,
-    view: FloatArray,
-    asked: Int32Array,
-    blockers: Int32Array,
-    box: IntArray,
-    counts: IntArray,
-    points: FloatArray,
-    first: IntArray,
-    samples: IntArray,
+    row: int, scene: SearchScene, shell: ViewShell, faces: ByteArray, centre: FloatArray, flat: IntArray, rows: ViewRows
 ) -> IntArray:
     """Fill a row and return the flat indices of the cells that the view shows."""
     own_points, own_first = targets(faces, flat)
     best, seen, asks, hidden, tiles = best_view(
-        distance2, faces.shape, reachable, berth, lens, offsets, ends, quotas, centre, own_points, own_first,
-        asked[row], blockers[row],
-    )  # fmt: skip
-    copy_row(view, row, best)
+        scene, shell, centre, own_points, own_first, rows.asked[row], rows.blockers[row]
+    )
+    counts, box, samples, points = rows.counts, rows.box, rows.samples, rows.points
+    copy_row(rows.pose, row, best)
     counts[row, 0], counts[row, 1] = asks, hidden
     for n in range(2):
         copy_row(box[row], n, tiles[n])
     cells = np.flatnonzero(seen)
-    shown[row] = len(cells)
+    rows.shown[row] = len(cells)
     samples[row] = min(len(cells), SAMPLE_CELLS)
     filled = 0
     for n in range(samples[row]):
@@ -202,7 +192,7 @@ def _answer(
         for m in range(own_first[cell], own_first[cell + 1]):
             copy_row(points[row], filled, own_points[m])
             filled += 1
-        first[row, n + 1] = filled
+        rows.first[row, n + 1] = filled
     return flat[cells]
 
 
@@ -213,16 +203,14 @@ def _still_hold(  # noqa: C901, PLR0912
     reachable: ByteArray,
     closed: IntArray,
     moved: IntArray,
-    asked: Int32Array,
-    blockers: Int32Array,
-    box: IntArray,
-    counts: IntArray,
+    results: ViewRows,
 ) -> None:
     """Set to -1 the rows whose result would differ from a new call of best_view().
 
     A blocked line stays blocked while the first voxel that blocked it is not free. A clear line stays clear while no voxel
     in its box has stopped being free.
     """
+    asked, blockers, box, counts = results.asked, results.blockers, results.box, results.counts
     for m in range(len(rows)):
         row = rows[m]
         if row < 0:
@@ -252,23 +240,16 @@ def _still_hold(  # noqa: C901, PLR0912
 
 @kernel
 def _sights(
-    rows: IntArray,
-    distance2: ByteArray,
-    shape: tuple[int, int, int],
-    lens: FloatArray,
-    view: FloatArray,
-    points: FloatArray,
-    first: IntArray,
-    samples: IntArray,
-    most: int,
+    rows: IntArray, distance2: ByteArray, shape: tuple[int, int, int], lens: FloatArray, results: ViewRows, most: int
 ) -> BoolArray:
     """Return a mask (N, N, most): the view of a row shows a sample of the cells of another.
 
     Of its own cells it shows all.
     """
+    pose, points, first, samples = results.pose, results.points, results.first, results.samples
     shows = np.zeros((len(rows), len(rows), most), dtype=np.bool_)
     for n in range(len(rows)):
-        line = sight(lens, view[rows[n], :3], view[rows[n], 3], view[rows[n], 4])
+        line = sight(lens, pose[rows[n], :3], pose[rows[n], 3], pose[rows[n], 4])
         for other in range(len(rows)):
             row = rows[other]
             for cell in range(samples[row]):

@@ -8,6 +8,7 @@ dependencies allow the result to be cached until one of them changes.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -27,6 +28,7 @@ from uav_recon.planning.frontier.visibility_rays import (
     record_blocker,
     visible_cells,
 )
+from uav_recon.planning.view_sampling import ViewShell
 from uav_recon.types.frames import BoolArray, ByteArray, Float32Array, FloatArray, IntArray
 from uav_recon.types.maps import TILE
 
@@ -49,6 +51,20 @@ Cluster = tuple[FloatArray, IntArray, Targets, FloatArray]  # points, first: see
 # work arrays for facing, found (U,), order (N,) and directions (3, N)
 WorkArrays = tuple[Int32Array, ByteArray, IntArray, Float32Array]
 Dependencies = tuple[Int32Array, FloatArray, Blockers]  # asked, extents and notes: the dependencies of the result
+
+
+class SearchScene(NamedTuple):
+    """The map and the space that a search reads, and the camera.
+
+    distance2: (nx * ny * nz,) as in VoxelMap. shape: of the map. reachable: raveled, padded by one voxel on all sides. berth:
+    (7,) clearance box of the space. lens: see camera_frustum.
+    """
+
+    distance2: ByteArray
+    shape: tuple[int, int, int]
+    reachable: ByteArray
+    berth: FloatArray
+    lens: FloatArray
 
 
 @kernel
@@ -145,9 +161,7 @@ def _tiles(extent: FloatArray, beside: float, shape: tuple[int, int, int], box: 
 def _survey(
     scene: Scene,
     reachable: ByteArray,
-    offsets: FloatArray,
-    ends: IntArray,
-    quotas: IntArray,
+    shell: ViewShell,
     cluster: Cluster,
     desk: WorkArrays,
     record: Dependencies,
@@ -161,6 +175,7 @@ def _survey(
     blockers and of positions with rays cast.
     """
     _, shape, lens = scene
+    offsets, ends, quotas = shell
     _, first, targets, centre = cluster
     cells = len(first) - 1
     zero = 0 * cells  # no literal: for that the kernels called below would be compiled once more
@@ -281,14 +296,8 @@ def _climb(
 
 @kernel
 def best_view(  # noqa: C901
-    distance2: ByteArray,
-    shape: tuple[int, int, int],
-    reachable: ByteArray,
-    berth: FloatArray,
-    lens: FloatArray,
-    offsets: FloatArray,
-    ends: IntArray,
-    quotas: IntArray,
+    space: SearchScene,
+    shell: ViewShell,
     centre: FloatArray,
     points: FloatArray,
     first: IntArray,
@@ -299,9 +308,7 @@ def best_view(  # noqa: C901
 
     The first view in the order of the shell that shows ENOUGH of the cells is returned at once.
 
-    distance2: raveled, as in VoxelMap.
-    reachable: raveled, padded by one voxel on all sides.
-    berth: clearance box of the space.
+    centre: (3,) centre of the cluster, voxels.
     points, first: see view_cache.targets(); fewer points than BOOK.
     asked: output, (K + ROOM,) for K offsets. Padded flat index of a tested position, or its complement if it was not
         reachable.
@@ -312,6 +319,7 @@ def best_view(  # noqa: C901
     means too many blockers), and boxes (2, 4) with the first and last tile, i and j of each, of all lines and of all tested
     positions.
     """
+    distance2, shape, reachable, berth, lens = space
     cells = len(first) - 1
     scene, notes = (distance2, shape, lens), (np.zeros(HASH_SIZE, dtype=np.int32), blockers)
     targets = distinct(distance2, shape, points, first)
@@ -327,11 +335,9 @@ def best_view(  # noqa: C901
     for n in range(len(points)):
         _widen(extents[0], points[n, 0], points[n, 1])
     record = (asked, extents, notes)
-    places, promises = np.empty((quotas.sum(), 3)), np.zeros(quotas.sum(), dtype=np.int64)
+    places, promises = np.empty((shell.places.sum(), 3)), np.zeros(shell.places.sum(), dtype=np.int64)
     peaks, totals, view = np.zeros((PEAKS, 5)), np.zeros(PEAKS, dtype=np.int64), np.zeros(5)
-    opened, total, asks, count, cast = _survey(
-        scene, reachable, offsets, ends, quotas, cluster, desk, record, places, promises, view
-    )  # fmt: skip
+    opened, total, asks, count, cast = _survey(scene, reachable, shell, cluster, desk, record, places, promises, view)
     if total > 0:
         _enter(view, total, peaks, totals)
     if totals[0] < ENOUGH * cells:
