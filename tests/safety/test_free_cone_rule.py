@@ -18,7 +18,8 @@ POINT = st.tuples(NEAR, NEAR, NEAR)
 def inside(points_m: list[tuple[float, float, float]], apex_m: tuple[float, float, float], half_rad: float) -> BoolArray:
     """Return the mask (N,) for an upright cone of two metres."""
     cos, axis = np.array([math.cos(half_rad)]), np.array([[0.0, 0.0, 1.0]])
-    return points_in_cones(np.array(points_m), np.array([apex_m]), axis, cos, np.array([2.0]))[0]
+    mask: BoolArray = points_in_cones(np.array(points_m), np.array([apex_m]), axis, cos, np.array([2.0]))[0]
+    return mask
 
 
 @given(POINT, POINT, st.floats(0.05, 1.5))
