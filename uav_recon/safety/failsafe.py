@@ -69,7 +69,10 @@ class Failsafe:
         return self._state.clears is ClearCondition.AT_ONCE
 
     def _required(self, inputs: FailsafeInputs) -> _State:
-        """Return what the inputs require now: the first condition that applies, LAND if any has applied for too long."""
+        """Return the action that the inputs require now.
+
+        It is that of the first condition that applies, or LAND if any has applied for too long.
+        """
         state = self._first_condition(inputs)
         self._unhealthy_since_s = math.inf if state is _FLYING else min(self._unhealthy_since_s, inputs.now_s)
         if inputs.now_s - self._unhealthy_since_s <= self._timeouts.land_timeout_s:

@@ -1,4 +1,6 @@
-"""Conditions of the failsafe: cause, action, and when the action may end. The first row that applies decides.
+"""Conditions of the failsafe: cause, action, and when the action may end.
+
+The first row that applies decides.
 
 A human with the sticks overrides every row: the pilot yields at once. No command of the operator and nothing that the mission
 sends overrides any row. A row whose action is less severe stands above a more severe one only where the latter could not be
@@ -31,7 +33,7 @@ class FailsafeAction(IntEnum):
 
 
 class ClearCondition(Enum):
-    """When an action may become less severe, once its cause is gone."""
+    """Condition for a less severe action, once the cause is gone."""
 
     AT_ONCE = "at once"
     GOOD_HEALTH = "after a time without a cause"
@@ -77,7 +79,7 @@ class FailsafeInputs:
 
 @dataclass(frozen=True, slots=True)
 class Observation:
-    """What a condition looks at: the inputs, the time outside the fence (s), and the limits."""
+    """The facts that a condition examines: inputs, time outside the fence (s), limits."""
 
     inputs: FailsafeInputs
     outside_s: float

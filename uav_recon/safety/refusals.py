@@ -16,7 +16,10 @@ _MOTION_S = 1.0
 
 
 class RefusalCounter:
-    """Counts the proposals that guard, mission input and evasion reject. ``total``: since the process began."""
+    """Counter of the proposals that guard, mission input and evasion reject.
+
+    ``total``: since the process began.
+    """
 
     def __init__(self) -> None:
         self.total = 0
@@ -27,7 +30,7 @@ class RefusalCounter:
 
 
 class RefusalHistory:
-    """The refusals of one flight: how dense they are, and for how long nothing else came of the mission.
+    """The refusals of one flight: how dense they are, and how long nothing else came.
 
     counter: what was counted before this flight does not matter. quiet_s: refusals farther apart do not belong together.
     """
@@ -46,7 +49,10 @@ class RefusalHistory:
         return max(self._last_s - self._first_s, 0.0)
 
     def many(self, now_s: float) -> bool:
-        """Return True while MANY_REFUSALS of the last _IGNORED_S came within _MANY_WITHIN_S. Call it every control step."""
+        """Return True while the newest refusals came close together: call it every step.
+
+        MANY_REFUSALS of the last _IGNORED_S came within _MANY_WITHIN_S.
+        """
         if self._counter.total > self._dense_total:
             self._stamps_s.append(now_s)
         self._dense_total = self._counter.total
