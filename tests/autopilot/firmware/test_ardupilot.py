@@ -12,7 +12,7 @@ from telemetry_values import changed
 from uav_recon.autopilot.firmware import ardupilot
 from uav_recon.autopilot.firmware.ardupilot import CLIMB_M, TAKE_OFF, ArduPilotArmingSequence
 from uav_recon.autopilot.firmware.profile import ARM_DISARM, DO_SET_MODE, Outcome
-from uav_recon.autopilot.link.link_status import LinkStatus
+from uav_recon.autopilot.mavlink.link_status import LinkStatus
 from uav_recon.autopilot.mavlink.telemetry import ArmingReadiness, ModeReport, Telemetry
 from uav_recon.types.reason import Reason, autopilot_text
 from uav_recon.types.reason_code import ReasonCode

@@ -12,8 +12,8 @@ import pytest
 from flight_rig import Rig
 from test_pilot_flight_ardupilot import CopterRig
 
-from uav_recon.autopilot.link.link_status import LinkStatus
 from uav_recon.autopilot.link.vehicle_link import VehicleLink
+from uav_recon.autopilot.mavlink.link_status import LinkStatus
 from uav_recon.autopilot.mavlink.telemetry import MotionEstimate, Telemetry
 from uav_recon.autopilot.pilot.estimate_monitor import EstimateMonitor
 from uav_recon.types.frames import FloatArray

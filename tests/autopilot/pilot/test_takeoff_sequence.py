@@ -11,7 +11,7 @@ import pytest
 from telemetry_values import changed
 
 from uav_recon.autopilot.firmware.profile import ARM, Command, Outcome
-from uav_recon.autopilot.link.link_status import LinkStatus
+from uav_recon.autopilot.mavlink.link_status import LinkStatus
 from uav_recon.autopilot.mavlink.telemetry import Telemetry
 from uav_recon.autopilot.pilot.takeoff_sequence import TakeoffSequence
 from uav_recon.types.reason import Reason

@@ -9,8 +9,8 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from uav_recon.autopilot.link.link_status import LinkStatus
 from uav_recon.autopilot.link.vehicle_link import VehicleLink
+from uav_recon.autopilot.mavlink.link_status import LinkStatus
 from uav_recon.autopilot.mavlink.messages import UpwardRange
 from uav_recon.autopilot.mavlink.telemetry import Telemetry, updated
 from uav_recon.autopilot.pilot.upward_range_finder import RangeFinderModel, UpwardRangeFinder

@@ -23,9 +23,9 @@ from uav_recon.autopilot.firmware.profile import (
     missing_to_arm,
     missing_to_follow,
 )
-from uav_recon.autopilot.link.link_status import LinkStatus
+from uav_recon.autopilot.firmware.takeoff_monitor import TakeoffMonitor
+from uav_recon.autopilot.mavlink.link_status import LinkStatus
 from uav_recon.autopilot.mavlink.telemetry import Telemetry
-from uav_recon.autopilot.pilot.takeoff_monitor import TakeoffMonitor
 from uav_recon.types.reason import Reason, autopilot_text
 from uav_recon.types.reason_code import ReasonCode
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Protocol
 
-from uav_recon.autopilot.link.link_status import LinkStatus
+from uav_recon.autopilot.mavlink.link_status import LinkStatus
 from uav_recon.autopilot.mavlink.telemetry import Telemetry
 from uav_recon.types.reason import Reason, autopilot_text
 from uav_recon.types.reason_code import ReasonCode

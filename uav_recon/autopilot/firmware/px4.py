@@ -21,7 +21,7 @@ from uav_recon.autopilot.firmware.profile import (
     missing_to_arm,
     missing_to_follow,
 )
-from uav_recon.autopilot.link.link_status import LinkStatus
+from uav_recon.autopilot.mavlink.link_status import LinkStatus
 from uav_recon.autopilot.mavlink.telemetry import Telemetry
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode

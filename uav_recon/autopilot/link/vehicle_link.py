@@ -11,8 +11,7 @@ import numpy as np
 from uav_recon.autopilot.firmware.profile import FirmwareProfile
 from uav_recon.autopilot.link.autopilot_identity import AutopilotIdentity
 from uav_recon.autopilot.link.duplicate_autopilot import DuplicateAutopilotDetector
-from uav_recon.autopilot.link.link_alerts import TWO_AUTOPILOTS, LinkAlerts
-from uav_recon.autopilot.link.link_status import LinkStatus
+from uav_recon.autopilot.link.link_alerts import TWO, LinkAlerts
 from uav_recon.autopilot.link.local_frame import moved
 from uav_recon.autopilot.link.navigation import CompanionNavigation, Navigation
 from uav_recon.autopilot.link.other_program import OtherProgramFilter
@@ -21,6 +20,7 @@ from uav_recon.autopilot.link.timesync import TimeSyncFilter
 from uav_recon.autopilot.mavlink.allow_list import AllowListFilter
 from uav_recon.autopilot.mavlink.codec import Decoder, Encoder
 from uav_recon.autopilot.mavlink.framing import kind_of
+from uav_recon.autopilot.mavlink.link_status import LinkStatus
 from uav_recon.autopilot.mavlink.messages import (
     Attitude,
     Firmware,

@@ -9,7 +9,7 @@ import math
 from dataclasses import dataclass
 
 from uav_recon.autopilot.firmware.profile import FirmwareProfile
-from uav_recon.autopilot.link.link_status import LinkStatus
+from uav_recon.autopilot.mavlink.link_status import LinkStatus
 from uav_recon.autopilot.mavlink.telemetry import ModeReport, Telemetry
 from uav_recon.types.reason import Reason, autopilot_text
 from uav_recon.types.reason_code import ReasonCode

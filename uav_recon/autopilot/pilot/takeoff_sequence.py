@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 
 from uav_recon.autopilot.firmware.profile import ARM, ArmingSequence, Outcome
-from uav_recon.autopilot.link.link_alerts import TWO_AUTOPILOTS
+from uav_recon.autopilot.firmware.takeoff_monitor import TakeoffMonitor
+from uav_recon.autopilot.link.link_alerts import TWO
 from uav_recon.autopilot.link.vehicle_link import VehicleLink
 from uav_recon.autopilot.pilot.control_authority import ControlAuthority
-from uav_recon.autopilot.pilot.takeoff_monitor import TakeoffMonitor
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
 

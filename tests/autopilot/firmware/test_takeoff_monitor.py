@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
+from uav_recon.autopilot.firmware.takeoff_monitor import TakeoffMonitor
 from uav_recon.autopilot.mavlink.telemetry import MotionEstimate, Telemetry
-from uav_recon.autopilot.pilot.takeoff_monitor import TakeoffMonitor
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
 
