@@ -34,8 +34,9 @@ ALLOWED = {
     "bench": {*BASE, *STAGES, "evaluation", "app", "measurement", "errors"},
     "cli": {"app", "bench", "measurement", "operator", "errors"},
 }
-USES_SIMULATOR = {"cli"}  # the only package of the product that starts the simulator
-SIMULATOR_ROOTS = ("sitl/apps/", "sitl/bench/", "sitl/faults/flights/")  # composition roots: they join simulator and product
+AUTOPILOT_ORDER = ("mavlink", "firmware", "link", "parameters", "pilot")  # each imports only those before it
+USES_SIMULATOR = {"bench", "cli"}  # packages of the product that start or measure with the simulator
+SIMULATOR_ROOTS = ("sitl/apps/", "sitl/faults/flights/")  # the composition roots: they join the simulator and the product
 HEAVY = {
     "torch": ("uav_recon/mapping/neural/sdf_torch",),
     "pyrealsense2": ("uav_recon/sensors/realsense_device.py",),
@@ -97,6 +98,17 @@ def test_a_package_imports_only_what_its_rank_allows() -> None:
     for module in ("uav_recon/mission/events.py", "uav_recon/mission/state_machine.py"):
         ours = {name for name in imports(module) if name.startswith("uav_recon.")}
         assert all(name.startswith(("uav_recon.types", "uav_recon.mission")) for name in ours), ours
+
+
+def test_the_rooms_of_the_autopilot_import_only_those_before_them() -> None:
+    for module in modules("uav_recon/autopilot"):
+        if module == "uav_recon/autopilot/__init__.py":
+            continue
+        rank = AUTOPILOT_ORDER.index(module.split("/")[2])
+        for name in imports(module):
+            if name.startswith("uav_recon.autopilot."):
+                room = name.split(".")[2]
+                assert AUTOPILOT_ORDER.index(room) <= rank, f"{module} imports {name}"
 
 
 def test_product_and_simulator_meet_only_in_composition_roots() -> None:

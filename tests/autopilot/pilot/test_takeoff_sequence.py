@@ -20,7 +20,7 @@ from uav_recon.types.reason_code import ReasonCode
 MODE: Command = (176, (1.0, 6.0))
 OFF = Reason(ReasonCode.MOTORS_STAY_OFF)
 ASKED = Reason(ReasonCode.STOP_REQUESTED)
-TWO_AUTOPILOTS = Reason(ReasonCode.TWO_AUTOPILOTS)
+DUPLICATE = Reason(ReasonCode.TWO_AUTOPILOTS)
 WITHDRAWN = Reason(ReasonCode.ARMING_WITHDRAWN)
 
 
@@ -64,9 +64,9 @@ def test_commands_are_sent_and_only_the_one_to_arm_makes_motors_ours() -> None:
     [
         (False, None, False, WITHDRAWN),
         (True, ASKED, False, ASKED),
-        (True, None, True, TWO_AUTOPILOTS),
+        (True, None, True, DUPLICATE),
         (False, ASKED, True, ASKED),
-        (False, None, True, TWO_AUTOPILOTS),
+        (False, None, True, DUPLICATE),
     ],
 )
 def test_it_is_aborted_without_another_command(wanted: bool, land_wanted: Reason | None, duplicate: bool, why: Reason) -> None:

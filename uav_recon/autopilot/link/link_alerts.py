@@ -16,8 +16,6 @@ from uav_recon.autopilot.mavlink.messages import (
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
 
-TWO_AUTOPILOTS = Reason(ReasonCode.TWO_AUTOPILOTS)
-
 _TELL_STATE = (EstimatorStatus, LandedState, SystemStatus, LocalPosition, Attitude, OriginSet)
 _COMMAND = {
     kind.id: MessageLayout(kind, "target_system")

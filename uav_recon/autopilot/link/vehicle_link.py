@@ -11,7 +11,7 @@ import numpy as np
 from uav_recon.autopilot.firmware.profile import FirmwareProfile
 from uav_recon.autopilot.link.autopilot_identity import AutopilotIdentity
 from uav_recon.autopilot.link.duplicate_autopilot import DuplicateAutopilotDetector
-from uav_recon.autopilot.link.link_alerts import TWO, LinkAlerts
+from uav_recon.autopilot.link.link_alerts import LinkAlerts
 from uav_recon.autopilot.link.local_frame import moved
 from uav_recon.autopilot.link.navigation import CompanionNavigation, Navigation
 from uav_recon.autopilot.link.other_program import OtherProgramFilter
@@ -20,7 +20,7 @@ from uav_recon.autopilot.link.timesync import TimeSyncFilter
 from uav_recon.autopilot.mavlink.allow_list import AllowListFilter
 from uav_recon.autopilot.mavlink.codec import Decoder, Encoder
 from uav_recon.autopilot.mavlink.framing import kind_of
-from uav_recon.autopilot.mavlink.link_status import LinkStatus
+from uav_recon.autopilot.mavlink.link_status import DUPLICATE_AUTOPILOT, LinkStatus
 from uav_recon.autopilot.mavlink.messages import (
     Attitude,
     Firmware,
@@ -141,7 +141,7 @@ class VehicleLink:
             self.alerts.note(self._slow)
         duplicate = self._duplicates.detected(now_s)
         if duplicate:
-            self.alerts.note(TWO_AUTOPILOTS)
+            self.alerts.note(DUPLICATE_AUTOPILOT)
         slow = self._slow if now_s - self._slow_s < _SLOW_FOR_S else None
         known, status = self._timesync.converged, self.status
         if (known, slow, duplicate) != (status.time_known, status.slow, status.duplicate_autopilot):

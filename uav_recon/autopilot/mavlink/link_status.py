@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from uav_recon.autopilot.link.link_alerts import TWO_AUTOPILOTS
 from uav_recon.types.reason import Reason
+from uav_recon.types.reason_code import ReasonCode
+
+DUPLICATE_AUTOPILOT = Reason(ReasonCode.TWO_AUTOPILOTS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,6 +27,11 @@ class LinkStatus:
     failure: Reason | None = None  # why the byte link failed last
 
     @property
+    def duplicate_fault(self) -> Reason | None:
+        """Reason for which two autopilots cannot be flown, None while there is one."""
+        return DUPLICATE_AUTOPILOT if self.duplicate_autopilot else None
+
+    @property
     def autopilot_fault(self) -> Reason | None:
         """Reason not to trust that the messages come from the autopilot that is flown, or None."""
-        return self.identity_fault or (TWO_AUTOPILOTS if self.duplicate_autopilot else None)
+        return self.identity_fault or self.duplicate_fault

@@ -6,7 +6,6 @@ import math
 
 import numpy as np
 
-from uav_recon.autopilot.link.link_alerts import TWO_AUTOPILOTS
 from uav_recon.autopilot.link.vehicle_link import VehicleLink
 from uav_recon.autopilot.parameters.preflight_check import NoParameterCheck, ParameterCheck
 from uav_recon.autopilot.pilot.estimate_monitor import EstimateMonitor
@@ -70,8 +69,12 @@ class SituationBuilder:
         """Return the failsafe's inputs. refusals: of this flight."""
         inside = self._guard.envelope.fence.holds(self._position_m)
         pose_s = min(self._poses.sound_s, self._link.status.pose_fed_s)  # no other poses are used for flight
-        two = TWO_AUTOPILOTS if self._link.status.duplicate_autopilot else None
-        lost = two or self._parameters.changed(self._link) or self._poses.lost or self._estimate.hold_reason
+        lost = (
+            self._link.status.duplicate_fault
+            or self._parameters.changed(self._link)
+            or self._poses.lost
+            or self._estimate.hold_reason
+        )
         wrong = self._poses.wrong or self._estimate.land_reason
         ages_s = (now_s - pose_s, self._mandate.age_s(now_s), self._lookout.depth_age_s(now_s))
         rejected = self._lookout.rejects_depth(now_s, self._guard.bounds.depth_timeout_s)

@@ -6,7 +6,6 @@ import math
 
 from uav_recon.autopilot.firmware.profile import ARM, ArmingSequence, Outcome
 from uav_recon.autopilot.firmware.takeoff_monitor import TakeoffMonitor
-from uav_recon.autopilot.link.link_alerts import TWO
 from uav_recon.autopilot.link.vehicle_link import VehicleLink
 from uav_recon.autopilot.pilot.control_authority import ControlAuthority
 from uav_recon.types.reason import Reason
@@ -50,8 +49,9 @@ class TakeoffSequence:
 
         wanted: the mission still wants to fly, and nothing prevents it. land_wanted: why the operator wants no flight.
         """
-        two = TWO_AUTOPILOTS if self._link.status.duplicate_autopilot else None
-        self.abort_reason = land_wanted or two or (None if wanted else Reason(ReasonCode.ARMING_WITHDRAWN))
+        self.abort_reason = (
+            land_wanted or self._link.status.duplicate_fault or (None if wanted else Reason(ReasonCode.ARMING_WITHDRAWN))
+        )
         if self._arming is None or self.abort_reason:
             return Outcome.GIVEN_UP
         outcome, command = self._arming.step(now_s, self._link.telemetry)
