@@ -129,7 +129,7 @@ class Vehicle:
             raise UserError(f"{one.wanted.name}: {error}, but the vehicle's parameter is an integer", EXIT_CONFIG) from None
         for _ in range(WRITE_TRIES):
             self.need_disarmed()
-            self._link.set_parameter(self._clock.now_s(), ParameterValue(one.wanted.name, number, one.told.kind))
+            self._link.parameters.set(self._clock.now_s(), ParameterValue(one.wanted.name, number, one.told.kind))
             inquiry = ParameterReader([one.wanted.name])
             while not inquiry.done:
                 inquiry.step(self._turn(), self._link)
@@ -166,14 +166,14 @@ class Vehicle:
                 f"--autopilot (or link.autopilot in the config) is {self._options.autopilot}, but the vehicle runs {name}",
                 EXIT_CONFIG,
             )
-        self._link.request_streams(self._clock.now_s(), ((_HEARTBEAT, 5.0),), ())  # each write waits for one
+        self._link.requests.request_streams(self._clock.now_s(), ((_HEARTBEAT, 5.0),))  # each write waits for one
 
     def _turn(self) -> float:
         """Wait briefly, process received messages, and return the instant."""
         self._link.wait(TURN_S)
         now_s = self._clock.now_s()
         self._link.receive(now_s)
-        self._link.poll(now_s)
+        self._link.requests.poll(now_s)
         if failure := self._link.status.failure:
             raise UserError(f"{self._options.link}: {failure.text()}", EXIT_SILENT)
         return now_s

@@ -114,14 +114,14 @@ def held_true(link: VehicleLink) -> dict[str, str]:
         for field in dataclasses.fields(value)
         if field.name not in ("received_s", "estimate")
     }
-    return {**known, "clock": str(link._timesync.autopilot_ns(1.0))}
+    return {**known, "clock": str(link._clock.autopilot_ns(1.0))}
 
 
 def flying() -> tuple[VehicleLink, Wire]:
     """A link whose autopilot has said that all is well, and whose clock is known."""
     far = Wire()
     link = VehicleLink(far, NoLog(), 0.0, PX4, AllowListFilter())
-    link.ask_parameter(0.0, "COM_OF_LOSS_T")
+    link.parameters.read(0.0, "COM_OF_LOSS_T")
     bit = wire.MAV_SYS_STATUS_PREARM_CHECK
     for well in (
         wire.MAVLink_heartbeat_message(2, 12, 0x80, 6 << 16, 4, 3),
@@ -163,7 +163,7 @@ def bombard(size: int, forged: int, seed: int) -> Outcome:
         begun_s = time.process_time()
         link.receive(now_s)
         taken_s.append(time.process_time() - begun_s)
-        waited = max(waited, len(link._decoder._buffer))
+        waited = max(waited, len(link._frames._decoder._buffer))
         after_s.append(heard_after_s(link, far, count, now_s))
         now = held_true(link)
         effects += [f"{name}: {before[name]} became {now[name]}" for name in before if now[name] != before[name]]

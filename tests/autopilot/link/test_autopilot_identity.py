@@ -162,5 +162,5 @@ def test_another_than_the_configured_one_is_refused_and_both_are_named() -> None
 def test_who_it_is(wanted: str, told: list[str], fault: Reason | None) -> None:
     identity = AutopilotIdentity(wanted)
     for uid in told:
-        identity.told(uid)
+        identity.check_uid(uid)
     assert identity.fault == fault

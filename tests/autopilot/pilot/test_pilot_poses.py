@@ -168,7 +168,7 @@ class Late:
 
 def test_poses_that_no_clock_lets_us_feed_hold_then_land(hovering: Rig) -> None:
     """One answer contradicts, none comes to clear it up: the autopilot hears of no pose, however good ours are."""
-    doubt_s, clock = en_route(hovering), hovering.pilot._link._timesync
+    doubt_s, clock = en_route(hovering), hovering.pilot._link._clock._timesync
     now_ns = int(doubt_s * 1e9)
     clock.observe(now_ns - 10_000_000, clock.autopilot_ns(doubt_s) + 300_000_000, now_ns)
     hovering.tap._inner = Late(hovering)

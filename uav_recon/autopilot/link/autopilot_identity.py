@@ -33,7 +33,7 @@ class AutopilotIdentity:
         self._asks = self._asks or doubtful or _SILENCE_S < now_s - self._received_s < math.inf
         self._received_s = now_s
 
-    def told(self, uid: str) -> None:
+    def check_uid(self, uid: str) -> None:
         """Compare the uid that it answers, None for nothing."""
         self._asks = False
         self._uid = self._uid or uid

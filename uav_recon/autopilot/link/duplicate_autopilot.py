@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+from uav_recon.autopilot.firmware.profile import FirmwareProfile
 from uav_recon.autopilot.mavlink.framing import kind_of, payload_of
 from uav_recon.autopilot.mavlink.messages import Heartbeat, Received
 
@@ -23,7 +24,7 @@ _CHANGES = 6  #: hold: this many mode changes within _WITHIN_S: frames that are 
 _WITHIN_S = 3.0  #: hold: time within which _CHANGES count together
 _AGAIN_S = 1.0  #: internal: a heartbeat repeated within this time is a copy, and no change of mode
 _CALM_S = 2.0  #: hold: ends this long after the last sign of a second autopilot
-_TOLD_S = 0.25  #: internal: a reported mode is current for this time: a vehicle reports it ten times a second
+_RECENT_S = 0.25  #: internal: a reported mode is current for this time: a vehicle reports it ten times a second
 
 
 @dataclass(slots=True)
@@ -43,7 +44,7 @@ class DuplicateAutopilotDetector:
         self._copies: dict[bytes, float] = {}  # heartbeats of the last second
         self._state: tuple[bool, int] | None = None
         self._changed_s: deque[float] = deque(maxlen=_CHANGES)
-        self._told_s: dict[tuple[bool, int], float] = {}
+        self._received_s: dict[tuple[bool, int], float] = {}
         self._seen_s = -math.inf
 
     def update(self, received: Received, now_s: float) -> None:
@@ -57,12 +58,12 @@ class DuplicateAutopilotDetector:
         """Return True if there are two, now or within the last two seconds."""
         return now_s - self._seen_s <= _CALM_S
 
-    def told(self, now_s: float) -> list[tuple[bool, int]]:
+    def recent_states(self, now_s: float) -> list[tuple[bool, int]]:
         """Return (armed, mode) of the heartbeats of the last quarter second.
 
         There is more than one entry if they contradict each other or change.
         """
-        return [state for state, at_s in self._told_s.items() if now_s - at_s < _TOLD_S]
+        return [state for state, at_s in self._received_s.items() if now_s - at_s < _RECENT_S]
 
     def _check_clock(self, ahead_s: float, now_s: float) -> None:
         self._clocks = [clock for clock in self._clocks if now_s - clock.received_s <= _SILENT_S]
@@ -78,7 +79,7 @@ class DuplicateAutopilotDetector:
 
     def _check_state(self, message: Heartbeat, frame: bytes, now_s: float) -> None:
         state = message.armed, message.custom_mode
-        self._told_s = {told: self._told_s[told] for told in self.told(now_s)} | {state: now_s}
+        self._received_s = {recent: self._received_s[recent] for recent in self.recent_states(now_s)} | {state: now_s}
         self._copies = {old: at_s for old, at_s in self._copies.items() if now_s - at_s <= _AGAIN_S}
         if self._copies.setdefault(frame, now_s) != now_s:
             return
@@ -87,3 +88,22 @@ class DuplicateAutopilotDetector:
             if len(self._changed_s) == _CHANGES and now_s - self._changed_s[0] <= _WITHIN_S:
                 self._seen_s = now_s
         self._state = state
+
+
+def resolved(
+    message: Heartbeat, states: list[tuple[bool, int]], duplicate: bool, firmware: FirmwareProfile
+) -> Heartbeat | None:
+    """Return the heartbeat that is used where states (armed, mode) contradict each other; None if the message is not used.
+
+    The motors count as off only when no current heartbeat reports them running. With two autopilots (duplicate), a mode that is
+    not ours has precedence over ours, so that a human pilot always wins, and ours over a landing, so that no sender can keep us
+    from requesting one.
+    """
+    armed = [mode for runs, mode in states if runs]
+    if armed and not message.armed:
+        return None
+    if not duplicate:
+        return message
+    modes = armed or [message.custom_mode]
+    mode = min(modes, key=lambda mode: firmware.is_ours(mode) + 2 * firmware.is_landing(mode))
+    return replace(message, custom_mode=mode)

@@ -16,7 +16,7 @@ from uav_recon.autopilot.mavlink.messages import (
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
 
-_TELL_STATE = (EstimatorStatus, LandedState, SystemStatus, LocalPosition, Attitude, OriginSet)
+_STATE_KINDS = (EstimatorStatus, LandedState, SystemStatus, LocalPosition, Attitude, OriginSet)
 _COMMAND = {
     kind.id: MessageLayout(kind, "target_system")
     for kind in (
@@ -36,8 +36,8 @@ class LinkAlerts:
 
     def __init__(self, own: tuple[int, int]) -> None:
         self._own = own
-        self._alarms: dict[ReasonCode, Reason] = {}  # the first of each code, until it is told
-        self._told: set[ReasonCode] = set()
+        self._alarms: dict[ReasonCode, Reason] = {}  # the first of each code, until it is reported
+        self._reported: set[ReasonCode] = set()
 
     def update(self, received: Received) -> None:
         """Check a frame that was not admitted."""
@@ -52,18 +52,18 @@ class LinkAlerts:
 
     def note(self, alarm: Reason) -> None:
         """Record an alert, unless one of its kind was reported in this flight."""
-        if alarm.code not in self._told:
+        if alarm.code not in self._reported:
             self._alarms.setdefault(alarm.code, alarm)
 
     def begin(self) -> None:
         """Start a flight: earlier alerts are dropped, and each kind may be reported again."""
         self._alarms.clear()
-        self._told.clear()
+        self._reported.clear()
 
     def news(self) -> list[Reason]:
         """Return the alerts to report now; they are not reported again in this flight."""
         news = list(self._alarms.values())
-        self._told |= set(self._alarms)
+        self._reported |= set(self._alarms)
         self._alarms.clear()
         return news
 
@@ -71,4 +71,4 @@ class LinkAlerts:
 def is_vehicle_state(received: Received) -> bool:
     """Return True if the message reports the state of a vehicle, as an autopilot's does."""
     message = received.message
-    return isinstance(message, _TELL_STATE) or (isinstance(message, Heartbeat) and message.from_autopilot)
+    return isinstance(message, _STATE_KINDS) or (isinstance(message, Heartbeat) and message.from_autopilot)

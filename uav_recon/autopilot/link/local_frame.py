@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from dataclasses import replace
 from itertools import pairwise
 
-from uav_recon.types.frames import FloatArray
+from uav_recon.autopilot.mavlink.messages import LocalPosition
+from uav_recon.types.frames import FloatArray, frozen
 from uav_recon.types.pose import Pose, StampedPose
 from uav_recon.types.trajectory import Setpoint
 
@@ -74,6 +76,13 @@ def moved(setpoint: Setpoint, local_from_odom: Pose) -> Setpoint:
         setpoint.yaw_rate_radps,
         setpoint.camera_pitch_down_rad,
     )
+
+
+def in_odom(message: LocalPosition, local_from_odom: Pose | None) -> LocalPosition:
+    """Return a position of the local frame in odom; unchanged while that frame is not known."""
+    odom_from_local = (local_from_odom or Pose.identity()).inverse()
+    position_m, velocity_mps = odom_from_local.apply(message.position_m), odom_from_local.rotation() @ message.velocity_mps
+    return replace(message, position_m=frozen(position_m), velocity_mps=frozen(velocity_mps))
 
 
 def _between(before: Pose, after: Pose, share: float) -> tuple[FloatArray, float]:

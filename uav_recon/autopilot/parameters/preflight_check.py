@@ -59,9 +59,9 @@ class ParameterCheck:
 
         Nothing is requested: a firmware reports a change to everybody.
         """
-        if (told := link.telemetry.parameters) != self._checked:
-            self._checked = told
-            faulty = [one for one in self._faulty(link) if one.name in told]
+        if (reported := link.telemetry.parameters) != self._checked:
+            self._checked = reported
+            faulty = [one for one in self._faulty(link) if one.name in reported]
             self._changed = Reason(ReasonCode.PARAMETER_CHANGED, details=(self._reason(faulty, link),)) if faulty else None
         return self._changed
 
@@ -72,16 +72,16 @@ class ParameterCheck:
         return [one for one in self._wanted if not self._met(one, link)]
 
     def _met(self, one: RequiredParameter, link: VehicleLink) -> bool:
-        told = link.telemetry.parameters.get(one.name)
-        return told is not None and equal(self._form.value_of(told), one.value)
+        reported = link.telemetry.parameters.get(one.name)
+        return reported is not None and equal(self._form.value_of(reported), one.value)
 
     def _reason(self, faulty: list[RequiredParameter], link: VehicleLink) -> Reason:
         first = faulty[0]
-        told = link.telemetry.parameters.get(first.name)
+        reported = link.telemetry.parameters.get(first.name)
         wanted = f"{first.value:.7g} {first.reason.unit}".rstrip()
-        if told is None:
+        if reported is None:
             return Reason(ReasonCode.PARAMETER_NOT_REPORTED, (first.name, wanted, len(faulty)))
-        return Reason(ReasonCode.PARAMETER_DIFFERS, (first.name, self._form.value_of(told), wanted, len(faulty)))
+        return Reason(ReasonCode.PARAMETER_DIFFERS, (first.name, self._form.value_of(reported), wanted, len(faulty)))
 
 
 class NoParameterCheck:

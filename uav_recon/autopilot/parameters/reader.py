@@ -30,10 +30,10 @@ class ParameterEncoding:
     number_of: Callable[[float, int], float]
 
 
-def _from_bytes(told: ParameterValue) -> float:
-    if told.kind == _REAL32:
-        return told.number
-    return float(_INT.unpack(_FLOAT.pack(told.number))[0])
+def _from_bytes(reported: ParameterValue) -> float:
+    if reported.kind == _REAL32:
+        return reported.number
+    return float(_INT.unpack(_FLOAT.pack(reported.number))[0])
 
 
 def _to_bytes(value: float, kind: int) -> float:
@@ -54,7 +54,7 @@ def _whole(value: float) -> int:
 
 
 BYTEWISE = ParameterEncoding(_from_bytes, _to_bytes)  # PX4: the bytes of an INT32 stand where a float is expected
-NUMERIC = ParameterEncoding(lambda told: told.number, _to_number)  # ArduPilot: every value is sent as a float
+NUMERIC = ParameterEncoding(lambda reported: reported.number, _to_number)  # ArduPilot: every value is sent as a float
 
 
 def equal(a: float, b: float) -> bool:
@@ -101,4 +101,4 @@ class ParameterReader:
 
     def _ask(self, now_s: float, link: VehicleLink, name: str, tries: int, before: ParameterValue | None) -> None:
         self._asked[name] = (tries, now_s, before)
-        link.ask_parameter(now_s, name)
+        link.parameters.read(now_s, name)

@@ -211,7 +211,7 @@ class Pilot:
         """Check whether the vehicle is still ours."""
         t, status = self._link.telemetry, self._link.status
         loss = self._authority.watch(self.phase, t, status, now_s)
-        if self.phase is FlightPhase.YIELDED and not self._link.mute:
+        if self.phase is FlightPhase.YIELDED and not self._link.heartbeat.stopped:
             loss = self._authority.operator_lost(t.mode, status, now_s)
             self._note = self._authority.reselected_message(t.mode, now_s) or self._note
         if loss is not None:
@@ -254,7 +254,7 @@ class Pilot:
     def _lose(self, loss: ControlLoss) -> None:
         self._enter(loss.phase, loss.why, landing_seen=self._firmware.is_landing(self._link.telemetry.mode.custom_mode))
         if loss.stop_heartbeats:
-            self._link.stop_heartbeats()
+            self._link.heartbeat.stop()
 
     def _advance(self, now_s: float) -> None:
         """Run one step of the sequence of the present phase."""
@@ -390,7 +390,7 @@ class Pilot:
 
         They are worth less with each millisecond.
         """
-        rates, poses = self._link.turn_rates(), self._link.reported_poses()
+        rates, poses = self._link.measurements.turn_rates(), self._link.measurements.reported_poses()
         if rates is not None:
             self._rates.publish(rates)
         if poses is not None:

@@ -43,8 +43,10 @@ class PreflightSetup:
 
     def _ask(self, now_s: float) -> None:
         t, firmware = self._link.telemetry, self._link.firmware
-        self._link.request_streams(now_s, firmware.streams_hz, () if t.version else firmware.asked_once)
+        self._link.requests.request_streams(now_s, firmware.streams_hz)
+        for identifier in () if t.version else firmware.asked_once:
+            self._link.requests.request(now_s, identifier)
         if self._gimbal:
-            self._link.claim_gimbal(now_s)
+            self._link.gimbal.claim(now_s)
         if not t.readiness.origin_known and not firmware.missing_for_origin(t, self._link.status, now_s):
             self._link.send_origin(now_s, self._origin.lat_deg, self._origin.lon_deg, self._origin.alt_m)
