@@ -35,8 +35,8 @@ ALLOWED = {
     "cli": {"app", "bench", "measurement", "operator", "errors"},
 }
 AUTOPILOT_ORDER = ("mavlink", "firmware", "link", "parameters", "pilot")  # each imports only those before it
-USES_SIMULATOR = {"bench", "cli"}  # packages of the product that start or measure with the simulator
-SIMULATOR_ROOTS = ("sitl/apps/", "sitl/faults/flights/")  # the composition roots: they join the simulator and the product
+USES_SIMULATOR = {"cli"}  # the only package of the product that starts the simulator
+SIMULATOR_ROOTS = ("sitl/apps/", "sitl/bench/", "sitl/faults/flights/")  # composition roots: they join simulator and product
 HEAVY = {
     "torch": ("uav_recon/mapping/neural/sdf_torch",),
     "pyrealsense2": ("uav_recon/sensors/realsense_device.py",),

@@ -1,4 +1,4 @@
-"""Measurements of the autopilot with stamps on our clock: turn rates, and poses of its own navigation."""
+"""Measurements of the autopilot on our clock: turn rates, and poses of its navigation."""
 
 from __future__ import annotations
 
@@ -26,7 +26,10 @@ class AutopilotMeasurements:
         self._returned_s: float | None = None  # stamp of the newest turn rate that was returned
 
     def update(self, message: Attitude | LocalPosition | Odometry, now_s: float, duplicate: bool) -> None:
-        """Process a message. duplicate: its pose is not used, as it may be of either of two autopilots."""
+        """Process a message.
+
+        duplicate: its pose is not used, as it may be of either of two autopilots.
+        """
         if isinstance(message, Attitude):
             self._keep_rate(message, now_s)
         if isinstance(message, Odometry):

@@ -93,8 +93,9 @@ class DuplicateAutopilotDetector:
 def resolved(
     message: Heartbeat, states: list[tuple[bool, int]], duplicate: bool, firmware: FirmwareProfile
 ) -> Heartbeat | None:
-    """Return the heartbeat that is used where states (armed, mode) contradict each other; None if the message is not used.
+    """Return the heartbeat that is used where states (armed, mode) contradict each other.
 
+    None if the message is not used.
     The motors count as off only when no current heartbeat reports them running. With two autopilots (duplicate), a mode that is
     not ours has precedence over ours, so that a human pilot always wins, and ours over a landing, so that no sender can keep us
     from requesting one.

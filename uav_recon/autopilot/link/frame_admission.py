@@ -1,4 +1,4 @@
-"""Admission of received frames: whether each was sent by the autopilot or the gimbal of the vehicle that is flown."""
+"""Admission of received frames: those of the autopilot and the gimbal that are flown."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _FLYING_KINDS = (84, 331)  #: refuse: SET_POSITION_TARGET_LOCAL_NED or ODOMETRY 
 
 
 class FrameVerdict(Enum):
-    """Sender of a received frame, and whether its message is used: only with AUTOPILOT and GIMBAL."""
+    """Sender of a received frame; only messages of AUTOPILOT and GIMBAL are used."""
 
     AUTOPILOT = "the newest of its kind from the vehicle's autopilot"
     GIMBAL = "from the vehicle's gimbal"
@@ -34,7 +34,7 @@ class FrameVerdict(Enum):
 
 
 class FrameAdmission:
-    """Judges each frame once, in the order of arrival; counts, logs and reports what is not admitted.
+    """Judges each frame once, in the order of arrival; counts and reports the others.
 
     gate: the allow list. own: our system and component. ``alerts``: what people have to know of other senders. ``identity``:
     the autopilot's uid. ``duplicate``: two autopilots used its ids at the newest reading. ``own_id_in_use``: a second copy of
@@ -56,7 +56,10 @@ class FrameAdmission:
         self.stale_frames = 0
 
     def judge(self, received: Received, now_s: float, clock_lost: bool) -> FrameVerdict:
-        """Return the verdict of a frame. clock_lost: another autopilot may have replaced the one before."""
+        """Return the verdict of a frame.
+
+        clock_lost: another autopilot may have replaced the one before.
+        """
         if (received.system, received.component) == self._own:
             return self._judge_own_ids(received)
         if not self._gate.admits(received):
@@ -75,7 +78,10 @@ class FrameAdmission:
         return self._judge_autopilot(received, now_s, clock_lost) if from_autopilot else FrameVerdict.GIMBAL
 
     def update(self, now_s: float, mavlink1_frames: int) -> None:
-        """Conclude a reading: whether the autopilot is the only one. mavlink1_frames: number of them since the start."""
+        """Conclude a reading: update whether the autopilot is the only one.
+
+        mavlink1_frames: number of them since the start.
+        """
         self.duplicate = self._duplicates.detected(now_s)
         if self.duplicate:
             self.alerts.note(DUPLICATE_AUTOPILOT)

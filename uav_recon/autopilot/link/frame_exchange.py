@@ -1,4 +1,4 @@
-"""Frames over one byte link: decoded and recorded on the way in, signed and recorded on the way out."""
+"""Frames over one byte link: decoded on the way in, signed on the way out, all recorded."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class FrameExchange:
 
     @property
     def mavlink1_frames(self) -> int:
-        """Number of frames of MAVLink 1 so far; none of them is decoded."""
+        """Number of frames of MAVLink 1 until now; none of them is decoded."""
         return self._decoder.mavlink1_frames
 
     def read(self, now_s: float) -> Iterator[Received] | None:

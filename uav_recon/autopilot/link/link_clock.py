@@ -47,7 +47,7 @@ class LinkClock:
         return self._timesync.lost
 
     def update(self, now_s: float) -> Reason | None:
-        """Update whether the clock is known and the link slow; return the alert of a slow link, None for none.
+        """Update whether the clock is known and the link slow; return the alert of a slow link.
 
         A link counts as slow until it has been quick for a while: each change of the speed limit costs a stop.
         """
@@ -61,7 +61,7 @@ class LinkClock:
         return self._slow if late else None
 
     def request_due(self, now_s: float) -> bool:
-        """Return True if the autopilot's clock has to be requested now; more often while it is lost."""
+        """Return True if the clock has to be requested now; more often while it is lost."""
         return (self._requests_lost if self._timesync.lost else self._requests).due(now_s)
 
     def observe(self, answer: TimesyncMessage, now_s: float) -> bool:
@@ -71,7 +71,7 @@ class LinkClock:
         return self._timesync.restarts > before
 
     def answer_ns(self, request: TimesyncMessage, now_s: float) -> int | None:
-        """Return the answer to a request, in the autopilot's OWN clock; None while that is not known.
+        """Return the answer to a request, in the autopilot's OWN clock; None if not known.
 
         Pose stamps are on that clock too, so an autopilot that corrects stamps by what it learns from our answers finds
         an offset of zero, and one that uses stamps unchanged is right as well. It learns nothing from a late copy.
@@ -83,7 +83,10 @@ class LinkClock:
         return clock_ns
 
     def autopilot_ns(self, ours_s: float) -> int:
-        """Return our instant on the autopilot's clock, never negative. It has no meaning while that is not known."""
+        """Return our instant on the autopilot's clock, never negative.
+
+        It has no meaning while that clock is not known.
+        """
         return self._timesync.autopilot_ns(ours_s)
 
     def stamp_s(self, boot_ms: int, now_s: float) -> float | None:
@@ -95,6 +98,9 @@ class LinkClock:
         return self._timesync.ours_from_us(boot_us, now_s) if self.known else None
 
     def measured_s(self, boot_ms: int, now_s: float) -> float | None:
-        """Return when the autopilot measured something, on our clock; None if that is not known or long past."""
+        """Return the instant of a measurement of the autopilot on our clock.
+
+        None if that is not known or long past.
+        """
         stamp_s = self.stamp_s(boot_ms, now_s)
         return min(stamp_s, now_s) if stamp_s is not None and now_s - stamp_s <= _OLD_S else None

@@ -1,4 +1,4 @@
-"""Requests for messages of the autopilot: streams, single messages, and those that have to be polled."""
+"""Requests for messages of the autopilot: streams, single messages, and polled ones."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class MessageRequests:
         self._sender.command(now_s, _REQUEST_MESSAGE, float(identifier))
 
     def poll(self, now_s: float) -> None:
-        """Request the polled messages that are due; none before the first heartbeat of the autopilot."""
+        """Request the polled messages that are due; none before the autopilot's first heartbeat."""
         for identifier, keeper in self._polled:
             if self._sender.target and keeper.due(now_s):
                 self.request(now_s, identifier)

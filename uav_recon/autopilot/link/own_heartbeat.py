@@ -26,6 +26,9 @@ class OwnHeartbeat:
         self.stopped = True
 
     def due(self, now_s: float, received_s: float) -> bool:
-        """Return True if a heartbeat has to be sent now. received_s: time of the autopilot's newest message."""
+        """Return True if a heartbeat has to be sent now.
+
+        received_s: time of the autopilot's newest message.
+        """
         deaf = -math.inf < received_s < now_s - _DEAF_S
         return self._keeper.due(now_s) and not (self.stopped or deaf)

@@ -83,7 +83,7 @@ class VehicleLink:
 
     @property
     def status(self) -> LinkStatus:
-        """What the link itself observed until now."""
+        """Observations of the link itself until now."""
         admission, clock = self._admission, self._clock
         return LinkStatus(
             time_known=clock.known,
@@ -100,7 +100,7 @@ class VehicleLink:
 
     @property
     def alerts(self) -> LinkAlerts:
-        """What people have to know of other senders and of faults on the link."""
+        """Messages for people about other senders and faults on the link."""
         return self._admission.alerts
 
     def receive(self, now_s: float) -> None:
@@ -120,7 +120,7 @@ class VehicleLink:
         self._frames.wait(timeout_s)
 
     def keep_alive(self, now_s: float) -> None:
-        """Send our heartbeat, and the requests that are due: for the autopilot's clock, its messages and its uid."""
+        """Send our heartbeat and the requests that are due: for clock, messages and uid."""
         encoder = self._sender.encoder
         if self.heartbeat.due(now_s, self.telemetry.received_s):
             self._sender.send(encoder.heartbeat(), now_s)
@@ -193,7 +193,7 @@ class VehicleLink:
             self.telemetry = updated(self.telemetry, message, now_s)
 
     def _on_message(self, message: Message, now_s: float) -> None:
-        """Update the telemetry with a message of the autopilot, and the parts of the link that need it."""
+        """Update the telemetry, and the parts of the link that need it, with a message."""
         match message:
             case Heartbeat():
                 heartbeat = resolved(message, self._admission.recent_states(now_s), self._admission.duplicate, self.firmware)
