@@ -81,11 +81,11 @@ class ParamsOptions:
 class Compared:
     """A parameter with its required and its reported value.
 
-    told None: the firmware does not know it, or does not answer.
+    reported None: the firmware does not know it, or does not answer.
     """
 
     wanted: RequiredParameter
-    told: ParameterValue | None
+    reported: ParameterValue | None
     value: float
 
     @property
@@ -100,11 +100,11 @@ class Vehicle:
     Raises UserError if it does not answer or is another one.
     """
 
-    def __init__(self, bytes_link: ByteLink, options: ParamsOptions, clock: Clock, gate: AllowListFilter) -> None:
+    def __init__(self, bytes_link: ByteLink, options: ParamsOptions, clock: Clock, allow_list: AllowListFilter) -> None:
         self._clock = clock
         self._options = options
         self._firmware, self._form = pilot_factory.firmware(options.autopilot)
-        self._link = VehicleLink(bytes_link, NoLog(), clock.now_s(), self._firmware, gate)
+        self._link = VehicleLink(bytes_link, NoLog(), clock.now_s(), self._firmware, allow_list)
         self._await_heartbeat()
 
     def compare(self, wanted: tuple[RequiredParameter, ...]) -> list[Compared]:
@@ -121,15 +121,15 @@ class Vehicle:
 
         Raises UserError while the motors are armed.
         """
-        if one.told is None:
+        if one.reported is None:
             return False
         try:
-            number = self._form.number_of(one.wanted.value, one.told.kind)
+            number = self._form.number_of(one.wanted.value, one.reported.kind)
         except ValueError as error:
             raise UserError(f"{one.wanted.name}: {error}, but the vehicle's parameter is an integer", EXIT_CONFIG) from None
         for _ in range(WRITE_TRIES):
             self.need_disarmed()
-            self._link.parameters.set(self._clock.now_s(), ParameterValue(one.wanted.name, number, one.told.kind))
+            self._link.parameters.set(self._clock.now_s(), ParameterValue(one.wanted.name, number, one.reported.kind))
             inquiry = ParameterReader([one.wanted.name])
             while not inquiry.done:
                 inquiry.step(self._turn(), self._link)
@@ -147,8 +147,8 @@ class Vehicle:
             raise UserError("the motors are armed: disarm before writing parameters", EXIT_CONFIG)
 
     def _compared(self, one: RequiredParameter) -> Compared:
-        told = self._link.telemetry.parameters.get(one.name)
-        return Compared(one, told, math.nan if told is None else self._form.value_of(told))
+        reported = self._link.telemetry.parameters.get(one.name)
+        return Compared(one, reported, math.nan if reported is None else self._form.value_of(reported))
 
     def _await_heartbeat(self) -> None:
         start_s, said = self._clock.now_s(), False
@@ -201,7 +201,7 @@ def show(compared: list[Compared], every_row: bool, console: Console) -> int:
         for one in shown:
             name, reason = one.wanted.name, one.wanted.reason
             mark = "" if one.same else "!" if reason.refused else "~"
-            has = "no answer" if one.told is None else f"{one.value:.7g}"
+            has = "no answer" if one.reported is None else f"{one.value:.7g}"
             style = None if one.same else "bold red" if reason.refused else "yellow"
             table.add_row(mark, name, has, f"{one.wanted.value:.7g}", reason.unit, reason.why, style=style)
         console.print(table)
@@ -220,7 +220,7 @@ def write_to(vehicle: Vehicle, wanted: tuple[RequiredParameter, ...], confirm: C
     if code == 0:
         return 0
     vehicle.need_disarmed()
-    to_write = [one for one in compared if not one.same and one.told is not None]
+    to_write = [one for one in compared if not one.same and one.reported is not None]
     if not to_write or not confirm(f"write {len(to_write)} parameters to the vehicle?"):
         console.print("nothing was written")
         return EXIT_DIFFERENT
@@ -242,14 +242,14 @@ def _wanted(options: ParamsOptions) -> tuple[RequiredParameter, ...]:
 
 def _on_link(options: ParamsOptions, work: Callable[[Vehicle], T]) -> T:
     clock = MonotonicClock()
-    gate = pilot_factory.make_allow_list_filter(options.says, clock)
+    allow_list = pilot_factory.make_allow_list_filter(options.says, clock)
     try:
-        link = open_link(options.link, gate, clock, options.says.peer_host)
+        link = open_link(options.link, allow_list, clock, options.says.peer_host)
     except LinkError as error:
         held = " (a running pilot uses this link: stop it first)" if _IN_USE.search(str(error)) else ""
         raise UserError(f"{error}{held}", EXIT_CONFIG) from None
     try:
-        return work(Vehicle(link, options, clock, gate))
+        return work(Vehicle(link, options, clock, allow_list))
     finally:
         link.close()
-        gate.close()
+        allow_list.close()

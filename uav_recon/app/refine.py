@@ -215,18 +215,18 @@ class _Work:
         """Train and save. Return True if the plan is completed."""
         start, began_s = refiner.steps, time.monotonic()
         saved_s, saved_at = began_s, refiner.steps
-        columns = (TextColumn("training"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[told]}"))
+        columns = (TextColumn("training"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[rate]}"))
         lines = nullcontext(no_report) if self._console.is_terminal else self._display.step("training")
         with (
             Progress(*columns, TimeRemainingColumn(), console=self._console, disable=not self._console.is_terminal) as progress,
             lines as report,
         ):
-            task = progress.add_task("training", total=self._wanted.steps, completed=start, told="")
+            task = progress.add_task("training", total=self._wanted.steps, completed=start, rate="")
             while not refiner.done and not self._team.any(self._asked()):
                 loss = refiner.advance(SLICE_STEPS)
                 now_s = time.monotonic()
-                told = f"{(refiner.steps - start) / (now_s - began_s):.1f} steps/s, loss {loss:.3f}"
-                progress.update(task, completed=refiner.steps, told=told)
+                rate = f"{(refiner.steps - start) / (now_s - began_s):.1f} steps/s, loss {loss:.3f}"
+                progress.update(task, completed=refiner.steps, rate=rate)
                 report(refiner.steps, self._wanted.steps)
                 if self._team.is_main and now_s - saved_s > self._wanted.save_every_s:
                     checkpoints.save(refiner.state())

@@ -72,21 +72,21 @@ class Status:
         if vehicle is None:
             return Status("starting", "silent")
         x, y, z = (_finite(v, 2) for v in vehicle.world_from_body.translation_m.tolist())
-        told, heard = progress if mission_receives else None, bool(vehicle.mode)
-        note = vehicle.note or (told.note if told is not None and vehicle.phase is FlightPhase.READY else None)
+        mission, mode_known = progress if mission_receives else None, bool(vehicle.mode)
+        note = vehicle.note or (mission.note if mission is not None and vehicle.phase is FlightPhase.READY else None)
         return Status(
             pilot=vehicle.phase.value,
-            mission=told.phase if told is not None else "starting" if mission_receives else "silent",
-            mode=vehicle.mode if heard else None,
-            armed=vehicle.armed if heard else None,
+            mission=mission.phase if mission is not None else "starting" if mission_receives else "silent",
+            mode=vehicle.mode if mode_known else None,
+            armed=vehicle.armed if mode_known else None,
             battery=_finite(vehicle.battery_fraction, 2),
             position_m=None if pose is None or x is None or y is None or z is None else (x, y, z),
             pose_quality=None if pose is None else pose.quality,
             pose_age_s=None if pose is None else _finite(now_s - pose.stamp_s, 2),
-            views=None if told is None else told.views,
-            views_budget=None if told is None else told.views_budget,
-            explored_m3=None if told is None else _finite(told.explored_m3, 1),
-            path_m=None if told is None else _finite(told.path_length_m, 1),
+            views=None if mission is None else mission.views,
+            views_budget=None if mission is None else mission.views_budget,
+            explored_m3=None if mission is None else _finite(mission.explored_m3, 1),
+            path_m=None if mission is None else _finite(mission.path_length_m, 1),
             refusals=vehicle.refusals,
             note=text_of(note),
             note_codes=codes_of(note),

@@ -34,9 +34,9 @@ def load_mesh(folder: Path) -> TriangleMesh | None:
         uncertainty = (
             np.asarray(record["uncertainty"], dtype=np.float32).ravel() if named else np.zeros(len(vertices), np.float32)
         )
-        told = loaded.metadata.get("_ply_raw", {}).get("face", {}).get("data")
-        if told is not None and "observed" in (told.dtype.names or ()):
-            faces = faces[np.asarray(told["observed"]).ravel() != 0]
+        raw_faces = loaded.metadata.get("_ply_raw", {}).get("face", {}).get("data")
+        if raw_faces is not None and "observed" in (raw_faces.dtype.names or ()):
+            faces = faces[np.asarray(raw_faces["observed"]).ravel() != 0]
         return TriangleMesh(vertices, faces, rgb, uncertainty)
     except (ValueError, KeyError, IndexError, AttributeError, TypeError) as error:
         _LOG.warning("%s cannot be read as a mesh: %s", path, error)

@@ -132,7 +132,7 @@ def plan(now: ViewPath) -> Drawing:
     """Return the path to each view, and the views as arrows."""
     import rerun as rr
 
-    strips = [np.asarray(way, dtype=np.float32) for way in now.waypoints_world if len(way) > 1]
+    strips = [np.asarray(waypoints, dtype=np.float32) for waypoints in now.waypoints_world if len(waypoints) > 1]
     origins = np.array([view.position_world for view in now.viewpoints]).reshape(-1, 3)
     vectors = np.array([0.3 * _looking(view) for view in now.viewpoints]).reshape(-1, 3)
     return [
@@ -165,8 +165,8 @@ def mesh(now: TriangleMesh, inside_world: FloatArray | None) -> Drawing:
         vertex_colors=now.rgb,
         **({"face_rendering": "Front"} if one_sided else {}),  # not in older viewers
     )
-    gone = [(entity, rr.Clear(recursive=True)) for entity in (names.VOXELS, names.CEILING, names.SURFACE)]
-    return [*gone, (names.MESH, drawn)]
+    cleared = [(entity, rr.Clear(recursive=True)) for entity in (names.VOXELS, names.CEILING, names.SURFACE)]
+    return [*cleared, (names.MESH, drawn)]
 
 
 def _transform(target_from_source: Pose) -> Any:
