@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Generic, TypeVar
+import dataclasses
+from typing import Any, Generic, TypeVar
 
 from uav_recon.app.flight_channels import FlightChannels
 
@@ -35,8 +36,4 @@ class DirectChannel(Generic[T]):
 
 def direct_channels() -> FlightChannels:
     """Return all channels of a flight."""
-    return FlightChannels(
-        DirectChannel(), DirectChannel(), DirectChannel(), DirectChannel(), DirectChannel(), DirectChannel(),
-        DirectChannel(), DirectChannel(), DirectChannel(), DirectChannel(), DirectChannel(), DirectChannel(),
-        DirectChannel(), DirectChannel(), DirectChannel(),
-    )  # fmt: skip
+    return FlightChannels(**{field.name: DirectChannel[Any]() for field in dataclasses.fields(FlightChannels)})

@@ -46,7 +46,7 @@ from uav_recon.types.reason_code import ReasonCode
 if TYPE_CHECKING:
     from uav_recon.autopilot.pilot.pilot import Pilot
     from uav_recon.mission.conductor import Conductor
-    from uav_recon.recording.rerun_recorder import Recorder
+    from uav_recon.recording.rerun_recorder import RerunRecorder
 
 T = TypeVar("T")
 
@@ -198,7 +198,7 @@ class LockstepFlight:
         self._pilot = self._make_pilot()
         self._perception = perception_factory.make_perception(config, self.channels, self._clock)
         self.conductor = self._make_conductor()
-        self._watchers: list[Recorder | Timelapse] = []  # the recorder stores states of the surface, too
+        self._watchers: list[RerunRecorder | Timelapse] = []  # the recorder stores states of the surface, too
         if config.recording.rerun:
             self._watchers.append(recorder_factory.make_recorder(config, self.channels, self._folder, self._clock))
         elif timelapse:

@@ -20,9 +20,9 @@ LANDED_S = 2.0  # after it the flight line gives way to what runs on the ground
 class ProgressDisplay:
     """A live line on a terminal; elsewhere a line at each change of phase and every ten views."""
 
-    def __init__(self, console: Console, wires: FlightChannels) -> None:
+    def __init__(self, console: Console, channels: FlightChannels) -> None:
         self._console = console
-        self._wires = wires
+        self._channels = channels
         self._live = Live(console=console, refresh_per_second=4, transient=True) if console.is_terminal else None
         self._last = ("", -1)
         self._begun_s = self._printed_s = time.monotonic()
@@ -39,7 +39,7 @@ class ProgressDisplay:
 
     def show(self) -> bool:
         """Show the newest progress; return False while the mission has not reported yet."""
-        progress, now_s = self._wires.progress.latest(), time.monotonic()
+        progress, now_s = self._channels.progress.latest(), time.monotonic()
         if progress is None:
             waited_s = now_s - self._begun_s
             self._put(Text(f"starting the processes, waiting for the vehicle: {waited_s:.0f} s", "dim"), ("starting", 0))
@@ -66,7 +66,7 @@ class ProgressDisplay:
         self._last = mark
 
     def _landed_for_s(self, now_s: float) -> float:
-        vehicle = self._wires.vehicle.latest()
+        vehicle = self._channels.vehicle.latest()
         if vehicle is None or vehicle.phase is not FlightPhase.LANDED:
             self._landed_s = None
         elif self._landed_s is None:

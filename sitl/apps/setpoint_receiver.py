@@ -46,7 +46,7 @@ class Hover:
     def __init__(self, config: Config, autopilot: Autopilot, start_s: float) -> None:
         self._config = config
         self._autopilot = autopilot
-        self._wires = file_channels(config.runtime.folder, frozenset({"odom", "nearby", "intent", "free"}))
+        self._channels = file_channels(config.runtime.folder, frozenset({"odom", "nearby", "intent", "free"}))
         self._motion = mission_factory.make_motion(config, config.planner.clearance_m)
         self._motion.warm_up()
         self._poses, self._depth, self._intents = (RateKeeper(hz, start_s) for hz in (_POSES_HZ, _DEPTH_HZ, _INTENT_HZ))
@@ -55,21 +55,21 @@ class Hover:
         self._intent: tuple[Goal, Trajectory | None] = (Goal.STANDBY, None)
         safety = config.safety
         grid = GridSpec.covering(np.array(safety.fence_min_m), np.array(safety.fence_max_m), 0.1)
-        self._wires.free.publish(FreeSpace(grid, np.packbits(np.ones(grid.shape, dtype=np.bool_)), 1))
+        self._channels.free.publish(FreeSpace(grid, np.packbits(np.ones(grid.shape, dtype=np.bool_)), 1))
 
     def step(self, now_s: float) -> None:
         """Publish poses, depth and intents that are due."""
         truth = self._autopilot.truth()
         if self._poses.due(now_s):
             pose = Pose(np.array(truth.quat_wxyz), np.array(truth.position))
-            self._wires.odom.publish(StampedPose(truth.stamp_s, pose, np.array(truth.velocity)))
+            self._channels.odom.publish(StampedPose(truth.stamp_s, pose, np.array(truth.velocity)))
         if self._depth.due(now_s):
-            self._wires.nearby.publish(MinRangeGrid(now_s, self._body_from_depth, self._ranges, (0.95, 0.55), 0.9))
+            self._channels.nearby.publish(MinRangeGrid(now_s, self._body_from_depth, self._ranges, (0.95, 0.55), 0.9))
         if self._intents.due(now_s):
-            self._wires.intent.publish(self._wanted(now_s))
+            self._channels.intent.publish(self._wanted(now_s))
 
     def _wanted(self, now_s: float) -> Intent:
-        vehicle = self._wires.vehicle.latest()
+        vehicle = self._channels.vehicle.latest()
         phase = FlightPhase.CONNECTING if vehicle is None else vehicle.phase
         goal, trajectory = self._intent
         if phase is FlightPhase.READY:

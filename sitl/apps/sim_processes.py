@@ -63,7 +63,7 @@ class SimProcesses:
         self._logs = logs
         self._runtime = runtime
         self._console = console
-        self._wires = read_only_channels(runtime)
+        self._channels = read_only_channels(runtime)
         self._begun_s = begun_s
         self._children: list[_Child] = []
         self._interrupts = 0
@@ -116,7 +116,7 @@ class SimProcesses:
 
     def _watch(self) -> str | None:
         deadline_s = time.monotonic() + READY_TIMEOUT_S
-        with ProgressDisplay(self._console, self._wires) as screen:
+        with ProgressDisplay(self._console, self._channels) as screen:
             while True:
                 mission = self._child("mission")
                 if mission.process.poll() is not None:
@@ -136,14 +136,14 @@ class SimProcesses:
 
     def _say_ready(self) -> None:
         """Print once how long it took until the mission was ready to take off."""
-        progress = self._wires.progress.latest()
+        progress = self._channels.progress.latest()
         if self._begun_s is not None and progress is not None and progress.phase != IDLE:
             self._console.print(f"ready after {time.monotonic() - self._begun_s:.0f} s", highlight=False)
             self._begun_s = None
 
     def _grounded(self) -> bool:
         """Return True before the take-off: nothing to land, nothing to save."""
-        vehicle = self._wires.vehicle.latest()
+        vehicle = self._channels.vehicle.latest()
         return vehicle is None or vehicle.phase in _ON_THE_GROUND
 
     def _child(self, name: str) -> _Child:

@@ -61,9 +61,9 @@ class Stream:
 
 
 def _perception(folder: Path, source: str) -> tuple[Perception, FlightChannels, ManualClock, Stream]:
-    config, wires, clock = _config(folder, source), memory_channels(), ManualClock(BEGIN_S)
+    config, channels, clock = _config(folder, source), memory_channels(), ManualClock(BEGIN_S)
     stream = Stream(folder / config.camera.stream)
-    return perception_factory.make_perception(config, wires, clock), wires, clock, stream
+    return perception_factory.make_perception(config, channels, clock), channels, clock, stream
 
 
 def _fly(perception: Perception, clock: ManualClock, stream: Stream, frames: int) -> None:
@@ -75,9 +75,9 @@ def _fly(perception: Perception, clock: ManualClock, stream: Stream, frames: int
 
 
 def test_the_embedded_slam_gives_odometry_from_a_stream_without_poses(tmp_path: Path) -> None:
-    perception, wires, clock, stream = _perception(tmp_path, "slam")
+    perception, channels, clock, stream = _perception(tmp_path, "slam")
     _fly(perception, clock, stream, 60)
-    odom, posed = wires.odom.latest(), wires.frames.latest()
+    odom, posed = channels.odom.latest(), channels.frames.latest()
     assert odom is not None
     assert odom.quality > 50
     off_m = odom.odom_from_body.translation_m - truth(odom.stamp_s - BEGIN_S).translation_m
@@ -90,10 +90,10 @@ def test_the_embedded_slam_gives_odometry_from_a_stream_without_poses(tmp_path: 
 
 
 def test_without_poses_in_the_stream_there_is_no_odometry(tmp_path: Path) -> None:
-    perception, wires, clock, stream = _perception(tmp_path, "stream")
+    perception, channels, clock, stream = _perception(tmp_path, "stream")
     _fly(perception, clock, stream, 20)
-    assert wires.odom.latest() is None
-    assert wires.frames.latest() is None
+    assert channels.odom.latest() is None
+    assert channels.frames.latest() is None
 
 
 def test_an_unknown_source_is_one_line_that_names_the_known_ones(tmp_path: Path) -> None:

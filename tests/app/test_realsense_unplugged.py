@@ -26,10 +26,10 @@ class _Flight(ManualClock):
     def __init__(self, *, gone_s: float, back_s: float, lands_s: float, ends_s: float = 1e9) -> None:
         super().__init__(100.0)
         self.gone_s, self.back_s, self.lands_s, self.ends_s = gone_s, back_s, lands_s, ends_s
-        self.wires = memory_channels()
+        self.channels = memory_channels()
         self.rig = Rig(SoftwareRealSense(self), body_from_depth=MOUNT)
         self.perception = Perception(
-            LocalizationConfig(), self.rig.camera, self, FixedMount(MOUNT), self.wires, self, remarks=self.rig.camera.remarks
+            LocalizationConfig(), self.rig.camera, self, FixedMount(MOUNT), self.channels, self, remarks=self.rig.camera.remarks
         )
         self.frames_s: list[float] = []
         self.odom_s: list[float] = []
@@ -54,22 +54,22 @@ class _Flight(ManualClock):
                 self.rig.source.send_motion(self.now_s() - 0.002)
 
     def _step(self) -> None:
-        before = self.wires.frames.sequence(), self.wires.odom.sequence()
+        before = self.channels.frames.sequence(), self.channels.odom.sequence()
         armed = self.now_s() - 100.0 < self.lands_s
         phase = FlightPhase.FLYING if armed else FlightPhase.LANDED
-        self.wires.vehicle.publish(
+        self.channels.vehicle.publish(
             VehicleState(self.now_s(), Pose.identity(), np.zeros(3), armed, "", phase, 0.8, False, np.nan, -1, 0, None)
         )
         try:
             self.perception.step()
         finally:
-            self.frames_s += [self.now_s() - 100.0] * (self.wires.frames.sequence() > before[0])
-            self.odom_s += [self.now_s() - 100.0] * (self.wires.odom.sequence() > before[1])
-            status = self.wires.perception.latest()
+            self.frames_s += [self.now_s() - 100.0] * (self.channels.frames.sequence() > before[0])
+            self.odom_s += [self.now_s() - 100.0] * (self.channels.odom.sequence() > before[1])
+            status = self.channels.perception.latest()
             self.codes |= {reason.code for reason in status.camera} if status else set()
 
     def run(self) -> str:
-        return run_perception(self._step, self.wires.vehicle, self, lambda: self.now_s() - 100.0 > self.ends_s)
+        return run_perception(self._step, self.channels.vehicle, self, lambda: self.now_s() - 100.0 > self.ends_s)
 
     def frames_between(self, from_s: float, to_s: float) -> int:
         return sum(from_s <= at_s < to_s for at_s in self.frames_s)
@@ -83,7 +83,7 @@ def test_a_camera_that_falls_off_at_touchdown_costs_no_pose_before_the_motors_st
     assert flight.frames_between(5.0, 10.0) > 100
     assert flight.frames_between(10.1, 30.0) == 0
     assert ReasonCode.CAMERA_RESTARTS in flight.codes
-    status = flight.wires.perception.latest()
+    status = flight.channels.perception.latest()
     assert status is not None
     assert status.stamp_s - 100.0 > 28.5, "the status goes on"
 

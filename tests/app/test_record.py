@@ -12,7 +12,7 @@ from recording_folders import HEADER, MOUNT, RGB_FROM_DEPTH, depth_mm, large_rgb
 from uav_recon import config as configuration
 from uav_recon.app import camera_sources, pose_sources
 from uav_recon.app import record as recording
-from uav_recon.app.record import Recorder, RecordOptions
+from uav_recon.app.record import RecordOptions, SensorRecorder
 from uav_recon.clock import ManualClock
 from uav_recon.config import Config
 from uav_recon.errors import UserError
@@ -34,7 +34,7 @@ class Stream:
         self.camera, self.clock = StreamWriter(folder / "camera.stream", HEADER), ManualClock(50.0)
         self.writer = McapWriter(self.file, HEADER, MOUNT, max_bytes)
         source = StreamSource(StreamReader(folder / "camera.stream"))
-        self.recorder = Recorder(source, self.writer, folder, self.clock, seconds)
+        self.recorder = SensorRecorder(source, self.writer, folder, self.clock, seconds)
         self.frames = 0
 
     def frame(self) -> None:

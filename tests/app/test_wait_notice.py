@@ -41,8 +41,8 @@ def test_a_change_is_printed_at_once_and_an_arrival_ends_the_wait(capsys: pytest
 
 
 def test_a_process_whose_newest_value_is_old_is_missing() -> None:
-    wires = memory_channels()
-    assert missing_processes(wires, 10.0) == [PILOT, PERCEPTION]
-    wires.odom.publish(StampedPose(10.0, Pose.identity(), np.zeros(3)))
-    assert missing_processes(wires, 11.9) == [PILOT]
-    assert missing_processes(wires, 12.1) == [PILOT, PERCEPTION]
+    channels = memory_channels()
+    assert missing_processes(channels, 10.0) == [PILOT, PERCEPTION]
+    channels.odom.publish(StampedPose(10.0, Pose.identity(), np.zeros(3)))
+    assert missing_processes(channels, 11.9) == [PILOT]
+    assert missing_processes(channels, 12.1) == [PILOT, PERCEPTION]

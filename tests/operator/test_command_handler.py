@@ -8,6 +8,7 @@ import math
 import numpy as np
 import pytest
 
+from uav_recon.app.flight_channels import memory_channels
 from uav_recon.channels import MemoryChannel
 from uav_recon.clock import ManualClock
 from uav_recon.operator.command_handler import SILENT_S, CommandHandler
@@ -31,18 +32,18 @@ class Vehicle:
         self.asked = list[str]()
         self.received_s = -math.inf
         self.clock = ManualClock(100.0)
-        self.intent = MemoryChannel(Intent)
-        self.orders = MemoryChannel(GivenCommand)
-        vehicle, progress, odom = MemoryChannel(VehicleState), MemoryChannel(MissionProgress), MemoryChannel(StampedPose)
+        channels = memory_channels()
+        self.intent, self.progress, self.perception = channels.intent, channels.progress, channels.perception
+        self.commands = MemoryChannel(GivenCommand)
         at = Pose(np.array([1.0, 0.0, 0.0, 0.0]), np.array([1.0, 2.0, 1.1]))
-        vehicle.publish(VehicleState(99.9, at, np.zeros(3), True, "OFFBOARD", phase, 0.83, False, float("nan"), 1, 2, note))
-        odom.publish(StampedPose(99.96, at, np.zeros(3), quality=97))
-        self.progress = progress
-        self.perception = MemoryChannel(PerceptionStatus)
-        progress.publish(MissionProgress(99.9, "survey", "explore", 31, 120, 42.7, 18.4, 5, 7, 40, 0.2, None, False))
+        channels.vehicle.publish(
+            VehicleState(99.9, at, np.zeros(3), True, "OFFBOARD", phase, 0.83, False, float("nan"), 1, 2, note)
+        )
+        channels.odom.publish(StampedPose(99.96, at, np.zeros(3), quality=97))
+        self.progress.publish(MissionProgress(99.9, "survey", "explore", 31, 120, 42.7, 18.4, 5, 7, 40, 0.2, None, False))
         if mission:
             self.intent.publish(Intent(99.9, Goal.FLY))
-        self.handler = CommandHandler(self, vehicle, self.intent, progress, odom, self.perception, self.orders, self.clock)
+        self.handler = CommandHandler(self, channels, self.commands, self.clock)
 
     def request_land(self, why: Reason) -> None:
         self.asked.append(f"land: {why.code.value}")
@@ -69,7 +70,7 @@ class Vehicle:
 
     @property
     def passed_on(self) -> OperatorCommand | None:
-        given = self.orders.latest()
+        given = self.commands.latest()
         return None if given is None else given.order
 
 
@@ -221,10 +222,8 @@ def test_the_camera_and_the_pad_that_is_awaited_are_in_the_status() -> None:
 
 
 def test_what_is_not_known_is_a_dash() -> None:
-    handler = Vehicle(FlightPhase.CONNECTING).handler
-    for channel in ("_vehicle", "_odom", "_progress", "_intent"):
-        setattr(handler, channel, MemoryChannel(VehicleState))
-    lines = handler.status().lines()
+    vehicle = Vehicle(FlightPhase.CONNECTING)
+    lines = CommandHandler(vehicle, memory_channels(), vehicle.commands, vehicle.clock).status().lines()
     assert lines[:3] == ["pilot     starting", "mission   silent", "mode      -"]
     battery = VehicleState(
         1.0, Pose.identity(), np.zeros(3), False, "LAND", FlightPhase.LANDED, float("nan"), False, 0.0, -1, 0, None

@@ -12,36 +12,19 @@ import numpy as np
 import pytest
 from flight_inputs import START_S, frame, mesh, odometry, progress, surface, vehicle, view_path, voxel_map
 
+from uav_recon.app.flight_channels import FlightChannels, memory_channels
 from uav_recon.channels import MemoryChannel
 from uav_recon.clock import ManualClock
 from uav_recon.recording import blueprint as names
 from uav_recon.recording.rerun_archetypes import depth_png
-from uav_recon.recording.rerun_recorder import Inbox, Recorder, RecorderChannels
+from uav_recon.recording.rerun_recorder import Inbox, RerunRecorder
 from uav_recon.recording.review import check_recording
 from uav_recon.recording.timelapse import load_states
-from uav_recon.types.camera import PosedFrame
-from uav_recon.types.maps import SurfaceElements, VoxelMap
-from uav_recon.types.pose import StampedPose
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
-from uav_recon.types.tasks import ViewPath
 from uav_recon.types.trajectory import Goal, Intent, Setpoint, Trajectory
-from uav_recon.types.vehicle import MissionProgress, VehicleState
 
 FENCE = np.array([[-1.0, -1.0, 0.0], [3.0, 2.0, 2.4]])
-
-
-def channels() -> RecorderChannels:
-    return RecorderChannels(
-        odom=MemoryChannel(StampedPose),
-        frames=MemoryChannel(PosedFrame),
-        vehicle=MemoryChannel(VehicleState),
-        intent=MemoryChannel(Intent),
-        progress=MemoryChannel(MissionProgress),
-        voxels=MemoryChannel(VoxelMap),
-        surface=MemoryChannel(SurfaceElements),
-        plan=MemoryChannel(ViewPath),
-    )
 
 
 def trajectory() -> Trajectory:
@@ -49,23 +32,23 @@ def trajectory() -> Trajectory:
     return Trajectory(START_S, 0.1, zeros, zeros, zeros, row, row, row, np.zeros(0), 0, 5)
 
 
-def fly(folder: Path, duration_s: float = 6.0, **options: Any) -> tuple[Recorder, RecorderChannels]:
-    clock, wires = ManualClock(START_S), channels()
-    recorder = Recorder(folder, wires, clock, FENCE, **options)
+def fly(folder: Path, duration_s: float = 6.0, **options: Any) -> tuple[RerunRecorder, FlightChannels]:
+    clock, channels = ManualClock(START_S), memory_channels()
+    recorder = RerunRecorder(folder, channels, clock, FENCE, **options)
     for k in range(int(duration_s * 10)):
         t_s = k / 10
         clock.advance_to(START_S + t_s)
-        wires.odom.publish(odometry(t_s))
-        wires.frames.publish(frame(t_s))
-        wires.vehicle.publish(vehicle(t_s, Reason(ReasonCode.ARMING_WITHDRAWN) if k == 20 else None))
-        wires.intent.publish(Intent(START_S + t_s, Goal.FLY, trajectory()))
-        wires.progress.publish(progress(t_s))
+        channels.odom.publish(odometry(t_s))
+        channels.frames.publish(frame(t_s))
+        channels.vehicle.publish(vehicle(t_s, Reason(ReasonCode.ARMING_WITHDRAWN) if k == 20 else None))
+        channels.intent.publish(Intent(START_S + t_s, Goal.FLY, trajectory()))
+        channels.progress.publish(progress(t_s))
         if k % 20 == 0:
-            wires.voxels.publish(voxel_map())
-            wires.surface.publish(surface())
-            wires.plan.publish(view_path())
+            channels.voxels.publish(voxel_map())
+            channels.surface.publish(surface())
+            channels.plan.publish(view_path())
         recorder.step()
-    return recorder, wires
+    return recorder, channels
 
 
 def counts(folder: Path, by_chunk: bool = False) -> dict[str, int]:
@@ -136,15 +119,15 @@ def test_memory_does_not_grow_with_the_recording(tmp_path: Path) -> None:
 
     A list of chunks for a footer would take 12 MB in that time.
     """
-    clock, wires = ManualClock(START_S), channels()
-    recorder = Recorder(tmp_path, wires, clock, FENCE)
+    clock, channels = ManualClock(START_S), memory_channels()
+    recorder = RerunRecorder(tmp_path, channels, clock, FENCE)
     memory_mb = []
     for k in range(4800):
         t_s = k / 2
         clock.advance_to(START_S + t_s)
-        wires.odom.publish(odometry(0.0))
-        wires.vehicle.publish(vehicle(0.0, Reason(ReasonCode.VIEWS_SPENT, (k,))))
-        wires.progress.publish(progress(0.0))
+        channels.odom.publish(odometry(0.0))
+        channels.vehicle.publish(vehicle(0.0, Reason(ReasonCode.VIEWS_SPENT, (k,))))
+        channels.progress.publish(progress(0.0))
         recorder.step()
         memory_mb.append(
             int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
@@ -185,7 +168,7 @@ def test_without_a_viewer_the_flight_is_still_recorded(tmp_path: Path) -> None:
 
 def test_channels_without_values_are_accepted(tmp_path: Path) -> None:
     clock = ManualClock(5.0)
-    recorder = Recorder(tmp_path, channels(), clock, FENCE)
+    recorder = RerunRecorder(tmp_path, memory_channels(), clock, FENCE)
     clock.advance_to(6.0)
     recorder.step()
     recorder.close()
@@ -194,7 +177,7 @@ def test_channels_without_values_are_accepted(tmp_path: Path) -> None:
 
 def test_a_folder_that_cannot_be_written_is_named(tmp_path: Path) -> None:
     with pytest.raises(OSError, match=r"flight\.rrd"):
-        Recorder(tmp_path / "missing", channels(), ManualClock(), FENCE)
+        RerunRecorder(tmp_path / "missing", memory_channels(), ManualClock(), FENCE)
 
 
 def test_an_inbox_returns_a_value_once_and_counts_skipped_ones() -> None:
@@ -217,7 +200,7 @@ def test_depth_is_stored_in_whole_millimetres() -> None:
 
 
 def test_the_growing_surface_is_saved_periodically(tmp_path: Path) -> None:
-    recorder, wires = fly(tmp_path, duration_s=6.0)
-    wires.surface.publish(surface())  # just before the end
+    recorder, channels = fly(tmp_path, duration_s=6.0)
+    channels.surface.publish(surface())  # just before the end
     recorder.close()
     assert [round(state.stamp_s - START_S, 3) for state in load_states(tmp_path)] == [0.0, 2.0, 5.9]

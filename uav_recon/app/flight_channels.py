@@ -70,11 +70,22 @@ _FILES: dict[str, tuple[Any, int]] = {  # type of the value and capacity in byte
 def memory_channels() -> FlightChannels:
     """Return channels within one process."""
     return FlightChannels(
-        MemoryChannel(StampedPose), MemoryChannel(PosedFrame), MemoryChannel(VehicleState), MemoryChannel(Intent),
-        MemoryChannel(MissionProgress), MemoryChannel(VoxelMap), MemoryChannel(SurfaceElements), MemoryChannel(ViewPath),
-        MemoryChannel(MapCorrection), MemoryChannel(FreeSpace), MemoryChannel(MinRangeGrid),
-        MemoryChannel(PerceptionStatus), MemoryChannel(TurnRates), MemoryChannel(ReportedPoses), MemoryChannel(FreeCone),
-    )  # fmt: skip
+        odom=MemoryChannel(StampedPose),
+        frames=MemoryChannel(PosedFrame),
+        vehicle=MemoryChannel(VehicleState),
+        intent=MemoryChannel(Intent),
+        progress=MemoryChannel(MissionProgress),
+        voxels=MemoryChannel(VoxelMap),
+        surface=MemoryChannel(SurfaceElements),
+        plan=MemoryChannel(ViewPath),
+        correction=MemoryChannel(MapCorrection),
+        free=MemoryChannel(FreeSpace),
+        nearby=MemoryChannel(MinRangeGrid),
+        perception=MemoryChannel(PerceptionStatus),
+        rates=MemoryChannel(TurnRates),
+        reported=MemoryChannel(ReportedPoses),
+        cones=MemoryChannel(FreeCone),
+    )
 
 
 def file_channels(folder: Path, writes: frozenset[str]) -> FlightChannels:

@@ -35,7 +35,7 @@ RETREAT_M = 0.10
 
 def make_conductor(
     config: Config,
-    wires: FlightChannels,
+    channels: FlightChannels,
     mapper: Mapper,
     executor: Executor,
     journal: Journal,
@@ -47,15 +47,24 @@ def make_conductor(
     from uav_recon.mission.mission_setup import MissionChannels, MissionStages
 
     config = with_preset(config)
-    voxels, planner, orders = make_occupancy_map(config), make_planner(config, timer), mission_parameters(config)
-    channels = MissionChannels(
-        wires.frames, wires.vehicle, wires.intent, wires.progress, wires.voxels, wires.surface, wires.plan,
-        wires.correction, wires.free, wires.perception, wires.cones,
-    )  # fmt: skip
-    motion, retreat = (make_motion(config, kept_m) for kept_m in (orders.clearance_m, orders.clear_radius_m))
+    voxels, planner, parameters = make_occupancy_map(config), make_planner(config, timer), mission_parameters(config)
+    mission_channels = MissionChannels(
+        frames=channels.frames,
+        vehicle=channels.vehicle,
+        intent=channels.intent,
+        progress=channels.progress,
+        voxels=channels.voxels,
+        surface=channels.surface,
+        plan=channels.plan,
+        correction=channels.correction,
+        free=channels.free,
+        perception=channels.perception,
+        cones=channels.cones,
+    )
+    motion, retreat = (make_motion(config, kept_m) for kept_m in (parameters.clearance_m, parameters.clear_radius_m))
     budget, sight = make_keyframe_selection(config, voxels), make_recent_view_memory(config)
     stages = MissionStages(voxels, budget, mapper, planner, motion, retreat, sight)
-    return Conductor(stages, channels, orders, executor, journal, clock)
+    return Conductor(stages, mission_channels, parameters, executor, journal, clock)
 
 
 def mission_parameters(config: Config) -> MissionParameters:

@@ -52,14 +52,16 @@ def operator_socket(config: Config) -> Path:
     return config.runtime.folder / config.runtime.operator
 
 
-def make_command_handler(wires: FlightChannels, pilot: Pilot, orders: Channel[GivenCommand], clock: Clock) -> CommandHandler:
+def make_command_handler(
+    channels: FlightChannels, pilot: Pilot, commands: Channel[GivenCommand], clock: Clock
+) -> CommandHandler:
     """Return the handler of the operator's commands."""
-    return CommandHandler(pilot, wires.vehicle, wires.intent, wires.progress, wires.odom, wires.perception, orders, clock)
+    return CommandHandler(pilot, channels, commands, clock)
 
 
-def make_command_socket(config: Config, wires: FlightChannels, pilot: Pilot, clock: Clock) -> CommandSocket:
+def make_command_socket(config: Config, channels: FlightChannels, pilot: Pilot, clock: Clock) -> CommandSocket:
     """Open the command socket at the pilot. Raises UserError if it cannot be opened."""
-    handler = make_command_handler(wires, pilot, operator_command_sender(config.runtime.folder), clock)
+    handler = make_command_handler(channels, pilot, operator_command_sender(config.runtime.folder), clock)
     try:
         return CommandSocket(operator_socket(config), handler.serve, clock)
     except CommandSocketError as error:

@@ -24,7 +24,7 @@ if TYPE_CHECKING:  # each process imports only the stages that it runs
     from uav_recon.autopilot.pilot.upward_range_finder import RangeFinderModel
 
 
-def make_allow_list_filter(way: LinkConfig, clock: Clock) -> AllowListFilter:
+def make_allow_list_filter(config: LinkConfig, clock: Clock) -> AllowListFilter:
     """Return the filter of senders on the link.
 
     Raises UserError with exit code 78 for a key or stamps that cannot be used.
@@ -33,36 +33,39 @@ def make_allow_list_filter(way: LinkConfig, clock: Clock) -> AllowListFilter:
     from uav_recon.autopilot.mavlink.signing import KeyFileError, open_signature
     from uav_recon.autopilot.mavlink.signing_timestamps import SigningTimestampsError
 
-    ids, key = AllowList(way.vehicle_system, way.vehicle_component, way.gimbal_component, way.autopilot_uid), way.signing_key
+    allowed = AllowList(config.vehicle_system, config.vehicle_component, config.gimbal_component, config.autopilot_uid)
+    key = config.signing_key
     try:
-        return AllowListFilter(ids, open_signature(key, way.signing_link_id, way.signing_stamps, clock) if key else None)
+        signature = open_signature(key, config.signing_link_id, config.signing_stamps, clock) if key else None
     except (KeyFileError, SigningTimestampsError) as error:
         raise UserError(f"link.{error}", EXIT_CONFIG) from None
+    return AllowListFilter(allowed, signature)
 
 
 def make_pilot(
-    config: Config, wires: FlightChannels, link: ByteLink, log: FrameLog, clock: Clock, gate: AllowListFilter | None = None
+    config: Config,
+    channels: FlightChannels,
+    link: ByteLink,
+    log: FrameLog,
+    clock: Clock,
+    allow_list: AllowListFilter | None = None,
 ) -> Pilot:
     """Build the loop next to the autopilot.
 
-    gate: the one that its link already uses, if there is one.
+    allow_list: the filter that its link already uses, if there is one.
     """
-    from uav_recon.autopilot.pilot.pilot import PilotChannels
-    from uav_recon.autopilot.pilot.pilot import make_pilot as wire_pilot
+    from uav_recon.autopilot.pilot import pilot
     from uav_recon.autopilot.pilot.preflight import Origin
     from uav_recon.safety.guard import Guard
 
     sight = safety_limits.recently_seen_space(config)
     guard = Guard(safety_limits.envelope(config), safety_limits.guard_bounds(config), sight)
-    channels = PilotChannels(
-        wires.odom, wires.intent, wires.vehicle, wires.free, wires.nearby, wires.rates, wires.reported, wires.cones
-    )
     origin = Origin(config.link.origin_lat_deg, config.link.origin_lon_deg, config.link.origin_alt_m)
-    (personality, _), rate_hz = firmware(config.link.autopilot), config.link.setpoint_rate_hz
+    (profile, _), rate_hz = firmware(config.link.autopilot), config.link.setpoint_rate_hz
     parameters = make_parameter_check(config)
-    return wire_pilot(
-        link, personality, guard, sight, safety_limits.failsafe_timeouts(config), channels, clock, origin,
-        hull_geometry(config), rate_hz, log, parameters, gate or make_allow_list_filter(config.link, clock),
+    return pilot.make_pilot(
+        link, profile, guard, sight, safety_limits.failsafe_timeouts(config), channels, clock, origin,
+        hull_geometry(config), rate_hz, log, parameters, allow_list or make_allow_list_filter(config.link, clock),
         make_navigation(config), range_finder_model(config),
     )  # fmt: skip
 

@@ -127,30 +127,30 @@ def pilot(config_path: Path, flight: Path | None) -> int:
 
     stop, clock, config = Stop(), MonotonicClock(), config_file.load_config(config_path)
     claim("pilot", config)
-    wires = file_channels(config.runtime.folder, PILOT_WRITES)
-    gate = pilot_factory.make_allow_list_filter(config.link, clock)
+    channels = file_channels(config.runtime.folder, PILOT_WRITES)
+    allow_list = pilot_factory.make_allow_list_filter(config.link, clock)
     try:
-        link = open_link(config.link.url, gate, clock, config.link.peer_host)
+        link = open_link(config.link.url, allow_list, clock, config.link.peer_host)
     except LinkError as error:
         raise UserError(str(error)) from None
     log = Tlog(flight_folder(config, flight) / "flight.tlog", time.time() - clock.now_s())
-    the_pilot = pilot_factory.make_pilot(config, wires, link, log, clock, gate)
-    desk = operator_factory.make_command_socket(config, wires, the_pilot, clock)
+    the_pilot = pilot_factory.make_pilot(config, channels, link, log, clock, allow_list)
+    command_socket = operator_factory.make_command_socket(config, channels, the_pilot, clock)
     memory_lock.lock_memory_and_freeze_gc()
     systemd_notify.ready()
-    while not (stop.asked and not the_pilot.in_flight and phase_published(the_pilot.phase, wires.vehicle)):
+    while not (stop.asked and not the_pilot.in_flight and phase_published(the_pilot.phase, channels.vehicle)):
         if stop.asked:
             the_pilot.request_land()
-        desk.poll()
+        command_socket.poll()
         the_pilot.step()
         systemd_notify.watchdog()
         the_pilot.wait()
-    desk.close()
+    command_socket.close()
     log.close()
     if log.gaps:
         LOG.warning("%s", log.gaps)
     link.close()
-    gate.close()
+    allow_list.close()
     return 0
 
 
@@ -159,8 +159,8 @@ def phase_published(phase: FlightPhase, vehicle: Channel[VehicleState]) -> bool:
 
     The mission writes no report before it receives LANDED.
     """
-    told = vehicle.latest()
-    return told is not None and told.phase is phase
+    state = vehicle.latest()
+    return state is not None and state.phase is phase
 
 
 def perception(config_path: Path) -> int:
@@ -170,15 +170,15 @@ def perception(config_path: Path) -> int:
     """
     stop, clock, config = Stop(), MonotonicClock(), config_file.load_config(config_path)
     claim("perception", config)
-    wires = file_channels(config.runtime.folder, PERCEPTION_WRITES)
+    channels = file_channels(config.runtime.folder, PERCEPTION_WRITES)
 
     def compile_ahead() -> None:
         compile_kernels(kernel_jobs.perception_jobs(), config_path, log_progress(LOG), lambda: stop.asked)
 
     writer = ThreadExecutor("calibration", WRITER_PATIENCE_S)
-    the_perception = perception_factory.make_perception(config, wires, clock, lambda: stop.asked, compile_ahead, writer)
+    the_perception = perception_factory.make_perception(config, channels, clock, lambda: stop.asked, compile_ahead, writer)
     systemd_notify.ready()
-    gone = run_perception(the_perception.step, wires.vehicle, clock, lambda: stop.asked)
+    gone = run_perception(the_perception.step, channels.vehicle, clock, lambda: stop.asked)
     the_perception.close()
     if gone and not stop.asked:
         raise UserError(gone)
@@ -214,8 +214,8 @@ def run_perception(step: Callable[[], None], vehicle: Channel[VehicleState], clo
 
 def is_flown(vehicle: Channel[VehicleState], now_s: float) -> bool:
     """Return True if the motors run, by us or by a human, as reported by a running pilot."""
-    told = vehicle.latest()
-    return told is not None and told.armed and abs(now_s - told.stamp_s) <= PILOT_SILENT_S
+    state = vehicle.latest()
+    return state is not None and state.armed and abs(now_s - state.stamp_s) <= PILOT_SILENT_S
 
 
 def mission(config_path: Path, flight: Path | None) -> int:
@@ -229,7 +229,7 @@ def mission(config_path: Path, flight: Path | None) -> int:
 
     stop, clock, config = Stop(), MonotonicClock(), config_file.load_config(config_path)
     claim("mission", config)
-    wires, begun_s = file_channels(config.runtime.folder, MISSION_WRITES), clock.now_s()
+    channels, begun_s = file_channels(config.runtime.folder, MISSION_WRITES), clock.now_s()
     orders = OperatorCommandReceiver(operator_factory.operator_command_receiver(config.runtime.folder), begun_s)
     folder = flight_folder(config, flight)
     configuration.save(config, folder / "config.toml")
@@ -239,12 +239,12 @@ def mission(config_path: Path, flight: Path | None) -> int:
     journal, executor = FlightLog(folder), ThreadExecutor("planner", PLANNER_PATIENCE_S)
     try:
         mission_factory.warm_up(config)
-        conductor = mission_factory.make_conductor(config, wires, mapper, executor, journal, clock, time.perf_counter)
+        conductor = mission_factory.make_conductor(config, channels, mapper, executor, journal, clock, time.perf_counter)
         systemd_notify.ready()
         waiting = WaitNotice("mission", clock.now_s())
 
         def step() -> None:
-            waiting.update(clock.now_s(), missing_processes(wires, clock.now_s()))
+            waiting.update(clock.now_s(), missing_processes(channels, clock.now_s()))
             if stop.asked:
                 conductor.request_abort(Reason(ReasonCode.OPERATOR_LAND))
             orders.pass_on(conductor, mapper.ready(), config.mission.autostart)
@@ -269,12 +269,12 @@ def mission(config_path: Path, flight: Path | None) -> int:
 def recorder(config_path: Path, flight: Path | None) -> int:
     """Subscribe to the channels, read-only, and record them until SIGTERM."""
     stop, clock, config = Stop(), MonotonicClock(), config_file.load_config(config_path)
-    wires = read_only_channels(config.runtime.folder)
-    the_recorder = recorder_factory.make_recorder(config, wires, flight_folder(config, flight), clock)
+    channels = read_only_channels(config.runtime.folder)
+    the_recorder = recorder_factory.make_recorder(config, channels, flight_folder(config, flight), clock)
     waiting = WaitNotice("recorder", clock.now_s())
 
     def step() -> None:
-        waiting.update(clock.now_s(), missing_processes(wires, clock.now_s()))
+        waiting.update(clock.now_s(), missing_processes(channels, clock.now_s()))
         the_recorder.step()
 
     _loop(step, RECORDER_RATE_HZ, clock, lambda: stop.asked or _hung_up(sys.stdin.fileno()))

@@ -60,7 +60,7 @@ def record(options: RecordOptions, console: Console, stopped: Callable[[], bool]
         raise UserError(str(error), 0 if stopped() else None) from None
     except OSError as error:
         raise UserError(f"{options.out}: cannot be written ({error.strerror})") from None
-    recorder = Recorder(source, writer, options.out.parent, clock, options.seconds)
+    recorder = SensorRecorder(source, writer, options.out.parent, clock, options.seconds)
     try:
         _loop(recorder, clock, stopped, lambda: console.print(recorder.status(), highlight=False, markup=False))
     except OSError as error:
@@ -106,11 +106,11 @@ def _first_frame(camera: DepthCamera, clock: Clock, stopped: Callable[[], bool])
 def _poses(config: Config, clock: Clock, camera: DepthCamera) -> PoseSource | None:
     if config.localization.source == "slam":
         return None
-    mount, wires = FixedMount(camera_sources.tilted_camera(config)), read_only_channels(config.runtime.folder)
-    return pose_sources.open_poses(pose_sources.SourceContext(config, wires, clock, camera, mount))[1]
+    mount, channels = FixedMount(camera_sources.tilted_camera(config)), read_only_channels(config.runtime.folder)
+    return pose_sources.open_poses(pose_sources.SourceContext(config, channels, clock, camera, mount))[1]
 
 
-class Recorder:
+class SensorRecorder:
     """Copy of a source into a recording. ``ended``: reason of the end, '' before it."""
 
     def __init__(self, source: RecordingSource, writer: McapWriter, folder: Path, clock: Clock, seconds: float) -> None:
@@ -155,7 +155,7 @@ def default_name() -> Path:
     return Path(f"recording-{time.strftime('%Y%m%d-%H%M%S')}.mcap")
 
 
-def _loop(recorder: Recorder, clock: MonotonicClock, stopped: Callable[[], bool], say: Callable[[], None]) -> None:
+def _loop(recorder: SensorRecorder, clock: MonotonicClock, stopped: Callable[[], bool], say: Callable[[], None]) -> None:
     rate, status = RateKeeper(POLL_HZ, clock.now_s()), RateKeeper(1.0 / STATUS_S, clock.now_s() + STATUS_S)
     while not (stopped() or recorder.ended):
         recorder.step()

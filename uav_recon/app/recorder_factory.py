@@ -12,11 +12,11 @@ from uav_recon.config import Config
 from uav_recon.interfaces import Clock
 
 if TYPE_CHECKING:  # each process imports only the stages that it runs
-    from uav_recon.recording.rerun_recorder import Recorder
+    from uav_recon.recording.rerun_recorder import RerunRecorder
     from uav_recon.recording.timelapse import Timelapse
 
 
-def make_recorder(config: Config, wires: FlightChannels, flight: Path, clock: Clock) -> Recorder | Timelapse:
+def make_recorder(config: Config, channels: FlightChannels, flight: Path, clock: Clock) -> RerunRecorder | Timelapse:
     """Return the recorder that writes flight.rrd and the growth of the surface.
 
     If recording.rerun is off, only the latter is written.
@@ -24,11 +24,8 @@ def make_recorder(config: Config, wires: FlightChannels, flight: Path, clock: Cl
     from uav_recon.recording.timelapse import Timelapse
 
     if not config.recording.rerun:
-        return Timelapse(flight, wires.surface, clock)
-    from uav_recon.recording.rerun_recorder import Recorder, RecorderChannels
+        return Timelapse(flight, channels.surface, clock)
+    from uav_recon.recording.rerun_recorder import RerunRecorder
 
-    channels = RecorderChannels(
-        wires.odom, wires.frames, wires.vehicle, wires.intent, wires.progress, wires.voxels, wires.surface, wires.plan
-    )
     fence = np.array([config.safety.fence_min_m, config.safety.fence_max_m])
-    return Recorder(flight, channels, clock, fence, live=config.recording.live)
+    return RerunRecorder(flight, channels, clock, fence, live=config.recording.live)

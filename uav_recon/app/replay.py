@@ -57,7 +57,7 @@ _BODY_RADIUS_M = 0.2  #: plan: the space of this radius around the camera's path
 _BODY_HALF_M = 0.15
 _FREE_STEP_M = 0.2
 _FIRST_VIEWS = 4  #: plan: views that may be taken at once; the others are spread over the recording
-_ANY_GAIN = 10**6  #: plan: views left, as told to the keyframe selection: any view with the smallest gain is worth it
+_ANY_GAIN = 10**6  #: plan: views left, as given to the keyframe selection: any view with the smallest gain is worth it
 
 
 @dataclass(frozen=True)
@@ -146,8 +146,8 @@ class NoMapper:
 class _Mapping:
     """Occupancy map, mapper and planner over the frames that perception gives on."""
 
-    def __init__(self, config: Config, wires: FlightChannels, mapper: Mapper, journal: FlightLog) -> None:
-        self._wires = wires
+    def __init__(self, config: Config, channels: FlightChannels, mapper: Mapper, journal: FlightLog) -> None:
+        self._channels = channels
         self.mapper = mapper
         self._voxels = mission_factory.make_occupancy_map(config)
         self._planner = mission_factory.make_planner(config, time.perf_counter)
@@ -167,8 +167,8 @@ class _Mapping:
         share: of the recording that has been read, 0 to 1.
         """
         self._share = share
-        sequence = self._wires.frames.sequence()
-        posed = self._wires.frames.latest() if sequence != self._sequence else None
+        sequence = self._channels.frames.sequence()
+        posed = self._channels.frames.latest() if sequence != self._sequence else None
         self._sequence = sequence
         if posed is not None and not posed.unsure:
             self._map(posed, posed.world_from_depth @ body_from_depth.inverse())
@@ -220,8 +220,8 @@ class _Mapping:
 class _Alarms:
     """Counts of odometry that is wrong or lost, by reason."""
 
-    def __init__(self, wires: FlightChannels) -> None:
-        self._wires = wires
+    def __init__(self, channels: FlightChannels) -> None:
+        self._channels = channels
         self._before = PoseHealth.GOOD
         self._sequence = 0
         self.reasons: Counter[str] = Counter()
@@ -230,7 +230,7 @@ class _Alarms:
 
     def step(self) -> None:
         """Read the newest odometry; called every STEP_S."""
-        odom = self._wires.odom.latest()
+        odom = self._channels.odom.latest()
         if odom is None:
             self.lost_s += STEP_S
             return
@@ -289,15 +289,15 @@ class _Replay:
         self, options: ReplayOptions, config: Config, recording: Recording, survey: RecordingSurvey, mapper: Mapper
     ) -> None:
         self._options, self._config, self._recording, self._survey = options, config, recording, survey
-        self._clock, self._wires = ManualClock(START_S), memory_channels()
+        self._clock, self._channels = ManualClock(START_S), memory_channels()
         self._camera = PlaybackCamera(recording, self._clock)
         mount = FixedMount(recording.info.body_from_depth)
-        context = pose_sources.SourceContext(config, self._wires, self._clock, self._camera, mount)
+        context = pose_sources.SourceContext(config, self._channels, self._clock, self._camera, mount)
         camera, poses = pose_sources.open_poses(context) if options.pose != FROM_RECORDING else (self._camera, self._poses())
-        self._perception = Perception(config.localization, camera, poses, mount, self._wires, self._clock)
+        self._perception = Perception(config.localization, camera, poses, mount, self._channels, self._clock)
         self._journal = FlightLog(options.out)
-        self._perception_log = PerceptionLog(self._wires.perception, self._journal)
-        self._mapping, self._alarms = _Mapping(config, self._wires, mapper, self._journal), _Alarms(self._wires)
+        self._perception_log = PerceptionLog(self._channels.perception, self._journal)
+        self._mapping, self._alarms = _Mapping(config, self._channels, mapper, self._journal), _Alarms(self._channels)
         self._wall_s = time.perf_counter()
 
     def run(self, report: Report) -> None:
@@ -350,7 +350,7 @@ class _Replay:
         path.write_text("# stamp_s tx ty tz qx qy qz qw\n" + "".join(lines))
 
     def _summary(self) -> ReplaySummary:
-        status, info, alarms = self._wires.perception.latest(), self._recording.info, self._alarms
+        status, info, alarms = self._channels.perception.latest(), self._recording.info, self._alarms
         dropped = {code.value: count for code, count in self._perception.dropped_frames.items()}
         samples = {} if status is None else {k: n for k, n in status.counts().items() if k not in dropped}
         return ReplaySummary(

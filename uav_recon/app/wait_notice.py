@@ -40,15 +40,15 @@ class WaitNotice:
             self._printed = tuple(missing)
 
 
-def missing_processes(wires: FlightChannels, now_s: float) -> list[str]:
+def missing_processes(channels: FlightChannels, now_s: float) -> list[str]:
     """Return the processes of a flight that report nothing.
 
     Each is given with the command that starts it.
     """
     missing = []
-    if is_silent(wires.vehicle, now_s):
+    if is_silent(channels.vehicle, now_s):
         missing.append("the pilot (uav-recon pilot)")
-    if is_silent(wires.odom, now_s):
+    if is_silent(channels.odom, now_s):
         missing.append("perception (uav-recon perception)")
     return missing
 

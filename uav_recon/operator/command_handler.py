@@ -8,13 +8,11 @@ from typing import Protocol, TypeVar
 from uav_recon.interfaces import Channel, Clock
 from uav_recon.operator.command_socket import Answer
 from uav_recon.operator.status import Status
+from uav_recon.operator.status_channels import StatusChannels
 from uav_recon.types.operator_command import GivenCommand, OperatorCommand
-from uav_recon.types.perception_status import PerceptionStatus
-from uav_recon.types.pose import StampedPose
 from uav_recon.types.reason import Reason, codes_of
 from uav_recon.types.reason_code import ReasonCode
-from uav_recon.types.trajectory import Intent
-from uav_recon.types.vehicle import FlightPhase, MissionProgress, VehicleState
+from uav_recon.types.vehicle import FlightPhase
 
 T = TypeVar("T")
 
@@ -47,28 +45,20 @@ class PilotControls(Protocol):
 class CommandHandler:
     """Serves the command socket.
 
-    orders: channel to the mission; the other channels are only read.
+    channels: are only read. commands: channel to the mission.
     """
 
     def __init__(
         self,
         pilot: PilotControls,
-        vehicle: Channel[VehicleState],
-        intent: Channel[Intent],
-        progress: Channel[MissionProgress],
-        odom: Channel[StampedPose],
-        perception: Channel[PerceptionStatus],
-        orders: Channel[GivenCommand],
+        channels: StatusChannels,
+        commands: Channel[GivenCommand],
         clock: Clock,
     ) -> None:
         self._pilot = pilot
-        self._orders = orders
+        self._channels = channels
+        self._commands = commands
         self._clock = clock
-        self._vehicle = vehicle
-        self._intent = intent
-        self._progress = progress
-        self._odom = odom
-        self._perception = perception
 
     def serve(self, word: str) -> Answer:
         """Return the answer to a word, which is status or a command.
@@ -76,34 +66,38 @@ class CommandHandler:
         A command is carried out before it is answered. Every known word counts as an operator heartbeat, also if it is refused.
         """
         try:
-            order = None if word == "status" else OperatorCommand(word)
+            command = None if word == "status" else OperatorCommand(word)
         except ValueError:
-            words = ", ".join((*(order.value for order in OperatorCommand), "status"))
+            words = ", ".join((*(command.value for command in OperatorCommand), "status"))
             unknown = Reason(ReasonCode.UNKNOWN_COMMAND, (repr(word[:20]), words))
             return {"ok": False, "said": unknown.text(), "codes": list(unknown.codes())}
         self._pilot.hear_operator()
-        if order is None:
+        if command is None:
             return {"ok": True, "said": "", "status": self.status().as_json()}
-        refused = self._refusal(order)
-        said = self._carry_out(order) if refused is None else refused.text()
+        refused = self._refusal(command)
+        said = self._carry_out(command) if refused is None else refused.text()
         return {"ok": refused is None, "said": said, "codes": list(codes_of(refused))}
 
     def status(self) -> Status:
         """Return the present status."""
         return Status.of(
-            self._clock.now_s(), _newest(self._vehicle), _newest(self._odom), _newest(self._progress), self._mission_receives(),
-            _newest(self._perception),
-        )  # fmt: skip
+            self._clock.now_s(),
+            _newest(self._channels.vehicle),
+            _newest(self._channels.odom),
+            _newest(self._channels.progress),
+            self._mission_receives(),
+            _newest(self._channels.perception),
+        )
 
-    def _refusal(self, order: OperatorCommand) -> Reason | None:
+    def _refusal(self, command: OperatorCommand) -> Reason | None:
         phase = self._pilot.phase
         if phase is FlightPhase.YIELDED:
             return Reason(ReasonCode.CONTROL_HANDED_OVER, details=self._note())
-        if order is OperatorCommand.START:
+        if command is OperatorCommand.START:
             return self._refusal_of_start(phase)
         if phase in _ON_THE_GROUND:
-            return Reason(ReasonCode.NOT_FLYING, (phase.value, order.value))
-        return None if order is OperatorCommand.LAND else self._refusal_in_flight(order, phase)
+            return Reason(ReasonCode.NOT_FLYING, (phase.value, command.value))
+        return None if command is OperatorCommand.LAND else self._refusal_in_flight(command, phase)
 
     def _refusal_of_start(self, phase: FlightPhase) -> Reason | None:
         if phase in (FlightPhase.LANDING, FlightPhase.LANDED):
@@ -112,21 +106,21 @@ class CommandHandler:
             return Reason(ReasonCode.NOT_READY, details=self._note(Reason(ReasonCode.STARTING)))
         return None if self._mission_receives() else Reason(ReasonCode.MISSION_NOT_RUNNING)
 
-    def _refusal_in_flight(self, order: OperatorCommand, phase: FlightPhase) -> Reason | None:
+    def _refusal_in_flight(self, command: OperatorCommand, phase: FlightPhase) -> Reason | None:
         if phase is FlightPhase.ARMING:
             return Reason(ReasonCode.TAKING_OFF)
         if phase is FlightPhase.LANDING:
             return Reason(ReasonCode.LANDING_IS_FINAL)
-        if order is OperatorCommand.RETURN and not self._mission_receives():
+        if command is OperatorCommand.RETURN and not self._mission_receives():
             return Reason(ReasonCode.MISSION_CANNOT_RETURN)
         return None
 
-    def _carry_out(self, order: OperatorCommand) -> str:
-        if order is OperatorCommand.LAND:
+    def _carry_out(self, command: OperatorCommand) -> str:
+        if command is OperatorCommand.LAND:
             self._pilot.request_land(Reason(ReasonCode.OPERATOR_LAND))
         else:
-            self._pilot.request_hold(order is OperatorCommand.HOLD)
-        self._orders.publish(GivenCommand(self._clock.now_s(), order))
+            self._pilot.request_hold(command is OperatorCommand.HOLD)
+        self._commands.publish(GivenCommand(self._clock.now_s(), command))
         grounded = self._pilot.phase in _ON_THE_GROUND
         going = "it takes off when the mission is ready" if grounded else "the mission continues"
         return {
@@ -134,20 +128,20 @@ class CommandHandler:
             OperatorCommand.HOLD: "holding",
             OperatorCommand.RETURN: "returning",
             OperatorCommand.START: going,
-        }[order]
+        }[command]
 
-    def _note(self, *untold: Reason) -> tuple[Reason, ...]:
+    def _note(self, *default: Reason) -> tuple[Reason, ...]:
         """Return the pilot's newest reason as details.
 
-        untold: the answer before there is any state of the vehicle.
+        default: the answer before there is any state of the vehicle.
         """
-        vehicle = _newest(self._vehicle)
+        vehicle = _newest(self._channels.vehicle)
         if vehicle is None:
-            return untold
+            return default
         return () if vehicle.note is None else (vehicle.note,)
 
     def _mission_receives(self) -> bool:
-        intent = _newest(self._intent)
+        intent = _newest(self._channels.intent)
         age_s = math.inf if intent is None else self._clock.now_s() - intent.stamp_s
         return -_FUTURE_S <= age_s <= SILENT_S
 

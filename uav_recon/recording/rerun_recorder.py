@@ -9,7 +9,6 @@ from __future__ import annotations
 import logging
 import os
 from collections.abc import Callable
-from dataclasses import dataclass
 from datetime import timedelta
 from pathlib import Path
 from typing import Any, Generic, TypeVar
@@ -22,16 +21,12 @@ from uav_recon.recording import blueprint as names
 from uav_recon.recording import rerun_archetypes
 from uav_recon.recording.live_view import LiveView
 from uav_recon.recording.mesh_file import load_mesh
+from uav_recon.recording.recorder_channels import RecorderChannels
 from uav_recon.recording.timelapse import Timelapse
 from uav_recon.recording.viewer import Viewer, open_viewer
-from uav_recon.types.camera import PosedFrame
 from uav_recon.types.frames import FloatArray
-from uav_recon.types.maps import SurfaceElements, TriangleMesh, VoxelMap
-from uav_recon.types.pose import StampedPose
+from uav_recon.types.maps import TriangleMesh, VoxelMap
 from uav_recon.types.reason import text_of
-from uav_recon.types.tasks import ViewPath
-from uav_recon.types.trajectory import Intent
-from uav_recon.types.vehicle import MissionProgress, VehicleState
 
 T = TypeVar("T")
 
@@ -44,20 +39,6 @@ _RUST_LOG_FILTER = "warn,re_log_encoding=error"  # a missing file footer is expe
 _FLUSH_TIMEOUT_S = 1.0
 _TRAIL_STEP_M = 0.05
 _TRAIL_STRIP_POINTS = 100
-
-
-@dataclass(frozen=True, slots=True)
-class RecorderChannels:
-    """All channels that the recorder reads."""
-
-    odom: Channel[StampedPose]
-    frames: Channel[PosedFrame]
-    vehicle: Channel[VehicleState]
-    intent: Channel[Intent]
-    progress: Channel[MissionProgress]
-    voxels: Channel[VoxelMap]
-    surface: Channel[SurfaceElements]
-    plan: Channel[ViewPath]
 
 
 class Inbox(Generic[T]):
@@ -84,7 +65,7 @@ class Inbox(Generic[T]):
         return value
 
 
-class Recorder:
+class RerunRecorder:
     """Records one flight to ``folder``/flight.rrd, and to a viewer if ``live`` and available.
 
     fence_world_m (2, 3): lower and upper corner. The timeline counts seconds from construction. The constructor raises

@@ -38,10 +38,10 @@ def load_machine(config_path: Path, folder: Path, with_pilot: bool) -> None:
     options = seeded_views.SceneOptions(None, VIEWS, "d435i", "d435i", "fixed:15", (0.0, 0.0), 0)
     scene = seeded_views.load(options)
     training_run.warm_up(scene.keyframes[0])
-    wires = file_channels(configuration.load(config_path).runtime.folder, frozenset({"frames"}))
+    channels = file_channels(configuration.load(config_path).runtime.folder, frozenset({"frames"}))
     _beside(_learn, scene, folder)
     _beside(_write, folder)
-    _beside(_publish, scene.keyframes, wires.frames)
+    _beside(_publish, scene.keyframes, channels.frames)
     for _ in range(BUSY_THREADS):
         _beside(_be_busy)
     if with_pilot:

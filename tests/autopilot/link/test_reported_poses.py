@@ -12,7 +12,7 @@ from pymavlink.dialects.v20 import common as wire
 from uav_recon.autopilot.link.local_frame import LocalFrame, moved
 from uav_recon.autopilot.link.reported_poses import LocalPositionPoses, OdometryPoses
 from uav_recon.autopilot.mavlink.codec import Decoder
-from uav_recon.autopilot.mavlink.messages import Attitude, LocalPosition, Odometry
+from uav_recon.autopilot.mavlink.messages import Attitude, LocalPosition, OdometryMessage
 from uav_recon.types.pose import Pose, StampedPose
 from uav_recon.types.trajectory import Setpoint
 
@@ -33,9 +33,9 @@ def odometry(**changes: Any) -> Any:
     return wire.MAVLink_odometry_message(**values | changes)
 
 
-def decoded(message: Any) -> Odometry | None:
+def decoded(message: Any) -> OdometryMessage | None:
     (received,) = Decoder().feed(bytes(message.pack(wire.MAVLink(None, 1, 1))))
-    assert received.message is None or isinstance(received.message, Odometry)
+    assert received.message is None or isinstance(received.message, OdometryMessage)
     return received.message
 
 

@@ -16,15 +16,15 @@ from sitl.autopilots.byte_links import ByteEnd, pipe
 from sitl.autopilots.px4.autopilot import Px4
 from sitl.autopilots.px4.parameters import Px4Parameters
 from sitl.world.quadrotor import Quadrotor
+from uav_recon.app.flight_channels import memory_channels
 from uav_recon.autopilot.firmware.profile import FirmwareProfile
 from uav_recon.autopilot.firmware.px4 import PX4
 from uav_recon.autopilot.link.navigation import Navigation
 from uav_recon.autopilot.mavlink.allow_list import AllowListFilter
 from uav_recon.autopilot.mavlink.tlog import FrameLog
 from uav_recon.autopilot.parameters.preflight_check import ParameterCheck
-from uav_recon.autopilot.pilot.pilot import HullGeometry, Pilot, PilotChannels, make_pilot
+from uav_recon.autopilot.pilot.pilot import HullGeometry, Pilot, make_pilot
 from uav_recon.autopilot.pilot.preflight import Origin
-from uav_recon.channels import MemoryChannel
 from uav_recon.clock import ManualClock
 from uav_recon.interfaces import ByteLink
 from uav_recon.safety.envelope import Envelope, Fence
@@ -34,7 +34,6 @@ from uav_recon.safety.obstacle_speed_limit import Margins
 from uav_recon.safety.recently_seen_space import RecentlySeenSpace
 from uav_recon.types.camera import body_from_camera
 from uav_recon.types.frames import FloatArray
-from uav_recon.types.free_cone import FreeCone
 from uav_recon.types.maps import FreeSpace, GridSpec
 from uav_recon.types.min_range_grid import MinRangeGrid
 from uav_recon.types.polygon import Polygon
@@ -42,7 +41,7 @@ from uav_recon.types.pose import Pose, PoseHealth, StampedPose
 from uav_recon.types.reason import Reason, codes_in, codes_of
 from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.trajectory import Goal, Intent, Trajectory
-from uav_recon.types.vehicle import FlightPhase, ReportedPoses, TurnRates, VehicleState
+from uav_recon.types.vehicle import FlightPhase, VehicleState
 
 copyreg.pickle(struct.Struct, lambda layout: (struct.Struct, (layout.format,)))  # lets a flight be copied in mid-air
 
@@ -134,11 +133,7 @@ class Rig:
         self.tap = Tap(ours, self.clock)
         self.vehicle = Quadrotor(seed, 0.1, start)
         self.autopilot = self._make_autopilot(theirs, seed)
-        self.channels = PilotChannels(
-            MemoryChannel(StampedPose), MemoryChannel(Intent), MemoryChannel(VehicleState), MemoryChannel(FreeSpace),
-            MemoryChannel(MinRangeGrid), MemoryChannel(TurnRates), MemoryChannel(ReportedPoses),
-            MemoryChannel(FreeCone),
-        )  # fmt: skip
+        self.channels = memory_channels()
         self.free = np.ones(GRID.shape, dtype=np.bool_)
         self.publish_free()
         self.depth = True

@@ -8,7 +8,7 @@ import numpy as np
 
 from uav_recon.autopilot.link.link_clock import LinkClock
 from uav_recon.autopilot.link.navigation import Navigation
-from uav_recon.autopilot.mavlink.messages import Attitude, LocalPosition, Odometry
+from uav_recon.autopilot.mavlink.messages import Attitude, LocalPosition, OdometryMessage
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.vehicle import ReportedPoses, TurnRates
 
@@ -25,14 +25,14 @@ class AutopilotMeasurements:
         self._rates: deque[tuple[float, FloatArray]] = deque(maxlen=_RATES)
         self._returned_s: float | None = None  # stamp of the newest turn rate that was returned
 
-    def update(self, message: Attitude | LocalPosition | Odometry, now_s: float, duplicate: bool) -> None:
+    def update(self, message: Attitude | LocalPosition | OdometryMessage, now_s: float, duplicate: bool) -> None:
         """Process a message.
 
         duplicate: its pose is not used, as it may be of either of two autopilots.
         """
         if isinstance(message, Attitude):
             self._keep_rate(message, now_s)
-        if isinstance(message, Odometry):
+        if isinstance(message, OdometryMessage):
             stamp_s = self._clock.stamp_of_us_s(message.boot_us, now_s)
         else:
             stamp_s = self._clock.stamp_s(message.boot_ms, now_s)

@@ -8,7 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
-from uav_recon.autopilot.mavlink.messages import Attitude, LocalPosition, Message, Odometry
+from uav_recon.autopilot.mavlink.messages import Attitude, LocalPosition, Message, OdometryMessage
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.pose import Pose, StampedPose
 
@@ -99,7 +99,7 @@ class OdometryPoses:
 
     def poses(self, message: Message, stamp_s: float) -> list[StampedPose]:
         """Return the pose of an ODOMETRY that is newer than the last one."""
-        if not isinstance(message, Odometry) or stamp_s <= self._newest_s:
+        if not isinstance(message, OdometryMessage) or stamp_s <= self._newest_s:
             return []
         self._newest_s = stamp_s
         pose = Pose(message.quat_wxyz, message.position_m)

@@ -28,7 +28,7 @@ from uav_recon.autopilot.mavlink.messages import (
     Heartbeat,
     LocalPosition,
     Message,
-    Odometry,
+    OdometryMessage,
     ParameterValue,
     Received,
     TimesyncMessage,
@@ -202,7 +202,7 @@ class VehicleLink:
                 message = heartbeat
             case TimesyncMessage():
                 self._synchronise(message, now_s)
-            case Attitude() | LocalPosition() | Odometry():
+            case Attitude() | LocalPosition() | OdometryMessage():
                 self.measurements.update(message, now_s, self._admission.duplicate)
                 if isinstance(message, LocalPosition):
                     message = in_odom(message, self._navigation.local_from_odom)

@@ -34,7 +34,7 @@ from uav_recon.autopilot.mavlink.messages import (
     LandedState,
     LocalPosition,
     Message,
-    Odometry,
+    OdometryMessage,
     OriginSet,
     ParameterValue,
     Received,
@@ -270,7 +270,7 @@ def _odometry(
         return None
     attitude, variance = Pose(np.array(swap_attitude(quat)), np.zeros(3)), np.array([covariance[k] for k in _DIAGONAL])
     known = bool(np.isfinite(variance).all() and (variance > 0.0).all())
-    return Odometry(
+    return OdometryMessage(
         boot_us, frozen(np.array(swap_world(place))), attitude.quat_wxyz,  # type: ignore[arg-type]
         frozen(_velocity(child_frame, speed, attitude)),  # type: ignore[arg-type]
         frozen(np.diagonal(swap_covariance(np.diag(variance)))) if known else None,

@@ -109,7 +109,7 @@ class Attitude:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Odometry:
+class OdometryMessage:
     """ODOMETRY: a pose of the body (FLU) in a frame of the sender with z up.
 
     boot_us: microseconds since the autopilot's boot. position_m (3,), quat_wxyz (4,), velocity_mps (3,) in that frame, zero if
@@ -199,7 +199,7 @@ Message = (
     | SystemStatus
     | LocalPosition
     | Attitude
-    | Odometry
+    | OdometryMessage
     | OriginSet
     | Firmware
     | StatusText

@@ -16,6 +16,7 @@ from uav_recon.autopilot.pilot.estimate_monitor import EstimateMonitor
 from uav_recon.autopilot.pilot.failsafe_monitor import FailsafeMonitor
 from uav_recon.autopilot.pilot.landing import Landing
 from uav_recon.autopilot.pilot.mission_input import MissionInput
+from uav_recon.autopilot.pilot.pilot_channels import PilotChannels
 from uav_recon.autopilot.pilot.pose_feed import PoseFeed
 from uav_recon.autopilot.pilot.preflight import Origin, PreflightSetup
 from uav_recon.autopilot.pilot.reduced_speed_reporter import ReducedSpeedReporter
@@ -26,39 +27,21 @@ from uav_recon.autopilot.pilot.surroundings import Surroundings
 from uav_recon.autopilot.pilot.takeoff_sequence import TakeoffSequence
 from uav_recon.autopilot.pilot.upward_range_finder import STREAM, NoRangeFinder, RangeFinderModel, UpwardRangeFinder
 from uav_recon.clock import RateKeeper
-from uav_recon.interfaces import ByteLink, Channel, Clock
+from uav_recon.interfaces import ByteLink, Clock
 from uav_recon.safety.failsafe_conditions import FailsafeAction, FailsafeTimeouts
 from uav_recon.safety.guard import Guard, GuardInputs
 from uav_recon.safety.pose_gate import PoseGate
 from uav_recon.safety.recently_seen_space import RecentlySeenSpace
-from uav_recon.types.free_cone import FreeCone
-from uav_recon.types.maps import FreeSpace
-from uav_recon.types.min_range_grid import MinRangeGrid
-from uav_recon.types.pose import StampedPose
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
-from uav_recon.types.trajectory import Goal, Intent
-from uav_recon.types.vehicle import FlightPhase, ReportedPoses, TurnRates, VehicleState
+from uav_recon.types.trajectory import Goal
+from uav_recon.types.vehicle import FlightPhase
 
 _LINK_HOLD_S = 0.5  #: hold: autopilot silent for longer: it may no longer follow the setpoints
 _TICK_S = 0.01  # max. wait for a frame within a control step
 _ASKED = Reason(ReasonCode.STOP_REQUESTED)
 _RESET_REST_S = 1.0  #: land: this long after odometry restarted in flight; until then it holds, as the map may no longer fit
 _ODOMETRY_RESTARTED = Reason(ReasonCode.ODOMETRY_RESTARTED)  # the mission cannot know which part of the map still fits
-
-
-@dataclass(frozen=True, slots=True)
-class PilotChannels:
-    """Channels between the pilot, perception and the mission."""
-
-    odom: Channel[StampedPose]
-    intent: Channel[Intent]
-    vehicle: Channel[VehicleState]
-    free: Channel[FreeSpace]
-    nearby: Channel[MinRangeGrid]
-    rates: Channel[TurnRates]
-    reported: Channel[ReportedPoses]
-    cones: Channel[FreeCone]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
