@@ -23,7 +23,7 @@ from uav_recon.types.trajectory import Setpoint, Trajectory
 HALF_TAN = (math.tan(math.radians(43.5)), math.tan(math.radians(29.0)))
 LIMIT = SightSpeedLimit(full_speed_mps=1.08, blind_speed_mps=0.27, blind_fresh_s=3.0, blind_stale_s=10.0, blind_memory_s=60.0)
 GAZE = YawAlongPath(HALF_TAN, LIMIT, EnteredHull(0.2, 0.25), CONFIG.speed_mps, RATE)
-MOTION = MotionPlanner(CONFIG, CLEARANCE_M, gaze=GAZE)
+MOTION = MotionPlanner(CONFIG, CLEARANCE_M, yaw_policy=GAZE)
 HERE = np.array([0.0, 0.0, 1.5])
 
 

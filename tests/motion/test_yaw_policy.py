@@ -24,7 +24,7 @@ LIMIT = SightSpeedLimit(
     full_speed_mps=1.0, blind_speed_mps=BLIND_MPS, blind_fresh_s=3.0, blind_stale_s=10.0, blind_memory_s=60.0
 )
 NOSE_AHEAD = YawAlongPath(HALF_TAN, LIMIT, EnteredHull(0.2, 0.25), CONFIG.speed_mps, RATE)
-MOTION = MotionPlanner(CONFIG, CLEARANCE_M, gaze=NOSE_AHEAD)
+MOTION = MotionPlanner(CONFIG, CLEARANCE_M, yaw_policy=NOSE_AHEAD)
 TILT_RAD = float(np.radians(15.0))
 
 

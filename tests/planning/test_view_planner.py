@@ -81,8 +81,8 @@ def generated(planner: ViewPlanner, request: PlanRequest, surface: SurfaceElemen
     """Return what the source of tasks gives for one plan."""
     propose, found = planner._source.propose, []
 
-    def remember(question: TaskQuery) -> GeneratedTasks:
-        found.append(propose(question))
+    def remember(query: TaskQuery) -> GeneratedTasks:
+        found.append(propose(query))
         return found[-1]
 
     with pytest.MonkeyPatch.context() as patch:

@@ -50,6 +50,6 @@ def situation_in(voxels: VoxelMap, position: FloatArray, clearance_m: float = 0.
     low, high = fence_box(voxels.grid, np.full(3, clearance_m), size_m - clearance_m)
     space = FlyableSpace(voxels.grid, clearance_m, low, high)
     space.update(voxels)
-    exit_cells = space.stand(position)
+    exit_cells = space.locate_vehicle(position)
     assert exit_cells is not None
     return PlanningContext(voxels, space, exit_cells, position)

@@ -133,9 +133,9 @@ def travel_time_model(config: Config) -> TravelTimeModel:
     from uav_recon.motion.yaw_policy import YawAlongPath, yaw_policy_of
     from uav_recon.planning.tour.travel_time import YawThenFly, YawWhileFlying
 
-    gaze, pace = yaw_policy_of(config), (config.motion.speed_mps, math.radians(config.motion.yaw_rate_degps))
-    if isinstance(gaze, YawAlongPath):
-        return YawThenFly(*pace, gaze.blind_speed_mps, gaze.off_rad, gaze.upright)
+    yaw_policy, pace = yaw_policy_of(config), (config.motion.speed_mps, math.radians(config.motion.yaw_rate_degps))
+    if isinstance(yaw_policy, YawAlongPath):
+        return YawThenFly(*pace, yaw_policy.blind_speed_mps, yaw_policy.off_rad, yaw_policy.upright)
     return YawWhileFlying(*pace)
 
 

@@ -45,12 +45,12 @@ class PathCourse:
 
     @staticmethod
     def through(
-        start: FloatArray, legs: Sequence[FloatArray], views: Sequence[Viewpoint], gaze: YawPolicy = AT_VIEWS,
+        start: FloatArray, legs: Sequence[FloatArray], views: Sequence[Viewpoint], yaw_policy: YawPolicy = AT_VIEWS,
         forecast: SightForecast | None = None,
     ) -> PathCourse:  # fmt: skip
         """Return the course through the waypoints (Ni, 3) of each leg to its view.
 
-        Yaw changes along a leg as ``gaze`` defines, and on the spot by the smaller turn. forecast: at the start.
+        Yaw changes along a leg as ``yaw_policy`` defines, and on the spot by the smaller turn. forecast: at the start.
         """
         vertices, reached = [start], []
         for leg, view in zip(legs, views, strict=True):
@@ -65,7 +65,7 @@ class PathCourse:
                 if np.abs(goal - begin).max() > SAME_M or len(vertices) == 1:
                     vertices.append(goal)
             else:
-                leg_vertices, forecast = gaze.along(np.array(way), begin, goal, forecast)
+                leg_vertices, forecast = yaw_policy.along(np.array(way), begin, goal, forecast)
                 vertices += list(leg_vertices)
             reached.append(len(vertices) - 1)
         return PathCourse(np.array(vertices), np.array(reached, dtype=np.int64), np.zeros(len(vertices), dtype=np.bool_))

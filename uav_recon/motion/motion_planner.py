@@ -57,7 +57,7 @@ class MotionPlanner:
 
     def __init__(
         self, config: MotionConfig, clearance_m: float, low_m: FloatArray | None = None, high_m: FloatArray | None = None,
-        braking_mps2: float | None = None, hull_m: float = 0.0, gaze: YawPolicy = AT_VIEWS,
+        braking_mps2: float | None = None, hull_m: float = 0.0, yaw_policy: YawPolicy = AT_VIEWS,
     ) -> None:  # fmt: skip
         """Set the limits.
 
@@ -66,16 +66,18 @@ class MotionPlanner:
         low_m, high_m: (3,) corners of the box that the body's centre stays in; None = no box.
         braking_mps2: deceleration when a path turns out to be blocked; None = that of planned motion.
         hull_m: radius of the vehicle, which touches nothing while its autopilot flies on without setpoints for config.run_on_s.
-        gaze: where the vehicle looks on its path.
+        yaw_policy: where the vehicle looks on its path.
         """
         self._low_m = np.full(3, -np.inf) if low_m is None else low_m
         self._high_m = np.full(3, np.inf) if high_m is None else high_m
         self._clearance_m = clearance_m
-        self._pacer = Pacer.of(config, clearance_m, hull_m, gaze)
+        self._pacer = Pacer.of(config, clearance_m, hull_m, yaw_policy)
         self._hardness = (braking_mps2 or config.acceleration_mps2) / config.acceleration_mps2
         self._slow_pacer = Pacer.of(config.model_copy(update={"speed_mps": config.tight_speed_mps}), clearance_m, hull_m)
         narrow_mps = min(NARROW_MPS, config.tight_speed_mps)
-        self._narrow_pacer = Pacer.of(config.model_copy(update={"tight_speed_mps": narrow_mps}), clearance_m, hull_m, gaze)
+        self._narrow_pacer = Pacer.of(
+            config.model_copy(update={"tight_speed_mps": narrow_mps}), clearance_m, hull_m, yaw_policy
+        )
 
     def through(
         self, path: ViewPath, voxels: VoxelMap, start: Setpoint, start_s: float, views_at_spacing_m: float, identifier: int,
@@ -92,7 +94,7 @@ class MotionPlanner:
             return fault
         entry, space = InitialState.resting(start, self._pacer.box), self._space(voxels)
         forecast = self._forecast(views, space, start_s)
-        course = PathCourse.through(entry.place, path.waypoints_world, path.viewpoints, self._pacer.gaze, forecast)
+        course = PathCourse.through(entry.place, path.waypoints_world, path.viewpoints, self._pacer.yaw_policy, forecast)
         flight = self._clear(course, None, entry, space, views_at_spacing_m, path.clearance_m, forecast)
         kept_m = self._asked_m(path.clearance_m)
         return flight if isinstance(flight, Reason) else flight.trajectory(start_s, path.map_epoch, identifier, kept_m)
@@ -114,14 +116,14 @@ class MotionPlanner:
         at = max(int((leave_s - flying.start_s) / flying.step_s + 1e-6), 0)  # past its end it rests
         entry, space = InitialState.leaving(flying, at, self._pacer.box, self._pacer.most()), self._space(voxels)
         start_s, kept_m = flying.start_s + (at - entry.left + 1) * flying.step_s, self._asked_m(path.clearance_m)
-        forecast, gaze = self._forecast(views, space, leave_s), self._pacer.gaze
+        forecast, yaw_policy = self._forecast(views, space, leave_s), self._pacer.yaw_policy
         if not entry.is_moving:
-            course = PathCourse.through(entry.place, _ahead(path, entry, entry.place), path.viewpoints, gaze, forecast)
+            course = PathCourse.through(entry.place, _ahead(path, entry, entry.place), path.viewpoints, yaw_policy, forecast)
             still = self._clear(course, None, entry, space, views_at_spacing_m, path.clearance_m, forecast)
             return still if isinstance(still, Reason) else still.trajectory(start_s, path.map_epoch, identifier, kept_m)
         for overrun in OVERRUN_SHARES if _leads_on(path, entry) else OVERRUN_SHARES[-1:]:
             rolled, begin = self._pacer.begun(entry, overrun)
-            course = PathCourse.through(begin, _ahead(path, entry, begin), path.viewpoints, gaze, forecast)
+            course = PathCourse.through(begin, _ahead(path, entry, begin), path.viewpoints, yaw_policy, forecast)
             if overrun > 0.0:
                 course = course.after(rolled, overrun >= 1.0)
             flight = self._clear(course, entry.place, entry, space, views_at_spacing_m, path.clearance_m, forecast)
@@ -185,7 +187,7 @@ class MotionPlanner:
 
     def _forecast(self, views: RecentViews | None, space: ClearanceMap, start_s: float) -> SightForecast | None:
         newest_s = -np.inf if views is None else float(views.stamp_s[-1])
-        return self._pacer.gaze.forecast(views, space, max(start_s, newest_s + PLANNED_S))
+        return self._pacer.yaw_policy.forecast(views, space, max(start_s, newest_s + PLANNED_S))
 
     def _space(self, voxels: VoxelMap) -> ClearanceMap:
         return ClearanceMap.of(voxels, self._low_m, self._high_m, self._clearance_m)

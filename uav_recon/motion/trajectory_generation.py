@@ -85,10 +85,10 @@ class Pacer:
     hull_m: float
     run_on_s: float
     box: int
-    gaze: YawPolicy
+    yaw_policy: YawPolicy
 
     @staticmethod
-    def of(config: MotionConfig, clearance_m: float, hull_m: float, gaze: YawPolicy = AT_VIEWS) -> Pacer:
+    def of(config: MotionConfig, clearance_m: float, hull_m: float, yaw_policy: YawPolicy = AT_VIEWS) -> Pacer:
         """Return the limits of a config."""
         return Pacer(
             speed=FULL * config.speed_mps,
@@ -104,7 +104,7 @@ class Pacer:
             hull_m=hull_m,
             run_on_s=config.run_on_s,
             box=max(int(config.smoothing_s / 2 / STEP_S) // 2 * 2 + 1, 1),
-            gaze=gaze,
+            yaw_policy=yaw_policy,
         )
 
     @property
@@ -176,7 +176,7 @@ class Pacer:
             if excess > 1.02:
                 share *= 0.98 / excess
             if hasty.any():
-                max_speed_mps[hasty] = np.minimum(max_speed_mps[hasty], self.gaze.blind_speed_mps)
+                max_speed_mps[hasty] = np.minimum(max_speed_mps[hasty], self.yaw_policy.blind_speed_mps)
                 self._cap(curve, band, entry, space, max_speed_mps, cap)
         return flight
 
@@ -203,7 +203,7 @@ class Pacer:
 
         There is no limit where the motion that is entered has to brake.
         """
-        max_acceleration_mps2 = np.maximum(self.gaze.max_acceleration_mps2(curve.slope, curve.place), MIN_MPS2)
+        max_acceleration_mps2 = np.maximum(self.yaw_policy.max_acceleration_mps2(curve.slope, curve.place), MIN_MPS2)
         entry2 = float(np.sum(entry.velocity[:3] ** 2))
         return np.where(2.0 * BRAKING * self.acceleration * curve.along_m < entry2, np.inf, max_acceleration_mps2)
 
@@ -224,7 +224,7 @@ class Pacer:
 
         The first and the last are not judged.
         """
-        return self.gaze.exceeds_limit(flight.rows[entry.left :], forecast, 0.0 if forecast is None else forecast.begin_s)
+        return self.yaw_policy.exceeds_limit(flight.rows[entry.left :], forecast, 0.0 if forecast is None else forecast.begin_s)
 
     def _speed_limits(
         self, curve: Curve, space: ClearanceMap | None, forecast: SightForecast | None, reached_s: FloatArray
@@ -235,7 +235,7 @@ class Pacer:
         """
         if space is None:
             return np.full(len(curve.along_m), np.inf)
-        seen_mps = self.gaze.max_speed_mps(curve.slope, curve.place, forecast, reached_s)
+        seen_mps = self.yaw_policy.max_speed_mps(curve.slope, curve.place, forecast, reached_s)
         return np.minimum(seen_mps, self._silence_speed_limits(curve, space))
 
     def _estimated_times_s(self, curve: Curve, forecast: SightForecast | None) -> FloatArray:

@@ -46,7 +46,7 @@ class CandidateView:
 class PlanningContext:
     """The inputs of one plan: map, flyable space, vehicle position and exit cells.
 
-    exit_cells: flat cells from the vehicle's cell to the nearest flyable cell, see FlyableSpace.stand().
+    exit_cells: flat cells from the vehicle's cell to the nearest flyable cell, see FlyableSpace.locate_vehicle().
     """
 
     voxels: VoxelMap

@@ -95,7 +95,7 @@ class NarrowPassagePlanner:
         if isinstance(answer, ViewPath):
             return answer
         for clearance_m in (self._clearance_m, self._homeward_m):
-            found = self._nearest(request, lambda situation: [route_to(situation, goal)], clearance_m, start_s)
+            found = self._nearest(request, lambda context: [route_to(context, goal)], clearance_m, start_s)
             if found is not None:
                 return found[0]
         return answer
@@ -109,7 +109,7 @@ class NarrowPassagePlanner:
     ) -> tuple[ViewPath, CandidateView] | None:
         """Return the shortest path with a clearance to a wanted view, and that view, or None."""
         space = self._space(request.voxels, clearance_m)
-        exit_cells = space.stand(request.position_world)
+        exit_cells = space.locate_vehicle(request.position_world)
         if exit_cells is None:
             return None
         proposals = [one for one in wanted(PlanningContext(request.voxels, space, exit_cells, request.position_world)) if one]
@@ -141,21 +141,21 @@ class NarrowPassagePlanner:
         space.update(voxels)
         return space
 
-    def _openings(self, situation: PlanningContext) -> list[CandidateView]:
+    def _openings(self, context: PlanningContext) -> list[CandidateView]:
         """Return views of the nearest openings from positions behind a narrow passage.
 
         The positions have the usual clearance.
         """
-        usual, frontiers, voxels = self._planner.space, self._planner.frontiers, situation.voxels
+        usual, frontiers, voxels = self._planner.space, self._planner.frontiers, context.voxels
         beyond = _Beyond(
             mask=usual.mask,
-            reachable=usual.mask & situation.space.reachable & (1 - usual.reachable),
+            reachable=usual.mask & context.space.reachable & (1 - usual.reachable),
             berth=usual.berth,
             revision=1,
             reachable_revision=np.ones_like(usual.reachable_revision),
         )
         views = FrontierViews(self._planner.config, self._planner.camera)
-        found = views.update(voxels, beyond, frontiers, situation.position_world).proposals
+        found = views.update(voxels, beyond, frontiers, context.position_world).proposals
         gains = frontiers.beyond(voxels, [one.promised for one in found])
         return [one.with_gain(gain) for one, gain in zip(found, gains.tolist(), strict=True) if gain >= OPENING]
 

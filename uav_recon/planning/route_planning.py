@@ -10,12 +10,12 @@ from uav_recon.types.tasks import Task, TaskKind, Viewpoint
 NEAR_ENOUGH_M = 0.4  # if the column above the pad is not flyable, a cell beside it is used
 
 
-def route_to(situation: PlanningContext, goal: Viewpoint) -> CandidateView | None:
+def route_to(context: PlanningContext, goal: Viewpoint) -> CandidateView | None:
     """Return the reachable cell nearest to ``goal`` as a candidate view.
 
     Returns None if all reachable cells are farther away than NEAR_ENOUGH_M.
     """
-    space = situation.space
+    space = context.space
     at = space.padded(goal.position_world)
     reach = NEAR_ENOUGH_M / space.grid.resolution_m
     low = np.clip(np.floor(at - reach), 0, space.reachable.shape).astype(np.int64)

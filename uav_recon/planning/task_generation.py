@@ -50,7 +50,7 @@ class TaskQuery:
     views_left: remaining views in the budget.
     """
 
-    situation: PlanningContext
+    context: PlanningContext
     frontiers: Frontiers
     ways: PathCache
     surface: SurfaceElements | None
@@ -61,11 +61,11 @@ class TaskQuery:
 class TaskSource(Protocol):
     """Generates the tasks of one plan. Its state is only a cache."""
 
-    def propose(self, question: TaskQuery) -> GeneratedTasks:
+    def propose(self, query: TaskQuery) -> GeneratedTasks:
         """Return the tasks of one plan."""
         ...
 
-    def reasons(self, situation: PlanningContext, frontiers: Frontiers) -> Counter[ReasonCode]:
+    def reasons(self, context: PlanningContext, frontiers: Frontiers) -> Counter[ReasonCode]:
         """Count the frontiers without a view, by reason. Slow; meant for the end of a flight."""
         ...
 
@@ -88,49 +88,49 @@ class ClusterTasks:
         self._views = views
         self._surfaces = surfaces
 
-    def propose(self, question: TaskQuery) -> GeneratedTasks:
+    def propose(self, query: TaskQuery) -> GeneratedTasks:
         """See TaskSource."""
-        situation, ways = question.situation, question.ways
-        found, later = self._explore(situation, question.frontiers)
+        context, ways = query.context, query.ways
+        found, later = self._explore(context, query.frontiers)
         explore, farther = found[:MAX_FRONTIERS], found[MAX_FRONTIERS:]
-        ways.update(situation.exit_cells, situation.position_world, view_positions(explore))
+        ways.update(context.exit_cells, context.position_world, view_positions(explore))
         opening = np.array([_is_opening(one) for one in explore], dtype=np.bool_)
         mode = self._variant.mode.choose(ways.lengths_m[0, 1:], opening, later + sum(map(_is_opening, farther)))
-        spare, frontiers = question.views_left - len(explore), len(found) + later
+        spare, frontiers = query.views_left - len(explore), len(found) + later
         if mode is PlanMode.EXPLORE or TaskKind.RECONSTRUCT not in self._variant.kinds or spare <= 0:
             return GeneratedTasks(mode, explore, frontiers)
         ended = self._explores and not opening.any()
-        surface, widening = self._surface(question, ended=ended, only=not explore)
+        surface, widening = self._surface(query, ended=ended, only=not explore)
         tasks = (explore + surface[:spare])[:MAX_TASKS]
         return GeneratedTasks(mode, tasks, frontiers, widening, explored=ended and not later)
 
-    def _surface(self, question: TaskQuery, *, ended: bool, only: bool) -> tuple[list[CandidateView], float]:
+    def _surface(self, query: TaskQuery, *, ended: bool, only: bool) -> tuple[list[CandidateView], float]:
         """Return surface tasks near the vehicle, and the factor by which "near" was widened.
 
         ended: no opening can be viewed, so tasks are sought in the whole room. only: there is no other task, so that they
         are if none is near.
         """
         for widening in (self._end_factor,) if ended else (1.0, self._end_factor) if only else (1.0,):
-            tasks = self._surfaces.propose(question.situation, question.surface, question.looks, widening)
+            tasks = self._surfaces.propose(query.context, query.surface, query.looks, widening)
             if tasks:
                 break
         return tasks, widening
 
-    def reasons(self, situation: PlanningContext, frontiers: Frontiers) -> Counter[ReasonCode]:
+    def reasons(self, context: PlanningContext, frontiers: Frontiers) -> Counter[ReasonCode]:
         """See TaskSource."""
         if not self._explores:
             return Counter()
-        return self._views.reasons(situation.voxels, situation.space, frontiers)
+        return self._views.reasons(context.voxels, context.space, frontiers)
 
-    def _explore(self, situation: PlanningContext, frontiers: Frontiers) -> tuple[list[CandidateView], int]:
+    def _explore(self, context: PlanningContext, frontiers: Frontiers) -> tuple[list[CandidateView], int]:
         """Return the tasks of the nearest frontiers, and the number of openings not searched yet.
 
         Openings come first. The gain of a task is the unknown volume beyond all frontier cells that its view shows.
         """
         if not self._explores:
             return [], 0
-        found = self._views.update(situation.voxels, situation.space, frontiers, situation.position_world)
-        gains = frontiers.beyond(situation.voxels, [one.promised for one in found.proposals])
+        found = self._views.update(context.voxels, context.space, frontiers, context.position_world)
+        gains = frontiers.beyond(context.voxels, [one.promised for one in found.proposals])
         worth = zip(found.proposals, gains.tolist(), strict=True)
         return [one.with_gain(gain) for one, gain in worth if gain >= self._min_unknown], found.openings_later
 
@@ -151,15 +151,15 @@ class GainField:
         self._views = views
         self._reasons = reasons
 
-    def propose(self, question: TaskQuery) -> GeneratedTasks:
+    def propose(self, query: TaskQuery) -> GeneratedTasks:
         """See TaskSource."""
-        frontiers = question.frontiers.clusters()
+        frontiers = query.frontiers.clusters()
         return GeneratedTasks(
             PlanMode.MERGED,
-            self._views.propose(question.situation, frontiers, question.surface, question.looks),
+            self._views.propose(query.context, frontiers, query.surface, query.looks),
             len(frontiers),
         )
 
-    def reasons(self, situation: PlanningContext, frontiers: Frontiers) -> Counter[ReasonCode]:
+    def reasons(self, context: PlanningContext, frontiers: Frontiers) -> Counter[ReasonCode]:
         """See TaskSource."""
-        return self._reasons.reasons(situation.voxels, situation.space, frontiers)
+        return self._reasons.reasons(context.voxels, context.space, frontiers)

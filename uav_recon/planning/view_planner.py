@@ -139,11 +139,11 @@ class ViewPlanner:
         Takes about a millisecond, more with surface tasks.
         """
         start_s = self._timer()
-        situation = self._look(request)
-        if isinstance(situation, Reason):
-            return self._nothing(situation, start_s, start_s)
-        self._asked = request, situation
-        return self._choose(self._source, request, situation, start_s)
+        context = self._look(request)
+        if isinstance(context, Reason):
+            return self._nothing(context, start_s, start_s)
+        self._asked = request, context
+        return self._choose(self._source, request, context, start_s)
 
     def plan_with_less_demand(self, request: PlanRequest) -> ViewPath | None:
         """Choose views that show less than plan() asks for; None if there are none.
@@ -158,23 +158,21 @@ class ViewPlanner:
         return found if isinstance(found, ViewPath) else None
 
     def _choose(
-        self, source: TaskSource, request: PlanRequest, situation: PlanningContext, start_s: float
+        self, source: TaskSource, request: PlanRequest, context: PlanningContext, start_s: float
     ) -> ViewPath | NothingLeft:
         """Return the tour over the tasks of a source."""
-        harvest = source.propose(
-            TaskQuery(
-                situation, self.frontiers, self._ways, request.surface, self.view_history.surface_looks, request.views_left
-            )
+        generated = source.propose(
+            TaskQuery(context, self.frontiers, self._ways, request.surface, self.view_history.surface_looks, request.views_left)
         )
-        committed = self._committed(situation, request)
-        tasks = _drop_duplicate_tasks(committed, self._not_refused(harvest.proposals))
+        committed = self._committed(context, request)
+        tasks = _drop_duplicate_tasks(committed, self._not_refused(generated.proposals))
         tasks_made_s = self._timer()
-        order, dropped = self._order(situation, request, tasks, len(committed))
+        order, dropped = self._order(context, request, tasks, len(committed))
         if not order:
-            return self._nothing(self._why(situation, dropped), start_s, tasks_made_s)
-        nodes = self._within_horizon(order, harvest.widening)
+            return self._nothing(self._why(context, dropped), start_s, tasks_made_s)
+        nodes = self._within_horizon(order, generated.widening)
         views = self._turned_to_path(request, [tasks[node - 1] for node in nodes], nodes, len(committed))
-        path = self._path(request, harvest, views, nodes, start_s, tasks_made_s)
+        path = self._path(request, generated, views, nodes, start_s, tasks_made_s)
         self._offered = path, tuple(views)
         return path
 
@@ -211,13 +209,13 @@ class ViewPlanner:
         The result is not stored: no view is promised.
         """
         start_s = self._timer()
-        situation = self._look(dataclasses.replace(request, views_left=1))
-        if isinstance(situation, Reason):
-            return self._nothing(situation, start_s, start_s)
-        proposal = route_to(situation, goal)
+        context = self._look(dataclasses.replace(request, views_left=1))
+        if isinstance(context, Reason):
+            return self._nothing(context, start_s, start_s)
+        proposal = route_to(context, goal)
         if proposal is None:
             return self._nothing(Reason(ReasonCode.NO_KNOWN_PATH), start_s, start_s)
-        self._ways.update(situation.exit_cells, request.position_world, view_positions([proposal]))
+        self._ways.update(context.exit_cells, request.position_world, view_positions([proposal]))
         return self._path(request, GeneratedTasks(PlanMode.EXPLORE, [], 0), [proposal], [1], start_s, start_s)
 
     def _look(self, request: PlanRequest) -> PlanningContext | Reason:
@@ -236,12 +234,12 @@ class ViewPlanner:
         if request.views_left <= 0:
             return Reason(ReasonCode.NO_VIEWS_LEFT)
         self.space.update(voxels)
-        exit_cells = self.space.stand(request.position_world)
+        exit_cells = self.space.locate_vehicle(request.position_world)
         if exit_cells is None:
             return Reason(ReasonCode.START_NOT_FREE)
         return PlanningContext(voxels, self.space, exit_cells, request.position_world)
 
-    def _committed(self, situation: PlanningContext, request: PlanRequest) -> list[CandidateView]:
+    def _committed(self, context: PlanningContext, request: PlanRequest) -> list[CandidateView]:
         """Return the view being flown to, if it is still worth it, else an empty list.
 
         Thus the goal does not change in motion.
@@ -250,22 +248,22 @@ class ViewPlanner:
         if (
             following is None
             or not request.velocity_world_mps.any()
-            or not situation.holds(following.place)
-            or not self.view_history.is_worth(situation.voxels, following)
+            or not context.holds(following.place)
+            or not self.view_history.is_worth(context.voxels, following)
         ):
             return []
         return [following]
 
     def _order(
-        self, situation: PlanningContext, request: PlanRequest, tasks: list[CandidateView], committed: int
+        self, context: PlanningContext, request: PlanRequest, tasks: list[CandidateView], committed: int
     ) -> tuple[list[int], int]:
         """Return the nodes to fly to and the number of dropped surface tasks.
 
         committed: 1 if the first task is committed and stays first, else 0.
         """
-        self._ways.update(situation.exit_cells, request.position_world, view_positions(tasks))
+        self._ways.update(context.exit_cells, request.position_world, view_positions(tasks))
         costs_s = time_costs(self._ways, tasks, request.yaw_rad, request.velocity_world_mps, self._price)
-        if self.space.is_confined(situation.position_world) and tasks:
+        if self.space.is_confined(context.position_world) and tasks:
             # one view may open the way to others
             return [1] if committed else [best_by_rate([one.task for one in tasks], costs_s)], 0
         # the tour begins at the committed view
@@ -300,7 +298,7 @@ class ViewPlanner:
     def _path(
         self,
         request: PlanRequest,
-        harvest: GeneratedTasks,
+        generated: GeneratedTasks,
         views: Sequence[CandidateView],
         nodes: list[int],
         start_s: float,
@@ -310,17 +308,17 @@ class ViewPlanner:
         return ViewPath(
             viewpoints=tuple(task.viewpoint for task in chosen),
             waypoints_world=self._legs(nodes),
-            mode=harvest.mode,
+            mode=generated.mode,
             map_revision=request.voxels.revision,
             map_epoch=request.voxels.map_epoch,
             tasks=chosen,
             task_s=tasks_made_s - start_s,
             step_s=self._timer() - start_s,
-            frontiers=harvest.frontiers,
-            explored=harvest.explored,
+            frontiers=generated.frontiers,
+            explored=generated.explored,
         )
 
-    def _why(self, situation: PlanningContext, not_worth: int) -> Reason:
+    def _why(self, context: PlanningContext, not_worth: int) -> Reason:
         """Return the reason for an empty plan.
 
         It counts the frontiers by reason, and the dropped surface tasks.
@@ -328,8 +326,8 @@ class ViewPlanner:
         Example: '14 frontiers left: 9 too narrow, 5 outside the fence', or 'no frontiers left'.
         """
         counts = {
-            **dict(sorted(self._source.reasons(situation, self.frontiers).items())),
-            **count_rejected_frontiers(situation.voxels.state, self.frontiers.faces, self.view_history.exhausted),
+            **dict(sorted(self._source.reasons(context, self.frontiers).items())),
+            **count_rejected_frontiers(context.voxels.state, self.frontiers.faces, self.view_history.exhausted),
         }
         total = sum(counts.values())
         details = [Reason(code, (n,)) for code, n in counts.items() if n]

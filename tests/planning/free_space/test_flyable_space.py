@@ -87,7 +87,7 @@ def test_incremental_updates_equal_a_computation_from_scratch(seed: int) -> None
         position = world.grid.origin_world_m + rng.uniform(0, 1, 3) * np.array(shape) * RESOLUTION_M
         if mask.any() and rng.random() < 0.5:
             position = space.world(rng.choice(np.argwhere(mask)) + 0.5)
-        cells = space.stand(position)
+        cells = space.locate_vehicle(position)
         if cells is not None:
             np.testing.assert_array_equal(space.reachable, connected(mask, int(cells[-1])))
             stood += 1
@@ -136,9 +136,9 @@ def test_a_door_that_closes_and_opens_separates_and_joins_two_rooms() -> None:
     for closed in (False, True, False, True):
         world.paint(np.array([29, 10, 1]), np.array([31, 20, 19]), OCCUPIED if closed else FREE)
         space.update(world.voxels())
-        assert space.stand(position) is not None
+        assert space.locate_vehicle(position) is not None
         assert bool(space.reachable[far]) is not closed
-    assert space.stand(world.grid.centre(np.array([50, 15, 10]))) is not None
+    assert space.locate_vehicle(world.grid.centre(np.array([50, 15, 10]))) is not None
     assert space.reachable[far]
     assert not space.reachable[9, 16, 11]
 
@@ -147,11 +147,11 @@ def test_revisions_stay_while_the_flyable_space_stays() -> None:
     world = rooms(door=True)
     space = FlyableSpace(world.grid, 0.2, np.zeros(3, dtype=np.int64), np.array(world.grid.shape))
     space.update(world.voxels())
-    space.stand(world.grid.centre(np.array([8, 15, 10])))
+    space.locate_vehicle(world.grid.centre(np.array([8, 15, 10])))
     revision = space.revision
     world.paint(np.array([0, 0, 0]), np.array([2, 2, 2]), OCCUPIED)  # changes the map, but not the flyable space
     space.update(world.voxels())
-    space.stand(world.grid.centre(np.array([40, 15, 10])))
+    space.locate_vehicle(world.grid.centre(np.array([40, 15, 10])))
     assert space.revision == revision
     assert not (space.reachable_revision > revision).any()
 
@@ -172,7 +172,7 @@ def test_a_vehicle_outside_flyable_space_leaves_through_free_space() -> None:
     world = rooms(door=True)
     space = FlyableSpace(world.grid, 0.35, np.zeros(3, dtype=np.int64), np.array(world.grid.shape))
     space.update(world.voxels())
-    cells = space.stand(world.grid.centre(np.array([2, 15, 10])))
+    cells = space.locate_vehicle(world.grid.centre(np.array([2, 15, 10])))
     assert cells is not None
     way = np.stack(np.unravel_index(cells, space.mask.shape), axis=-1) - 1
     np.testing.assert_array_equal(way[0], [2, 15, 10])
@@ -185,12 +185,12 @@ def test_a_single_free_voxel_no_free_space_and_positions_outside_have_no_exit() 
     world = ChangingMap((20, 20, 20))
     space = FlyableSpace(world.grid, 0.35, np.zeros(3, dtype=np.int64), np.array(world.grid.shape))
     space.update(world.voxels())
-    assert space.stand(world.grid.centre(np.array([8, 8, 8]))) is None
+    assert space.locate_vehicle(world.grid.centre(np.array([8, 8, 8]))) is None
     world.paint(np.array([8, 8, 8]), np.array([9, 9, 9]), FREE)
     space.update(world.voxels())
-    assert space.stand(world.grid.centre(np.array([8, 8, 8]))) is None
-    assert space.stand(world.grid.centre(np.array([-5, 8, 8]))) is None
-    assert space.stand(world.grid.centre(np.array([8, 8, 20]))) is None
+    assert space.locate_vehicle(world.grid.centre(np.array([8, 8, 8]))) is None
+    assert space.locate_vehicle(world.grid.centre(np.array([-5, 8, 8]))) is None
+    assert space.locate_vehicle(world.grid.centre(np.array([8, 8, 20]))) is None
 
 
 def test_a_map_of_another_grid_is_refused() -> None:

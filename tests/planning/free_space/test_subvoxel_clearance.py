@@ -34,7 +34,7 @@ def cluttered(rng: np.random.Generator) -> tuple[PlanningContext, NDArray[np.flo
     voxels = VoxelMap.whole(grid, state, np.round(np.minimum(distance, 11.0) ** 2).astype(np.uint8), 1)
     space.update(voxels)
     start = space.world(rng.choice(np.argwhere(space.mask)) + 0.5)
-    exit_cells = space.stand(start)
+    exit_cells = space.locate_vehicle(start)
     assert exit_cells is not None
     return PlanningContext(voxels, space, exit_cells, start), np.argwhere(solid) - np.float64(0.5)
 
@@ -46,18 +46,18 @@ def to_sides(closed: NDArray[np.float64], place: NDArray[np.float64]) -> float:
 @pytest.mark.parametrize("seed", range(8))
 def test_an_accepted_position_has_at_least_the_clearance_of_a_voxel_centre(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    situation, closed = cluttered(rng)
-    reachable = situation.space.reachable
+    context, closed = cluttered(rng)
+    reachable = context.space.reachable
     centres = np.argwhere(reachable) - 0.5
     least = min(to_sides(closed, place) for place in centres)
-    promised = np.sqrt(situation.space.berth[SIDES2])
+    promised = np.sqrt(context.space.berth[SIDES2])
     assert promised * 0.1 >= 0.3  # d_s of the paper
     assert promised <= least
     held = refused = 0
     for cell in rng.permutation(np.argwhere(reachable))[:400]:
         place = cell - 1.0 + rng.random(3)
         inside = bool(((place >= LOWEST + 0.5) & (place <= HIGHEST - 0.5)).all())
-        holds = situation.holds(place + 1.0)
+        holds = context.holds(place + 1.0)
         assert holds == (inside and to_sides(closed, place) >= promised)
         held, refused = held + holds, refused + (not holds)
     assert held > 100
@@ -66,10 +66,10 @@ def test_an_accepted_position_has_at_least_the_clearance_of_a_voxel_centre(seed:
 
 def test_reachable_voxel_centres_are_accepted_and_others_are_not() -> None:
     rng = np.random.default_rng(0)
-    situation, _ = cluttered(rng)
-    reachable = situation.space.reachable
+    context, _ = cluttered(rng)
+    reachable = context.space.reachable
     for cell in np.argwhere((reachable > 0) | (rng.random(reachable.shape) < 0.1)):
-        assert situation.holds(cell + np.float64(0.5)) == bool(reachable[tuple(cell)])
+        assert context.holds(cell + np.float64(0.5)) == bool(reachable[tuple(cell)])
 
 
 @pytest.mark.parametrize("needed2", [1, 6, 9, 13, 16, 24, 57, 256])
@@ -85,8 +85,8 @@ def test_the_clearance_box_follows_from_the_nearest_allowed_voxel(needed2: int) 
 
 def test_the_blocking_voxel_is_not_free_and_too_near() -> None:
     rng = np.random.default_rng(3)
-    situation, _ = cluttered(rng)
-    voxels, berth = situation.voxels, situation.space.berth
+    context, _ = cluttered(rng)
+    voxels, berth = context.voxels, context.space.berth
     answers = []
     for place in rng.uniform(2.0, 24.0, (2000, 3)):
         at = blocking_voxel(voxels.distance2.reshape(-1), voxels.grid.shape, berth, *place)
@@ -100,6 +100,6 @@ def test_the_blocking_voxel_is_not_free_and_too_near() -> None:
 
 @pytest.mark.parametrize("place", [(np.nan, 9.0, 9.0), (9.0, np.inf, 9.0), (9.0, 9.0, -np.inf), (1e30, 9.0, 9.0)])
 def test_positions_that_are_not_finite_or_far_away_are_outside(place: tuple[float, float, float]) -> None:
-    situation, _ = cluttered(np.random.default_rng(1))
-    voxels = situation.voxels
-    assert blocking_voxel(voxels.distance2.reshape(-1), voxels.grid.shape, situation.space.berth, *place) == OUTSIDE
+    context, _ = cluttered(np.random.default_rng(1))
+    voxels = context.voxels
+    assert blocking_voxel(voxels.distance2.reshape(-1), voxels.grid.shape, context.space.berth, *place) == OUTSIDE

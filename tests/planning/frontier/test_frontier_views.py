@@ -50,7 +50,7 @@ class Follower:
     def follow(self, voxels: VoxelMap, position: FloatArray) -> FrontierProposals:
         self.frontiers.update(voxels, self.low, self.high, self.ignored)
         self.space.update(voxels)
-        self.space.stand(position)
+        self.space.locate_vehicle(position)
         return self.views.update(voxels, self.space, self.frontiers, position)
 
     def row_of(self, cluster: int) -> int:
@@ -119,9 +119,9 @@ def test_a_view_is_reachable_and_shows_the_promised_cells(solid: Solid, camera: 
         assert view_oracle.cells_seen(voxels.state, lens, oracle_view(table.rows.pose[kept], camera), target) >= 0.98 * len(
             cells
         )
-    situation = PlanningContext(voxels, follower.space, np.zeros(0, dtype=np.int64), START)
+    context = PlanningContext(voxels, follower.space, np.zeros(0, dtype=np.int64), START)
     for proposal in found.proposals:
-        assert situation.holds(proposal.place)
+        assert context.holds(proposal.place)
         assert camera.pitch_min_rad <= proposal.task.viewpoint.pitch_down_rad <= camera.pitch_max_rad
 
 

@@ -39,7 +39,7 @@ def test_a_view_is_nearly_as_good_as_the_best_of_a_thousand(solid: Solid, camera
     frontiers.update(voxels, low, high, np.zeros(world.grid.shape, dtype=np.uint8))
     space = FlyableSpace(world.grid, 0.35, low + 2, high - 2)
     space.update(voxels)
-    space.stand(START)
+    space.locate_vehicle(START)
     shell, lens = explore_shell(PlannerConfig(), camera, 0.1), camera.lens(0.1, 4.5)
     tan_h, tan_v = (float(np.tan(angle / 2)) * EDGE_MARGIN for angle in (camera.hfov_rad, camera.vfov_rad))
     oracle = view_oracle.OracleLens(tan_h, tan_v, lens[2], lens[3], camera.pitch_min_rad, camera.pitch_max_rad)

@@ -129,7 +129,7 @@ def test_paths_in_clutter_are_open_and_as_short_as_an_exact_search() -> None:
         cells = largest_component(space.mask)
         chosen = cells[rng.integers(len(cells), size=6)]
         start = space.world(chosen[0] + 0.5)
-        exit_cells = space.stand(start)
+        exit_cells = space.locate_vehicle(start)
         assert exit_cells is not None
         ways = PathCache(space)
         ways.update(exit_cells, start, centres(chosen[1:]))
@@ -157,7 +157,7 @@ def test_paths_in_the_reference_map_are_as_short_as_an_exact_search() -> None:
     excess = []
     for pair in cells[np.random.default_rng(100).integers(len(cells), size=(100, 2))]:
         start = space.world(pair[0] + 0.5)
-        exit_cells = space.stand(start)
+        exit_cells = space.locate_vehicle(start)
         assert exit_cells is not None
         ways.update(exit_cells, start, centres(pair[1:]))
         _, pulled = oracle(space.mask, pair[0], pair[1])
@@ -182,7 +182,7 @@ def test_cached_paths_equal_a_new_search(seed: int) -> None:
         space.update(world.voxels())
         cells = largest_component(space.mask)
         start = space.world(rng.choice(cells) + 0.5)
-        exit_cells = space.stand(start)
+        exit_cells = space.locate_vehicle(start)
         assert exit_cells is not None
         open_still = np.array([space.mask[tuple(place.astype(int))] for place in tasks], dtype=bool)
         chosen = cells[rng.integers(len(cells), size=3)]
@@ -214,7 +214,7 @@ def test_a_path_ends_exactly_at_its_view_anywhere_in_a_voxel(seed: int) -> None:
         chosen = cells[rng.integers(len(cells), size=4)]
         places = np.concatenate([chosen[:1] + 0.5, chosen[1:] + rng.random((3, 3))])
         start = space.world(chosen[0] + rng.random(3))
-        exit_cells = space.stand(start)
+        exit_cells = space.locate_vehicle(start)
         assert exit_cells is not None
         ways, centred = PathCache(space), PathCache(space)
         ways.update(exit_cells, start, places)
@@ -248,7 +248,7 @@ def test_a_door_that_opens_is_used_and_one_that_closes_is_not() -> None:
     for value in (OCCUPIED, FREE, OCCUPIED):
         world.paint(np.array([19, 3, 1]), np.array([21, 12, 11]), value)
         space.update(world.voxels())
-        exit_cells = space.stand(start)
+        exit_cells = space.locate_vehicle(start)
         assert exit_cells is not None
         ways.update(exit_cells, start, cells)
         lengths_m.append(ways.lengths_m[1, 2])
@@ -260,7 +260,7 @@ def test_nodes_at_the_same_position_have_distance_zero() -> None:
     world = walled()
     space = world.space(0.14)
     start = world.grid.centre(np.array([6, 6, 6]))
-    exit_cells = space.stand(start)
+    exit_cells = space.locate_vehicle(start)
     assert exit_cells is not None
     ways = PathCache(space)
     ways.update(exit_cells, start, centres(np.array([[7, 7, 7], [20, 25, 6], [20, 25, 6]])))
@@ -276,7 +276,7 @@ def test_there_is_no_path_through_a_wall() -> None:
     world.paint(np.array([19, 22, 1]), np.array([21, 29, 11]), OCCUPIED)
     space = world.space(0.14)
     start = world.grid.centre(np.array([6, 6, 6]))
-    exit_cells = space.stand(start)
+    exit_cells = space.locate_vehicle(start)
     assert exit_cells is not None
     ways = PathCache(space)
     ways.update(exit_cells, start, centres(np.array([[32, 8, 6], [10, 20, 6]])))
@@ -288,7 +288,7 @@ def test_a_vehicle_outside_flyable_space_leaves_by_its_exit_cells_first() -> Non
     world = walled()
     space = world.space(0.35)
     start = world.grid.centre(np.array([1, 8, 6]))
-    exit_cells = space.stand(start)
+    exit_cells = space.locate_vehicle(start)
     assert exit_cells is not None
     assert len(exit_cells) > 1
     ways = PathCache(space)
@@ -310,7 +310,7 @@ def test_a_map_of_a_new_epoch_starts_from_scratch() -> None:
             world.paint(np.array([19, 3, 1]), np.array([21, 12, 11]), FREE)
         voxels = VoxelMap.whole(world.grid, world.state, world._field, 1, epoch)
         space.update(voxels)
-        exit_cells = space.stand(start)
+        exit_cells = space.locate_vehicle(start)
         assert exit_cells is not None
         ways.update(exit_cells, start, cells)
         assert (ways.lengths_m[1, 2] < 2.3) == open_door
@@ -320,7 +320,7 @@ def test_any_number_of_tasks_is_accepted() -> None:
     world = walled()
     space = world.space(0.14)
     start = world.grid.centre(np.array([6, 6, 6]))
-    exit_cells = space.stand(start)
+    exit_cells = space.locate_vehicle(start)
     assert exit_cells is not None
     rng = np.random.default_rng(3)
     open_cells = largest_component(space.mask)
@@ -336,7 +336,7 @@ def test_a_plan_with_one_more_task_forgets_no_path(tasks: int) -> None:
     world = walled()
     space = world.space(0.14)
     start = world.grid.centre(np.array([6, 6, 6]))
-    exit_cells = space.stand(start)
+    exit_cells = space.locate_vehicle(start)
     assert exit_cells is not None
     places = centres(largest_component(space.mask)[: tasks + 1])
     ways = PathCache(space)

@@ -34,49 +34,47 @@ def half_seen(camera: CameraGeometry) -> tuple[PlanningContext, list[Frontier]]:
     return situation_in(voxels, HERE), found.clusters()
 
 
-def looks_of(situation: PlanningContext) -> np.ndarray[tuple[int, ...], np.dtype[np.float32]]:
-    return np.zeros(situation.voxels.grid.shape, dtype=np.float32)
+def looks_of(context: PlanningContext) -> np.ndarray[tuple[int, ...], np.dtype[np.float32]]:
+    return np.zeros(context.voxels.grid.shape, dtype=np.float32)
 
 
 @pytest.mark.parametrize("camera", [FIXED, GIMBAL])
 def test_in_a_mostly_unknown_room_views_show_frontiers(camera: CameraGeometry) -> None:
-    situation, frontiers = half_seen(camera)
-    proposals = FieldViews(CONFIG, camera).propose(situation, frontiers, None, looks_of(situation))
+    context, frontiers = half_seen(camera)
+    proposals = FieldViews(CONFIG, camera).propose(context, frontiers, None, looks_of(context))
     assert 3 <= len(proposals) <= BEST_VIEWS
-    cells = {int(c) for f in frontiers for c in np.ravel_multi_index(tuple(f.cells.T), situation.voxels.grid.shape)}
+    cells = {int(c) for f in frontiers for c in np.ravel_multi_index(tuple(f.cells.T), context.voxels.grid.shape)}
     for proposal in proposals:
         assert proposal.task.kind is TaskKind.EXPLORE
         assert len(proposal.promised) >= 4
         assert {int(c) for c in proposal.promised} <= cells
         assert proposal.task.gain >= UNKNOWN_WEIGHT * len(proposal.promised)
-        assert situation.holds(proposal.place)
+        assert context.holds(proposal.place)
         view = proposal.task.viewpoint
         assert camera.pitch_min_rad <= view.pitch_down_rad <= camera.pitch_max_rad
         bearing = view.yaw_rad
-        ahead = situation.voxels.grid.centre(
-            np.stack(np.unravel_index(proposal.promised, situation.voxels.grid.shape), axis=-1)
-        )
+        ahead = context.voxels.grid.centre(np.stack(np.unravel_index(proposal.promised, context.voxels.grid.shape), axis=-1))
         forward = (ahead - view.position_world)[:, :2] @ np.array([np.cos(bearing), np.sin(bearing)])
         assert (forward > 0).mean() > 0.95
 
 
 def test_the_order_of_the_frontiers_does_not_matter() -> None:
-    situation, frontiers = half_seen(GIMBAL)
+    context, frontiers = half_seen(GIMBAL)
     surface = elements_of(MEETING_ROOM)
-    one = FieldViews(CONFIG, GIMBAL).propose(situation, frontiers, surface, looks_of(situation))
-    other = FieldViews(CONFIG, GIMBAL).propose(situation, frontiers[::-1], surface, looks_of(situation))
+    one = FieldViews(CONFIG, GIMBAL).propose(context, frontiers, surface, looks_of(context))
+    other = FieldViews(CONFIG, GIMBAL).propose(context, frontiers[::-1], surface, looks_of(context))
     assert [p.place.tolist() for p in one] == [p.place.tolist() for p in other]
     assert [p.task.gain for p in one] == [p.task.gain for p in other]
 
 
 def test_in_a_known_room_views_show_surface_until_it_was_looked_at() -> None:
-    situation = situation_in(seen_room(), HERE)
-    surface, views, looks = elements_of(MEETING_ROOM), FieldViews(CONFIG, GIMBAL), looks_of(situation)
-    first = views.propose(situation, [], surface, looks)
+    context = situation_in(seen_room(), HERE)
+    surface, views, looks = elements_of(MEETING_ROOM), FieldViews(CONFIG, GIMBAL), looks_of(context)
+    first = views.propose(context, [], surface, looks)
     assert first
     assert {p.task.kind for p in first} == {TaskKind.RECONSTRUCT}
     for _ in range(40):
-        proposals = views.propose(situation, [], surface, looks)
+        proposals = views.propose(context, [], surface, looks)
         if not proposals:
             break
         looks.ravel()[proposals[0].promised] += proposals[0].view_cosine.astype(np.float32)
@@ -84,11 +82,11 @@ def test_in_a_known_room_views_show_surface_until_it_was_looked_at() -> None:
 
 
 def test_without_gain_there_is_no_view() -> None:
-    situation = situation_in(seen_room(), HERE)
+    context = situation_in(seen_room(), HERE)
     nothing = SurfaceElements(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), 1)
     views = FieldViews(CONFIG, FIXED)
-    assert views.propose(situation, [], None, looks_of(situation)) == []
-    assert views.propose(situation, [], nothing, looks_of(situation)) == []
+    assert views.propose(context, [], None, looks_of(context)) == []
+    assert views.propose(context, [], nothing, looks_of(context)) == []
 
 
 def test_each_frontier_cell_is_gathered_once_and_faces_away_from_the_unknown() -> None:
@@ -118,12 +116,12 @@ def compiled():
     return {(m, k): len(v.signatures) for m in names
             for k, v in vars(sys.modules["uav_recon.planning." + m]).items() if isinstance(v, Dispatcher)}
 
-situation, frontiers = half_seen(FIXED)
+context, frontiers = half_seen(FIXED)
 surface = elements_of(MEETING_ROOM)
-surface_elements.Elements.of(surface, situation.voxels.grid, 5)  # as SurfaceViews' warm-up does
+surface_elements.Elements.of(surface, context.voxels.grid, 5)  # as SurfaceViews' warm-up does
 gain_field.warm_up()
 before = compiled()
-FieldViews(CONFIG, GIMBAL).propose(situation, frontiers, surface, looks_of(situation))
+FieldViews(CONFIG, GIMBAL).propose(context, frontiers, surface, looks_of(context))
 after = compiled()
 assert before == after, {k: (before[k], after[k]) for k in before if before[k] != after[k]}
 """

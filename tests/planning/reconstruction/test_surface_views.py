@@ -55,9 +55,9 @@ def aimed(camera: CameraGeometry, place_m: FloatArray, centre_m: FloatArray) -> 
 @pytest.mark.parametrize("camera", [FIXED, GIMBAL])
 def test_gains_equal_exact_rays_and_the_chosen_view_is_nearly_the_best(camera: CameraGeometry) -> None:
     voxels, surface = seen_room(), elements_of(MEETING_ROOM)
-    situation = situation_in(voxels, HERE)
+    context = situation_in(voxels, HERE)
     elements = Elements.of(surface, voxels.grid, CONFIG.downsample)
-    proposals = SurfaceViews(CONFIG, camera).propose(situation, surface, np.zeros(voxels.grid.shape, dtype=np.float32), 1.0)
+    proposals = SurfaceViews(CONFIG, camera).propose(context, surface, np.zeros(voxels.grid.shape, dtype=np.float32), 1.0)
     assert len(proposals) >= 3
     weight = elements.sigma.copy()
     radii_m = (0.5, 0.65, *np.linspace(CONFIG.shell_min_m, CONFIG.shell_max_m, 3))
@@ -72,15 +72,11 @@ def test_gains_equal_exact_rays_and_the_chosen_view_is_nearly_the_best(camera: C
         promised = np.unique(elements.voxel[(cosine > 0) & (elements.voxel >= 0)])
         np.testing.assert_array_equal(proposal.promised, promised)
         np.testing.assert_allclose(proposal.view_cosine[5], cosine[elements.voxel == promised[5]].max())
-        assert situation.holds(proposal.place)
+        assert context.holds(proposal.place)
         best = 0.0
         for place in np.unique(np.floor((task.centroid_world + 0.1) / 0.1 + offsets), axis=0) + 0.5:
             cell = place.astype(int) + 1
-            if (
-                (place < 0).any()
-                or (cell >= situation.space.reachable.shape).any()
-                or not situation.space.reachable[tuple(cell)]
-            ):
+            if (place < 0).any() or (cell >= context.space.reachable.shape).any() or not context.space.reachable[tuple(cell)]:
                 continue
             view = aimed(camera, (place - 1.0) * 0.1, task.centroid_world)
             best = max(best, float(cosines(voxels, elements, camera, view) @ weight))
@@ -105,23 +101,23 @@ def test_surface_behind_a_wall_is_a_task_only_if_the_path_through_the_door_is_sh
 
 def test_surface_in_the_map_but_not_in_the_model_is_viewed_first() -> None:
     voxels, surface = seen_room(), elements_of(MEETING_ROOM)
-    situation, looks = situation_in(voxels, HERE), np.zeros(voxels.grid.shape, dtype=np.float32)
+    context, looks = situation_in(voxels, HERE), np.zeros(voxels.grid.shape, dtype=np.float32)
     x, y = surface.position_world[:, 0], surface.position_world[:, 1]
     bare = (y < 0.1) & (x > 1.5) & (x < 4.5)  # most of a wall
     rest = SurfaceElements(surface.position_world[~bare], surface.normal_world[~bare], surface.uncertainty[~bare], 2)
-    first = SurfaceViews(CONFIG, GIMBAL).propose(situation, rest, looks, 1.0)[0]
+    first = SurfaceViews(CONFIG, GIMBAL).propose(context, rest, looks, 1.0)[0]
     i, j, _ = np.unravel_index(first.promised, voxels.grid.shape)
     assert np.count_nonzero((j == 0) & (i > 16) & (i < 44)) > 100
-    whole = SurfaceViews(CONFIG, GIMBAL).propose(situation, surface, looks, 1.0)[0]
+    whole = SurfaceViews(CONFIG, GIMBAL).propose(context, surface, looks, 1.0)[0]
     assert whole.task.gain < 0.7 * first.task.gain
 
 
 def test_a_fixed_mount_views_a_bare_ceiling_from_far_away() -> None:
     voxels, surface = seen_room(), elements_of(MEETING_ROOM)
-    situation, looks = situation_in(voxels, HERE), np.zeros(voxels.grid.shape, dtype=np.float32)
+    context, looks = situation_in(voxels, HERE), np.zeros(voxels.grid.shape, dtype=np.float32)
     ceiling = surface.position_world[:, 2] > 2.35
     seen = SurfaceElements(surface.position_world[~ceiling], surface.normal_world[~ceiling], np.zeros(int((~ceiling).sum())), 1)
-    proposals = SurfaceViews(CONFIG, FIXED).propose(situation, seen, looks, 3.0)
+    proposals = SurfaceViews(CONFIG, FIXED).propose(context, seen, looks, 3.0)
     assert len(proposals) >= 3
     for proposal in proposals:
         assert np.count_nonzero(proposal.promised % voxels.grid.shape[2] >= 25) >= CONFIG.min_visible
@@ -129,11 +125,11 @@ def test_a_fixed_mount_views_a_bare_ceiling_from_far_away() -> None:
 
 def test_tasks_run_out_as_they_are_viewed() -> None:
     voxels, surface = seen_room(), elements_of(MEETING_ROOM)
-    situation, views = situation_in(voxels, HERE), SurfaceViews(CONFIG, GIMBAL)
+    context, views = situation_in(voxels, HERE), SurfaceViews(CONFIG, GIMBAL)
     looks = np.zeros(voxels.grid.shape, dtype=np.float32)
     gains = []
     for _ in range(12):
-        proposals = views.propose(situation, surface, looks, 3.0)
+        proposals = views.propose(context, surface, looks, 3.0)
         gains.append(sum(proposal.task.gain for proposal in proposals))
         for proposal in proposals:
             looks.ravel()[proposal.promised] += proposal.view_cosine
@@ -143,18 +139,18 @@ def test_tasks_run_out_as_they_are_viewed() -> None:
 
 def test_no_surface_makes_no_task_and_the_same_surface_the_same_tasks() -> None:
     voxels = seen_room()
-    situation, looks = situation_in(voxels, HERE), np.zeros(voxels.grid.shape, dtype=np.float32)
+    context, looks = situation_in(voxels, HERE), np.zeros(voxels.grid.shape, dtype=np.float32)
     nothing = SurfaceElements(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), 1)
     views = SurfaceViews(CONFIG, FIXED)
-    assert views.propose(situation, None, looks, 1.0) == []
-    assert views.propose(situation, nothing, looks, 1.0), "of a mapper that has learned nothing, all surface of the map is bare"
+    assert views.propose(context, None, looks, 1.0) == []
+    assert views.propose(context, nothing, looks, 1.0), "of a mapper that has learned nothing, all surface of the map is bare"
     surface = elements_of(MEETING_ROOM)
-    first = views.propose(situation, surface, looks, 1.0)
-    again = views.propose(situation, surface, looks, 1.0)
-    fresh = SurfaceViews(CONFIG, FIXED).propose(situation, surface, looks, 1.0)
+    first = views.propose(context, surface, looks, 1.0)
+    again = views.propose(context, surface, looks, 1.0)
+    fresh = SurfaceViews(CONFIG, FIXED).propose(context, surface, looks, 1.0)
     for one, other in ((first, again), (first, fresh)):
         assert [p.task.gain for p in one] == [p.task.gain for p in other]
         assert [p.place.tolist() for p in one] == [p.place.tolist() for p in other]
     # another surface with arrays of the same size is not taken for the last one
     moved = SurfaceElements(surface.position_world, surface.normal_world, surface.uncertainty[::-1].copy(), 2)
-    assert [p.task.gain for p in views.propose(situation, moved, looks, 1.0)] != [p.task.gain for p in first]
+    assert [p.task.gain for p in views.propose(context, moved, looks, 1.0)] != [p.task.gain for p in first]

@@ -74,7 +74,7 @@ def space_of(voxels: VoxelMap, clearance_m: float, box: tuple[IntArray, IntArray
 def _planned_m(space: FlyableSpace, ways: PathCache, start: IntArray, goal: IntArray) -> float:
     """Return the planner's path length between two connected voxels (3,)."""
     start_m = space.grid.centre(start)
-    exit_cells = space.stand(start_m)
+    exit_cells = space.locate_vehicle(start_m)
     if exit_cells is None:
         return float(np.inf)
     ways.update(exit_cells, start_m, goal[None] + np.float64(1.5))

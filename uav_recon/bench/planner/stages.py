@@ -183,7 +183,7 @@ class PlannerStages:
         self._frontiers.update(voxels, *self._mapped.fence, self._none_ignored)
         watch.lap("frontiers")
         self._space.update(voxels)
-        exit_cells = self._space.stand(place)
+        exit_cells = self._space.locate_vehicle(place)
         watch.lap("space")
         if exit_cells is None:
             return BenchDecision(voxels, (), NOTHING)

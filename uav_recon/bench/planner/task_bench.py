@@ -95,14 +95,14 @@ def _measure(flight: Path) -> tuple[dict[str, list[float]], dict[str, list[int]]
     console = Console(stderr=True)
     for lap in range(2):  # the first lap compiles and is discarded
         for n, (surface, position) in enumerate(track(moments, "plans", console=console, transient=True)):
-            exit_cells = space.stand(position)
+            exit_cells = space.locate_vehicle(position)
             if exit_cells is None:
                 continue
-            situation = PlanningContext(voxels, space, exit_cells, position)
+            context = PlanningContext(voxels, space, exit_cells, position)
             for phase, factor in zip(PHASES, (1.0, planner.end_factor), strict=True):
                 fresh = SurfaceElements(*surface, revision=(lap * len(moments) + n) * len(PHASES) + PHASES.index(phase))
                 watch = Stopwatch()
-                found = views.propose(situation, fresh, looks, factor)
+                found = views.propose(context, fresh, looks, factor)
                 watch.lap(phase)
                 if lap:
                     times[phase].append(watch.cpu_ms[phase])

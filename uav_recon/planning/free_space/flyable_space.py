@@ -67,7 +67,7 @@ class FlyableSpace:
     mask: (nx+2, ny+2, nz+2) uint8, 1 = flyable: known free, far enough from all voxels that are not known free, and with
         indices in [low, high). The border of zeros removes the bounds checks from searches.
     free: the same shape, 1 = known free.
-    reachable: the same shape, 1 = flyable and 26-connected to the vehicle's last position given to stand().
+    reachable: the same shape, 1 = flyable and 26-connected to the vehicle's last position given to locate_vehicle().
     leap: the same shape, for lines through the mask, see ``segment_is_open``. 0 where the mask is 0, else 1 + the number of
         following samples that the distance field shows to be open for every direction of the line. Lines begin and end in
         the mask, so they never leave the box.
@@ -133,7 +133,7 @@ class FlyableSpace:
             self.revision += 1
             self.regions.update(self.mask, self._arrays.changed[:count], self.revision)
 
-    def stand(self, position_world: FloatArray) -> IntArray | None:
+    def locate_vehicle(self, position_world: FloatArray) -> IntArray | None:
         """Return the flat cells from the vehicle's cell to the nearest flyable one, both included.
 
         The result is one cell if the vehicle's cell is flyable. Just after take-off, or after a change of the map, the
@@ -237,4 +237,4 @@ def warm_up() -> None:
         voxels = VoxelMap.whole(grid, state, np.where(state == FREE, distance, 0).astype(np.uint8), revision)
         space.update(voxels)
         for position in (0.25, 0.15, 0.65):
-            space.stand(np.full(3, position))
+            space.locate_vehicle(np.full(3, position))

@@ -99,7 +99,7 @@ def _look(  # noqa: PLR0911
     place: FloatArray,
     best: int,
     beat: int,
-    desk: WorkArrays,
+    work: WorkArrays,
     record: Dependencies,
     view: FloatArray,
     count: int,
@@ -112,7 +112,7 @@ def _look(  # noqa: PLR0911
     """
     _, shape, lens = scene
     _, _, targets, centre = cluster
-    facing, found, order, ways = desk
+    facing, found, order, ways = work
     _, extents, notes = record
     x, y, z = place
     line = look_at(lens, x, y, z, centre[0], centre[1], centre[2])
@@ -163,7 +163,7 @@ def _survey(
     reachable: ByteArray,
     shell: ViewShell,
     cluster: Cluster,
-    desk: WorkArrays,
+    work: WorkArrays,
     record: Dependencies,
     places: FloatArray,
     promises: IntArray,
@@ -196,12 +196,12 @@ def _survey(
         place = places[opened]
         place[0], place[1], place[2] = int(x) + 0.5, int(y) + 0.5, int(z) + 0.5
         line = look_at(lens, place[0], place[1], place[2], centre[0], centre[1], centre[2])
-        turned, centred = visibility_bound(targets, lens, line, desk[0])
+        turned, centred = visibility_bound(targets, lens, line, work[0])
         promises[opened] = turned + centred
         opened += 1
-        if cast < AT_ONCE and 2 * centred >= cells and cells_with(targets, desk[0])[1] >= ENOUGH * cells:
+        if cast < AT_ONCE and 2 * centred >= cells and cells_with(targets, work[0])[1] >= ENOUGH * cells:
             promises[opened - 1] = 0
-            total, count, _ = _look(scene, cluster, place, best, best, desk, record, view, count)
+            total, count, _ = _look(scene, cluster, place, best, best, work, record, view, count)
             cast += 1
             best = max(best, total)
     return opened, best, asks, count, cast
@@ -254,7 +254,7 @@ def _climb(
     reachable: ByteArray,
     berth: FloatArray,
     cluster: Cluster,
-    desk: WorkArrays,
+    work: WorkArrays,
     record: Dependencies,
     view: FloatArray,
     total: int,
@@ -287,7 +287,7 @@ def _climb(
                 continue
             _widen(extents[0], x - beside, y - beside)
             _widen(extents[0], x + beside, y + beside)
-        shown, count, cast = _look(scene, cluster, place, total, total, desk, record, view, count)
+        shown, count, cast = _look(scene, cluster, place, total, total, work, record, view, count)
         steps += cast
         if shown > total:
             total, way = shown, 0
@@ -325,7 +325,7 @@ def best_view(  # noqa: C901
     targets = distinct(distance2, shape, points, first)
     cluster = (points, first, targets, centre)
     many = len(targets[1])
-    desk = (
+    work = (
         np.zeros(many, dtype=np.int32), np.zeros(many, dtype=np.uint8), np.arange(cells), np.empty((3, cells), dtype=np.float32)
     )  # fmt: skip
     extents = np.empty((2, 4))  # of all line ends, and of all tested positions: low x, y, high x, y
@@ -337,7 +337,7 @@ def best_view(  # noqa: C901
     record = (asked, extents, notes)
     places, promises = np.empty((shell.places.sum(), 3)), np.zeros(shell.places.sum(), dtype=np.int64)
     peaks, totals, view = np.zeros((PEAKS, 5)), np.zeros(PEAKS, dtype=np.int64), np.zeros(5)
-    opened, total, asks, count, cast = _survey(scene, reachable, shell, cluster, desk, record, places, promises, view)
+    opened, total, asks, count, cast = _survey(scene, reachable, shell, cluster, work, record, places, promises, view)
     if total > 0:
         _enter(view, total, peaks, totals)
     if totals[0] < ENOUGH * cells:
@@ -345,14 +345,14 @@ def best_view(  # noqa: C901
             if cast == CASTS or promises[p] == 0 or totals[0] >= ENOUGH * cells:
                 break
             beat = max(totals[-1], int(WORTH_MOVING * totals[0]))
-            total, count, asking = _look(scene, cluster, places[p], totals[0], beat, desk, record, view, count)
+            total, count, asking = _look(scene, cluster, places[p], totals[0], beat, work, record, view, count)
             cast += asking
             if total > 0:
                 _enter(view, total, peaks, totals)
         for q in range(PEAKS):
             if totals[0] < ENOUGH * cells and totals[q] > WORTH_MOVING * totals[0]:
                 totals[q], asks, count = _climb(
-                    scene, reachable, berth, cluster, desk, record, peaks[q], totals[q], asks, count
+                    scene, reachable, berth, cluster, work, record, peaks[q], totals[q], asks, count
                 )  # fmt: skip
     best = peaks[np.argmax(totals)]
     count = note_sides(shape, targets, notes, count)

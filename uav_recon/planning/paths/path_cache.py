@@ -82,7 +82,7 @@ class PathCache:
     def update(self, exit_cells: IntArray, position_world: FloatArray, places: FloatArray) -> None:
         """Find the paths for the current map.
 
-        exit_cells: result of ``FlyableSpace.stand`` for position_world.
+        exit_cells: result of ``FlyableSpace.locate_vehicle`` for position_world.
         places: (N, 3) positions of the tasks' views, padded voxel units, each in a flyable voxel.
         """
         if self._space.regions is not self._regions or len(places) > len(self._known.place):

@@ -89,8 +89,8 @@ def _cut(leap: ByteArray, points: FloatArray, a: int, x: int, b: int) -> float:
         t = seen + step
         qx, qy, qz = px + t * dx, py + t * dy, pz + t * dz
         # a corner must lie in the mask itself, and a piece of an open segment has its own samples to test
-        stands = leap[int(qx), int(qy), int(qz)] > 0 and _open(leap, points, a, qx, qy, qz)
-        if stands and _open(leap, points, b, qx, qy, qz):
+        is_open = leap[int(qx), int(qy), int(qz)] > 0 and _open(leap, points, a, qx, qy, qz)
+        if is_open and _open(leap, points, b, qx, qy, qz):
             seen = t
     if seen == 0.0:
         return 0.0
@@ -166,8 +166,8 @@ def _round_off(leap: ByteArray, points: FloatArray, count: int, x: int) -> int:
     for _ in range(HALVINGS + 2):
         d = seen + step
         ex, ey, ez, fx, fy, fz = px + d * ux, py + d * uy, pz + d * uz, px + d * vx, py + d * vy, pz + d * vz
-        stand = leap[int(ex), int(ey), int(ez)] > 0 and leap[int(fx), int(fy), int(fz)] > 0
-        meet = stand and segment_is_open(leap, ex, ey, ez, fx, fy, fz)
+        is_open = leap[int(ex), int(ey), int(ez)] > 0 and leap[int(fx), int(fy), int(fz)] > 0
+        meet = is_open and segment_is_open(leap, ex, ey, ez, fx, fy, fz)
         if meet and _open(leap, points, x - 1, ex, ey, ez) and _open(leap, points, x + 1, fx, fy, fz):
             seen, ax, ay, az, bx, by, bz = d, ex, ey, ez, fx, fy, fz
         step /= 2

@@ -105,7 +105,7 @@ def _search(blocks: VoxelBlocks, leap: ByteArray, memory: Memory, ends: IntArray
     Fills ``memory.before``, which leads from the goal back to the start.
     """
     # unpacked once: passing the tuple on in the inner loops costs more than the loops themselves
-    steps, counts, words, links, stands = blocks.steps, blocks.counts, blocks.words, blocks.links, blocks.centre
+    steps, counts, words, links, centres = blocks.steps, blocks.counts, blocks.words, blocks.links, blocks.centre
     opened, closed, before, length = memory.opened, memory.closed, memory.before, memory.length
     heap_cost, heap_part = memory.heap_cost, memory.heap_part
     number = len(counts)
@@ -113,9 +113,9 @@ def _search(blocks: VoxelBlocks, leap: ByteArray, memory: Memory, ends: IntArray
     now = memory.now[0]
     start, goal = ends[0], ends[1]
     # start and goal represent their parts during this search
-    start_stood, goal_stood = stands[start].copy(), stands[goal].copy()
-    copy_row(stands, start, places[0])
-    copy_row(stands, goal, places[1])
+    start_centre, goal_centre = centres[start].copy(), centres[goal].copy()
+    copy_row(centres, start, places[0])
+    copy_row(centres, goal, places[1])
     gx, gy, gz = places[1, 0], places[1, 1], places[1, 2]
     opened[start], length[start], before[start] = now, 0.0, start
     size = _push(heap_cost, heap_part, 0, 0.0, start)
@@ -126,9 +126,9 @@ def _search(blocks: VoxelBlocks, leap: ByteArray, memory: Memory, ends: IntArray
         if closed[part] == now:
             continue
         greatest = max(greatest, cost)
-        x, y, z = stands[part, 0], stands[part, 1], stands[part, 2]
+        x, y, z = centres[part, 0], centres[part, 1], centres[part, 2]
         origin = before[part]
-        ox, oy, oz = stands[origin, 0], stands[origin, 1], stands[origin, 2]
+        ox, oy, oz = centres[origin, 0], centres[origin, 1], centres[origin, 2]
         block = part % number
         if part != start and not segment_is_open(leap, ox, oy, oz, x, y, z):
             # the assumed line of sight does not exist: take the shortest path through a closed neighbour (lazy Theta*)
@@ -138,10 +138,10 @@ def _search(blocks: VoxelBlocks, leap: ByteArray, memory: Memory, ends: IntArray
                 for c in range(counts[beside] if (links[part] >> side) & 1 else 0):
                     other = c * number + beside
                     if closed[other] == now and (counts[beside] == 1 or touches(words[part], words[other], side)):
-                        reached = length[other] + distance(x, y, z, stands[other, 0], stands[other, 1], stands[other, 2])
+                        reached = length[other] + distance(x, y, z, centres[other, 0], centres[other, 1], centres[other, 2])
                         if reached < length[part]:
                             length[part], before[part], origin = reached, other, other
-            ox, oy, oz = stands[origin, 0], stands[origin, 1], stands[origin, 2]
+            ox, oy, oz = centres[origin, 0], centres[origin, 1], centres[origin, 2]
         closed[part] = now
         if part == goal:
             break
@@ -153,15 +153,15 @@ def _search(blocks: VoxelBlocks, leap: ByteArray, memory: Memory, ends: IntArray
                     continue
                 if counts[beside] > 1 and not touches(words[part], words[other], side):
                     continue
-                qx, qy, qz = stands[other, 0], stands[other, 1], stands[other, 2]
+                qx, qy, qz = centres[other, 0], centres[other, 1], centres[other, 2]
                 reached = length[origin] + distance(ox, oy, oz, qx, qy, qz)
                 if opened[other] != now or reached < length[other]:
                     opened[other], length[other], before[other] = now, reached, origin
                     size = _push(
                         heap_cost, heap_part, size, reached + HEURISTIC_WEIGHT * distance(gx, gy, gz, qx, qy, qz), other
                     )
-    copy_row(stands, start, start_stood)
-    copy_row(stands, goal, goal_stood)
+    copy_row(centres, start, start_centre)
+    copy_row(centres, goal, goal_centre)
     return closed[goal] == now, greatest
 
 

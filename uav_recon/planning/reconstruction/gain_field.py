@@ -42,7 +42,7 @@ class FieldViews:
         self._elements = KeptElements(config.downsample)
 
     def propose(
-        self, situation: PlanningContext, frontiers: Sequence[Frontier], surface: SurfaceElements | None, looks: Float32Array
+        self, context: PlanningContext, frontiers: Sequence[Frontier], surface: SurfaceElements | None, looks: Float32Array
     ) -> list[CandidateView]:
         """Return the views (at most BEST_VIEWS) with the most gain per metre of distance.
 
@@ -52,31 +52,31 @@ class FieldViews:
 
         The kind of a view is the larger part of its gain: unknown space or surface.
         """
-        grid = situation.voxels.grid
-        here = situation.space.centre(situation.exit_cells[-1:])[0] - 1.0
+        grid = context.voxels.grid
+        here = context.space.centre(context.exit_cells[-1:])[0] - 1.0
         for radius_m in RADII_M:
-            proposals = self._within(situation, frontiers, surface, looks, here, radius_m / grid.resolution_m)
+            proposals = self._within(context, frontiers, surface, looks, here, radius_m / grid.resolution_m)
             if proposals:
                 return proposals
         return []
 
     def _within(
         self,
-        situation: PlanningContext,
+        context: PlanningContext,
         frontiers: Sequence[Frontier],
         surface: SurfaceElements | None,
         looks: Float32Array,
         here: FloatArray,
         radius: float,
     ) -> list[CandidateView]:
-        resolution_m = situation.voxels.grid.resolution_m
+        resolution_m = context.voxels.grid.resolution_m
         lens = self._camera.lens(resolution_m, self._camera.range_m)
-        places = sampled_places(situation, here, radius)
-        flat, frontier_rows, groups = frontier_patches(frontiers, situation.voxels.grid.shape)
+        places = sampled_places(context, here, radius)
+        flat, frontier_rows, groups = frontier_patches(frontiers, context.voxels.grid.shape)
         rows = [frontier_rows]
         elements, around, weight = None, np.zeros((0, 3), dtype=np.int64), np.zeros(0)
         if surface is not None and len(surface.position_world):
-            elements = self._elements.of(surface, situation.voxels.grid)
+            elements = self._elements.of(surface, context.voxels.grid)
             reach = radius + self._camera.range_m / resolution_m
             around = within(elements, here, reach)
             weight = weigh(around, elements.sigma, elements.voxel, looks.ravel(), LOOK_DISCOUNT)
@@ -84,21 +84,21 @@ class FieldViews:
         pitches = np.linspace(self._camera.pitch_min_rad, self._camera.pitch_max_rad, PITCHES)
         well = min(self._camera.surface_range_m, self._camera.range_m) / resolution_m
         field = np.concatenate(rows)
-        gains, yaws, tilts = field_gains(situation.voxels.state, lens, places, field, len(frontier_rows), well, pitches)
+        gains, yaws, tilts = field_gains(context.voxels.state, lens, places, field, len(frontier_rows), well, pitches)
         away_m = np.sqrt(((places - here) ** 2).sum(axis=1)) * resolution_m
         proposals: list[CandidateView] = []
         for p in np.argsort(-gains / (1.0 + away_m), kind="stable"):
             if gains[p] <= 0.0 or len(proposals) == BEST_VIEWS:
                 break
-            view = Viewpoint(situation.voxels.grid.origin_world_m + places[p] * resolution_m, float(yaws[p]), float(tilts[p]))
-            found = self._proposal(situation, lens, places[p], view, field, (flat, groups), elements, around, weight)
+            view = Viewpoint(context.voxels.grid.origin_world_m + places[p] * resolution_m, float(yaws[p]), float(tilts[p]))
+            found = self._proposal(context, lens, places[p], view, field, (flat, groups), elements, around, weight)
             if found is not None:
                 proposals.append(found)
         return proposals
 
     def _proposal(
         self,
-        situation: PlanningContext,
+        context: PlanningContext,
         lens: FloatArray,
         place: FloatArray,
         view: Viewpoint,
@@ -109,7 +109,7 @@ class FieldViews:
         weight: FloatArray,
     ) -> CandidateView | None:
         """Return a view as a task of the kind with the larger gain; None if the gain is too small."""
-        grid, state = situation.voxels.grid, situation.voxels.state
+        grid, state = context.voxels.grid, context.voxels.state
         cells, groups = frontier
         unknown = field[: len(groups) - 1]
         line = sight(lens, place, view.yaw_rad, view.pitch_down_rad)
@@ -131,12 +131,12 @@ class FieldViews:
         return CandidateView(task, place + 1.0, *max_cosine_per_voxel(elements.voxel[settled], cosine[settled]))
 
 
-def sampled_places(situation: PlanningContext, here: FloatArray, radius: float) -> FloatArray:
+def sampled_places(context: PlanningContext, here: FloatArray, radius: float) -> FloatArray:
     """Return the centres (P, 3) of every SPACING-th reachable voxel within a radius of ``here``.
 
     ``here`` comes first.
     """
-    reachable = situation.space.reachable[1:-1, 1:-1, 1:-1]
+    reachable = context.space.reachable[1:-1, 1:-1, 1:-1]
     low = np.maximum(np.floor(here - radius).astype(np.int64), 0)
     low += -low % SPACING  # the same voxels for every vehicle position
     high = np.minimum(np.ceil(here + radius).astype(np.int64) + 1, reachable.shape)

@@ -49,7 +49,7 @@ class SurfaceViews:
         self._elements = KeptElements(config.downsample)
 
     def propose(
-        self, situation: PlanningContext, surface: SurfaceElements | None, looks: Float32Array, factor: float
+        self, context: PlanningContext, surface: SurfaceElements | None, looks: Float32Array, factor: float
     ) -> list[CandidateView]:
         """Return at most N_rec tasks. Each gain is what the task adds to the ones before it.
 
@@ -59,24 +59,24 @@ class SurfaceViews:
         """
         if surface is None:
             return []
-        config, resolution_m = self._config, situation.voxels.grid.resolution_m
-        elements = self._elements.of(surface, situation.voxels.grid)
-        start = np.stack(np.unravel_index(situation.exit_cells[-1], situation.space.mask.shape)) - 1
+        config, resolution_m = self._config, context.voxels.grid.resolution_m
+        elements = self._elements.of(surface, context.voxels.grid)
+        start = np.stack(np.unravel_index(context.exit_cells[-1], context.space.mask.shape)) - 1
         limit = config.local_radius_m * factor / resolution_m
         radius = config.cluster_radius_m / resolution_m
         lens = self._camera.lens(resolution_m, min(self._camera.surface_range_m, self._camera.range_m))
         # a view is at most d_f from its cluster, and sees up to the range of the camera
-        elements = _and_bare(elements, situation, start, limit + radius)
+        elements = _and_bare(elements, context, start, limit + radius)
         around = within(elements, start + 0.5, limit + config.shell_max_m / resolution_m + lens[RANGE])
         weight = weigh(around, elements.sigma, elements.voxel, looks.ravel(), LOOK_DISCOUNT)
-        near = local(elements, around, situation, start, limit)
+        near = local(elements, around, context, start, limit)
         left = weighty(near, weight)
         proposals: list[CandidateView] = []
         for _ in range(round(config.max_reconstruct_tasks * factor)):
             if not len(left):
                 break
             seed, aim = cluster(elements.position, weight, left, radius)
-            found = self._propose_one(situation, elements, around, weight, elements.position[aim], lens)
+            found = self._propose_one(context, elements, around, weight, elements.position[aim], lens)
             if found is not None:
                 proposals.append(found)
             # if a cluster cannot be seen, surface beyond R_clu may still be visible
@@ -85,7 +85,7 @@ class SurfaceViews:
 
     def _propose_one(
         self,
-        situation: PlanningContext,
+        context: PlanningContext,
         elements: Elements,
         cells: IntArray,
         weight: FloatArray,
@@ -96,38 +96,38 @@ class SurfaceViews:
 
         ``weight`` is changed: the surface that the view shows has less weight afterwards.
         """
-        state, min_visible = situation.voxels.state, self._config.min_visible
+        state, min_visible = context.voxels.state, self._config.min_visible
         surface = (elements.position, elements.normal, weight, cells)
-        places = np.floor(centre + self._offsets_m / situation.voxels.grid.resolution_m) + 0.5
+        places = np.floor(centre + self._offsets_m / context.voxels.grid.resolution_m) + 0.5
         patches = patches_near(centre, lens[RANGE], *surface)
-        hopeful = places[promising(state, situation.space.reachable, lens, places, centre, patches, HOPEFUL_VIEWS)]
+        hopeful = places[promising(state, context.space.reachable, lens, places, centre, patches, HOPEFUL_VIEWS)]
         cosine = np.zeros(len(weight))
         best, yaw, pitch, gain = best_view(state, lens, hopeful, centre, *surface, min_visible, FULL_VIEWS, cosine)
         if best < 0 or gain < WORTH_SHARE * min_visible:
             return None
         seen = np.flatnonzero(cosine)
         weight[seen] *= LOOK_DISCOUNT ** cosine[seen]
-        grid = situation.voxels.grid
+        grid = context.voxels.grid
         viewpoint = Viewpoint(grid.origin_world_m + hopeful[best] * grid.resolution_m, yaw, pitch)
         task = Task(TaskKind.RECONSTRUCT, grid.origin_world_m + centre * grid.resolution_m, viewpoint, gain)
         return CandidateView(task, hopeful[best] + 1.0, *max_cosine_per_voxel(elements.voxel[seen], cosine[seen]))
 
 
-def _and_bare(elements: Elements, situation: PlanningContext, start: IntArray, reach: float) -> Elements:
+def _and_bare(elements: Elements, context: PlanningContext, start: IntArray, reach: float) -> Elements:
     """Add the surface that is only in the map.
 
     Only voxels within ``reach`` voxels of ``start`` (3,) along each axis are searched.
     """
-    voxels = situation.voxels
+    voxels = context.voxels
     low = np.maximum(start - math.ceil(reach), 0)
     high = np.minimum(start + math.ceil(reach) + 1, np.array(voxels.grid.shape, dtype=np.int64))
     position, normal = unmodelled_surface(voxels.state, low, high, elements.modelled)
     return elements.with_bare(position, normal, voxels.grid)
 
 
-def local(elements: Elements, cells: IntArray, situation: PlanningContext, start: IntArray, limit: float) -> IntArray:
+def local(elements: Elements, cells: IntArray, context: PlanningContext, start: IntArray, limit: float) -> IntArray:
     """Return those of some cells (C, 3) within ``limit`` voxels of path through free space."""
-    state = situation.voxels.state
+    state = context.voxels.state
     reach, low = wave(state, start, limit)
     middle = cells[:, 2]
     near: IntArray = cells[seen_from_near(state, reach, low, limit, elements.position[middle], elements.normal[middle])]

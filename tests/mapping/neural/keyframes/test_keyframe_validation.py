@@ -129,8 +129,8 @@ def test_correct_views_are_accepted_with_pose_errors_of_2_cm_and_1_degree(room: 
         view = _crossing(n)
         error = Pose.from_rotation_vector(np.deg2rad(1.0) * random.standard_normal(3), np.zeros(3))
         shift = view.world_from_depth.translation_m + 0.02 * random.standard_normal(3)
-        told = Pose((error @ view.world_from_depth).quat_wxyz, shift)
-        assert room.add(dataclasses.replace(view, world_from_depth=told))
+        displaced = Pose((error @ view.world_from_depth).quat_wxyz, shift)
+        assert room.add(dataclasses.replace(view, world_from_depth=displaced))
     assert room.refusals.total() == refused
 
 

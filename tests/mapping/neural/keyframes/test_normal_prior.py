@@ -97,9 +97,9 @@ def test_relative_depth_becomes_normals(tmp_path: Path, inverse: bool) -> None:
     view = look((1.5, 1.2, 1.0), 0.0)
     frame, lens = view.frame, view.frame.depth_intrinsics
     z = frame.depth_m.astype(np.float64)
-    told = 1.0 / z if inverse else z / 8.0
-    told /= told.max()
-    rgb = np.stack([np.floor(told * 255.0), np.floor(told * 255.0 % 1.0 * 255.0), np.zeros_like(told)], axis=-1)
+    answered = 1.0 / z if inverse else z / 8.0
+    answered /= answered.max()
+    rgb = np.stack([np.floor(answered * 255.0), np.floor(answered * 255.0 % 1.0 * 255.0), np.zeros_like(answered)], axis=-1)
     same = dataclasses.replace(frame, rgb=rgb.astype(np.uint8), rgb_intrinsics=lens, rgb_from_depth=Pose.identity())
     matrix = np.array([[3.0, 3.0 / 255.0, 0.0]])
     prior = NormalPrior(_linear(tmp_path / "depth.onnx", matrix, np.array([-0.1])))

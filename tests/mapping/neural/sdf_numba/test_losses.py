@@ -190,8 +190,8 @@ def test_colour_gradients_match_torch(field: NumbaSdfField, points: Float32Array
     reference = TorchField(field)
     colour = reference.colour(torch.tensor(points.astype(np.float64)))
     apart = colour[:, :3] - torch.tensor(rgb.astype(np.float64))
-    told = ~torch.tensor(white) | (apart <= 0.0)  # a clipped channel that is predicted brighter has no error
-    square, channels = (apart * told) ** 2, told.sum(dim=1)
+    counted = ~torch.tensor(white) | (apart <= 0.0)  # a clipped channel that is predicted brighter has no error
+    square, channels = (apart * counted) ** 2, counted.sum(dim=1)
     told_square = (square.sum(dim=1) / channels.clamp(min=1)).detach()
     assert 0 < int((channels == 0).sum()) < COUNT // 2
     np.testing.assert_allclose(error, torch.where(channels > 0, told_square, -1.0).numpy(), atol=1e-5)

@@ -47,8 +47,8 @@ def test_the_ply_is_watertight_coloured_and_marks_observed_faces(mesh: ClosedMes
     assert read.is_watertight
     np.testing.assert_allclose(read.vertices, mesh.vertices_world, atol=1e-6)
     np.testing.assert_array_equal(read.visual.vertex_colors[:, :3], mesh.rgb)
-    told = read.metadata["_ply_raw"]["face"]["data"]["observed"].ravel()
-    np.testing.assert_array_equal(told != 0, mesh.observed)
+    is_observed = read.metadata["_ply_raw"]["face"]["data"]["observed"].ravel()
+    np.testing.assert_array_equal(is_observed != 0, mesh.observed)
 
 
 def test_unobserved_faces_are_excluded_from_the_evaluated_model(mesh: ClosedMesh, tmp_path: Path) -> None:

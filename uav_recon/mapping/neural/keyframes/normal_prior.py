@@ -175,27 +175,27 @@ def _slopes(answer: Float32Array, lens: Intrinsics, pixel: IntArray, z_m: FloatA
 
     z_m (N,): measured depth at pixels (N, 2).
     """
-    told = np.where(np.isfinite(answer), answer.astype(np.float64), np.nan)
-    at = told[pixel[:, 0], pixel[:, 1]]
+    answered = np.where(np.isfinite(answer), answer.astype(np.float64), np.nan)
+    at = answered[pixel[:, 0], pixel[:, 1]]
     finite = np.isfinite(at)
     if finite.sum() < FEWEST:
-        return np.zeros((*told.shape, 3))
+        return np.zeros((*answered.shape, 3))
     at, pixel, z_m = at[finite], pixel[finite], z_m[finite]
-    depth = _fitted(told, at, z_m)
-    inverse = 1.0 / np.maximum(_fitted(told, at, 1.0 / z_m), 1.0 / (2.0 * DEPTH_FARTHEST_M))
+    depth = _fitted(answered, at, z_m)
+    inverse = 1.0 / np.maximum(_fitted(answered, at, 1.0 / z_m), 1.0 / (2.0 * DEPTH_FARTHEST_M))
     error = [np.median(np.abs(way[pixel[:, 0], pixel[:, 1]] - z_m)) for way in (depth, inverse)]
     z = depth if error[0] < error[1] else inverse
-    rows, columns = np.indices(told.shape)
-    x = ((columns + 0.5) * lens.width / told.shape[1] - 0.5 - lens.cx) / lens.fx * z
-    y = ((rows + 0.5) * lens.height / told.shape[0] - 0.5 - lens.cy) / lens.fy * z
+    rows, columns = np.indices(answered.shape)
+    x = ((columns + 0.5) * lens.width / answered.shape[1] - 0.5 - lens.cx) / lens.fx * z
+    y = ((rows + 0.5) * lens.height / answered.shape[0] - 0.5 - lens.cy) / lens.fy * z
     down, right = np.gradient(np.stack([x, y, z], axis=2), axis=(0, 1))
     normal = np.cross(down, right)  # y cross x is -z: towards the camera
     length = np.linalg.norm(normal, axis=2, keepdims=True)
     return np.where((length > 0.0) & (z > 0.0)[:, :, None], normal / np.maximum(length, 1e-12), 0.0)
 
 
-def _fitted(told: FloatArray, at: FloatArray, target: FloatArray) -> FloatArray:
-    """Return scale * told + shift, fitted so that ``at`` (N,) matches ``target`` (N,).
+def _fitted(answered: FloatArray, at: FloatArray, target: FloatArray) -> FloatArray:
+    """Return scale * answered + shift, fitted so that ``at`` (N,) matches ``target`` (N,).
 
     The second of two fits uses the better half of the points only.
     """
@@ -204,5 +204,5 @@ def _fitted(told: FloatArray, at: FloatArray, target: FloatArray) -> FloatArray:
         (scale, shift), *_ = np.linalg.lstsq(np.stack([at[use], np.ones(use.sum())], axis=1), target[use], rcond=None)
         error = np.abs(scale * at + shift - target)
         use = error <= np.median(error)
-    fitted: FloatArray = scale * told + shift
+    fitted: FloatArray = scale * answered + shift
     return fitted

@@ -79,8 +79,8 @@ class PoseRefinement:
     def sigma(self) -> FloatArray:
         """Standard deviation (2,) of the given poses per axis, in metres and radians."""
         known = self._square[self._square[:, 0] > 0.0]
-        believed = np.array([GIVEN_SIGMA_M, GIVEN_SIGMA_RAD])
-        variance = (PRIOR_WEIGHT_VIEWS * believed**2 + known.sum(axis=0) / 3.0) / (PRIOR_WEIGHT_VIEWS + len(known))
+        prior_sigma = np.array([GIVEN_SIGMA_M, GIVEN_SIGMA_RAD])
+        variance = (PRIOR_WEIGHT_VIEWS * prior_sigma**2 + known.sum(axis=0) / 3.0) / (PRIOR_WEIGHT_VIEWS + len(known))
         found: FloatArray = np.maximum(np.sqrt(variance), [MIN_SIGMA_M, MIN_SIGMA_RAD])
         return found
 

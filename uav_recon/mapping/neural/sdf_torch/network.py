@@ -57,8 +57,8 @@ class Heads:
         The log variance only changes its own weights.
         """
         hidden = linear(encoded, self._w1, self._b1).relu()
-        told = linear(hidden, self._w2[1:], self._b2[1:])
-        x = linear(torch.cat([told, encoded], dim=1), self._c1, self._d1).relu()
+        geometry = linear(hidden, self._w2[1:], self._b2[1:])
+        x = linear(torch.cat([geometry, encoded], dim=1), self._c1, self._d1).relu()
         x = linear(x, self._c2, self._d2).relu()
         rgb = linear(x, self._c3[:3], self._d3[:3]).sigmoid()
         return rgb, linear(x.detach(), self._c3[3:], self._d3[3:])[:, 0]

@@ -37,10 +37,10 @@ def ply(
     for channel, name in enumerate(("red", "green", "blue")):
         vertices[name] = rgb[:, channel]
     vertices["uncertainty"] = uncertainty
-    told = observed is not None
-    records = np.empty(len(faces), dtype=np.dtype(_FACE + ([("observed", "u1")] if told else [])))
+    has_observed = observed is not None
+    records = np.empty(len(faces), dtype=np.dtype(_FACE + ([("observed", "u1")] if has_observed else [])))
     records["count"], records["vertices"] = 3, faces
-    if told:
+    if has_observed:
         records["observed"] = observed
     head = [
         "ply",
@@ -56,7 +56,7 @@ def ply(
         "property float uncertainty",
         f"element face {len(faces)}",
         "property list uchar int vertex_indices",
-        *(["property uchar observed"] if told else []),
+        *(["property uchar observed"] if has_observed else []),
         "end_header\n",
     ]
     return "\n".join(head).encode() + vertices.tobytes() + records.tobytes()
