@@ -167,7 +167,7 @@ class Desk:
 
     def __init__(self, folder: Path, views: int = 50, operator_timeout_s: float = math.inf, takeoff_top_m: float = 0.0) -> None:
         self.clock = ManualClock(100.0)
-        self.wires = MissionChannels(
+        self.channels = MissionChannels(
             MemoryChannel(PosedFrame), MemoryChannel(VehicleState), MemoryChannel(Intent), MemoryChannel(MissionProgress),
             MemoryChannel(VoxelMap), MemoryChannel(SurfaceElements), MemoryChannel(ViewPath),
             MemoryChannel(MapCorrection), MemoryChannel(FreeSpace), MemoryChannel(PerceptionStatus), MemoryChannel(FreeCone),
@@ -177,7 +177,7 @@ class Desk:
         self.mapper = Sketchbook()
         self.budget = NoExtraViews()
         motion = MotionPlanner(MotionConfig(), 0.35)
-        orders = MissionParameters(
+        parameters = MissionParameters(
             views, 4, np.inf, 1.1, 0.6, takeoff_top_m, 0.5, 0.2, 0.3, 0.26, 300.0, 0.1, 0.35, operator_timeout_s
         )
         self.retreat = Asked(MotionConfig(), 0.30)
@@ -192,7 +192,7 @@ class Desk:
         )
         self.folder = folder
         self.journal = FlightLog(folder)
-        self.conductor = Conductor(stages, self.wires, orders, InlineExecutor(self.clock), self.journal, self.clock)
+        self.conductor = Conductor(stages, self.channels, parameters, InlineExecutor(self.clock), self.journal, self.clock)
         self.phase = FlightPhase.READY
         self.frames = True
         self.unsure = False
@@ -224,13 +224,13 @@ class Desk:
 
     @property
     def intent(self) -> Intent:
-        intent = self.wires.intent.latest()
+        intent = self.channels.intent.latest()
         assert intent is not None
         return intent
 
     @property
     def progress(self) -> MissionProgress:
-        progress = self.wires.progress.latest()
+        progress = self.channels.progress.latest()
         assert progress is not None
         return progress
 
@@ -248,7 +248,7 @@ class Desk:
         return SpeedLimitedPlanner(usual, MotionPlanner(MotionConfig(speed_mps=0.2, tight_speed_mps=0.2), 0.35), 1.0)
 
     def _vehicle(self) -> None:
-        intent = self.wires.intent.latest()
+        intent = self.channels.intent.latest()
         position, yaw = self._place_m, 0.0
         if intent is not None:
             if intent.goal is Goal.FLY and self.phase is FlightPhase.READY:
@@ -262,7 +262,7 @@ class Desk:
         self.planner.was_at(position)
         armed = self.phase is FlightPhase.FLYING
         self._received_s = self.clock.now_s() if self.attended else self._received_s
-        self.wires.vehicle.publish(
+        self.channels.vehicle.publish(
             VehicleState(self.clock.now_s(), Pose.from_yaw(yaw, position), np.zeros(3), armed, "OFFBOARD", self.phase,
                          self.battery, self.human, float("nan"), 1, self.refusals, self.note, self.max_speed_mps,
                          self._received_s, slow_reason=self.slow_reason)
@@ -271,4 +271,4 @@ class Desk:
     def _frame(self) -> None:
         depth = np.full((4, 4), 2.0, np.float32)
         frame = Frame(self.clock.now_s() - 0.1, 1, depth, LENS, np.zeros((4, 4, 3), np.uint8), LENS, Pose.identity())
-        self.wires.frames.publish(PosedFrame(frame, Pose.identity(), self.epoch, self.unsure))
+        self.channels.frames.publish(PosedFrame(frame, Pose.identity(), self.epoch, self.unsure))

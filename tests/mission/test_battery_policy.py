@@ -34,14 +34,14 @@ RETURNS = (ReasonCode.BATTERY_RETURN, ReasonCode.BATTERY_RATE_UNKNOWN)
 
 def turned_back_at(far_m: float, max_speed_mps: float = math.inf, per_s: float = 0.002) -> tuple[float, Reason]:
     """The true share that is left when a vehicle that waits far away wants home, and why; from 90 %, at a rate a second."""
-    course = FlightTrack(0.0)
-    policy = BatteryPolicy(course, HOME_M, 0.4)
+    track = FlightTrack(0.0)
+    policy = BatteryPolicy(track, HOME_M, 0.4)
     for k in range(100_000):
         place = np.array([min(0.1 * k, far_m), 0.0, 1.1])
         gauge = round(0.9 - per_s * 0.1 * k, 2)
         vehicle = VehicleState(0.1 * k, Pose.from_yaw(0.0, place), np.zeros(3), True, "OFFBOARD", FlightPhase.FLYING,
                                gauge, False, math.nan, 1, 0, None, max_speed_mps)  # fmt: skip
-        course.follow(vehicle)
+        track.follow(vehicle)
         policy.update(0.1 * k, vehicle, None)
         if policy.left < policy.required_charge:
             return 0.9 - per_s * 0.1 * k, policy.why()
@@ -61,13 +61,13 @@ def test_while_nothing_fast_is_let_pass_it_turns_back_earlier() -> None:
 
 
 def test_a_moment_in_which_nothing_fast_is_let_pass_calls_nobody_home() -> None:
-    course = FlightTrack(0.0)
-    policy, needed = BatteryPolicy(course, HOME_M, 0.4), list[float]()
+    track = FlightTrack(0.0)
+    policy, needed = BatteryPolicy(track, HOME_M, 0.4), list[float]()
     for k in range(1_000):
         max_speed_mps = 0.3 if 900 <= k < 920 else math.inf
         vehicle = VehicleState(0.1 * k, Pose.from_yaw(0.0, np.array([min(0.1 * k, 12.0), 0.0, 1.1])), np.zeros(3), True,
                                "OFFBOARD", FlightPhase.FLYING, 0.8, False, math.nan, 1, 0, None, max_speed_mps)  # fmt: skip
-        course.follow(vehicle)
+        track.follow(vehicle)
         policy.update(0.1 * k, vehicle, None)
         needed.append(policy.required_charge)
     assert max(needed[900:]) <= needed[899]

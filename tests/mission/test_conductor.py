@@ -219,7 +219,7 @@ def test_a_new_map_epoch_holds_maps_again_and_goes_on(desk: Desk) -> None:
     desk.run(5.0, until=Phase.HOLD)  # frames of a map that nobody has announced are as good as none
     views, plans = len(desk.mapper.stamps), len(desk.planner.accepted)
     there = MapCorrection(1, np.array(desk.mapper.stamps), tuple(Pose.identity() for _ in desk.mapper.stamps))
-    desk.wires.correction.publish(there)
+    desk.channels.correction.publish(there)
     desk.run(0.1)
     assert [c.map_epoch for c in desk.mapper.corrections] == [desk.voxels.epoch] == [1]
     assert desk.intent.trajectory is not None
@@ -247,9 +247,9 @@ def test_frames_of_an_uncertain_place_are_not_mapped_and_do_not_hold_it(desk: De
 
 
 def test_a_correction_from_before_the_flight_is_ignored(tmp_path: Path, desk: Desk) -> None:
-    desk.wires.correction.publish(MapCorrection(9, np.zeros(0), ()))
+    desk.channels.correction.publish(MapCorrection(9, np.zeros(0), ()))
     again = Conductor(
-        desk.conductor._stages, desk.wires, desk.conductor._parameters, InlineExecutor(desk.clock), desk.journal, desk.clock
+        desk.conductor._stages, desk.channels, desk.conductor._parameters, InlineExecutor(desk.clock), desk.journal, desk.clock
     )
     again.step()
     assert not desk.mapper.corrections
@@ -482,29 +482,29 @@ def test_what_the_range_finder_found_empty_goes_into_the_map_once(desk: Desk) ->
     desk.run(1.0)
     desk.frames = False
     before = desk.conductor.map
-    desk.wires.cones.publish(cone(101.0))
+    desk.channels.cones.publish(cone(101.0))
     desk.run(1.0)
     assert [one.stamp_s for one in desk.voxels.cones] == [101.0]
     assert before is not None and desk.conductor.map is not None
     assert desk.conductor.map.revision == before.revision + 1
-    free = desk.wires.free.latest()
+    free = desk.channels.free.latest()
     assert free is not None
     assert free.revision == desk.conductor.map.revision
-    desk.wires.cones.publish(cone(102.0))
+    desk.channels.cones.publish(cone(102.0))
     desk.run(1.0)
     assert [one.stamp_s for one in desk.voxels.cones] == [101.0, 102.0]
 
 
 def test_a_cone_of_another_map_is_not_used(desk: Desk) -> None:
     desk.run(1.0)
-    desk.wires.cones.publish(cone(101.0, map_epoch=1))
+    desk.channels.cones.publish(cone(101.0, map_epoch=1))
     desk.run(1.0)
     assert desk.voxels.cones == []
 
 
 def test_cones_alone_are_no_map(desk: Desk) -> None:
     desk.frames = False
-    desk.wires.cones.publish(cone(101.0))
+    desk.channels.cones.publish(cone(101.0))
     desk.run(1.0)
     assert desk.conductor.map is None
     assert desk.voxels.cones == []

@@ -52,7 +52,7 @@ class Sticky:
 def stuck(tmp_path: Path) -> Iterator[tuple[Desk, Sticky]]:
     desk = Desk(tmp_path)
     executor, c = Sticky(desk), desk.conductor
-    desk.conductor = Conductor(c._stages, desk.wires, c._parameters, executor, desk.journal, desk.clock)
+    desk.conductor = Conductor(c._stages, desk.channels, c._parameters, executor, desk.journal, desk.clock)
     desk.conductor.request_start()
     desk.run(30.0, until=Phase.SURVEY)
     yield desk, executor

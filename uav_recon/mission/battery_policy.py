@@ -35,8 +35,8 @@ class BatteryPolicy:
     home_m: position (3,) over the pad. clearance_m: clearance of planned paths.
     """
 
-    def __init__(self, course: FlightTrack, home_m: FloatArray, clearance_m: float) -> None:
-        self._course = course
+    def __init__(self, track: FlightTrack, home_m: FloatArray, clearance_m: float) -> None:
+        self._track = track
         self._home_m = home_m
         self._clearance_m = clearance_m
         self._charge = BatteryGaugeFilter()
@@ -56,8 +56,8 @@ class BatteryPolicy:
         self._burn.update(now_s, self._charge.left, flying=vehicle.armed)
         if vehicle.armed and now_s - self._looked_s >= _LOOK_S:
             self._looked_s = now_s
-            course = self._course
-            way = np.array([course.position_world, *course.way_back(self._home_m), self._home_m])
+            track = self._track
+            way = np.array([track.position_world, *track.way_back(self._home_m), self._home_m])
             self._way_m = return_distance_m(way, voxels, self._clearance_m)
 
     @property

@@ -54,34 +54,34 @@ class Conductor:
     def __init__(
         self,
         stages: MissionStages,
-        wires: MissionChannels,
-        orders: MissionParameters,
+        channels: MissionChannels,
+        parameters: MissionParameters,
         executor: Executor,
         journal: Journal,
         clock: Clock,
     ) -> None:
         self._stages = stages
-        self._channels = wires
-        self._parameters = orders
+        self._channels = channels
+        self._parameters = parameters
         self._clock = clock
-        self._log = MissionLog(journal, orders.views)
-        self._perception_log = PerceptionLog(wires.perception, journal)
+        self._log = MissionLog(journal, parameters.views)
+        self._perception_log = PerceptionLog(channels.perception, journal)
         self._captures = ViewSchedule(VIEW_LATE_S)
-        self._course = FlightTrack(orders.camera_pitch_down_rad)
-        self._executor = TrajectoryExecutor(stages.motion, self._course, self._captures, self._log)
-        self._ascent = Takeoff(self._executor, stages.motion, orders.takeoff_height_m)
+        self._track = FlightTrack(parameters.camera_pitch_down_rad)
+        self._executor = TrajectoryExecutor(stages.motion, self._track, self._captures, self._log)
+        self._ascent = Takeoff(self._executor, stages.motion, parameters.takeoff_height_m)
         planner = AsyncPlanner(
-            stages.planner, stages.motion, stages.retreat, executor, orders.plan_cost_s, orders.view_spacing_m
+            stages.planner, stages.motion, stages.retreat, executor, parameters.plan_cost_s, parameters.view_spacing_m
         )
-        self._survey = Survey(stages, wires, orders, self._executor, planner, self._log)
-        site = LandingSite(orders.takeoff_height_m, -orders.vehicle_height_m / 2, orders.clear_radius_m)
+        self._survey = Survey(stages, channels, parameters, self._executor, planner, self._log)
+        site = LandingSite(parameters.takeoff_height_m, -parameters.vehicle_height_m / 2, parameters.clear_radius_m)
         self._homeward = ReturnHome(self._executor, planner, self._log, site)
-        self._battery = BatteryPolicy(self._course, site.home, orders.clearance_m)
-        self._operator_watchdog = OperatorWatchdog(orders.operator_timeout_s)
-        self._map_correction = MapCorrectionDetector(wires.correction)
+        self._battery = BatteryPolicy(self._track, site.home, parameters.clearance_m)
+        self._operator_watchdog = OperatorWatchdog(parameters.operator_timeout_s)
+        self._map_correction = MapCorrectionDetector(channels.correction)
         self._speed_limit = SpeedLimitLog(journal)
         self._detectors: tuple[Detector, ...] = (
-            RefusedTrajectoryDetector(self._course),
+            RefusedTrajectoryDetector(self._track),
             MissingOperatorDetector(self._operator_watchdog),
             DeadPlannerDetector(planner),
             LowBatteryDetector(self._battery),
@@ -91,14 +91,17 @@ class Conductor:
         self._frame_sequence = 0
         self._frame_s = -np.inf
         self._cone_sequence = 0
-        self._map_publisher = MapPublisher(wires)
+        self._map_publisher = MapPublisher(channels)
         self._reported_s = -np.inf
         self._go_home: Reason | None = None  # the reason to go home, whichever other reasons there are
         self._start = self._abort = self._hold = self._released = self._arrived = False
-        half_m, top_m = orders.vehicle_height_m / 2, orders.takeoff_height_m + orders.clear_radius_m  # home is clear above too
-        stages.voxels.declare_free(np.zeros(3), orders.takeoff_radius_m, -half_m, top_m)
-        if orders.takeoff_top_m > top_m:
-            stages.voxels.declare_free(np.zeros(3), orders.takeoff_top_radius_m, top_m, orders.takeoff_top_m)
+        half_m, top_m = (
+            parameters.vehicle_height_m / 2,
+            parameters.takeoff_height_m + parameters.clear_radius_m,
+        )  # home is clear above too
+        stages.voxels.declare_free(np.zeros(3), parameters.takeoff_radius_m, -half_m, top_m)
+        if parameters.takeoff_top_m > top_m:
+            stages.voxels.declare_free(np.zeros(3), parameters.takeoff_top_radius_m, top_m, parameters.takeoff_top_m)
 
     @property
     def finished(self) -> bool:
@@ -162,7 +165,7 @@ class Conductor:
         self._executor.map_epoch = correction.map_epoch
         self._stages.voxels.reset(correction.map_epoch)
         half_m = self._parameters.vehicle_height_m / 2
-        for crumb in self._course.breadcrumbs:
+        for crumb in self._track.breadcrumbs:
             z_m = float(crumb[2])
             self._stages.voxels.declare_free(crumb, self._parameters.clear_radius_m, z_m - half_m, z_m + half_m)
         self._stages.mapper.repose(correction)
@@ -170,7 +173,7 @@ class Conductor:
         self.map = self._stages.voxels.snapshot()
         self._survey.begin_again()
         self._homeward.begin_again()
-        if vehicle is not None and self._course.trajectory is not None:
+        if vehicle is not None and self._track.trajectory is not None:
             self._executor.hold(now_s, vehicle)
 
     def _map_newest_frame(self, now_s: float) -> None:
@@ -190,7 +193,7 @@ class Conductor:
             self._stages.motion.set_recent_views(views)
             self._stages.retreat.set_recent_views(views)
         self.map = self._stages.voxels.snapshot()
-        promised = self._captures.take(posed.frame.stamp_s) and self._course.is_on_track(now_s)
+        promised = self._captures.take(posed.frame.stamp_s) and self._track.is_on_track(now_s)
         if self._log.views_left > 0 and (promised or self._worth_a_view(posed)) and self._stages.mapper.add(posed):
             self._stages.budget.keep(posed)
             self._log.view(posed)
@@ -218,7 +221,7 @@ class Conductor:
 
     def _follow(self, now_s: float, vehicle: VehicleState) -> None:
         """Record the vehicle's position, speed limit and charge."""
-        self._course.follow(vehicle)
+        self._track.follow(vehicle)
         self._stages.motion.allow(vehicle.max_speed_mps)
         self._stages.retreat.allow(vehicle.max_speed_mps)
         self._speed_limit.update(vehicle)
@@ -241,7 +244,7 @@ class Conductor:
             self._log.note = reason
 
     def _continue_released(self, now_s: float, vehicle: VehicleState) -> None:
-        """Continue after a hold from where the pilot held the vehicle, which is not on the course."""
+        """Continue after a hold from where the pilot held the vehicle, which is not on the track."""
         if self._released and self.phase is Phase.HOLD:
             self._executor.hold(now_s, vehicle)
         elif self._released and self.phase is Phase.TAKEOFF:
@@ -314,15 +317,15 @@ class Conductor:
     def _publish(self, now_s: float) -> None:
         grounded = self.phase in (Phase.IDLE, Phase.READY, Phase.DONE, Phase.YIELDED)
         goal = Goal.STANDBY if grounded else Goal.LAND if self.phase is Phase.LANDING else Goal.FLY
-        self._map_publisher.free(now_s, self.map, self._course.trajectory)
+        self._map_publisher.free(now_s, self.map, self._track.trajectory)
         operator, told = self._operator_watchdog, self._log.aborted or self._operator_watchdog.note
-        self._channels.intent.publish(Intent(now_s, goal, self._course.trajectory, told, bool(operator.lost)))
+        self._channels.intent.publish(Intent(now_s, goal, self._track.trajectory, told, bool(operator.lost)))
         self._map_publisher.maps(now_s, self.map, self._stages.mapper, last=self.finished)
         if now_s - self._reported_s >= PROGRESS_PERIOD_S or self.finished:
             self._reported_s = now_s
-            explored_m3, course = self._stages.voxels.explored_m3(), self._course
+            explored_m3, track = self._stages.voxels.explored_m3(), self._track
             progress = self._log.progress(
-                now_s, self.phase, explored_m3, course.path_length_m, course.position_world, self.finished
+                now_s, self.phase, explored_m3, track.path_length_m, track.position_world, self.finished
             )
             self._channels.progress.publish(progress)
 

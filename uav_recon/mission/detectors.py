@@ -50,13 +50,13 @@ class Detector(Protocol):
 class RefusedTrajectoryDetector:
     """Detects that the guard refused the present trajectory."""
 
-    def __init__(self, course: FlightTrack) -> None:
-        self._course = course
+    def __init__(self, track: FlightTrack) -> None:
+        self._track = track
         self._refusals = 0
 
     def detect(self, now_s: float, vehicle: VehicleState) -> Iterator[MissionEvent]:
         """Yield an event for new refusals, with the pilot's reason."""
-        if vehicle.refusals > self._refusals and self._course.trajectory is not None:
+        if vehicle.refusals > self._refusals and self._track.trajectory is not None:
             yield MissionEvent(Response.REPLAN, vehicle.note or Reason(ReasonCode.REFUSED))
         self._refusals = vehicle.refusals
 

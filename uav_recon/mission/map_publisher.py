@@ -16,8 +16,8 @@ FREE_PERIOD_S = 0.2  #: internal: interval of the free space for the guard
 class MapPublisher:
     """Publishes each map when it is new and due."""
 
-    def __init__(self, wires: MissionChannels) -> None:
-        self._wires = wires
+    def __init__(self, channels: MissionChannels) -> None:
+        self._channels = channels
         self._surface_revision = self._free_revision = -1
         self._map_s = self._free_s = -math.inf
         self._proposed: Trajectory | None = None
@@ -29,14 +29,14 @@ class MapPublisher:
         if voxels is not None and due and voxels.revision != self._free_revision:
             self._free_revision = voxels.revision
             self._free_s = now_s
-            self._wires.free.publish(FreeSpace.of(voxels))
+            self._channels.free.publish(FreeSpace.of(voxels))
 
     def maps(self, now_s: float, voxels: VoxelMap | None, mapper: Mapper, last: bool) -> None:
         """Publish maps for screens and recorders. last: this is the final call."""
         surface = mapper.surface()
         if surface is not None and surface.revision != self._surface_revision:
             self._surface_revision = surface.revision
-            self._wires.surface.publish(surface)
+            self._channels.surface.publish(surface)
         if voxels is not None and (now_s - self._map_s >= MAP_PERIOD_S or last):
             self._map_s = now_s
-            self._wires.voxels.publish(voxels)
+            self._channels.voxels.publish(voxels)

@@ -82,15 +82,15 @@ class ReturnHome:
 
     def has_arrived(self, now_s: float) -> bool:
         """Return True if it is over the landing position."""
-        return self.en_route and self._helm.course.has_arrived(now_s)
+        return self.en_route and self._helm.track.has_arrived(now_s)
 
     def step(self, now_s: float, vehicle: VehicleState, voxels: VoxelMap, along_breadcrumbs: bool) -> None:
         """Plan at rest, then fly; plan again if the landing position turns out to be occupied."""
-        course = self._helm.course
+        track = self._helm.track
         if self.en_route:
             self._watch(now_s, vehicle, voxels)
             return
-        if not course.at_rest(now_s):
+        if not track.at_rest(now_s):
             return
         if self._refused > _REFUSED:
             self._give_up(Reason(ReasonCode.RETURN_STOPPED, (self._refused,)))
@@ -100,7 +100,7 @@ class ReturnHome:
             return
         if self._decision is None:
             self._planned_mps = vehicle.max_speed_mps
-            self._decision = self._request_plan(course.rest(vehicle), voxels, along_breadcrumbs)
+            self._decision = self._request_plan(track.rest(vehicle), voxels, along_breadcrumbs)
         if self._decision is None or not self._decision.done():
             return
         decision = self._decision.result()
@@ -117,7 +117,7 @@ class ReturnHome:
 
     def _request_plan(self, rest: Setpoint, voxels: VoxelMap, along_breadcrumbs: bool) -> Pending[PlanResult] | None:
         """Start planning; None if nothing is left to try."""
-        course, here_m = self._helm.course, rest.position_m
+        track, here_m = self._helm.track, rest.position_m
         if self._aside:
             place = None if self._site.is_below(voxels, here_m) else self._site.near(voxels, here_m, self._bad)
         else:
@@ -128,9 +128,9 @@ class ReturnHome:
             return None
         self._place = place
         goal = Viewpoint(place, rest.yaw_rad, rest.camera_pitch_down_rad)
-        request, identifier = PlanRequest(voxels, None, here_m, rest.yaw_rad, 0), course.next_identifier()
+        request, identifier = PlanRequest(voxels, None, here_m, rest.yaw_rad, 0), track.next_identifier()
         if along_breadcrumbs and not self._aside:
-            return self._decider.way_back(request, rest, course.way_back(goal.position_world), goal, identifier)
+            return self._decider.way_back(request, rest, track.way_back(goal.position_world), goal, identifier)
         level = np.array([*place[:2], min(place[2], here_m[2])])  # a climb would lead to where the camera did not look lately
         return self._decider.way_home(request, rest, dataclasses.replace(goal, position_world=level), identifier)
 
@@ -148,7 +148,7 @@ class ReturnHome:
 
         The latter only while other positions are left to try.
         """
-        resting = self._helm.course.at_rest(now_s)
+        resting = self._helm.track.at_rest(now_s)
         if not resting and self._helm.brake_if_blocked(now_s, voxels):
             self.replan(vehicle.world_from_body.translation_m)
         elif resting and not self.has_arrived(now_s):
@@ -168,8 +168,8 @@ class ReturnHome:
     def _goes_faster(self, now_s: float, vehicle: VehicleState) -> bool:
         """Return True if a higher speed is allowed than at planning time, and much time is left."""
         self._slow_s = now_s if vehicle.max_speed_mps <= self._planned_mps else self._slow_s
-        return now_s - self._slow_s >= _QUICK_S and self._helm.course.remaining_s(now_s) >= _WORTH_S
+        return now_s - self._slow_s >= _QUICK_S and self._helm.track.remaining_s(now_s) >= _WORTH_S
 
     def _is_near(self, place: FloatArray) -> bool:
         """Return True if obstacles at a position can be recognised from here."""
-        return math.hypot(*(place - self._helm.course.position_world)[:2].tolist()) <= _JUDGED_M
+        return math.hypot(*(place - self._helm.track.position_world)[:2].tolist()) <= _JUDGED_M

@@ -39,19 +39,19 @@ class Survey:
     def __init__(
         self,
         stages: MissionStages,
-        wires: MissionChannels,
-        orders: MissionParameters,
+        channels: MissionChannels,
+        parameters: MissionParameters,
         helm: TrajectoryExecutor,
         decider: AsyncPlanner,
         account: MissionLog,
     ) -> None:
         self._stages = stages
-        self._wires = wires
-        self._orders = orders
+        self._channels = channels
+        self._parameters = parameters
         self._helm = helm
         self._decider = decider
         self._account = account
-        self._lead_s = LEAD_S + orders.plan_cost_s
+        self._lead_s = LEAD_S + parameters.plan_cost_s
         self._decision: Pending[PlanResult] | None = None
         self._departure = Departure(Setpoint.hold(np.zeros(3), 0.0))
         self._looked_round = self._settled = self._looks_again = False
@@ -104,7 +104,7 @@ class Survey:
         if self._decision is not None:
             self._fly_decision(now_s)
         elif resting and not self._looked_round:
-            self._look_round(now_s, vehicle, self._orders.survey_views)
+            self._look_round(now_s, vehicle, self._parameters.survey_views)
         elif self._looks_again:
             if resting:
                 self._look_round(now_s, vehicle, 0)
@@ -119,30 +119,30 @@ class Survey:
 
     def _should_turn_to_something_else(self, now_s: float, voxels: VoxelMap) -> bool:
         """Return True if, in motion, the path ends soon or its next view was seen in passing."""
-        course = self._helm.course
-        if not self._looked_round or course.trajectory is None:
+        track = self._helm.track
+        if not self._looked_round or track.trajectory is None:
             return False
-        if course.remaining_s(now_s) <= self._lead_s:
+        if track.remaining_s(now_s) <= self._lead_s:
             return False  # too late for that: the plan is made at rest
         self._settled = False
-        if course.remaining_s(now_s) <= AHEAD_S + self._lead_s:
+        if track.remaining_s(now_s) <= AHEAD_S + self._lead_s:
             return True
         if voxels.revision == self._asked_revision:
             return False
         self._asked_revision = voxels.revision
-        here = course.trajectory.setpoint_at(now_s)
+        here = track.trajectory.setpoint_at(now_s)
         self._settled = not self._stages.planner.next_view_has_gain(voxels, here.position_m, here.yaw_rad)
         return self._settled
 
     def _request_plan(self, now_s: float, vehicle: VehicleState, voxels: VoxelMap) -> None:
-        departure = self._helm.course.departure(now_s + self._lead_s, vehicle)
+        departure = self._helm.track.departure(now_s + self._lead_s, vehicle)
         start, surface = departure.setpoint, self._surface()
         request = PlanRequest(
             voxels, surface, start.position_m, start.yaw_rad, self._account.views_left, start.velocity_mps, self._next_view
         )
         self._next_view = NextView.KEPT
         self._departure = departure
-        self._decision = self._decider.next_views(request, departure, self._helm.course.next_identifier())
+        self._decision = self._decider.next_views(request, departure, self._helm.track.next_identifier())
 
     def _surface(self) -> SurfaceElements | None:
         """Return the newest surface; an empty one if the mapper died before it gave one.
@@ -160,18 +160,18 @@ class Survey:
         self._decision = None
         flying, leave_s = self._departure.flying, self._departure.leave_s
         if flying is not None:
-            if flying is not self._helm.course.trajectory or now_s > leave_s:
+            if flying is not self._helm.track.trajectory or now_s > leave_s:
                 self._account.discarded_plan(now_s, decision.path)
                 return  # braked meanwhile, or too late to leave there: plan again
             if isinstance(decision.motion, Reason) or self._ends_as_before(decision.motion, flying):
-                self._think_again_s = now_s + self._helm.course.remaining_s(now_s)  # plan again at rest
+                self._think_again_s = now_s + self._helm.track.remaining_s(now_s)  # plan again at rest
                 self._account.discarded_plan(now_s, decision.path)
                 return
             self._think_again_s = now_s + RETHINK_S
         self._account.plan(now_s, decision.path, 0.0 if flying is not None else now_s - self._resting_since_s)
         if isinstance(decision.path, NothingLeft):
             return
-        self._wires.plan.publish(decision.path)
+        self._channels.plan.publish(decision.path)
         self._stages.planner.accept(decision.path)
         if isinstance(decision.motion, Reason):
             self._give_up_plan(decision.motion, now_s)

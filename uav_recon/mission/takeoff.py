@@ -29,17 +29,17 @@ class Takeoff:
 
     def begin_again(self) -> None:
         """Restart from the present position."""
-        self._helm.course.trajectory = None
+        self._helm.track.trajectory = None
         self.risen = False
 
     def step(self, now_s: float, vehicle: VehicleState) -> None:
         """Command the next part of the climb at rest, once the vehicle flies."""
-        course = self._helm.course
-        resting = course.trajectory is None or self._helm.at_rest(now_s)
+        track = self._helm.track
+        resting = track.trajectory is None or self._helm.at_rest(now_s)
         if not resting or self.risen or vehicle.phase is not FlightPhase.FLYING:
             return
-        start = course.rest(vehicle)
+        start = track.rest(vehicle)
         self.risen = bool(start.position_m[2] >= LIFTED_M)
         goal = np.array([*start.position_m[:2], self._height_m if self.risen else LIFT_M])
         self.begun_s = min(self.begun_s, now_s)
-        self._helm.fly(self._motion.line(start, goal, start.yaw_rad, now_s, course.next_identifier()), now_s)
+        self._helm.fly(self._motion.line(start, goal, start.yaw_rad, now_s, track.next_identifier()), now_s)
