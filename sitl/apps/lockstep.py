@@ -203,7 +203,7 @@ class LockstepFlight:
             self._watchers.append(recorder_factory.make_recorder(config, self.channels, self._folder, self._clock))
         elif timelapse:
             self._watchers.append(Timelapse(self._folder, self.channels.surface, self._clock))
-        self.conductor.request_start()
+        self.conductor.requests.start()
         self._mission_rate, self._record_rate = RateKeeper(MISSION_RATE_HZ, START_S), RateKeeper(RECORDER_RATE_HZ, START_S)
         self._operator_rate, self._commands = RateKeeper(1.0, START_S), MemoryChannel(GivenCommand)
         self._steps = 0
@@ -256,12 +256,12 @@ class LockstepFlight:
     def _step_mission(self, now_s: float, land: Callable[[], bool]) -> None:
         if self._hook.restarts("mission"):
             self.conductor = self._make_conductor()
-            self.conductor.request_start()
+            self.conductor.requests.start()
         if self._mission_rate.due(now_s) and self._hook.runs("mission"):
             if land():
-                self.conductor.request_abort(Reason(ReasonCode.OPERATOR_LAND))
+                self.conductor.requests.abort(Reason(ReasonCode.OPERATOR_LAND))
             if self._hook.holds():
-                self.conductor.request_hold()
+                self.conductor.requests.hold()
             self.conductor.step()
 
     def _step_pilot(self, now_s: float) -> None:

@@ -149,6 +149,21 @@ class NoExtraViews:
         pass
 
 
+def posed_frame(stamp_s: float, map_epoch: int = 0, unsure: bool = False) -> PosedFrame:
+    depth = np.full((4, 4), 2.0, np.float32)
+    frame = Frame(stamp_s, 1, depth, LENS, np.zeros((4, 4, 3), np.uint8), LENS, Pose.identity())
+    return PosedFrame(frame, Pose.identity(), map_epoch, unsure)
+
+
+def vehicle_state(
+    stamp_s: float, x_m: float = 0.0, max_speed_mps: float = math.inf, slow_reason: Reason | None = None
+) -> VehicleState:
+    return VehicleState(
+        stamp_s, Pose.from_yaw(0.0, np.array([x_m, 0.0, 0.0])), np.zeros(3), False, "OFFBOARD", FlightPhase.READY, 0.9, False,
+        math.nan, 1, 0, None, max_speed_mps, slow_reason=slow_reason,
+    )  # fmt: skip
+
+
 class Asked(MotionPlanner):
     """Counts the ways that it is asked for."""
 
@@ -177,11 +192,11 @@ class Desk:
         self.mapper = Sketchbook()
         self.budget = NoExtraViews()
         motion = MotionPlanner(MotionConfig(), 0.35)
-        parameters = MissionParameters(
+        self.parameters = MissionParameters(
             views, 4, np.inf, 1.1, 0.6, takeoff_top_m, 0.5, 0.2, 0.3, 0.26, 300.0, 0.1, 0.35, operator_timeout_s
         )
         self.retreat = Asked(MotionConfig(), 0.30)
-        stages = MissionStages(
+        self.stages = MissionStages(
             self.voxels,
             self.budget,
             self.mapper,
@@ -192,7 +207,9 @@ class Desk:
         )
         self.folder = folder
         self.journal = FlightLog(folder)
-        self.conductor = Conductor(stages, self.channels, parameters, InlineExecutor(self.clock), self.journal, self.clock)
+        self.conductor = Conductor(
+            self.stages, self.channels, self.parameters, InlineExecutor(self.clock), self.journal, self.clock
+        )
         self.phase = FlightPhase.READY
         self.frames = True
         self.unsure = False
@@ -269,6 +286,4 @@ class Desk:
         )  # fmt: skip
 
     def _frame(self) -> None:
-        depth = np.full((4, 4), 2.0, np.float32)
-        frame = Frame(self.clock.now_s() - 0.1, 1, depth, LENS, np.zeros((4, 4, 3), np.uint8), LENS, Pose.identity())
-        self.channels.frames.publish(PosedFrame(frame, Pose.identity(), self.epoch, self.unsure))
+        self.channels.frames.publish(posed_frame(self.clock.now_s() - 0.1, self.epoch, self.unsure))

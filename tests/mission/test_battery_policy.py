@@ -81,7 +81,7 @@ def test_what_is_left_when_it_turns_back_is_what_it_takes_and_a_third() -> None:
 
 
 def test_a_battery_that_fell_at_once_is_not_reckoned_with(desk: Desk) -> None:
-    desk.conductor.request_start()
+    desk.conductor.requests.start()
     desk.run(30.0, until=Phase.SURVEY)
     desk.battery = 0.29
     desk.run(3.5, until=Phase.RETURN)
@@ -97,7 +97,7 @@ def test_no_flight_is_begun_with_less_than_a_flight_needs(desk: Desk) -> None:
     desk.battery = 0.35
     desk.run(5.0)
     assert desk.conductor.phase is Phase.READY, "nothing is said before somebody wants to fly"
-    desk.conductor.request_start()
+    desk.conductor.requests.start()
     desk.run(1.0, until=Phase.DONE)
     assert desk.seen == [Phase.READY, Phase.DONE]
     assert desk.conductor.close() == Reason(ReasonCode.BATTERY_TAKEOFF, (35.0, 36.0))
@@ -106,14 +106,14 @@ def test_no_flight_is_begun_with_less_than_a_flight_needs(desk: Desk) -> None:
 @pytest.mark.parametrize("battery", [0.36, math.nan])
 def test_with_as_much_or_with_a_gauge_that_never_spoke_it_flies(desk: Desk, battery: float) -> None:
     desk.battery = battery
-    desk.conductor.request_start()
+    desk.conductor.requests.start()
     desk.run(30.0, until=Phase.SURVEY)
 
 
 def test_at_a_fifth_it_lands_where_it_is_though_it_is_held(desk: Desk) -> None:
-    desk.conductor.request_start()
+    desk.conductor.requests.start()
     desk.run(30.0, until=Phase.SURVEY)
-    desk.conductor.request_hold()
+    desk.conductor.requests.hold()
     desk.battery = 0.21
     desk.run(5.0)
     assert desk.conductor.phase is Phase.HOLD, "a held vehicle is its operator's"
@@ -130,10 +130,10 @@ def test_at_a_fifth_it_lands_where_it_is_though_it_is_held(desk: Desk) -> None:
 
 
 def test_on_the_way_home_too(desk: Desk) -> None:
-    desk.conductor.request_start()
+    desk.conductor.requests.start()
     desk.run(30.0, until=Phase.SURVEY)
     desk.run(8.0)
-    desk.conductor.request_return()
+    desk.conductor.requests.return_home()
     desk.battery = 0.19
     desk.run(0.5, until=Phase.RETURN)
     desk.phase = FlightPhase.FLYING

@@ -38,7 +38,7 @@ def test_nothing_moves_before_the_operator_says_so(desk: Desk) -> None:
 
 
 def test_a_flight_from_pad_to_pad(desk: Desk) -> None:
-    desk.conductor.request_start()
+    desk.conductor.requests.start()
     desk.run(120.0, until=Phase.DONE)
     assert desk.seen == [Phase.READY, Phase.TAKEOFF, Phase.SURVEY, Phase.RETURN, Phase.LANDING, Phase.DONE]
     assert desk.conductor.close() is None
@@ -53,7 +53,7 @@ def test_a_flight_from_pad_to_pad(desk: Desk) -> None:
 
 def test_the_budget_is_told_when_nothing_is_left_to_explore(desk: Desk) -> None:
     desk.planner.explored = True
-    desk.conductor.request_start()
+    desk.conductor.requests.start()
     desk.run(120.0, until=Phase.SURVEY)
     desk.run(1.0)
     assert desk.budget.asked_as_explored == {False}  # nothing is planned yet
@@ -63,7 +63,7 @@ def test_the_budget_is_told_when_nothing_is_left_to_explore(desk: Desk) -> None:
 
 def test_the_view_budget_ends_the_survey(tmp_path: Path) -> None:
     desk = Desk(tmp_path, views=5)
-    desk.conductor.request_start()
+    desk.conductor.requests.start()
     desk.run(120.0, until=Phase.DONE)
     assert len(desk.mapper.stamps) == 5
     assert desk.conductor.close() is None
@@ -72,7 +72,7 @@ def test_the_view_budget_ends_the_survey(tmp_path: Path) -> None:
 
 
 def test_frames_lost_holds_and_goes_on_when_they_are_back(desk: Desk) -> None:
-    desk.conductor.request_start()
+    desk.conductor.requests.start()
     desk.run(30.0, until=Phase.SURVEY)
     desk.frames = False
     desk.run(5.0, until=Phase.HOLD)
@@ -86,7 +86,7 @@ def test_frames_lost_holds_and_goes_on_when_they_are_back(desk: Desk) -> None:
 
 
 def test_the_reason_for_a_reduced_speed_is_in_the_timeline_and_is_no_refusal(desk: Desk) -> None:
-    desk.conductor.request_start()
+    desk.conductor.requests.start()
     desk.run(30.0, until=Phase.SURVEY)
     desk.max_speed_mps, desk.slow_reason = 0.3, Reason(ReasonCode.NO_IMU)
     desk.run(2.0)
@@ -99,7 +99,7 @@ def test_the_reason_for_a_reduced_speed_is_in_the_timeline_and_is_no_refusal(des
 
 
 def test_a_battery_that_falls_for_a_moment_ends_nothing_and_one_that_stays_low_ends_the_survey(desk: Desk) -> None:
-    desk.conductor.request_start()
+    desk.conductor.requests.start()
     desk.run(30.0, until=Phase.SURVEY)
     desk.battery = 0.20
     desk.run(2.5)
@@ -113,7 +113,7 @@ def test_a_battery_that_falls_for_a_moment_ends_nothing_and_one_that_stays_low_e
 
 @pytest.mark.parametrize("without_frames", [False, True])
 def test_a_battery_of_which_nothing_is_heard_any_more_brings_it_home(tmp_path: Path, desk: Desk, without_frames: bool) -> None:
-    desk.conductor.request_start()
+    desk.conductor.requests.start()
     desk.run(30.0, until=Phase.SURVEY)
     desk.frames = not without_frames
     desk.battery = math.nan
@@ -127,9 +127,9 @@ def test_a_battery_of_which_nothing_is_heard_any_more_brings_it_home(tmp_path: P
 
 
 def test_an_abort_lands_at_once(desk: Desk) -> None:
-    desk.conductor.request_start()
+    desk.conductor.requests.start()
     desk.run(30.0, until=Phase.SURVEY)
-    desk.conductor.request_abort(Reason(ReasonCode.OPERATOR_LAND))
+    desk.conductor.requests.abort(Reason(ReasonCode.OPERATOR_LAND))
     desk.run(0.2, until=Phase.LANDING)
     desk.run(1.0, until=Phase.DONE)
     assert desk.conductor.close() == Reason(ReasonCode.OPERATOR_LAND)
@@ -138,7 +138,7 @@ def test_an_abort_lands_at_once(desk: Desk) -> None:
 def test_an_abort_ends_it_where_no_pilot_was_ever_heard(desk: Desk) -> None:
     desk.conductor.step()
     assert desk.conductor.phase is Phase.IDLE
-    desk.conductor.request_abort(Reason(ReasonCode.OPERATOR_LAND))
+    desk.conductor.requests.abort(Reason(ReasonCode.OPERATOR_LAND))
     desk.conductor.step()
     assert desk.conductor.finished
     assert desk.conductor.close() == Reason(ReasonCode.OPERATOR_LAND)
@@ -146,7 +146,7 @@ def test_an_abort_ends_it_where_no_pilot_was_ever_heard(desk: Desk) -> None:
 
 def test_the_setpoint_does_not_climb_away_from_a_vehicle_that_still_stands(desk: Desk) -> None:
     desk.stands = True
-    desk.conductor.request_start()
+    desk.conductor.requests.start()
     desk.run(30.0, until=Phase.TAKEOFF)
     desk.run(4.0)  # a pilot gives the take-off up by then
     assert desk.intent.trajectory is not None
@@ -162,7 +162,7 @@ def test_what_the_pilot_waits_for_and_why_it_lands_is_told(desk: Desk) -> None:
     desk.run(1.0)
     assert codes_of(desk.progress.note) == (ReasonCode.PREARM_FAILED,)
     desk.phase, desk.note = FlightPhase.READY, None
-    desk.conductor.request_start()
+    desk.conductor.requests.start()
     desk.run(30.0, until=Phase.SURVEY)
     assert codes_of(desk.progress.note) == ()
     desk.phase, desk.note = FlightPhase.LANDING, Reason(ReasonCode.NO_POSE, (0.7,))
@@ -204,14 +204,14 @@ def test_a_mapper_that_died_early_leaves_the_bare_surface_of_the_map(
 
     monkeypatch.setattr(desk.planner, "plan", remember)
     monkeypatch.setattr(desk.mapper, "alive", lambda: alive)
-    desk.conductor.request_start()
+    desk.conductor.requests.start()
     desk.run(60.0, until=Phase.RETURN)
     assert asked
     assert {None if request.surface is None else len(request.surface.position_world) for request in asked} == {elements}
 
 
 def test_a_new_map_epoch_holds_maps_again_and_goes_on(desk: Desk) -> None:
-    desk.conductor.request_start()
+    desk.conductor.requests.start()
     desk.run(30.0, until=Phase.SURVEY)
     desk.run(12.0)
     assert desk.planner.accepted
@@ -232,7 +232,7 @@ def test_a_new_map_epoch_holds_maps_again_and_goes_on(desk: Desk) -> None:
 
 
 def test_frames_of_an_uncertain_place_are_not_mapped_and_do_not_hold_it(desk: Desk) -> None:
-    desk.conductor.request_start()
+    desk.conductor.requests.start()
     desk.run(30.0, until=Phase.SURVEY)
     desk.run(2.0)
     desk.unsure = True
@@ -248,15 +248,13 @@ def test_frames_of_an_uncertain_place_are_not_mapped_and_do_not_hold_it(desk: De
 
 def test_a_correction_from_before_the_flight_is_ignored(tmp_path: Path, desk: Desk) -> None:
     desk.channels.correction.publish(MapCorrection(9, np.zeros(0), ()))
-    again = Conductor(
-        desk.conductor._stages, desk.channels, desk.conductor._parameters, InlineExecutor(desk.clock), desk.journal, desk.clock
-    )
+    again = Conductor(desk.stages, desk.channels, desk.parameters, InlineExecutor(desk.clock), desk.journal, desk.clock)
     again.step()
     assert not desk.mapper.corrections
 
 
 def test_a_human_with_the_sticks_ends_the_mission(desk: Desk) -> None:
-    desk.conductor.request_start()
+    desk.conductor.requests.start()
     desk.run(30.0, until=Phase.SURVEY)
     desk.human = True
     desk.run(0.2, until=Phase.YIELDED)
@@ -264,7 +262,7 @@ def test_a_human_with_the_sticks_ends_the_mission(desk: Desk) -> None:
 
 
 def test_an_obstacle_on_the_way_brakes(desk: Desk) -> None:
-    desk.conductor.request_start()
+    desk.conductor.requests.start()
     desk.run(60.0, until=Phase.SURVEY)
     while desk.speed_mps() < 0.3:
         desk.run(0.1)
@@ -280,7 +278,7 @@ def test_an_obstacle_on_the_way_brakes(desk: Desk) -> None:
 
 
 def test_a_refused_trajectory_is_not_flown_on(desk: Desk) -> None:
-    desk.conductor.request_start()
+    desk.conductor.requests.start()
     desk.run(60.0, until=Phase.SURVEY)
     before = desk.intent.trajectory
     desk.refusals = 1
@@ -293,7 +291,7 @@ def test_a_refused_trajectory_is_not_flown_on(desk: Desk) -> None:
 
 
 def test_stopped_twice_running_it_looks_round_without_taking_views(desk: Desk) -> None:
-    desk.conductor.request_start()
+    desk.conductor.requests.start()
     desk.run(60.0, until=Phase.SURVEY)
     while desk.speed_mps() < 0.3:
         desk.run(0.1)
@@ -313,7 +311,7 @@ def test_stopped_twice_running_it_looks_round_without_taking_views(desk: Desk) -
 
 
 def test_a_view_on_whose_way_the_place_is_uncertain_is_given_up_once(desk: Desk) -> None:
-    desk.conductor.request_start()
+    desk.conductor.requests.start()
     desk.run(60.0, until=Phase.SURVEY)
     while desk.speed_mps() < 0.3:
         desk.run(0.1)
@@ -330,7 +328,7 @@ def test_a_view_on_whose_way_the_place_is_uncertain_is_given_up_once(desk: Desk)
 
 
 def test_stopped_by_space_not_seen_it_asks_for_another_view_and_looks_round_at_the_third_time(desk: Desk) -> None:
-    desk.conductor.request_start()
+    desk.conductor.requests.start()
     desk.run(60.0, until=Phase.SURVEY)
     while desk.speed_mps() < 0.3:
         desk.run(0.1)
@@ -351,7 +349,7 @@ def test_stopped_by_space_not_seen_it_asks_for_another_view_and_looks_round_at_t
 
 
 def test_no_views_are_taken_while_its_pilot_holds_the_vehicle_elsewhere(desk: Desk) -> None:
-    desk.conductor.request_start()
+    desk.conductor.requests.start()
     desk.run(60.0, until=Phase.SURVEY)
     while desk.distance_m() < 0.7 or desk.speed_mps() < 0.3:
         desk.run(0.1)
@@ -367,7 +365,7 @@ def test_no_views_are_taken_while_its_pilot_holds_the_vehicle_elsewhere(desk: De
 
 
 def test_where_nothing_fast_is_let_pass_nothing_fast_is_planned_until_it_is_again(desk: Desk) -> None:
-    desk.conductor.request_start()
+    desk.conductor.requests.start()
     desk.run(60.0, until=Phase.SURVEY)
     while desk.speed_mps() < 0.3:
         desk.run(0.1)
@@ -389,7 +387,7 @@ def test_where_nothing_fast_is_let_pass_nothing_fast_is_planned_until_it_is_agai
 
 
 def test_it_does_not_stop_between_plans(desk: Desk) -> None:
-    desk.conductor.request_start()
+    desk.conductor.requests.start()
     desk.run(60.0, until=Phase.SURVEY)
     while not desk.planner.accepted:
         desk.run(0.1)
@@ -403,7 +401,7 @@ def test_it_does_not_stop_between_plans(desk: Desk) -> None:
 
 
 def test_what_was_seen_in_passing_is_not_flown_to(desk: Desk) -> None:
-    desk.conductor.request_start()
+    desk.conductor.requests.start()
     desk.run(60.0, until=Phase.SURVEY)
     while not desk.planner.accepted:
         desk.run(0.1)
@@ -417,12 +415,12 @@ def test_what_was_seen_in_passing_is_not_flown_to(desk: Desk) -> None:
 
 
 def test_a_plan_that_comes_too_late_is_not_flown(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
-    desk.conductor.request_start()
+    desk.conductor.requests.start()
     desk.run(60.0, until=Phase.SURVEY)
     while not desk.planner.accepted:
         desk.run(0.1)
     asked = len(desk.planner.accepted)
-    monkeypatch.setattr(desk.conductor._survey, "_lead_s", 0.05)  # the declared cost of a plan is 0.1 s
+    monkeypatch.setattr(desk.conductor._actions.survey, "_lead_s", 0.05)  # the declared cost of a plan is 0.1 s
     desk.run(20.0, until=Phase.RETURN)
     timeline = read_timeline(desk.folder)
     assert len(desk.planner.accepted) > asked
@@ -433,24 +431,24 @@ def test_a_plan_that_comes_too_late_is_not_flown(desk: Desk, monkeypatch: pytest
 
 
 def test_a_hold_stops_it_and_a_start_lets_it_go_on(desk: Desk) -> None:
-    desk.conductor.request_start()
+    desk.conductor.requests.start()
     desk.run(30.0, until=Phase.SURVEY)
     desk.run(6.0)
-    desk.conductor.request_hold()
+    desk.conductor.requests.hold()
     desk.run(0.1, until=Phase.HOLD)
     desk.run(40.0)
     assert desk.conductor.phase is Phase.HOLD
     assert desk.speed_mps() < 1e-9
-    desk.conductor.resume()
+    desk.conductor.requests.resume()
     desk.run(0.2, until=Phase.SURVEY)
     desk.run(120.0, until=Phase.DONE)
     assert desk.conductor.close() is None
 
 
 def test_a_hold_outlasts_the_end_of_the_flight_time_but_not_a_human(desk: Desk) -> None:
-    desk.conductor.request_start()
+    desk.conductor.requests.start()
     desk.run(30.0, until=Phase.SURVEY)
-    desk.conductor.request_hold()
+    desk.conductor.requests.hold()
     desk.run(310.0)
     assert desk.conductor.phase is Phase.HOLD
     desk.human = True
@@ -458,15 +456,15 @@ def test_a_hold_outlasts_the_end_of_the_flight_time_but_not_a_human(desk: Desk) 
 
 
 def test_a_take_off_that_was_held_begins_again_where_it_is(desk: Desk) -> None:
-    desk.conductor.request_start()
+    desk.conductor.requests.start()
     desk.run(30.0, until=Phase.TAKEOFF)
     desk.run(0.5)
     first = desk.intent.trajectory
     assert first is not None
-    desk.conductor.request_hold()
+    desk.conductor.requests.hold()
     desk.run(20.0)
     assert desk.conductor.phase is Phase.TAKEOFF
-    desk.conductor.resume()
+    desk.conductor.requests.resume()
     desk.run(0.1)
     again = desk.intent.trajectory
     assert again is not None and again.identifier > first.identifier

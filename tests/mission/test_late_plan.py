@@ -51,9 +51,9 @@ class Sticky:
 @pytest.fixture
 def stuck(tmp_path: Path) -> Iterator[tuple[Desk, Sticky]]:
     desk = Desk(tmp_path)
-    executor, c = Sticky(desk), desk.conductor
-    desk.conductor = Conductor(c._stages, desk.channels, c._parameters, executor, desk.journal, desk.clock)
-    desk.conductor.request_start()
+    executor = Sticky(desk)
+    desk.conductor = Conductor(desk.stages, desk.channels, desk.parameters, executor, desk.journal, desk.clock)
+    desk.conductor.requests.start()
     desk.run(30.0, until=Phase.SURVEY)
     yield desk, executor
     desk.journal.close()
@@ -86,7 +86,7 @@ def test_on_the_way_home_too(stuck: tuple[Desk, Sticky], phase: Phase) -> None:
     desk, executor = stuck
     desk.run(8.0)
     desk.planner.no_way_home = phase is Phase.RETREAT
-    desk.conductor.request_return()
+    desk.conductor.requests.return_home()
     executor.stuck = phase is Phase.RETURN
     desk.run(5.0, until=phase)
     executor.stuck = True
@@ -99,7 +99,7 @@ def test_a_call_that_nobody_waits_for_any_more_still_blocks_those_after_it(stuck
     desk.run(4.0)
     executor.stuck = True
     desk.run(15.0)
-    desk.conductor.request_return()
+    desk.conductor.requests.return_home()
     desk.run(1.0, until=Phase.RETURN)
     begin_s = desk.clock.now_s()
     desk.run(21.0, until=Phase.LANDING)

@@ -1,36 +1,51 @@
-"""Orders on their way from the pilot's desk to the conductor."""
+"""Commands of the operator on their way from the pilot to the mission."""
 
 from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
 from uav_recon.channels import MemoryChannel
+from uav_recon.mission.mission_log import MissionLog
+from uav_recon.mission.mission_requests import MissionRequests
 from uav_recon.mission.operator_commands import OperatorCommandReceiver
+from uav_recon.mission.operator_watchdog import OperatorWatchdog
+from uav_recon.recording.flight_log import FlightLog
 from uav_recon.types.operator_command import GivenCommand, OperatorCommand
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
 
 
-class Conductor:
-    """Notes what it is asked."""
+class NotedRequests(MissionRequests):
+    """Requests that note each call."""
 
-    def __init__(self) -> None:
+    def __init__(self, log: MissionLog) -> None:
+        super().__init__(OperatorWatchdog(), log)
         self.asked: list[str | Reason] = []
 
-    def request_start(self) -> None:
+    def start(self) -> None:
         self.asked.append("start")
 
-    def request_hold(self) -> None:
+    def hold(self) -> None:
         self.asked.append("hold")
 
-    def request_return(self) -> None:
+    def return_home(self, why: Reason | None = None) -> None:
         self.asked.append("return")
 
-    def request_abort(self, reason: Reason) -> None:
+    def abort(self, reason: Reason) -> None:
         self.asked.append(reason)
 
     def resume(self) -> None:
         self.asked.append("resume")
+
+
+@pytest.fixture()
+def requests(tmp_path: Path) -> Iterator[NotedRequests]:
+    journal = FlightLog(tmp_path)
+    yield NotedRequests(MissionLog(journal, 1))
+    journal.close()
 
 
 @pytest.mark.parametrize(
@@ -42,37 +57,36 @@ class Conductor:
         (OperatorCommand.LAND, [Reason(ReasonCode.OPERATOR_LAND)]),
     ],
 )
-def test_each_order_is_passed_on_once(order: OperatorCommand, asked: list[str | Reason]) -> None:
-    channel, conductor = MemoryChannel(GivenCommand), Conductor()
+def test_each_order_is_passed_on_once(order: OperatorCommand, asked: list[str | Reason], requests: NotedRequests) -> None:
+    channel = MemoryChannel(GivenCommand)
     standing = OperatorCommandReceiver(channel, 10.0)
     channel.publish(GivenCommand(11.0, order))
     for _ in range(3):
-        standing.pass_on(conductor, warm=True, autostart=False)
-    assert [word for word in conductor.asked if word != "start"] == [word for word in asked if word != "start"]
-    assert ("start" in conductor.asked) is (order is OperatorCommand.START)
+        standing.pass_on(requests, warm=True, autostart=False)
+    assert [word for word in requests.asked if word != "start"] == [word for word in asked if word != "start"]
+    assert ("start" in requests.asked) is (order is OperatorCommand.START)
 
 
-def test_what_was_said_to_an_earlier_mission_starts_nothing() -> None:
-    channel, conductor = MemoryChannel(GivenCommand), Conductor()
+def test_what_was_said_to_an_earlier_mission_starts_nothing(requests: NotedRequests) -> None:
+    channel = MemoryChannel(GivenCommand)
     channel.publish(GivenCommand(9.9, OperatorCommand.START))
-    OperatorCommandReceiver(channel, 10.0).pass_on(conductor, warm=True, autostart=False)
-    assert conductor.asked == []
+    OperatorCommandReceiver(channel, 10.0).pass_on(requests, warm=True, autostart=False)
+    assert requests.asked == []
 
 
-def test_a_start_waits_until_everything_is_warm() -> None:
-    channel, conductor = MemoryChannel(GivenCommand), Conductor()
+def test_a_start_waits_until_everything_is_warm(requests: NotedRequests) -> None:
+    channel = MemoryChannel(GivenCommand)
     standing = OperatorCommandReceiver(channel, 10.0)
     channel.publish(GivenCommand(11.0, OperatorCommand.START))
-    standing.pass_on(conductor, warm=False, autostart=False)
-    assert conductor.asked == ["resume"]
-    standing.pass_on(conductor, warm=True, autostart=False)
-    assert conductor.asked == ["resume", "start"]
+    standing.pass_on(requests, warm=False, autostart=False)
+    assert requests.asked == ["resume"]
+    standing.pass_on(requests, warm=True, autostart=False)
+    assert requests.asked == ["resume", "start"]
 
 
-def test_where_it_starts_by_itself_nobody_is_asked() -> None:
-    conductor = Conductor()
+def test_where_it_starts_by_itself_nobody_is_asked(requests: NotedRequests) -> None:
     standing = OperatorCommandReceiver(MemoryChannel(GivenCommand), 10.0)
-    standing.pass_on(conductor, warm=False, autostart=True)
-    assert conductor.asked == []
-    standing.pass_on(conductor, warm=True, autostart=True)
-    assert conductor.asked == ["start"]
+    standing.pass_on(requests, warm=False, autostart=True)
+    assert requests.asked == []
+    standing.pass_on(requests, warm=True, autostart=True)
+    assert requests.asked == ["start"]

@@ -27,7 +27,7 @@ def desk(tmp_path: Path) -> Iterator[Desk]:
 
 
 def test_a_start_waits_for_an_operator_and_says_so(desk: Desk) -> None:
-    desk.conductor.request_start()
+    desk.conductor.requests.start()
     desk.run(3.0)
     assert desk.conductor.phase is Phase.READY
     assert desk.intent.goal is Goal.STANDBY
@@ -41,10 +41,10 @@ def test_a_start_waits_for_an_operator_and_says_so(desk: Desk) -> None:
 def flying(desk: Desk) -> None:
     """In the middle of its survey, with views left for minutes."""
     desk.attended = True
-    desk.conductor.request_start()
+    desk.conductor.requests.start()
     desk.planner.settled = False
     desk.run(10.0, until=Phase.SURVEY)
-    desk.conductor.request_hold()  # so that it does not come to an end by itself
+    desk.conductor.requests.hold()  # so that it does not come to an end by itself
     desk.run(1.0)
     desk.attended = False
 
@@ -72,18 +72,18 @@ def test_who_comes_back_may_hold_it_and_takes_no_return_back(desk: Desk) -> None
     flying(desk)
     desk.run(31.0, until=Phase.RETURN)
     desk.attended = True
-    desk.conductor.request_hold()
+    desk.conductor.requests.hold()
     desk.run(1.0)
     assert desk.conductor.phase is Phase.HOLD
     assert not desk.intent.operator_lost, "his hold stands at the pilot too"
-    desk.conductor.resume()
+    desk.conductor.requests.resume()
     desk.run(60.0, until=Phase.DONE)
     assert desk.distance_m() < 0.1
 
 
 def test_where_nobody_need_attend_nobody_is_missed(tmp_path: Path) -> None:
     desk = Desk(tmp_path)
-    desk.conductor.request_start()
+    desk.conductor.requests.start()
     desk.run(120.0, until=Phase.DONE)
     desk.journal.close()
     told = read_timeline(desk.folder)

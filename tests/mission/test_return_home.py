@@ -25,11 +25,11 @@ def desk(tmp_path: Path) -> Iterator[Desk]:
 
 def call_home(desk: Desk) -> None:
     """From a metre away or more."""
-    desk.conductor.request_start()
+    desk.conductor.requests.start()
     desk.run(60.0, until=Phase.SURVEY)
     while desk.distance_m() < 1.0:
         desk.run(0.5)
-    desk.conductor.request_return()
+    desk.conductor.requests.return_home()
 
 
 def stop_on_the_way(desk: Desk) -> None:
@@ -48,7 +48,7 @@ def flies_home(desk: Desk) -> bool:
 
 def test_no_way_home_retreats_along_the_breadcrumbs(desk: Desk) -> None:
     desk.planner.no_way_home = True
-    desk.conductor.request_start()
+    desk.conductor.requests.start()
     desk.run(120.0, until=Phase.DONE)
     assert Phase.RETREAT in desk.seen
     assert desk.retreat.ways == 1
@@ -57,11 +57,11 @@ def test_no_way_home_retreats_along_the_breadcrumbs(desk: Desk) -> None:
 
 def test_it_does_not_climb_on_its_way_home(desk: Desk) -> None:
     desk.planner.left = [np.array([2.5, 0.0, 0.7])]
-    desk.conductor.request_start()
+    desk.conductor.requests.start()
     desk.run(60.0, until=Phase.SURVEY)
     while desk._place_m[2] > 0.71:
         desk.run(0.1)
-    desk.conductor.request_return()
+    desk.conductor.requests.return_home()
     heights = []
     while desk.conductor.phase is not Phase.DONE:
         desk.run(0.1)
@@ -93,11 +93,11 @@ def test_a_way_home_that_the_guard_stopped_is_begun_again_a_few_times(desk: Desk
 
 def test_stops_with_progress_between_them_are_not_counted_together(desk: Desk) -> None:
     desk.planner.left = [np.array([2.5, 0.0, 1.1])]
-    desk.conductor.request_start()
+    desk.conductor.requests.start()
     desk.run(60.0, until=Phase.SURVEY)
     while desk.distance_m() < 2.4:
         desk.run(0.1)
-    desk.conductor.request_return()
+    desk.conductor.requests.return_home()
     for _ in range(3):
         stop_on_the_way(desk)
     while desk.distance_m() > 1.2:
@@ -144,12 +144,12 @@ def test_what_is_stopped_too_often_lands_beside_the_table_that_it_hovers_over(de
 def test_what_stands_on_the_pad_is_judged_from_near(desk: Desk, stays: bool) -> None:
     """From afar the noise of a floor that is looked along looks the same."""
     desk.planner.left = [np.array([2.5, 0.0, 1.1])]
-    desk.conductor.request_start()
+    desk.conductor.requests.start()
     desk.run(60.0, until=Phase.SURVEY)
     while desk.distance_m() < 2.3:
         desk.run(0.1)
     desk.voxels.table = (slice(28, 32), slice(28, 32), slice(12, 14))
-    desk.conductor.request_return()
+    desk.conductor.requests.return_home()
     while desk.distance_m() > 2.1:
         desk.run(0.1)
     assert desk.intent.trajectory is not None
@@ -165,12 +165,12 @@ def seconds_home(folder: Path, slow_s: float) -> float:
     folder.mkdir()
     desk = Desk(folder)
     desk.planner.left = [np.array([2.5, 0.0, 1.1])]
-    desk.conductor.request_start()
+    desk.conductor.requests.start()
     desk.run(60.0, until=Phase.SURVEY)
     while desk.distance_m() < 2.3:
         desk.run(0.1)
     desk.max_speed_mps = 0.25
-    desk.conductor.request_return()
+    desk.conductor.requests.return_home()
     began_s = desk.clock.now_s()
     desk.run(slow_s)
     desk.max_speed_mps = np.inf
@@ -203,11 +203,11 @@ def test_a_way_home_that_the_map_closes_is_left_and_where_none_is_left_it_lands(
 
 def test_stopped_too_often_over_a_good_floor_it_lands_from_where_it_is(desk: Desk) -> None:
     desk.planner.left = [np.array([2.0, 0.0, 1.9])]
-    desk.conductor.request_start()
+    desk.conductor.requests.start()
     desk.run(60.0, until=Phase.SURVEY)
     while desk._place_m[2] < 1.89:
         desk.run(0.1)
-    desk.conductor.request_return()
+    desk.conductor.requests.return_home()
     for _ in range(4):
         stop_on_the_way(desk)
     high_m = float(desk._place_m[2])
@@ -231,23 +231,23 @@ def test_what_its_pilot_holds_on_the_way_home_does_not_land_there(desk: Desk, he
 
 
 def test_a_hold_on_the_way_home_is_no_arrival(desk: Desk) -> None:
-    desk.conductor.request_start()
+    desk.conductor.requests.start()
     desk.run(120.0, until=Phase.RETURN)
     desk.run(1.0)
-    desk.conductor.request_hold()
+    desk.conductor.requests.hold()
     desk.run(30.0)
     assert desk.conductor.phase is Phase.HOLD
-    desk.conductor.resume()
+    desk.conductor.requests.resume()
     desk.run(60.0, until=Phase.DONE)
     assert desk.conductor.close() is None
 
 
 def test_the_operator_calls_it_home(desk: Desk) -> None:
-    desk.conductor.request_start()
+    desk.conductor.requests.start()
     desk.run(30.0, until=Phase.SURVEY)
-    desk.conductor.request_hold()
+    desk.conductor.requests.hold()
     desk.run(1.0, until=Phase.HOLD)
-    desk.conductor.request_return()
+    desk.conductor.requests.return_home()
     desk.run(0.2, until=Phase.RETURN)
     desk.run(60.0, until=Phase.DONE)
     assert desk.conductor.close() is None

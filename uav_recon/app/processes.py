@@ -246,8 +246,8 @@ def mission(config_path: Path, flight: Path | None) -> int:
         def step() -> None:
             waiting.update(clock.now_s(), missing_processes(channels, clock.now_s()))
             if stop.asked:
-                conductor.request_abort(Reason(ReasonCode.OPERATOR_LAND))
-            orders.pass_on(conductor, mapper.ready(), config.mission.autostart)
+                conductor.requests.abort(Reason(ReasonCode.OPERATOR_LAND))
+            orders.pass_on(conductor.requests, mapper.ready(), config.mission.autostart)
             conductor.step()
 
         _loop(step, MISSION_RATE_HZ, clock, lambda: conductor.finished)

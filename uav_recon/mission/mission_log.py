@@ -9,6 +9,7 @@ from uav_recon.mission.state_machine import Phase
 from uav_recon.types.camera import PosedFrame
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.reason import Reason
+from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.tasks import NothingLeft, TaskKind, ViewPath
 from uav_recon.types.vehicle import FlightPhase, MissionProgress, VehicleState
 
@@ -71,6 +72,11 @@ class MissionLog:
         """Log a plan or a motion that is not flown."""
         self.note = reason
         self.journal.refusal(stamp_s, reason)
+
+    def stop(self, why: Reason) -> None:
+        """Note why the survey ends, with the frontiers of the last plan."""
+        self.note = why
+        self.stop_reason = why.with_detail(Reason(ReasonCode.FRONTIERS_IN_LAST_PLAN, (self.frontiers,)))
 
     def update(self, phase: Phase, vehicle: VehicleState, waits: Reason | None = None) -> None:
         """Update the note from the pilot's.

@@ -1,37 +1,12 @@
-"""Reception of the operator's commands, from the pilot to the conductor."""
+"""Reception of the operator's commands, from the pilot to the mission."""
 
 from __future__ import annotations
 
-from typing import Protocol
-
 from uav_recon.interfaces import Channel
+from uav_recon.mission.mission_requests import MissionRequests
 from uav_recon.types.operator_command import GivenCommand, OperatorCommand
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
-
-
-class CommandTarget(Protocol):
-    """The conductor's interface for commands. Nothing blocks."""
-
-    def request_start(self) -> None:
-        """Take off and begin."""
-        ...
-
-    def request_hold(self) -> None:
-        """Hold position."""
-        ...
-
-    def request_return(self) -> None:
-        """Fly home and land."""
-        ...
-
-    def request_abort(self, reason: Reason) -> None:
-        """Land here."""
-        ...
-
-    def resume(self) -> None:
-        """Continue after a hold."""
-        ...
 
 
 class OperatorCommandReceiver:
@@ -42,7 +17,7 @@ class OperatorCommandReceiver:
         self._received_s = begun_s
         self._start = False
 
-    def pass_on(self, conductor: CommandTarget, warm: bool, autostart: bool) -> None:
+    def pass_on(self, requests: MissionRequests, warm: bool, autostart: bool) -> None:
         """Process the newest command.
 
         A start waits until every stage is warm. With autostart it needs no command.
@@ -50,9 +25,9 @@ class OperatorCommandReceiver:
         given = self._newest()
         if given is not None and given.stamp_s > self._received_s:
             self._received_s = given.stamp_s
-            self._obey(given.order, conductor)
+            self._obey(given.order, requests)
         if (self._start or autostart) and warm:
-            conductor.request_start()
+            requests.start()
 
     def _newest(self) -> GivenCommand | None:
         try:
@@ -60,13 +35,13 @@ class OperatorCommandReceiver:
         except ValueError:
             return None
 
-    def _obey(self, order: OperatorCommand, conductor: CommandTarget) -> None:
+    def _obey(self, order: OperatorCommand, requests: MissionRequests) -> None:
         if order is OperatorCommand.START:
             self._start = True
-            conductor.resume()
+            requests.resume()
         elif order is OperatorCommand.HOLD:
-            conductor.request_hold()
+            requests.hold()
         elif order is OperatorCommand.RETURN:
-            conductor.request_return()
+            requests.return_home()
         else:
-            conductor.request_abort(Reason(ReasonCode.OPERATOR_LAND))
+            requests.abort(Reason(ReasonCode.OPERATOR_LAND))

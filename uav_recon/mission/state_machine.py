@@ -22,6 +22,11 @@ class Phase(Enum):
     DONE = "done"
     YIELDED = "yielded"
 
+    @property
+    def finished(self) -> bool:
+        """True if nothing more will be done: no phase follows."""
+        return self in (Phase.DONE, Phase.YIELDED)
+
 
 # Events that count in a phase; all others are ignored.
 _HEARD: dict[Phase, frozenset[Event]] = {
@@ -71,7 +76,7 @@ def advance(phase: Phase, events: Iterable[Event]) -> Phase:
     A human wins from every phase in which the vehicle may fly, and nothing leaves YIELDED.
     """
     heard = _HEARD[phase]
-    if phase not in (Phase.DONE, Phase.YIELDED):
+    if not phase.finished:
         heard = heard | {Event.HUMAN}
     effects = {EFFECTS[event] for event in events if event in heard}
     if not effects:

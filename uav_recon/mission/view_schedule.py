@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from uav_recon.types.trajectory import Trajectory
 
+VIEW_LATE_S = 0.6  #: plan: a view is given up if no frame came within this time
+
 
 class ViewSchedule:
     """Pending capture instants, in absolute seconds."""
 
-    def __init__(self, late_s: float) -> None:
+    def __init__(self, late_s: float = VIEW_LATE_S) -> None:
         self._instants_s: list[float] = []
         self._late_s = late_s
 
