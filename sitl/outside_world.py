@@ -21,6 +21,7 @@ from sitl.camera.frame_exposure import ExposureTimes, FrameExposure, MountPose
 from sitl.camera.frame_timing import FrameLoss, FrameTiming
 from sitl.geometry.quaternion import Quat
 from sitl.geometry.transform import rigid, rotation_from_quat
+from sitl.runtime import atomic_file
 from sitl.truth.hull_clearance import HullClearance
 from sitl.world.pose_history import PastPose, PoseHistory
 from sitl.world.pose_tracker import SimulatedTracker
@@ -119,19 +120,18 @@ class TruthLog:
         table = np.array(self.rows, dtype=np.float64).reshape(-1, 11)
         hull_m, measured = np.full(len(table), np.nan), table[:, 8] > 0
         hull_m[measured] = world.clearance.batch(table[measured, 1:4])
-        temporary = path.with_suffix(".new.npz")
-        np.savez_compressed(
-            temporary,
-            stamp_s=table[:, 0],
-            position_m=table[:, 1:4],
-            quat_wxyz=table[:, 4:8],
-            hull_m=hull_m,
-            armed=table[:, 9] > 0,
-            landing=table[:, 10] > 0,
-            setpoint_arrivals_s=np.array(world.flyer.setpoint_arrivals_s, dtype=np.float64),
-            failsafes=np.array(world.flyer.failsafes, dtype=np.str_),
-        )
-        temporary.replace(path)
+        with atomic_file.writing(path) as file:
+            np.savez_compressed(
+                file,
+                stamp_s=table[:, 0],
+                position_m=table[:, 1:4],
+                quat_wxyz=table[:, 4:8],
+                hull_m=hull_m,
+                armed=table[:, 9] > 0,
+                landing=table[:, 10] > 0,
+                setpoint_arrivals_s=np.array(world.flyer.setpoint_arrivals_s, dtype=np.float64),
+                failsafes=np.array(world.flyer.failsafes, dtype=np.str_),
+            )
 
 
 class OutsideWorld:

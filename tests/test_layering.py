@@ -7,7 +7,7 @@ from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-BASE = {"types", "interfaces", "config", "clock", "channels", "geometry", "json_codec"}
+BASE = {"types", "interfaces", "config", "clock", "channels", "geometry", "json_codec", "atomic_file"}
 STAGES = ("sensors", "localization", "mapping", "planning", "motion", "recording")
 ALLOWED = {
     "__init__": {"types", "mapping", "planning", "app"},
@@ -16,21 +16,22 @@ ALLOWED = {
     "errors": set(),
     "config_constraints": set(),
     "json_codec": set(),
+    "atomic_file": set(),
     "interfaces": {"types"},
     "geometry": {"types"},
     "clock": {"types", "interfaces"},
     "channels": {"types", "interfaces"},
-    "config": {"types", "config_constraints"},
+    "config": {"types", "config_constraints", "atomic_file"},
     **dict.fromkeys(STAGES, BASE),
     **{stage: {*BASE, "safety"} for stage in ("mapping", "motion")},  # a rule of the guard has one home
     "safety": {"types"},
-    "autopilot": {"types", "interfaces", "clock", "channels", "config", "safety"},
+    "autopilot": {"types", "interfaces", "clock", "channels", "config", "safety", "atomic_file"},
     "mission": {"types", "interfaces", "clock"},
     "operator": {"types", "interfaces", "json_codec"},
     "evaluation": {"types", "geometry"},
     "trackers": {"types", "interfaces", "sensors"},
     "app": {*BASE, *STAGES, "safety", "autopilot", "mission", "operator", "trackers", "errors"},
-    "measurement": {"types", "json_codec", "errors"},
+    "measurement": {"types", "json_codec", "errors", "atomic_file"},
     "bench": {*BASE, *STAGES, "evaluation", "app", "measurement", "errors"},
     "cli": {"app", "bench", "measurement", "operator", "errors"},
 }

@@ -7,9 +7,7 @@ numbers are in [safety], which has no defaults: the operator must write them dow
 from __future__ import annotations
 
 import ipaddress
-import os
 import re
-import shutil
 import sys
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -17,7 +15,7 @@ from typing import Annotated, Any, Literal
 import tomli_w
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from uav_recon import config_constraints
+from uav_recon import atomic_file, config_constraints
 from uav_recon.types.link_url import link_address
 from uav_recon.types.polygon import Polygon
 
@@ -409,7 +407,7 @@ def save(config: Config, path: Path) -> None:
 
 
 def replace_text(path: Path, text: str) -> None:
-    """Replace a file atomically; its mode stays.
+    """Replace a file atomically, also across a loss of power; its mode stays.
 
     Raises OSError, for example on a full disk, and then leaves the old file.
     """
@@ -417,18 +415,7 @@ def replace_text(path: Path, text: str) -> None:
     if file.exists() and not file.is_file():
         file.write_text(text, encoding="utf-8")
         return
-    temporary = file.with_name(file.name + ".part")
-    try:
-        with temporary.open("w", encoding="utf-8") as out:
-            out.write(text)
-            out.flush()
-            os.fsync(out.fileno())
-        if file.exists():
-            shutil.copymode(file, temporary)
-        temporary.replace(file)
-    except OSError:
-        temporary.unlink(missing_ok=True)
-        raise
+    atomic_file.replace(file, text.encode(), durable=True)
 
 
 def _shown(value: object) -> str:

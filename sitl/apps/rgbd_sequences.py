@@ -23,6 +23,7 @@ from sitl.camera.camera_view import CameraView
 from sitl.camera.frame_exposure import MountPose
 from sitl.geometry.transform import body_from_camera, rigid, rotation_from_quat
 from sitl.outside_world import OutsideWorld
+from sitl.runtime import atomic_file
 from sitl.runtime.array_cache import key
 from sitl.scene.glass import GlassView
 from sitl.scene.rasterizer import Renderer
@@ -256,9 +257,8 @@ def save(sequence: RgbdSequence, path: Path) -> None:
     header = sequence.header
     lenses = [[*astuple(spec)] for spec in (header.depth, header.rgb)]
     arrays = {name: getattr(sequence, name) for name in _ARRAYS}
-    temporary = path.with_suffix(".new.npz")
-    np.savez(temporary, name=sequence.name, lenses=lenses, rgb_from_depth=header.rgb_from_depth, **arrays)
-    temporary.replace(path)
+    with atomic_file.writing(path) as file:
+        np.savez(file, name=sequence.name, lenses=lenses, rgb_from_depth=header.rgb_from_depth, **arrays)
 
 
 def load(path: Path) -> RgbdSequence:

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from sitl.geometry.quaternion import Vec3
+from sitl.runtime import atomic_file
 
 FILE_NAME = "camera_errors.json"  # in the flight folder
 NO_ERROR: Vec3 = (0.0, 0.0, 0.0)
@@ -186,9 +187,7 @@ class CameraErrors:
 
     def save(self, path: Path) -> None:
         """Write as JSON, atomically."""
-        temporary = path.with_suffix(".new")
-        temporary.write_text(json.dumps(dataclasses.asdict(self), indent=1) + "\n", encoding="ascii")
-        temporary.replace(path)
+        atomic_file.replace(path, (json.dumps(dataclasses.asdict(self), indent=1) + "\n").encode("ascii"))
 
     @staticmethod
     def load(path: Path) -> CameraErrors:

@@ -13,6 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from sitl.runtime import atomic_file
+
 RUNNING = "running.json"
 DOWN = "down.json"
 
@@ -42,7 +44,8 @@ class ProcessRegistry:
 
     def tell(self, pids: dict[str, int], exits: list[Exit]) -> None:
         """Write the running processes and the exits. Only the supervisor calls this."""
-        _write(self._running, {"pids": pids, "exits": [[e.name, e.code, e.stamp_s] for e in exits]})
+        tree = {"pids": pids, "exits": [[e.name, e.code, e.stamp_s] for e in exits]}
+        atomic_file.replace(self._running, json.dumps(tree).encode())
 
     def pid(self, name: str) -> int | None:
         """Return the process id that was last registered for a name, None without one."""
@@ -55,7 +58,7 @@ class ProcessRegistry:
 
     def block_restart(self, names: tuple[str, ...]) -> None:
         """Set the processes that must not be restarted; this replaces the previous set."""
-        _write(self._down, list(names))
+        atomic_file.replace(self._down, json.dumps(list(names)).encode())
 
     def blocked_restarts(self) -> frozenset[str]:
         """Return the processes that must not be restarted."""
@@ -85,12 +88,6 @@ def child_of(parent: int | None, word: str) -> int | None:
         except OSError:
             continue  # the process ended while it was read
     return None
-
-
-def _write(path: Path, tree: object) -> None:
-    fresh = path.with_suffix(".new")
-    fresh.write_text(json.dumps(tree), encoding="utf-8")
-    fresh.replace(path)
 
 
 def _read(path: Path, otherwise: Any) -> Any:

@@ -13,6 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sitl.runtime import atomic_file
+
 Arrays = dict[str, NDArray[Any]]
 LOG = logging.getLogger(__name__)
 
@@ -58,11 +60,9 @@ def _load(path: Path, dimensions: dict[str, int]) -> Arrays | None:
 
 
 def _save(path: Path, arrays: Arrays) -> None:
-    temporary = path.with_suffix(f".{os.getpid()}.tmp")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with temporary.open("wb") as file:
+        with atomic_file.writing(path) as file:
             np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
-        temporary.replace(path)
     except OSError as error:
         LOG.warning("cache %s cannot be written (%s)", path, error)

@@ -119,7 +119,7 @@ def test_a_truncated_or_damaged_state_is_left_out(tmp_path: Path, caplog: pytest
         )
         assert len(load_states(tmp_path)) in (whole - 2, whole - 1)  # left out, or readable despite the damage, but no crash
     (tmp_path / SURFACES / "00002.npz").unlink()
-    (tmp_path / SURFACES / ".new-00009.npz").write_bytes(data[:10])  # killed while writing
+    (tmp_path / SURFACES / "00009.npz.part").write_bytes(data[:10])  # killed while writing
     assert len(load_states(tmp_path)) == whole - 2
     assert "00001.npz cannot be read" in caplog.text
 

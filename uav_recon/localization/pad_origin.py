@@ -17,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
+from uav_recon import atomic_file
 from uav_recon.interfaces import Channel, PoseSource
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.pose import Pose, StampedPose
@@ -136,9 +137,8 @@ def _moved(pose: StampedPose, world_from_source: Pose) -> StampedPose:
 def _save(file: Path, world_from_source: Pose | None) -> None:
     assert world_from_source is not None
     numbers = [*world_from_source.quat_wxyz.tolist(), *world_from_source.translation_m.tolist()]
-    temporary = file.with_suffix(".new")
-    temporary.write_text(json.dumps(numbers))
-    temporary.replace(file)
+    # not durable: it serves a restart of the process, in a folder that a start of the machine empties
+    atomic_file.replace(file, json.dumps(numbers).encode(), durable=False)
 
 
 def _load(file: Path) -> Pose | None:

@@ -8,12 +8,12 @@ is unknown in a new epoch has a null pose and keeps its number.
 from __future__ import annotations
 
 import json
-import os
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from uav_recon import atomic_file
 from uav_recon.types.camera import Frame, Intrinsics, PosedFrame
 from uav_recon.types.frames import AnyArray
 from uav_recon.types.pose import MapCorrection, Pose
@@ -101,7 +101,7 @@ class KeyframeFolder:
             there = {"map_epoch": correction.map_epoch, "world_from_depth": None if pose is None else _pose(pose)}
             entries.append(entry | there)
         lines = BETWEEN.join(json.dumps(entry) for entry in entries)
-        write_atomic(self.folder / "poses.json", (HEAD + lines + TAIL).encode())
+        atomic_file.replace(self.folder / "poses.json", (HEAD + lines + TAIL).encode(), durable=False)
         self._entries = entries
         self._lines = lines
 
@@ -132,7 +132,7 @@ class KeyframeFolder:
         }
         self._entries.append(entry)
         self._lines += (BETWEEN if self._lines else "") + json.dumps(entry)
-        write_atomic(self.folder / "poses.json", (HEAD + self._lines + TAIL).encode())
+        atomic_file.replace(self.folder / "poses.json", (HEAD + self._lines + TAIL).encode(), durable=False)
         return number
 
     def load(self, number: int) -> PosedFrame:
@@ -171,14 +171,8 @@ class KeyframeFolder:
         ok, data = encoded
         if not ok:
             raise OSError(f"{self.folder / name}: image could not be encoded")
-        write_atomic(self.folder / name, data.tobytes())
-
-
-def write_atomic(path: Path, data: bytes) -> None:
-    """Replace a file atomically: a reader sees either the old or the new content."""
-    temporary = path.with_name(path.name + ".part")
-    temporary.write_bytes(data)
-    os.replace(temporary, path)  # noqa: PTH105 - os.replace is atomic
+        # not durable: a sync for each image would take longer than the writing
+        atomic_file.replace(self.folder / name, data.tobytes(), durable=False)
 
 
 def _lens(lens: Intrinsics) -> dict[str, float | int]:

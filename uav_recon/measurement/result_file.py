@@ -15,7 +15,7 @@ from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
-from uav_recon import json_codec
+from uav_recon import atomic_file, json_codec
 from uav_recon.errors import EXIT_FAILURE, UserError
 from uav_recon.measurement import host_info
 from uav_recon.measurement.machine_calibration import Calibration, calibrate
@@ -88,10 +88,8 @@ def save(path: Path, values: Mapping[str, Any], header: ResultHeader | None = No
     text = json_codec.to_page({HEADER: header or result_header(), **values})
     if wrong := impossible_value(json.loads(text)):
         raise UserError(f"--json {path}: {wrong}; not written", EXIT_FAILURE)
-    temporary = path.with_name(path.name + ".new")
     try:
-        temporary.write_text(text, encoding="utf-8")
-        temporary.replace(path)
+        atomic_file.replace(path, text.encode(), durable=False)
     except OSError as error:
         raise UserError(f"--json {path}: cannot be written ({error.strerror})", EXIT_FAILURE) from None
 

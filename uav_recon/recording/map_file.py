@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from uav_recon import atomic_file
 from uav_recon.types.maps import GridSpec, VoxelMap
 
 VOXELS = "voxels.npz"
@@ -13,18 +14,17 @@ VOXELS = "voxels.npz"
 
 def save_map(folder: Path, voxels: VoxelMap) -> None:
     """Write the map atomically."""
-    temporary = folder / f".new-{VOXELS}"
     grid = voxels.grid
-    np.savez_compressed(
-        temporary,
-        origin_world_m=grid.origin_world_m,
-        resolution_m=grid.resolution_m,
-        state=voxels.state,
-        distance2=voxels.distance2,
-        revision=voxels.revision,
-        map_epoch=voxels.map_epoch,
-    )
-    temporary.replace(folder / VOXELS)
+    with atomic_file.writing(folder / VOXELS, durable=False) as file:
+        np.savez_compressed(
+            file,
+            origin_world_m=grid.origin_world_m,
+            resolution_m=grid.resolution_m,
+            state=voxels.state,
+            distance2=voxels.distance2,
+            revision=voxels.revision,
+            map_epoch=voxels.map_epoch,
+        )
 
 
 def load_map(folder: Path) -> VoxelMap | None:

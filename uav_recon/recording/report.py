@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from uav_recon import json_codec
+from uav_recon import atomic_file, json_codec
 from uav_recon.types.flight_metrics import ModelQuality, StreamStatistics
 
 REPORT = "report.json"
@@ -191,7 +191,5 @@ class Report:
 def save_report(report: Report, folder: Path) -> Path:
     """Write ``folder``/report.json atomically; returns its path."""
     path = folder / REPORT
-    temporary = folder / (REPORT + ".new")
-    temporary.write_text(report.to_json(), encoding="utf-8")
-    temporary.replace(path)
+    atomic_file.replace(path, report.to_json().encode(), durable=False)
     return path

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from uav_recon import atomic_file
 from uav_recon.interfaces import Channel, Clock
 from uav_recon.types.frames import AnyArray, FloatArray
 from uav_recon.types.maps import SurfaceElements
@@ -116,17 +117,16 @@ def _save(path: Path, state: SurfaceState) -> None:
     offset_m = state.position_world - low_m
     step_m = max(_STEP_M, float(offset_m.max(initial=0.0)) / _LARGEST)
     steps = np.round(offset_m / step_m).astype(np.uint16)
-    temporary = path.with_name(f".new-{path.name}")
-    np.savez_compressed(
-        temporary,
-        stamp_s=state.stamp_s,
-        revision=state.revision,
-        low_m=low_m,
-        step_m=step_m,
-        change_steps=np.diff(steps, axis=0, prepend=np.zeros((1, 3), np.uint16)).T,  # wraps around, and back when summed
-        normal=np.round(127.0 * state.normal_world).astype(np.int8).T,
-    )
-    temporary.replace(path)
+    with atomic_file.writing(path, durable=False) as file:
+        np.savez_compressed(
+            file,
+            stamp_s=state.stamp_s,
+            revision=state.revision,
+            low_m=low_m,
+            step_m=step_m,
+            change_steps=np.diff(steps, axis=0, prepend=np.zeros((1, 3), np.uint16)).T,  # wraps around, and back when summed
+            normal=np.round(127.0 * state.normal_world).astype(np.int8).T,
+        )
 
 
 def _load(path: Path) -> SurfaceState:

@@ -25,6 +25,7 @@ from sitl.faults.table.arenas import arena
 from sitl.outside_world import OutsideWorld
 from sitl.real_firmware.process import FirmwareError
 from sitl.real_firmware.relay import Relay
+from sitl.runtime import atomic_file
 from sitl.runtime.serial_line import SerialLine
 from uav_recon import config as product_config
 from uav_recon import json_codec
@@ -113,9 +114,7 @@ def _fly(world: OutsideWorld, relay: Relay | None, director: FaultDirector) -> N
 def main(order: Path) -> None:
     """Fly with these options; the evidence is written beside the options file."""
     evidence = fly(json_codec.from_text(WorldProcessOptions, order.read_text(encoding="utf-8")))
-    fresh = order.with_suffix(".new")
-    fresh.write_bytes(pickle.dumps(evidence))
-    fresh.replace(order.with_suffix(".evidence"))
+    atomic_file.replace(order.with_suffix(".evidence"), pickle.dumps(evidence))
 
 
 if __name__ == "__main__":

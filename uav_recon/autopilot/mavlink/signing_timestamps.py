@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import json
 import logging
-import os
 from collections.abc import Mapping
 from pathlib import Path
 
+from uav_recon import atomic_file
 from uav_recon.interfaces import Executor
 
 UNITS_PER_S = 100_000  # MAVLink counts tens of microseconds since 2015-01-01
@@ -90,12 +90,9 @@ class SigningTimestamps:
             logging.getLogger(__name__).warning("%s: cannot be written (%s)", self._path, error.strerror)
 
     def _write(self, own: int, newest: Mapping[Stream, int]) -> None:
-        new = self._path.with_suffix(".new")
-        with new.open("w", encoding="ascii") as file:
-            json.dump({"own": own, "heard": [[*stream, stamp] for stream, stamp in newest.items()]}, file)
-            file.flush()
-            os.fsync(file.fileno())
-        new.replace(self._path)
+        tree = {"own": own, "heard": [[*stream, stamp] for stream, stamp in newest.items()]}
+        # durable: a lost promise would let a start after a power loss reuse stamps
+        atomic_file.replace(self._path, json.dumps(tree).encode("ascii"), durable=True)
 
 
 def _read(path: Path) -> tuple[int, dict[Stream, int]]:

@@ -10,9 +10,9 @@ from __future__ import annotations
 import hashlib
 import json
 import logging
-import os
 from pathlib import Path
 
+from uav_recon import atomic_file
 from uav_recon.interfaces import Executor, Pending
 from uav_recon.localization.calibration.calibration_filter import CalibrationFilter, Elements, kept_fault, observed
 from uav_recon.types.camera import Frame
@@ -121,18 +121,14 @@ def camera_id(frame: Frame, mount: str) -> str:
 
 
 def write(file: Path, camera: str, elements: Elements) -> None:
-    """Replace the file, atomically.
+    """Replace the file, atomically, also across a loss of power.
 
     A folder that cannot be written is logged and changes nothing.
     """
     tree = {"format": _FORMAT, "camera": camera, "elements": {name: [value, sigma] for name, value, sigma in elements}}
-    temporary = file.with_suffix(".new")
     try:
-        with temporary.open("w", encoding="ascii") as out:
-            out.write(json.dumps(tree, indent=1) + "\n")
-            out.flush()
-            os.fsync(out.fileno())
-        temporary.replace(file)
+        # durable: a vehicle is often switched off right after its flight
+        atomic_file.replace(file, (json.dumps(tree, indent=1) + "\n").encode("ascii"), durable=True)
     except OSError as error:
         _LOG.warning("%s: cannot be written (%s)", file, error.strerror)
 

@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import hashlib
 import io
-import os
 from pathlib import Path
 
 import torch
 from torch import Tensor
+
+from uav_recon import atomic_file
 
 LAST = "checkpoint.pt"
 BEFORE = "checkpoint.before.pt"
@@ -42,16 +43,9 @@ class RefineCheckpoints:
         torch.save({"identity": self._identity, "state": state}, buffer)
         data = buffer.getbuffer()
         self._folder.mkdir(parents=True, exist_ok=True)
-        last, temporary = self._folder / LAST, self._folder / (LAST + ".part")
-        with temporary.open("wb") as file:
+        with atomic_file.writing(self._folder / LAST, durable=True, previous=self._folder / BEFORE) as file:
             file.write(hashlib.sha256(data).digest())
             file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        if last.exists():
-            last.replace(self._folder / BEFORE)
-        temporary.replace(last)
-        self._settle()
 
     def load(self) -> tuple[State | None, list[str]]:
         """Return the newest valid checkpoint, or None, and a message for each damaged one.
@@ -80,14 +74,6 @@ class RefineCheckpoints:
 
     def _same(self, identity: Identity, name: str) -> bool:
         return name in identity and name in self._identity and identity[name] == self._identity[name]
-
-    def _settle(self) -> None:
-        """Sync the renames to disk."""
-        descriptor = os.open(self._folder, os.O_RDONLY)
-        try:
-            os.fsync(descriptor)
-        finally:
-            os.close(descriptor)
 
 
 def _read(path: Path) -> tuple[Identity, State] | None:

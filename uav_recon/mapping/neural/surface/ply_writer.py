@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from uav_recon.mapping.keyframe_store import write_atomic
+from uav_recon import atomic_file
 from uav_recon.types.frames import BoolArray, ByteArray, Float32Array, FloatArray, IntArray
 from uav_recon.types.maps import TriangleMesh
 
@@ -21,7 +21,7 @@ _FACE = [("count", "u1"), ("vertices", "<i4", 3)]
 
 def write_ply(path: Path, mesh: TriangleMesh) -> None:
     """Write the file atomically. Raises OSError if it cannot be written."""
-    write_atomic(path, ply(mesh.vertices_world, mesh.faces, mesh.rgb, mesh.uncertainty))
+    atomic_file.replace(path, ply(mesh.vertices_world, mesh.faces, mesh.rgb, mesh.uncertainty), durable=False)
 
 
 def ply(

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from uav_recon.mapping.keyframe_store import write_atomic
+from uav_recon import atomic_file
 from uav_recon.mapping.neural.sdf_interface import SdfField
 from uav_recon.mapping.neural.surface.ply_writer import ply
 from uav_recon.mapping.neural.watertight.texture_atlas import unwrap
@@ -27,7 +27,7 @@ GLTF_FROM_WORLD = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 
 
 def write_closed_ply(path: Path, mesh: ClosedMesh) -> None:
     """Write the PLY file atomically. Raises OSError if it cannot be written."""
-    write_atomic(path, ply(mesh.vertices_world, mesh.faces, mesh.rgb, mesh.uncertainty, mesh.observed))
+    atomic_file.replace(path, ply(mesh.vertices_world, mesh.faces, mesh.rgb, mesh.uncertainty, mesh.observed), durable=False)
 
 
 def write_textured_glb(path: Path, mesh: ClosedMesh, field: SdfField, texel_m: float) -> None:
@@ -58,7 +58,7 @@ def write_textured_glb(path: Path, mesh: ClosedMesh, field: SdfField, texel_m: f
         )
         visual = trimesh.visual.TextureVisuals(uv=np.zeros((len(used), 2)), material=grey)
         _add(scene, UNSEEN, mesh.vertices_world[used], named.reshape(-1, 3), visual)
-    write_atomic(path, scene.export(file_type="glb"))
+    atomic_file.replace(path, scene.export(file_type="glb"), durable=False)
 
 
 def _add(scene: Any, name: str, vertices: FloatArray, faces: IntArray, visual: Any) -> None:

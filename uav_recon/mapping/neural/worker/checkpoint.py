@@ -14,7 +14,6 @@ import hashlib
 import io
 import json
 import logging
-import os
 import pickle
 import threading
 import zlib
@@ -24,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from uav_recon import json_codec
+from uav_recon import atomic_file, json_codec
 from uav_recon.mapping.keyframe_store import KeyframeFolder
 from uav_recon.mapping.neural.neural_mapper import NeuralMapper
 from uav_recon.types.frames import AnyArray
@@ -154,12 +153,13 @@ class MapperCheckpoints:
             for number, arrays in fresh.items():
                 packed = io.BytesIO()
                 np.savez(packed, **arrays)  # type: ignore[arg-type]
-                _write_durably(self._folder / VIEW.format(number), packed.getbuffer())
+                atomic_file.replace(self._folder / VIEW.format(number), packed.getbuffer(), durable=True)
                 self._sums[number] = zlib.crc32(packed.getbuffer())
             self._sums = {number: self._sums[number] for number, _ in header.views}
             line = json_codec.to_line(replace(header, views=list(self._sums.items()))).encode() + b"\n"
             sealed = f"{zlib.crc32(payload, zlib.crc32(line)):08x}\n".encode()
-            _write_durably(self._folder / STATE, sealed, line, payload)
+            with atomic_file.writing(self._folder / STATE, durable=True) as file:
+                file.writelines((sealed, line, payload))
             wanted = {STATE, *(VIEW.format(number) for number in self._sums)}
             for path in self._folder.iterdir():
                 if path.name not in wanted:
@@ -184,19 +184,3 @@ def _code() -> str:
     """Return a hash of all source of this package, which identifies the code of a state."""
     text = b"".join(path.read_bytes() for path in sorted(Path(__file__).parents[1].rglob("*.py")))
     return hashlib.sha256(text).hexdigest()
-
-
-def _write_durably(path: Path, *parts: bytes | memoryview) -> None:
-    """Replace a file atomically, also across a loss of power."""
-    aside = path.with_name(path.name + ".part")
-    with aside.open("wb") as file:
-        for part in parts:
-            file.write(part)
-        file.flush()
-        os.fsync(file.fileno())
-    os.replace(aside, path)  # noqa: PTH105 - os.replace is atomic
-    folder = os.open(path.parent, os.O_RDONLY)
-    try:
-        os.fsync(folder)
-    finally:
-        os.close(folder)
