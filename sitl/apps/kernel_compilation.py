@@ -24,9 +24,10 @@ from sitl.scene.scene import Scene, load_scene
 from sitl.truth.hull_clearance import HullClearance
 from uav_recon import config as product_config
 from uav_recon.app import kernel_jobs
-from uav_recon.app.kernel_cache import KernelJob, compile_kernels, progress_text
+from uav_recon.app.kernel_cache import KernelJob, compile_kernels, log_failure, progress_text
 from uav_recon.app.step_display import StepDisplay
 from uav_recon.config import VariantName
+from uav_recon.errors import UserError
 
 LINE_EVERY_S = 5.0  # on a console that is no terminal
 SIMULATOR = KernelJob("simulator", f"{__name__}:simulator", 25)
@@ -64,9 +65,18 @@ def compile_ahead(jobs: Sequence[KernelJob], console: Console) -> None:
 
 
 def compile_all() -> None:
-    """Compile the kernels of a flight with default options, and report the time."""
-    begun_s, console = time.monotonic(), Console()
-    compile_ahead(flight_jobs(), console)
+    """Compile the kernels of a flight with default options, and report the time.
+
+    Raises UserError that names each job that failed, with its reason.
+    """
+    begun_s, console, failures = time.monotonic(), Console(), list[str]()
+
+    def failed(job: KernelJob, reason: str) -> None:
+        failures.append(f"{job.name} ({reason})")
+
+    _compile(flight_jobs(), console, lambda: False, lambda _job: None, failed)
+    if failures:
+        raise UserError(f"kernels are not compiled: {', '.join(failures)}")
     console.print(f"all kernels are compiled: {time.monotonic() - begun_s:.0f} s", highlight=False)
 
 
@@ -98,8 +108,12 @@ def _complete(future: Future[Scene], work: Callable[[], Scene]) -> None:
 
 
 def _compile(
-    jobs: Sequence[KernelJob], console: Console, stopped: Callable[[], bool], ended: Callable[[KernelJob], None]
-) -> None:  # fmt: skip
+    jobs: Sequence[KernelJob],
+    console: Console,
+    stopped: Callable[[], bool],
+    ended: Callable[[KernelJob], None],
+    failed: Callable[[KernelJob, str], None] = log_failure,
+) -> None:
     """Compile with a progress bar.
 
     A console that is no terminal gets a line every LINE_EVERY_S.
@@ -118,7 +132,7 @@ def _compile(
 
     with tempfile.TemporaryDirectory(prefix="uav_recon-") as folder:
         try:
-            compile_kernels(jobs, toy_config(Path(folder)), show, stopped, ended)
+            compile_kernels(jobs, toy_config(Path(folder)), show, stopped, ended, failed)
         finally:
             progress.stop()
 

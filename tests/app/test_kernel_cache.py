@@ -8,9 +8,12 @@ import tempfile
 from pathlib import Path
 
 import pytest
+import typer
 
+from sitl.apps import kernel_compilation
 from uav_recon.app import kernel_cache
 from uav_recon.app.kernel_cache import KernelJob, compile_kernels, log_progress, use_writable_cache
+from uav_recon.cli.simulate import compile_kernels as compile_command
 
 MODULE = """
 import numba
@@ -22,6 +25,10 @@ def mark(config_path, argument):
 
 def fail(config_path, argument):
     raise ValueError("no such luck")
+
+def end(config_path, argument):
+    import os
+    os._exit(1)
 
 def compile_one(config_path, argument):
     import uav_recon.geometry.rows as rows
@@ -60,6 +67,27 @@ def test_a_job_that_fails_is_logged_and_tried_again(config_path: Path, caplog: p
         caplog.clear()
         compile_kernels([job], config_path, lambda *_: None)
         assert "kernels of failing are not compiled ahead: ValueError: no such luck" in caplog.text
+
+
+def test_jobs_fail_when_their_workers_end(config_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(kernel_cache, "MAX_WORKERS", 1)
+    jobs = [KernelJob("ending", "toy_jobs:end", 1), KernelJob("waiting", "toy_jobs:mark", 1, argument="waiting")]
+    failed: list[str] = []
+    compile_kernels(jobs, config_path, lambda *_: None, failed=lambda job, reason: failed.append(f"{job.name}: {reason}"))
+    assert failed == ["ending: the worker process has ended", "waiting: the worker process has ended"]
+
+
+def test_the_compile_command_names_what_failed_and_exits_with_1(
+    config_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    jobs = [KernelJob("one", "toy_jobs:mark", 1, argument="one"), KernelJob("failing", "toy_jobs:fail", 1)]
+    monkeypatch.setattr(kernel_compilation, "flight_jobs", lambda: jobs)
+    with pytest.raises(typer.Exit) as ended:
+        compile_command()
+    assert ended.value.exit_code == 1
+    out, err = capsys.readouterr()
+    assert err == "uav-recon: kernels are not compiled: failing (ValueError: no such luck)\n"
+    assert "all kernels" not in out
 
 
 def test_compiled_kernels_are_counted_and_looked_for(config_path: Path) -> None:

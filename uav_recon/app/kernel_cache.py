@@ -33,6 +33,7 @@ LOG = logging.getLogger(__name__)
 MAX_WORKERS = 4  # each holds about 0.7 GB
 CACHE_VARIABLE = "NUMBA_CACHE_DIR"
 POLL_S = 0.5
+_WORKER_ENDED = "the worker process has ended"
 PACKAGE = Path(__file__).parents[1]
 
 
@@ -50,6 +51,11 @@ class KernelJob:
     kernels: int
     after: tuple[str, ...] = ()
     argument: str = ""
+
+
+def log_failure(job: KernelJob, reason: str) -> None:
+    """Log a job that failed: its kernels are left to the process that needs them."""
+    LOG.warning("kernels of %s are not compiled ahead: %s", job.name, reason)
 
 
 def use_writable_cache() -> None:
@@ -79,13 +85,14 @@ def compile_kernels(
     show: Callable[[int, int], None],
     stopped: Callable[[], bool] = lambda: False,
     ended: Callable[[KernelJob], None] = lambda _job: None,
+    failed: Callable[[KernelJob, str], None] = log_failure,
 ) -> None:
     """Compile what is not compiled yet.
 
     It blocks for two minutes on two cores the first time, for some milliseconds later on. show(done, total): the number of
     kernels, called at each one and every POLL_S; never called if all are compiled. Returns early once stopped(). ended(job):
-    called when a job's kernels are in the cache, also for one that needs no compilation. A job that fails is logged and left
-    to the process that needs it.
+    called when a job's kernels are in the cache, also for one that needs no compilation, and after failed(job, reason), which
+    is called for a job that fails, also if no worker is left to run it.
     """
     if not are_compiled(jobs):
         remove_stale_kernels(_cache_roots(), _packages())
@@ -97,7 +104,7 @@ def compile_kernels(
             todo.append(job)
     if not todo:
         return
-    pool = _Pool(todo, config_path, min(MAX_WORKERS, len(os.sched_getaffinity(0)), len(todo)), ended)
+    pool = _Pool(todo, config_path, min(MAX_WORKERS, len(os.sched_getaffinity(0)), len(todo)), ended, failed)
     total = sum(job.kernels for job in todo)
     try:
         while pool.busy() and not stopped():
@@ -150,10 +157,16 @@ class _Pool:
     """Workers and waiting jobs; a job starts after the jobs that it depends on."""
 
     def __init__(
-        self, jobs: list[KernelJob], config_path: Path, workers: int, ended: Callable[[KernelJob], None]
-    ) -> None:  # fmt: skip
+        self,
+        jobs: list[KernelJob],
+        config_path: Path,
+        workers: int,
+        ended: Callable[[KernelJob], None],
+        failed: Callable[[KernelJob, str], None],
+    ) -> None:
         self.compiled = 0
         self._ended = ended
+        self._failed = failed
         self._waiting = list(jobs)
         self._config_path = config_path
         self._undone = {job.name for job in jobs}
@@ -177,15 +190,17 @@ class _Pool:
             self._end(worker.job, event)
             worker.job = None
         if event == "lost":
-            del self._workers[number]
+            self._workers.pop(number).kill()
         self._assign()
+        while self._waiting and not self._workers:
+            self._end(self._waiting.pop(0), "lost")
 
     def _end(self, job: KernelJob, event: str) -> None:
         self._undone.discard(job.name)
         if event == "done":
             _stamp(job)
         else:
-            LOG.warning("kernels of %s are not compiled ahead: %s", job.name, event)
+            self._failed(job, _WORKER_ENDED if event == "lost" else event)
         self._ended(job)
 
     def _assign(self) -> None:

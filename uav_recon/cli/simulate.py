@@ -55,7 +55,8 @@ def compile_kernels() -> None:
     """Compile the numerical kernels now, so that the first flight does not wait for them.
 
     It takes about two minutes on two cores, and nothing if all are compiled. The kernels are kept in the package, or in
-    NUMBA_CACHE_DIR if set: set it as the services do (/var/cache/uav_recon), and run as their user.
+    NUMBA_CACHE_DIR if set: set it as the services do (/var/cache/uav_recon), and run as their user. Exit code 1 if a kernel
+    cannot be compiled.
     """
     from sitl.apps.kernel_compilation import compile_all
 

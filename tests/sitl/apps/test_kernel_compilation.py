@@ -68,7 +68,7 @@ def test_a_flight_needs_no_kernel_that_is_not_compiled_ahead(tmp_path: Path) -> 
 def test_the_scene_is_loaded_while_other_kernels_are_compiled(monkeypatch: pytest.MonkeyPatch) -> None:
     loaded: list[Scene] = []
 
-    def compile_until_loaded(jobs: Any, _path: Path, _show: Any, stopped: Callable[[], bool], ended: Any) -> None:
+    def compile_until_loaded(jobs: Any, _path: Path, _show: Any, stopped: Callable[[], bool], ended: Any, _failed: Any) -> None:
         assert jobs[0] is SIMULATOR
         assert not loaded  # its kernels are not compiled yet
         ended(SIMULATOR)
@@ -87,7 +87,7 @@ def test_the_scene_is_loaded_while_other_kernels_are_compiled(monkeypatch: pytes
 
 
 def test_a_refused_scene_stops_the_compilation(monkeypatch: pytest.MonkeyPatch) -> None:
-    def compile_forever(_jobs: Any, _path: Path, _show: Any, stopped: Callable[[], bool], ended: Any) -> None:
+    def compile_forever(_jobs: Any, _path: Path, _show: Any, stopped: Callable[[], bool], ended: Any, _failed: Any) -> None:
         ended(SIMULATOR)
         deadline_s = time.monotonic() + 10.0
         while not stopped():
