@@ -165,6 +165,8 @@ class Trial:
                 load_mutant(mutant)
             except SyntaxError:
                 os._exit(NO_PROGRAM)
+            except Exception:
+                os._exit(1)  # a module that cannot be imported fails all its tests
         return 0
 
 
