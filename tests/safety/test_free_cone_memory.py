@@ -104,3 +104,22 @@ def test_a_climb_is_cleared_slowly_where_the_range_finder_saw_free(speed_mps: fl
     if refusal is not None:
         too_fast = speed_mps > 0.3
         assert refusal.reason.code is (ReasonCode.SPEED_OUT_OF_VIEW if too_fast else ReasonCode.NOT_SEEN_RECENTLY)
+
+
+def test_a_cone_is_stored_a_hundred_and_sixtieth_of_the_memory_after_the_one_before() -> None:
+    place_m = (3.0, 0.0, 2.0)
+    for apart_s, stored in ((0.99, False), (1.0, True)):
+        memory = FreeConeMemory(160.0, before_m=0.05)
+        memory.add(cone(5.0))
+        memory.add(cone(5.0 + apart_s, (3.0, 0.0, 1.0)))
+        assert (age_s(memory, place_m, 7.0) < math.inf) is stored
+
+
+def test_the_memory_holds_the_last_hundred_and_sixty_cones_for_a_whole_flight() -> None:
+    memory = FreeConeMemory(160.0, before_m=0.05)
+    for n in range(500):
+        memory.add(cone(float(n), (float(n), 0.0, 1.0)))
+    places_m = np.array([(float(n), 0.0, 1.01) for n in range(500)])
+    ages_s = memory.ages_s(places_m, 499.0)
+    assert np.isfinite(ages_s).sum() == 160
+    assert ages_s[340:].tolist() == [499.0 - n for n in range(340, 500)]

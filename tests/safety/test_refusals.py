@@ -75,6 +75,19 @@ def test_a_motion_of_a_second_ends_the_duration_and_a_shorter_one_does_not() -> 
         assert history.refused_s == refused_s
 
 
+def test_a_motion_that_goes_on_for_longer_than_a_second_ends_the_duration_too() -> None:
+    counter = RefusalCounter()
+    history = history_of(counter)
+    for now_s in (0.0, 1.0):
+        counter.add()
+        history.update(False, now_s)
+    for now_s in (1.5, 2.2, 2.9):
+        history.update(True, now_s)
+    counter.add()
+    history.update(False, 3.0)
+    assert history.refused_s == 0.0
+
+
 def test_two_moments_of_motion_are_no_motion() -> None:
     counter = RefusalCounter()
     history, now_s = history_of(counter), 100.0

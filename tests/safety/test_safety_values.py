@@ -8,10 +8,12 @@ from typing import Any
 import pytest
 from guard_rooms import BOUNDS, ENVELOPE, proposal, situation
 
-from uav_recon.safety.failsafe_conditions import CONDITIONS, FailsafeInputs, FailsafeTimeouts, Observation
+from uav_recon.safety.failsafe import _FLYING
+from uav_recon.safety.failsafe_conditions import CONDITIONS, FailsafeAction, FailsafeInputs, FailsafeTimeouts, Observation
 from uav_recon.safety.guard import _motion_of
 from uav_recon.safety.pose_gate import PoseVerdict
 from uav_recon.safety.setpoint_continuity import ContinuityCheck
+from uav_recon.safety.sight_speed_limit import SightSpeedLimit
 
 INPUTS = FailsafeInputs(0.0, 0.0, 0.0, 0.0, True)
 TIMEOUTS = FailsafeTimeouts(
@@ -24,6 +26,9 @@ TIMEOUTS = FailsafeTimeouts(
     depth_retreat_s=3.0,
     depth_land_s=10.0,
 )
+SIGHT_LIMIT = SightSpeedLimit(
+    full_speed_mps=1.0, blind_speed_mps=0.3, blind_fresh_s=3.0, blind_stale_s=10.0, blind_memory_s=60.0
+)
 
 VALUES = (
     BOUNDS,
@@ -33,6 +38,8 @@ VALUES = (
     INPUTS,
     Observation(INPUTS, 0.0, TIMEOUTS),
     CONDITIONS[0],
+    _FLYING,
+    SIGHT_LIMIT,
     ContinuityCheck(),
     TIMEOUTS,
     PoseVerdict(True),
@@ -53,3 +60,14 @@ def test_what_holds_arrays_is_equal_to_itself_alone() -> None:
     for value in (proposal(), situation(0.0)):
         assert value == value  # noqa: PLR0124
         assert value != dataclasses.replace(value)
+
+
+@pytest.mark.parametrize("value", [TIMEOUTS, SIGHT_LIMIT, BOUNDS, BOUNDS.margins], ids=lambda value: type(value).__name__)
+def test_protective_numbers_are_passed_by_keyword(value: Any) -> None:
+    with pytest.raises(TypeError, match="positional"):
+        type(value)(*dataclasses.astuple(value))
+
+
+def test_inputs_are_healthy_unless_they_say_otherwise() -> None:
+    assert (INPUTS.refused_s, INPUTS.many_refusals, INPUTS.depth_rejected) == (0.0, False, False)
+    assert [int(action) for action in FailsafeAction] == [0, 1, 2, 3]

@@ -25,7 +25,9 @@ def test_equal_ages_make_a_step() -> None:
     assert step.at(np.array([0.0, 3.0, 3.001])) == pytest.approx([1.0, 1.0, 0.3])
 
 
-@pytest.mark.parametrize("direction", [(1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.6, 0.0, 0.8), (0.0, 0.0, 1.0), (0.0, 0.0, -1.0)])
+@pytest.mark.parametrize(
+    "direction", [(1.0, 0.0, 0.0), (0.48, 0.64, 0.6), (0.0, -1.0, 0.0), (0.6, 0.0, 0.8), (0.0, 0.0, 1.0), (0.0, 0.0, -1.0)]
+)
 def test_the_points_lie_in_front_of_the_hull_and_around_its_front(direction: tuple[float, float, float]) -> None:
     here, way = np.array([1.0, 2.0, 3.0]), np.array(direction)
     (points,) = entered_points(here[None], way[None], np.array([0.4]), 0.2, 0.25)
@@ -35,3 +37,10 @@ def test_the_points_lie_in_front_of_the_hull_and_around_its_front(direction: tup
     assert np.linalg.norm(off, axis=1) == pytest.approx([0.0] * 3 + [0.14] * 8, abs=1e-12)
     assert off[3:7].sum(axis=0) == pytest.approx([0.0] * 3, abs=1e-12)
     assert abs(off[3] @ off[5]) < 1e-12, "to both sides, and above and below"
+
+
+@pytest.mark.parametrize(("level", "side"), [(0.0999, (1.0, 0.0, 0.0)), (0.1, (0.0, 1.0, 0.0)), (0.1001, (0.0, 1.0, 0.0))])
+def test_a_steep_motion_takes_x_for_its_side_and_any_other_its_left(level: float, side: tuple[float, float, float]) -> None:
+    way = np.array([level, 0.0, math.sqrt(1.0 - level**2)])
+    (points,) = entered_points(np.zeros((1, 3)), way[None], np.array([0.4]), 0.2, 0.25)
+    assert (points[3] - points[4]) / 0.28 == pytest.approx(side)
