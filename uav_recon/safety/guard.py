@@ -107,16 +107,16 @@ class GuardBounds:
 class Guard:
     """Clears a proposal, or answers with a brake from the last cleared setpoint to rest."""
 
-    def __init__(self, envelope: Envelope, bounds: GuardBounds, sight: RecentlySeenSpace) -> None:
+    def __init__(self, envelope: Envelope, bounds: GuardBounds, seen_space: RecentlySeenSpace) -> None:
         self.envelope = envelope
         self.bounds = bounds
-        self._sight = sight
+        self._seen_space = seen_space
         self._sight_limit = SightSpeedLimit(
             full_speed_mps=envelope.max_speed_mps,
             blind_speed_mps=bounds.blind_speed_mps,
             blind_fresh_s=bounds.blind_fresh_s,
             blind_stale_s=bounds.blind_stale_s,
-            blind_memory_s=sight.memory_s,
+            blind_memory_s=seen_space.memory_s,
         )
         self._last: ClearedMotion | None = None
         self._steps = ContinuityCheck()
@@ -124,71 +124,71 @@ class Guard:
         self._refused: int | None = None
         self.refusals = RefusalCounter()  # episodes: a trajectory rejected at thirty samples in a row counts once
 
-    def clear(self, proposal: SetpointProposal | None, situation: GuardInputs) -> tuple[ClearedSetpoint, Refusal | None]:
+    def clear(self, proposal: SetpointProposal | None, inputs: GuardInputs) -> tuple[ClearedSetpoint, Refusal | None]:
         """Check one sample. Without a proposal the vehicle brakes and holds.
 
         A Refusal holds the reason why a proposal is not flown. Never raises on numbers. The very first setpoint holds the
         present position (moved inside the envelope).
         """
-        fault = None if proposal is None else self._fault(proposal, situation)
-        setpoint = self._brake(situation) if proposal is None or fault else proposal.setpoint
+        fault = None if proposal is None else self._fault(proposal, inputs)
+        setpoint = self._brake(inputs) if proposal is None or fault else proposal.setpoint
         refusal = self._count(proposal, fault, setpoint)
         before = self._last
-        self._last = _motion_of(setpoint, situation.now_s)
+        self._last = _motion_of(setpoint, inputs.now_s)
         self._steps = ContinuityCheck() if before is None else self._steps.after(before, self._last, self.envelope)[0]
         return ClearedSetpoint(setpoint, _MAKER), refusal
 
-    def rebase(self, situation: GuardInputs, rest_s: float = 1.0) -> None:
+    def rebase(self, inputs: GuardInputs, rest_s: float = 1.0) -> None:
         """Forget the last setpoint and what was seen after a jump of odom, and hold for ``rest_s``."""
         self._last = None
-        self._rest_until_s = situation.now_s + rest_s
-        self._sight.forget()
+        self._rest_until_s = inputs.now_s + rest_s
+        self._seen_space.forget()
 
-    def takeoff_fault(self, situation: GuardInputs, height_m: float) -> Reason | None:
+    def takeoff_fault(self, inputs: GuardInputs, height_m: float) -> Reason | None:
         """Return why the vehicle may not climb, None if the column is confirmed free that high."""
-        here, top = situation.position_m, (situation.position_m[0], situation.position_m[1], height_m)
-        if situation.free is None or situation.ahead is None:
+        here, top = inputs.position_m, (inputs.position_m[0], inputs.position_m[1], height_m)
+        if inputs.free is None or inputs.ahead is None:
             return Reason(ReasonCode.TAKEOFF_COLUMN_NOT_SEEN)
         if not (self.envelope.in_column(here) and self.envelope.in_column(top)):
             return Reason(ReasonCode.TAKEOFF_COLUMN_OUTSIDE_FENCE)
-        return None if situation.free.admits(here, top) else Reason(ReasonCode.TAKEOFF_COLUMN_NOT_FREE)
+        return None if inputs.free.admits(here, top) else Reason(ReasonCode.TAKEOFF_COLUMN_NOT_FREE)
 
-    def _fault(self, proposal: SetpointProposal, situation: GuardInputs) -> Reason | None:
+    def _fault(self, proposal: SetpointProposal, inputs: GuardInputs) -> Reason | None:
         """Return why a proposal is not flown: the first check that fails, None if all pass."""
         last = self._last
         if not _is_finite(proposal.setpoint):
             return Reason(ReasonCode.SETPOINT_NOT_FINITE)
         if last is None:
             return Reason(ReasonCode.NO_SETPOINT_YET)
-        motion = _motion_of(proposal.setpoint, situation.now_s)
+        motion = _motion_of(proposal.setpoint, inputs.now_s)
         speed_mps = math.hypot(*motion.velocity_mps)
         stopping_point_m = self.envelope.stopping_point(motion.position_m, motion.velocity_mps)
         return (
-            self._pose_fault(proposal, situation)
-            or self._limit_fault(proposal, speed_mps, situation)
+            self._pose_fault(proposal, inputs)
+            or self._limit_fault(proposal, speed_mps, inputs)
             or self._fence_fault(motion, stopping_point_m)
             or self._steps.after(last, motion, self.envelope)[1]
-            or self._space_fault(last, motion, stopping_point_m, situation)
-            or self._depth_fault(motion, speed_mps, proposal.retreating, situation)
+            or self._space_fault(last, motion, stopping_point_m, inputs)
+            or self._depth_fault(motion, speed_mps, proposal.retreating, inputs)
         )
 
-    def _pose_fault(self, proposal: SetpointProposal, situation: GuardInputs) -> Reason | None:
+    def _pose_fault(self, proposal: SetpointProposal, inputs: GuardInputs) -> Reason | None:
         """Check that there is a fresh pose, on the map for which the motion was planned."""
-        if situation.now_s < self._rest_until_s:
+        if inputs.now_s < self._rest_until_s:
             return Reason(ReasonCode.POSE_RESET)
-        if not -_FUTURE_S <= situation.pose_age_s <= self.bounds.pose_timeout_s:
+        if not -_FUTURE_S <= inputs.pose_age_s <= self.bounds.pose_timeout_s:
             return Reason(ReasonCode.POSE_STALE)
-        if proposal.map_epoch != situation.map_epoch:
-            return Reason(ReasonCode.TRAJECTORY_MAP_EPOCH, (proposal.map_epoch, situation.map_epoch))
+        if proposal.map_epoch != inputs.map_epoch:
+            return Reason(ReasonCode.TRAJECTORY_MAP_EPOCH, (proposal.map_epoch, inputs.map_epoch))
         return None
 
-    def _limit_fault(self, proposal: SetpointProposal, speed_mps: float, situation: GuardInputs) -> Reason | None:
+    def _limit_fault(self, proposal: SetpointProposal, speed_mps: float, inputs: GuardInputs) -> Reason | None:
         """Check speed, silence of the mission at this speed, acceleration and yaw rate."""
         wanted, envelope, bounds = proposal.setpoint, self.envelope, self.bounds
-        max_speed_mps = bounds.retreat_speed_mps if proposal.retreating or situation.slow else envelope.max_speed_mps
+        max_speed_mps = bounds.retreat_speed_mps if proposal.retreating or inputs.slow else envelope.max_speed_mps
         if not speed_mps <= (bounds.margins.slow_mps if proposal.evading else max_speed_mps) + 1e-6:
             return Reason(ReasonCode.SPEED_LIMIT, (speed_mps,))
-        if not proposal.retreating and self._silent(speed_mps, situation.intent_age_s):
+        if not proposal.retreating and self._silent(speed_mps, inputs.intent_age_s):
             return Reason(ReasonCode.MISSION_STALE)
         push_mps2 = math.hypot(*_floats(wanted.acceleration_mps2))
         if not push_mps2 <= envelope.max_acceleration_mps2 + 1e-6:
@@ -211,60 +211,60 @@ class Guard:
         return None if inside else Reason(ReasonCode.OUTSIDE_FENCE, motion.position_m)
 
     def _space_fault(
-        self, last: ClearedMotion, motion: ClearedMotion, stopping_point_m: Vec3, situation: GuardInputs
+        self, last: ClearedMotion, motion: ClearedMotion, stopping_point_m: Vec3, inputs: GuardInputs
     ) -> Reason | None:
         """Check the path here and the path to rest, for the whole hull. Unknown space is rejected."""
         if motion.position_m == last.position_m == stopping_point_m:
             return None  # a hold: there is no path to check
-        if situation.free is None:
+        if inputs.free is None:
             return Reason(ReasonCode.NO_FREE_SPACE)
-        if situation.free.map_epoch != situation.map_epoch:
-            return Reason(ReasonCode.FREE_SPACE_MAP_EPOCH, (situation.free.map_epoch, situation.map_epoch))
-        if not situation.free.admits(last.position_m, motion.position_m, stopping_point_m):
+        if inputs.free.map_epoch != inputs.map_epoch:
+            return Reason(ReasonCode.FREE_SPACE_MAP_EPOCH, (inputs.free.map_epoch, inputs.map_epoch))
+        if not inputs.free.admits(last.position_m, motion.position_m, stopping_point_m):
             return Reason(ReasonCode.NOT_KNOWN_FREE, motion.position_m)
         return None
 
-    def _depth_fault(self, motion: ClearedMotion, speed_mps: float, retreating: bool, situation: GuardInputs) -> Reason | None:
+    def _depth_fault(self, motion: ClearedMotion, speed_mps: float, retreating: bool, inputs: GuardInputs) -> Reason | None:
         """Check the speed by raw depth: towards near obstacles, and outside the camera's view."""
-        ahead, bounds = situation.ahead, self.bounds
+        ahead, bounds = inputs.ahead, self.bounds
         if speed_mps <= _STILL_MPS or (retreating and ahead is None):
             return None
-        if ahead is None or not (retreating or -_FUTURE_S <= situation.now_s - ahead.stamp_s <= bounds.depth_timeout_s):
+        if ahead is None or not (retreating or -_FUTURE_S <= inputs.now_s - ahead.stamp_s <= bounds.depth_timeout_s):
             return Reason(ReasonCode.DEPTH_STALE)
         direction = np.array(motion.velocity_mps) / speed_mps
-        direction_body = situation.body_from_odom @ direction
-        since_s = min(max(0.0, situation.now_s - ahead.stamp_s), bounds.depth_timeout_s)  # a retreat uses an older one too
+        direction_body = inputs.body_from_odom @ direction
+        since_s = min(max(0.0, inputs.now_s - ahead.stamp_s), bounds.depth_timeout_s)  # a retreat uses an older one too
         room_m = ahead.room_m(direction_body) - speed_mps * since_s
         if not speed_mps <= fastest_mps(room_m, self.envelope.max_acceleration_mps2, bounds.margins, speed_mps):
             return Reason(ReasonCode.OBSTACLE_NEAR, (room_m, speed_mps))
         asked = not retreating and bounds.blind_speed_mps < self.envelope.max_speed_mps
         if not asked or ahead.sees(direction_body) or self.envelope.in_column(motion.position_m):
             return None
-        return self._sight_fault(motion, direction, speed_mps, situation.now_s)
+        return self._sight_fault(motion, direction, speed_mps, inputs.now_s)
 
     def _sight_fault(self, motion: ClearedMotion, direction: FloatArray, speed_mps: float, now_s: float) -> Reason | None:
         """Check the speed outside the view by the age of the last free sight.
 
         It is that of the space that the hull enters until it stands.
         """
-        place_m, reach_m = np.array(motion.position_m), self._sight.reach_m
+        place_m, reach_m = np.array(motion.position_m), self._seen_space.reach_m
         if speed_mps > self.bounds.blind_speed_mps + 1e-6:
             stopping_m = np.array([speed_mps**2 / (2.0 * self.envelope.max_acceleration_mps2)])
-            hull = entered_points(place_m[None], direction[None], stopping_m, self._sight.radius_m, reach_m)
-            limit_mps = self._sight_limit.at(self._sight.ages_s(hull[0], now_s)).min()
+            hull = entered_points(place_m[None], direction[None], stopping_m, self._seen_space.radius_m, reach_m)
+            limit_mps = self._sight_limit.at(self._seen_space.ages_s(hull[0], now_s)).min()
             return None if speed_mps <= limit_mps + 1e-6 else Reason(ReasonCode.SPEED_OUT_OF_VIEW, (speed_mps,))
         x, y, z = (place_m + direction * reach_m).tolist()
-        return None if self._sight.saw_free((x, y, z), now_s) else Reason(ReasonCode.NOT_SEEN_RECENTLY, (x, y, z))
+        return None if self._seen_space.saw_free((x, y, z), now_s) else Reason(ReasonCode.NOT_SEEN_RECENTLY, (x, y, z))
 
-    def _brake(self, situation: GuardInputs) -> Setpoint:
+    def _brake(self, inputs: GuardInputs) -> Setpoint:
         """Slow down along the last cleared velocity within the acceleration limit, then hold."""
         last, limit_mps2 = self._last, self.envelope.max_acceleration_mps2
         if last is None:
-            known = all(math.isfinite(value) for value in (*situation.position_m, situation.yaw_rad))
-            place = self.envelope.nearest_inside(situation.position_m if known else self.envelope.pad_m)
-            return Setpoint.hold(np.array(place), situation.yaw_rad if known else 0.0)
+            known = all(math.isfinite(value) for value in (*inputs.position_m, inputs.yaw_rad))
+            place = self.envelope.nearest_inside(inputs.position_m if known else self.envelope.pad_m)
+            return Setpoint.hold(np.array(place), inputs.yaw_rad if known else 0.0)
         speed_mps = math.hypot(*last.velocity_mps)
-        left_mps = max(speed_mps - limit_mps2 * max(situation.now_s - last.at_s, 0.0), 0.0)
+        left_mps = max(speed_mps - limit_mps2 * max(inputs.now_s - last.at_s, 0.0), 0.0)
         along = np.array(last.velocity_mps) / speed_mps if speed_mps > 0.0 else np.zeros(3)
         position = np.array(last.position_m) + along * (speed_mps**2 - left_mps**2) / (2.0 * limit_mps2)
         push = along * -limit_mps2 if left_mps > 0.0 else np.zeros(3)
