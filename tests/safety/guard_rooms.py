@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from uav_recon.safety.envelope import Envelope, Fence, Vec3
+from uav_recon.safety.failsafe_conditions import FailsafeTimeouts
 from uav_recon.safety.free_space_check import FreeSpaceCheck
 from uav_recon.safety.guard import Guard, GuardBounds, GuardInputs, SetpointProposal
 from uav_recon.safety.obstacle_speed_limit import ForwardDepth, Margins
@@ -26,6 +27,16 @@ ENVELOPE = Envelope(
     max_speed_mps=1.0,
     max_acceleration_mps2=2.0,
     max_yaw_rate_radps=0.8,
+)
+TIMEOUTS = FailsafeTimeouts(
+    pose_timeout_s=0.2,
+    pose_land_s=1.0,
+    intent_timeout_s=0.5,
+    retreat_timeout_s=5.0,
+    land_timeout_s=20.0,
+    depth_timeout_s=0.3,
+    depth_retreat_s=3.0,
+    depth_land_s=10.0,
 )
 BOUNDS = GuardBounds(
     pose_timeout_s=0.2,

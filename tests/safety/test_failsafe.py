@@ -7,6 +7,7 @@ import math
 from typing import Any
 
 import pytest
+from guard_rooms import TIMEOUTS
 
 from uav_recon.safety.failsafe import Failsafe
 from uav_recon.safety.failsafe_conditions import (
@@ -18,18 +19,6 @@ from uav_recon.safety.failsafe_conditions import (
 )
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode, Value
-
-TIMEOUTS = FailsafeTimeouts(
-    pose_timeout_s=0.2,
-    pose_land_s=1.0,
-    intent_timeout_s=0.5,
-    retreat_timeout_s=5.0,
-    land_timeout_s=20.0,
-    depth_timeout_s=0.3,
-    depth_retreat_s=3.0,
-    depth_land_s=10.0,
-)
-
 
 ACTIONS = {
     "pose_timeout_s": FailsafeAction.HOLD,

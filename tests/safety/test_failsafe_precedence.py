@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 import random
 
-from test_failsafe import DISAGREE, DRIFT, TIMEOUTS, UNSURE
+from guard_rooms import TIMEOUTS
+from test_failsafe import DISAGREE, DRIFT, UNSURE
 
 from uav_recon.safety.failsafe import Failsafe
 from uav_recon.safety.failsafe_conditions import FailsafeAction, FailsafeInputs

@@ -6,26 +6,16 @@ import dataclasses
 from typing import Any
 
 import pytest
-from guard_rooms import BOUNDS, ENVELOPE, proposal, situation
+from guard_rooms import BOUNDS, ENVELOPE, TIMEOUTS, proposal, situation
 
 from uav_recon.safety.failsafe import _FLYING
-from uav_recon.safety.failsafe_conditions import CONDITIONS, FailsafeAction, FailsafeInputs, FailsafeTimeouts, Observation
+from uav_recon.safety.failsafe_conditions import CONDITIONS, FailsafeAction, FailsafeInputs, Observation
 from uav_recon.safety.guard import _motion_of
 from uav_recon.safety.pose_gate import PoseVerdict
 from uav_recon.safety.setpoint_continuity import ContinuityCheck
 from uav_recon.safety.sight_speed_limit import SightSpeedLimit
 
 INPUTS = FailsafeInputs(0.0, 0.0, 0.0, 0.0, True)
-TIMEOUTS = FailsafeTimeouts(
-    pose_timeout_s=0.2,
-    pose_land_s=1.0,
-    intent_timeout_s=0.5,
-    retreat_timeout_s=5.0,
-    land_timeout_s=20.0,
-    depth_timeout_s=0.3,
-    depth_retreat_s=3.0,
-    depth_land_s=10.0,
-)
 SIGHT_LIMIT = SightSpeedLimit(
     full_speed_mps=1.0, blind_speed_mps=0.3, blind_fresh_s=3.0, blind_stale_s=10.0, blind_memory_s=60.0
 )

@@ -9,6 +9,7 @@ from collections import Counter
 from typing import Any
 
 import numpy as np
+from guard_rooms import TIMEOUTS
 from pymavlink.dialects.v20 import common as mavlink
 
 from sitl.autopilots.base_autopilot import Autopilot
@@ -28,7 +29,6 @@ from uav_recon.autopilot.pilot.preflight import Origin
 from uav_recon.clock import ManualClock
 from uav_recon.interfaces import ByteLink
 from uav_recon.safety.envelope import Envelope, Fence
-from uav_recon.safety.failsafe_conditions import FailsafeTimeouts
 from uav_recon.safety.guard import Guard, GuardBounds
 from uav_recon.safety.obstacle_speed_limit import Margins
 from uav_recon.safety.recently_seen_space import RecentlySeenSpace
@@ -53,16 +53,6 @@ ENVELOPE = Envelope(
     max_speed_mps=1.0,
     max_acceleration_mps2=2.0,
     max_yaw_rate_radps=0.8,
-)
-PATIENCE = FailsafeTimeouts(
-    pose_timeout_s=0.2,
-    pose_land_s=1.0,
-    intent_timeout_s=0.5,
-    retreat_timeout_s=5.0,
-    land_timeout_s=20.0,
-    depth_timeout_s=0.3,
-    depth_retreat_s=3.0,
-    depth_land_s=10.0,
 )
 BOUNDS = GuardBounds(
     pose_timeout_s=0.2,
@@ -170,7 +160,7 @@ class Rig:
         sight = RecentlySeenSpace(blind_memory_s=10.0, vehicle_radius_m=AIRFRAME.vehicle_radius_m)
         self.guard = Guard(ENVELOPE, BOUNDS, sight)
         return make_pilot(
-            self.tap, self.firmware, self.guard, sight, PATIENCE, self.channels, self.clock, ORIGIN, AIRFRAME, log=log,
+            self.tap, self.firmware, self.guard, sight, TIMEOUTS, self.channels, self.clock, ORIGIN, AIRFRAME, log=log,
             parameters=self.parameters, gate=self.gate(), navigation=self.navigation(),
         )  # fmt: skip
 

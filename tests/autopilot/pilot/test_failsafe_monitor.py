@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 
-from flight_rig import PATIENCE
+from guard_rooms import TIMEOUTS
 
 from uav_recon.autopilot.pilot.failsafe_monitor import FailsafeMonitor
 from uav_recon.safety.failsafe_conditions import FailsafeAction, FailsafeInputs
@@ -19,7 +19,7 @@ UNCERTAIN = Reason(ReasonCode.CLOCK_UNCERTAIN)
 
 
 def test_it_flies_without_a_reason_until_an_input_fails() -> None:
-    failsafe = FailsafeMonitor(PATIENCE, RefusalCounter())
+    failsafe = FailsafeMonitor(TIMEOUTS, RefusalCounter())
     assert not failsafe.update(GOOD, None)
     assert (failsafe.action, failsafe.reason) == (FailsafeAction.FLY, None)
     assert failsafe.update(SILENT, None)
@@ -27,7 +27,7 @@ def test_it_flies_without_a_reason_until_an_input_fails() -> None:
 
 
 def test_only_a_more_severe_action_is_news() -> None:
-    failsafe = FailsafeMonitor(PATIENCE, RefusalCounter())
+    failsafe = FailsafeMonitor(TIMEOUTS, RefusalCounter())
     assert [failsafe.update(inputs, None) for inputs in (SILENT, SILENT, LONG_SILENT, LONG_SILENT)] == [
         True,
         False,
@@ -37,7 +37,7 @@ def test_only_a_more_severe_action_is_news() -> None:
 
 
 def test_only_a_landing_has_a_landing_reason() -> None:
-    failsafe = FailsafeMonitor(PATIENCE, RefusalCounter())
+    failsafe = FailsafeMonitor(TIMEOUTS, RefusalCounter())
     failsafe.update(SILENT, None)
     assert failsafe.landing_reason is None
     failsafe.update(LONG_SILENT, None)
@@ -45,7 +45,7 @@ def test_only_a_landing_has_a_landing_reason() -> None:
 
 
 def test_an_uncertain_clock_is_a_detail_of_a_reason_and_no_reason_of_its_own() -> None:
-    failsafe = FailsafeMonitor(PATIENCE, RefusalCounter())
+    failsafe = FailsafeMonitor(TIMEOUTS, RefusalCounter())
     failsafe.update(GOOD, UNCERTAIN)
     assert failsafe.reason is None
     failsafe.update(SILENT, UNCERTAIN)
@@ -53,7 +53,7 @@ def test_an_uncertain_clock_is_a_detail_of_a_reason_and_no_reason_of_its_own() -
 
 
 def test_before_the_flight_inputs_prevent_the_takeoff_and_leave_no_action() -> None:
-    failsafe = FailsafeMonitor(PATIENCE, RefusalCounter())
+    failsafe = FailsafeMonitor(TIMEOUTS, RefusalCounter())
     assert not failsafe.prevents_takeoff(SILENT)
     assert failsafe.prevents_takeoff(LONG_SILENT)
     assert (failsafe.action, failsafe.reason) == (FailsafeAction.FLY, None)
@@ -62,7 +62,7 @@ def test_before_the_flight_inputs_prevent_the_takeoff_and_leave_no_action() -> N
 def test_refusals_before_the_flight_do_not_count() -> None:
     counter = RefusalCounter()
     counter.add()
-    refusals = FailsafeMonitor(PATIENCE, counter).refusals
+    refusals = FailsafeMonitor(TIMEOUTS, counter).refusals
     refusals.update(False, 10.0)
     assert refusals.refused_s == 0.0
     for now_s in (13.0, 14.5):

@@ -6,7 +6,8 @@ import math
 
 import numpy as np
 import pytest
-from flight_rig import AIRFRAME, BOUNDS, ENVELOPE, ORIGIN, PATIENCE, Rig
+from flight_rig import AIRFRAME, BOUNDS, ENVELOPE, ORIGIN, Rig
+from guard_rooms import TIMEOUTS
 from test_pilot_flight_ardupilot import CopterRig
 
 from sitl.scene.scene import Scene, load_scene
@@ -36,7 +37,7 @@ class RangeRig(Rig):
         self.sight = RecentlySeenSpace(blind_memory_s=60.0, vehicle_radius_m=AIRFRAME.vehicle_radius_m)
         self.guard = Guard(ENVELOPE, BOUNDS, self.sight)
         return make_pilot(
-            self.tap, self.firmware, self.guard, self.sight, PATIENCE, self.channels, self.clock, ORIGIN, AIRFRAME, log=log,
+            self.tap, self.firmware, self.guard, self.sight, TIMEOUTS, self.channels, self.clock, ORIGIN, AIRFRAME, log=log,
             range_finder=self.model,
         )  # fmt: skip
 
