@@ -29,24 +29,33 @@ if __name__ == "__main__":
 
 
 def of_session(session: int) -> dict[int, str]:
-    """Return every live process of a session, with its command line."""
-    told = {}
+    """Return every live process of a session, with its command line.
+
+    A process that ends releases its memory, and with it its command line, before it is a zombie: it counts as ended.
+    """
+    lines = {}
     for folder in Path("/proc").glob("[0-9]*"):
         try:
             words = (folder / "stat").read_text().rpartition(")")[2].split()
             line = (folder / "cmdline").read_text().replace("\0", " ")
         except OSError:
             continue
-        if int(words[3]) == session and words[0] != "Z" and "resource_tracker" not in line:  # it ends a moment later
-            told[int(folder.name)] = line
-    return told
+        ending = words[0] == "Z" or not line or "resource_tracker" in line  # the tracker ends a moment later
+        if int(words[3]) == session and not ending:
+            lines[int(folder.name)] = line
+    return lines
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
 def test_no_process_is_left_and_nothing_is_printed(tmp_path: Path, number: signal.Signals) -> None:
     script = tmp_path / "script.py"
     script.write_text(SCRIPT)
-    chief = subprocess.Popen([sys.executable, str(script)], start_new_session=True, stderr=subprocess.PIPE, text=True)
+    arguments = [sys.executable, str(script)]
+    with subprocess.Popen(arguments, start_new_session=True, stderr=subprocess.PIPE, text=True) as chief:
+        check_end(chief, number)
+
+
+def check_end(chief: subprocess.Popen[str], number: signal.Signals) -> None:
     while "sleep 61.5" not in "".join(of_session(chief.pid).values()):
         assert chief.poll() is None, chief.communicate()[1]
         time.sleep(0.05)
@@ -62,8 +71,6 @@ def test_no_process_is_left_and_nothing_is_printed(tmp_path: Path, number: signa
         time.sleep(0.05)
     for left in of_session(chief.pid):  # processes that the workers started without die_with_parent
         os.kill(left, signal.SIGKILL)
-    assert chief.stderr is not None
-    chief.stderr.close()
 
 
 def test_results_and_exceptions_of_the_work_are_returned() -> None:
