@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from uav_recon.safety.envelope import Envelope, Fence, Vec3
-from uav_recon.safety.failsafe_conditions import FailsafeTimeouts
+from uav_recon.safety.failsafe_precedence import FailsafeTimeouts
 from uav_recon.safety.free_space_check import FreeSpaceCheck
 from uav_recon.safety.guard import Guard, GuardBounds, GuardInputs, SetpointProposal
 from uav_recon.safety.obstacle_speed_limit import ForwardDepth, Margins

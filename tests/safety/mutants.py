@@ -47,7 +47,7 @@ TESTS = {
     "free_space_check": ("test_free_space_check", *BY_GUARD),
     "setpoint_continuity": ("test_setpoint_continuity", *BY_GUARD),
     "failsafe": ("test_failsafe", "test_safety_values"),
-    "failsafe_conditions": ("test_failsafe", "test_safety_values"),
+    "failsafe_precedence": ("test_failsafe", "test_safety_values"),
     "refusals": ("test_refusals", "test_guard"),
     "pose_gate": ("test_pose_gate", "test_safety_values"),
     "obstacle_speed_limit": ("test_obstacle_speed_limit", *BY_GUARD),

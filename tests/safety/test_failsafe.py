@@ -10,7 +10,7 @@ import pytest
 from guard_rooms import TIMEOUTS
 
 from uav_recon.safety.failsafe import Failsafe
-from uav_recon.safety.failsafe_conditions import (
+from uav_recon.safety.failsafe_precedence import (
     CONDITIONS,
     ClearCondition,
     FailsafeAction,

@@ -9,7 +9,7 @@ from guard_rooms import TIMEOUTS
 from test_failsafe import DISAGREE, DRIFT, UNSURE
 
 from uav_recon.safety.failsafe import Failsafe
-from uav_recon.safety.failsafe_conditions import FailsafeAction, FailsafeInputs
+from uav_recon.safety.failsafe_precedence import FailsafeAction, FailsafeInputs
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
 

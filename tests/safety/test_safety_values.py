@@ -9,7 +9,7 @@ import pytest
 from guard_rooms import BOUNDS, ENVELOPE, TIMEOUTS, proposal, situation
 
 from uav_recon.safety.failsafe import _FLYING
-from uav_recon.safety.failsafe_conditions import CONDITIONS, FailsafeAction, FailsafeInputs, Observation
+from uav_recon.safety.failsafe_precedence import CONDITIONS, FailsafeAction, FailsafeInputs, Observation
 from uav_recon.safety.guard import _motion_of
 from uav_recon.safety.pose_gate import PoseVerdict
 from uav_recon.safety.setpoint_continuity import ContinuityCheck

@@ -10,14 +10,14 @@ from uav_recon.errors import EXIT_CONFIG, UserError
 
 if TYPE_CHECKING:  # each process imports only the stages that it runs
     from uav_recon.safety.envelope import Envelope
-    from uav_recon.safety.failsafe_conditions import FailsafeTimeouts
+    from uav_recon.safety.failsafe_precedence import FailsafeTimeouts
     from uav_recon.safety.guard import GuardBounds
     from uav_recon.safety.recently_seen_space import RecentlySeenSpace
 
 
 def failsafe_timeouts(config: Config) -> FailsafeTimeouts:
     """Return the timeouts of the failsafe, each under its key in [safety]."""
-    from uav_recon.safety.failsafe_conditions import FailsafeTimeouts
+    from uav_recon.safety.failsafe_precedence import FailsafeTimeouts
 
     safety = config.safety
     return FailsafeTimeouts(

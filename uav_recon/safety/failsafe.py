@@ -1,6 +1,6 @@
 """Failsafe: selects the action of a flight from the health of its inputs.
 
-The causes are a table of their own, `failsafe_conditions`. The action becomes more severe at once. It becomes less severe as
+The causes are a table of their own, `failsafe_precedence`. The action becomes more severe at once. It becomes less severe as
 its row says.
 """
 
@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from uav_recon.safety.failsafe_conditions import (
+from uav_recon.safety.failsafe_precedence import (
     CONDITIONS,
     ClearCondition,
     FailsafeAction,

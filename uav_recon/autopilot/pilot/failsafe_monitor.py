@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from uav_recon.safety.failsafe import Failsafe
-from uav_recon.safety.failsafe_conditions import FailsafeAction, FailsafeInputs, FailsafeTimeouts
+from uav_recon.safety.failsafe_precedence import FailsafeAction, FailsafeInputs, FailsafeTimeouts
 from uav_recon.safety.refusals import RefusalCounter, RefusalHistory
 from uav_recon.types.reason import Reason
 

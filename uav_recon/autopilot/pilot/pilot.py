@@ -28,7 +28,7 @@ from uav_recon.autopilot.pilot.takeoff_sequence import TakeoffSequence
 from uav_recon.autopilot.pilot.upward_range_finder import STREAM, NoRangeFinder, RangeFinderModel, UpwardRangeFinder
 from uav_recon.clock import RateKeeper
 from uav_recon.interfaces import ByteLink, Clock
-from uav_recon.safety.failsafe_conditions import FailsafeAction, FailsafeTimeouts
+from uav_recon.safety.failsafe_precedence import FailsafeAction, FailsafeTimeouts
 from uav_recon.safety.guard import Guard, GuardInputs
 from uav_recon.safety.pose_gate import PoseGate
 from uav_recon.safety.recently_seen_space import RecentlySeenSpace

@@ -16,7 +16,7 @@ from uav_recon.autopilot.pilot.flown_views import FlownViews
 from uav_recon.autopilot.pilot.mission_input import MissionInput
 from uav_recon.autopilot.pilot.obstacle_evasion import ObstacleEvasion
 from uav_recon.autopilot.pilot.setpoint_blending import SetpointBlender
-from uav_recon.safety.failsafe_conditions import FailsafeAction
+from uav_recon.safety.failsafe_precedence import FailsafeAction
 from uav_recon.safety.guard import ClearedSetpoint, Guard, GuardInputs, SetpointProposal
 from uav_recon.types.pose import Pose
 from uav_recon.types.reason import Reason

@@ -14,7 +14,7 @@ from uav_recon.autopilot.pilot.pose_feed import PoseFeed
 from uav_recon.autopilot.pilot.setpoint_selection import SetpointSelector
 from uav_recon.autopilot.pilot.surroundings import Surroundings
 from uav_recon.safety.envelope import Vec3
-from uav_recon.safety.failsafe_conditions import FailsafeInputs
+from uav_recon.safety.failsafe_precedence import FailsafeInputs
 from uav_recon.safety.guard import Guard, GuardInputs
 from uav_recon.safety.refusals import RefusalHistory
 from uav_recon.types.pose import Pose, PoseHealth
