@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 
 from results.claims import MAX_CONTENTION, ClaimError, Figure, Headline, Outcome, Tree, at
 from results.revision_age import MAX_COMMITS
-from uav_recon.measurement.machine_calibration import REFERENCE_S
+from uav_recon.measurement.machine_speed import REFERENCE_S
 
 HISTORY_HEAD = ("id", "date", "commit", "value", "pass")
 BEGIN = "<!-- results: begin -->"

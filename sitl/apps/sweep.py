@@ -25,7 +25,7 @@ from uav_recon import json_codec
 from uav_recon.app.option_validation import require_writable_file
 from uav_recon.errors import EXIT_USAGE, UserError
 from uav_recon.measurement import host_info, result_file
-from uav_recon.measurement.machine_calibration import Calibration, calibrate
+from uav_recon.measurement.machine_speed import Calibration, calibrate
 from uav_recon.measurement.result_file import result_header
 
 BAD_SHOWN = 20

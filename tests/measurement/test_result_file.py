@@ -11,7 +11,7 @@ import pytest
 
 from uav_recon.errors import UserError
 from uav_recon.measurement import host_info, result_file
-from uav_recon.measurement.machine_calibration import REFERENCE_S, Calibration
+from uav_recon.measurement.machine_speed import REFERENCE_S, Calibration
 from uav_recon.measurement.result_file import command_line, result_header
 
 BUSY = Calibration(4 * REFERENCE_S, 2 * REFERENCE_S)

@@ -29,7 +29,7 @@ from results.claims import (
 from results.hazards_page import hazards_page
 from sitl.faults.table.all_scenarios import TABLE
 from uav_recon.cli.main import app
-from uav_recon.measurement.machine_calibration import REFERENCE_S, Calibration
+from uav_recon.measurement.machine_speed import REFERENCE_S, Calibration
 from uav_recon.measurement.result_file import save
 
 CLAIMS_READ, RUNS = load_claims()

@@ -18,7 +18,7 @@ from typing import Any
 from uav_recon import atomic_file, json_codec
 from uav_recon.errors import EXIT_FAILURE, UserError
 from uav_recon.measurement import host_info
-from uav_recon.measurement.machine_calibration import Calibration, calibrate
+from uav_recon.measurement.machine_speed import Calibration, calibrate
 from uav_recon.measurement.plausibility import impossible_value
 
 HEADER = "header"

@@ -26,7 +26,7 @@ from uav_recon.mapping.neural.keyframes.ray_buffer import MAX_VIEWS
 from uav_recon.mapping.neural.neural_mapper import NeuralMapper
 from uav_recon.mapping.neural.worker.checkpoint import MapperCheckpoints
 from uav_recon.measurement import host_info, result_file
-from uav_recon.measurement.machine_calibration import calibrate
+from uav_recon.measurement.machine_speed import calibrate
 from uav_recon.measurement.printed_table import narrow_table
 
 PARTS = 10

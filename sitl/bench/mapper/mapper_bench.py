@@ -16,7 +16,7 @@ from sitl.bench.mapper import mapper_tables, seeded_views, training_run, tsdf_ba
 from uav_recon.app.option_validation import UsageError, require_writable_file
 from uav_recon.evaluation.triangle_surface import TriangleSurface
 from uav_recon.measurement import host_info, result_file
-from uav_recon.measurement.machine_calibration import calibrate
+from uav_recon.measurement.machine_speed import calibrate
 
 PRINTED_WIDTH = 100  # if the output is not a terminal
 VIEWS = (4, 2000)

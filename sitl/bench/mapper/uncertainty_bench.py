@@ -16,7 +16,7 @@ from sitl.bench.mapper.sparsification import ause, spearman
 from uav_recon.app.option_validation import UsageError
 from uav_recon.mapping.neural.neural_mapper import NeuralMapper
 from uav_recon.measurement import host_info, result_file
-from uav_recon.measurement.machine_calibration import calibrate
+from uav_recon.measurement.machine_speed import calibrate
 
 PRINTED_WIDTH = 100  # if the output is not a terminal
 RANDOM_SEED = 20240320

@@ -28,7 +28,7 @@ from uav_recon.app.option_validation import UsageError, require_writable_file
 from uav_recon.config import Config
 from uav_recon.errors import UserError
 from uav_recon.measurement import host_info, result_file
-from uav_recon.measurement.machine_calibration import calibrate
+from uav_recon.measurement.machine_speed import calibrate
 from uav_recon.measurement.printed_table import narrow_table
 from uav_recon.types.frames import FloatArray
 

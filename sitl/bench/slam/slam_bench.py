@@ -21,7 +21,7 @@ from sitl.bench.slam.frame_trackers import METHODS
 from sitl.bench.slam.tracking_metrics import TrackingFigures, figures_of
 from uav_recon.app.option_validation import UsageError, require_writable_file, require_writable_folder
 from uav_recon.measurement import host_info, result_file
-from uav_recon.measurement.machine_calibration import calibrate
+from uav_recon.measurement.machine_speed import calibrate
 
 if TYPE_CHECKING:
     from sitl.apps.rgbd_sequences import RgbdSequence, SequenceOptions

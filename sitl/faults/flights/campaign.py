@@ -29,7 +29,7 @@ from sitl.runtime.worker_pool import worker_pool
 from uav_recon.app.option_validation import UsageError, readable, require_writable_file, require_writable_folder
 from uav_recon.errors import UserError
 from uav_recon.measurement import result_file
-from uav_recon.measurement.machine_calibration import Calibration, calibrate
+from uav_recon.measurement.machine_speed import Calibration, calibrate
 from uav_recon.measurement.result_file import result_header
 
 FIRMWARE_OFFERS = {

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from uav_recon.localization.fusion.filter_pose_gates import PoseRejection
 from uav_recon.localization.fusion.fusion_filter import FusionFilter
 from uav_recon.localization.fusion.imu_integration import GRAVITY_MPS2
-from uav_recon.measurement.machine_calibration import calibrate
+from uav_recon.measurement.machine_speed import calibrate
 from uav_recon.types.camera import ImuSample
 from uav_recon.types.pose import Pose, PoseHealth, StampedPose
 

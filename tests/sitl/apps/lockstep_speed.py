@@ -21,7 +21,7 @@ from sitl.apps.lockstep import NoHook, fly_in_lockstep
 from sitl.apps.sim_options import SimOptions
 from sitl.apps.sweep_case import one_thread
 from sitl.scene.scene import load_scene
-from uav_recon.measurement.machine_calibration import calibrate
+from uav_recon.measurement.machine_speed import calibrate
 
 EVERY_S = 2.0
 

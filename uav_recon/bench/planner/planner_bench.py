@@ -20,7 +20,7 @@ from uav_recon.bench.planner.recorded_stream import SIZE, STRIDE, RecordedStream
 from uav_recon.bench.planner.replay import judged_views, mapped_of, timed_plans, timed_stages
 from uav_recon.bench.planner.stages import MOUNTS_RAD, STAGES, warm_up
 from uav_recon.measurement import host_info, result_file
-from uav_recon.measurement.machine_calibration import Calibration, calibrate
+from uav_recon.measurement.machine_speed import Calibration, calibrate
 from uav_recon.planning.tour import atsp
 from uav_recon.types.maps import UNKNOWN
 

@@ -22,7 +22,7 @@ from uav_recon.app.option_validation import UsageError, readable, require_writab
 from uav_recon.errors import UserError
 from uav_recon.mapping.keyframe_store import KeyframeError, KeyframeFolder
 from uav_recon.measurement import host_info, result_file
-from uav_recon.measurement.machine_calibration import calibrate
+from uav_recon.measurement.machine_speed import calibrate
 from uav_recon.measurement.printed_table import narrow_table
 from uav_recon.measurement.stage_timing import Stopwatch, TimingSummary
 from uav_recon.planning.candidate_view import PlanningContext

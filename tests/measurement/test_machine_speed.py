@@ -1,6 +1,6 @@
 import pytest
 
-from uav_recon.measurement.machine_calibration import REFERENCE_S, Calibration, calibrate
+from uav_recon.measurement.machine_speed import REFERENCE_S, Calibration, calibrate
 
 
 def test_the_factor_is_the_time_here_over_the_time_on_the_reference_machine() -> None:
