@@ -96,9 +96,11 @@ def calibrate(
     Prints each error of the camera with its uncertainty, draws the distances between views before and after, and prints the
     keys of the config that remove the errors. A fixed mount only. Exit code 0: all is known; 1: some motion is missing.
     """
-    from uav_recon.app import calibrate as calibration
+    from uav_recon.app import calibrate_command
 
-    exit_with(lambda: calibration.calibrate(calibration.CalibrateOptions.of(recording, live, config, seconds, out, write)))
+    exit_with(
+        lambda: calibrate_command.calibrate(calibrate_command.CalibrateOptions.of(recording, live, config, seconds, out, write))
+    )
 
 
 def track(

@@ -12,9 +12,8 @@ import cv2
 import numpy as np
 import pytest
 
-from uav_recon.app import calibrate as calibrating
-from uav_recon.app import camera_sources
-from uav_recon.app.calibrate import PLOT, CalibrateOptions, calibrate, config_lines
+from uav_recon.app import calibrate_command, camera_sources
+from uav_recon.app.calibrate_command import PLOT, CalibrateOptions, calibrate, config_lines
 from uav_recon.clock import ManualClock
 from uav_recon.config import Config, load, save
 from uav_recon.errors import UserError
@@ -164,7 +163,7 @@ def test_a_camera_that_runs_is_calibrated_until_it_is_known_well(
     lens = CameraSpec(int(width), int(height), fx, fy, cx, cy)
     header = StreamHeader(lens, CameraSpec(4, 2, fx, fy, cx, cy), (1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
     clock = FeedingClock(npz, StreamWriter(tmp_path / "camera.stream", header))
-    monkeypatch.setattr("uav_recon.app.calibrate.MonotonicClock", lambda: clock)
+    monkeypatch.setattr("uav_recon.app.calibrate_command.MonotonicClock", lambda: clock)
     config = load(_config(tmp_path, source="stream"))
     save(config.model_copy(update={"runtime": config.runtime.model_copy(update={"folder": tmp_path})}), tmp_path / "live.toml")
     code = calibrate(CalibrateOptions.of(None, True, tmp_path / "live.toml", 38.0, tmp_path / "out", tmp_path / "new.toml"))
@@ -273,5 +272,5 @@ def test_a_pose_long_after_the_last_frame_does_not_lengthen_the_calibration(tmp_
     arrays["pose_stamp_s"][-1] = 1e6
     np.savez(npz, **arrays)
     path = _as_mcap(npz, camera_sources.tilted_camera(load(FLOWN)))
-    _, _, begin_s, end_s = calibrating._open_recording(path, load(FLOWN), ManualClock(-math.inf))
+    _, _, begin_s, end_s = calibrate_command._open_recording(path, load(FLOWN), ManualClock(-math.inf))
     assert end_s - begin_s < 4.0

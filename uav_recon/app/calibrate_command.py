@@ -1,4 +1,4 @@
-"""`uav-recon calibrate`: the camera's errors from a motion by hand, for the config."""
+"""`uav-recon calibrate`: options, input and output of localization.hand_calibration."""
 
 from __future__ import annotations
 
