@@ -22,7 +22,7 @@ Tree = dict[str, Any]
 ROOT = Path(__file__).parents[1]
 CLAIMS = "results/claims.toml"
 CURRENT = "results/current"
-MAX_CONTENTION = 1.15  # wall time / processor time of the calibration jobs, above which a timing is not used
+MAX_CONTENTION = 1.15  # wall time / processor time of the job of machine_speed, above which a timing is not used
 REQUIREMENTS = ("at_most", "at_least", "equals")
 ROUNDING = 1e-9  # relative; so that a limit that is met exactly is met after scaling too
 

@@ -25,7 +25,7 @@ from uav_recon import json_codec
 from uav_recon.app.option_validation import require_writable_file
 from uav_recon.errors import EXIT_USAGE, UserError
 from uav_recon.measurement import host_info, result_file
-from uav_recon.measurement.machine_speed import Calibration, calibrate
+from uav_recon.measurement.machine_speed import MachineSpeed, measure_machine_speed
 from uav_recon.measurement.result_file import result_header
 
 BAD_SHOWN = 20
@@ -65,10 +65,10 @@ def sweep(options: SweepOptions) -> int:
     with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
         task = progress.add_task("", total=len(todo))
         one_thread()
-        calibration, commit = calibrate(), host_info.commit()
+        machine_speed, commit = measure_machine_speed(), host_info.commit()
         for record in _fly_all(todo, options.truth, options.jobs):
             records.append(dataclasses.replace(record, commit=commit))
-            _save(options.json, records, calibration)
+            _save(options.json, records, machine_speed)
             progress.console.print(_line(record), markup=False, highlight=False, soft_wrap=True)
             progress.advance(task)
     wanted = set(cases(options))
@@ -116,9 +116,9 @@ def _load(path: Path | None) -> list[Record]:
         raise UserError(f"--json {path}: not a results file of `uav-recon sweep` ({error})", EXIT_USAGE) from None
 
 
-def _save(path: Path | None, records: list[Record], calibration: Calibration) -> None:
+def _save(path: Path | None, records: list[Record], machine_speed: MachineSpeed) -> None:
     if path is not None:
-        result_file.save(path, {"summary": summary(records), "flights": records}, result_header(calibration))
+        result_file.save(path, {"summary": summary(records), "flights": records}, result_header(machine_speed))
 
 
 def summary(records: list[Record]) -> dict[str, object]:

@@ -11,10 +11,10 @@ import pytest
 
 from uav_recon.errors import UserError
 from uav_recon.measurement import host_info, result_file
-from uav_recon.measurement.machine_speed import REFERENCE_S, Calibration
+from uav_recon.measurement.machine_speed import REFERENCE_S, MachineSpeed
 from uav_recon.measurement.result_file import command_line, result_header
 
-BUSY = Calibration(4 * REFERENCE_S, 2 * REFERENCE_S)
+BUSY = MachineSpeed(4 * REFERENCE_S, 2 * REFERENCE_S)
 
 
 def test_the_header_states_reference_time_and_contention_of_a_busy_machine() -> None:

@@ -29,7 +29,7 @@ from results.claims import (
 from results.hazards_page import hazards_page
 from sitl.faults.table.all_scenarios import TABLE
 from uav_recon.cli.main import app
-from uav_recon.measurement.machine_speed import REFERENCE_S, Calibration
+from uav_recon.measurement.machine_speed import REFERENCE_S, MachineSpeed
 from uav_recon.measurement.result_file import save
 
 CLAIMS_READ, RUNS = load_claims()
@@ -249,8 +249,8 @@ def test_a_command_runs_with_this_interpreter() -> None:
 
 
 def test_durations_of_commands_are_written_and_a_failed_one_has_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    calibration = Calibration(REFERENCE_S, REFERENCE_S)
-    monkeypatch.setattr("uav_recon.measurement.result_file.calibrate", lambda: calibration)
+    speed = MachineSpeed(REFERENCE_S, REFERENCE_S)
+    monkeypatch.setattr("uav_recon.measurement.result_file.measure_machine_speed", lambda: speed)
     path = tmp_path / "x.json"
     assert time_command.main(["--json", str(path), "--times", "3", "good=true", "bad=false"]) == 1
     tree = json.loads(path.read_text(encoding="utf-8"))

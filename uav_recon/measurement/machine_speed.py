@@ -20,7 +20,7 @@ REFERENCE_S = 0.0375
 
 
 @dataclass(frozen=True, slots=True)
-class Calibration:
+class MachineSpeed:
     """Median seconds of the job here, as wall-clock time and as processor time.
 
     On a busy machine the processor time is shorter than the wall-clock time.
@@ -30,7 +30,7 @@ class Calibration:
     cpu_s: float
 
     @property
-    def factor(self) -> float:
+    def slowdown(self) -> float:
         """Return time here / time there, the divisor of wall-clock times.
 
         Above 1 this machine is slower.
@@ -38,22 +38,22 @@ class Calibration:
         return self.wall_s / REFERENCE_S
 
     @property
-    def cpu_factor(self) -> float:
+    def cpu_slowdown(self) -> float:
         """Return the divisor of processor times."""
         return self.cpu_s / REFERENCE_S
 
 
-def calibrate(runs: int = 7) -> Calibration:
-    """Run the job. Takes about half a second."""
+def measure_machine_speed(runs: int = 7) -> MachineSpeed:
+    """Run the job and return its median times. Takes about half a second."""
     occupied = np.random.default_rng(7).random((100, 100, 60)) < 0.02
     return _median(lambda: ndimage.distance_transform_edt(~occupied), runs)
 
 
-def _median(job: Callable[[], object], runs: int) -> Calibration:
+def _median(job: Callable[[], object], runs: int) -> MachineSpeed:
     took_s = []
     for _ in range(runs):
         began_s, began_cpu_s = time.perf_counter(), time.thread_time()
         job()
         took_s.append((time.perf_counter() - began_s, time.thread_time() - began_cpu_s))
     wall_s, cpu_s = np.median(took_s, axis=0)
-    return Calibration(float(wall_s), float(cpu_s))
+    return MachineSpeed(float(wall_s), float(cpu_s))

@@ -18,7 +18,7 @@ from typing import Any
 from uav_recon import atomic_file, json_codec
 from uav_recon.errors import EXIT_FAILURE, UserError
 from uav_recon.measurement import host_info
-from uav_recon.measurement.machine_speed import Calibration, calibrate
+from uav_recon.measurement.machine_speed import MachineSpeed, measure_machine_speed
 from uav_recon.measurement.plausibility import impossible_value
 
 HEADER = "header"
@@ -31,8 +31,8 @@ class ResultHeader:
 
     command: as typed; an absolute path below the working directory is made relative, any other is cut to its name.
     commit, changed: of the source tree (host_info.revision). date: end of the run, UTC, ISO 8601.
-    reference_job_s: processor time of the calibration job here, raw. contention: wall time / processor time of the same job;
-    above 1 other programs used the cores.
+    reference_job_s: processor time of the job of machine_speed here, raw. contention: wall time / processor time of the
+    same job; above 1 other programs used the cores.
     seconds: wall time from the start of the process to the writing of the file.
     """
 
@@ -48,12 +48,12 @@ class ResultHeader:
     seconds: float
 
 
-def result_header(calibration: Calibration | None = None) -> ResultHeader:
+def result_header(machine_speed: MachineSpeed | None = None) -> ResultHeader:
     """Return the header of a run that ends now.
 
-    Without a calibration it calibrates, which takes half a second.
+    Without a machine_speed it measures one, which takes half a second.
     """
-    measured = calibration or calibrate()
+    measured = machine_speed or measure_machine_speed()
     head, changed = host_info.revision()
     return ResultHeader(
         command=command_line(sys.argv, Path.cwd()),
@@ -64,7 +64,7 @@ def result_header(calibration: Calibration | None = None) -> ResultHeader:
         cores=os.cpu_count() or 0,
         memory_gib=round(host_info.memory_gib(), 1),
         reference_job_s=round(measured.cpu_s, 5),
-        contention=round(measured.factor / measured.cpu_factor, 3),
+        contention=round(measured.slowdown / measured.cpu_slowdown, 3),
         seconds=round(host_info.process_age_s(), 1),
     )
 

@@ -26,7 +26,7 @@ from uav_recon.mapping.neural.keyframes.ray_buffer import MAX_VIEWS
 from uav_recon.mapping.neural.neural_mapper import NeuralMapper
 from uav_recon.mapping.neural.worker.checkpoint import MapperCheckpoints
 from uav_recon.measurement import host_info, result_file
-from uav_recon.measurement.machine_speed import calibrate
+from uav_recon.measurement.machine_speed import measure_machine_speed
 from uav_recon.measurement.printed_table import narrow_table
 
 PARTS = 10
@@ -138,7 +138,7 @@ def endure(
                 parts.append(
                     Part(
                         n + 1, len(trainer.kept), save, add, train / steps_per_view, surface, took[:, 4].max(),
-                        host_info.resident_mb(), disk_mb, trainer.field.slots, calibrate().cpu_factor,
+                        host_info.resident_mb(), disk_mb, trainer.field.slots, measure_machine_speed().cpu_slowdown,
                     )
                 )  # fmt: skip
                 laps = []

@@ -16,7 +16,7 @@ from sitl.bench.mapper import mapper_tables, seeded_views, training_run, tsdf_ba
 from uav_recon.app.option_validation import UsageError, require_writable_file
 from uav_recon.evaluation.triangle_surface import TriangleSurface
 from uav_recon.measurement import host_info, result_file
-from uav_recon.measurement.machine_speed import calibrate
+from uav_recon.measurement.machine_speed import measure_machine_speed
 
 PRINTED_WIDTH = 100  # if the output is not a terminal
 VIEWS = (4, 2000)
@@ -87,12 +87,12 @@ def bench_mapper(wanted: MapperBench) -> int:
         began_s = time.perf_counter()
         training_run.warm_up(scene.keyframes[0])
         compile_s = time.perf_counter() - began_s
-        calibration = calibrate()
+        machine_speed = measure_machine_speed()
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     with Progress(*columns, console=console, transient=True, auto_refresh=False) as progress:
         ev = seeded_views.exposures(scene, wanted.exposure, wanted.seed)
         shown = seeded_views.exposed(scene, ev) if wanted.exposure else scene
-        result = _measured(shown, wanted, calibration.cpu_factor, progress)
+        result = _measured(shown, wanted, machine_speed.cpu_slowdown, progress)
         result["about"] |= _compared(scene, shown, options, wanted, progress)
     result["about"] = _about(scene, wanted) | {"compile_s": compile_s} | result["about"]
     mapper_tables.show(Console(width=None if sys.stdout.isatty() else PRINTED_WIDTH), result)
@@ -115,11 +115,11 @@ def ticking(progress: Progress, name: str, total: int) -> training_run.Tick:
     return tick
 
 
-def _measured(scene: seeded_views.MapperScene, wanted: MapperBench, factor_before: float, progress: Progress) -> Result:
+def _measured(scene: seeded_views.MapperScene, wanted: MapperBench, slowdown_before: float, progress: Progress) -> Result:
     """Return the fields of the result; times are processor milliseconds of this machine.
 
     The entry ``about`` has the same times calibrated and as wall-clock time, and the TSDF baseline. The speed of a shared
-    machine varies, so the calibration factor is the geometric mean of one measurement before and one after.
+    machine varies, so the divisor is the geometric mean of one measurement before and one after.
     """
     views = len(scene.keyframes)
     run = training_run.online(scene, wanted.steps_per_view, wanted.seed, ticking(progress, "view by view", views))
@@ -130,7 +130,7 @@ def _measured(scene: seeded_views.MapperScene, wanted: MapperBench, factor_befor
     unpainted_db = training_run.picture_psnr_db(run.trainer, run.trainer.field, scene.pictures)
     looks = training_run.RECALL_STEPS // training_run.RECALL_EVERY
     recalls = training_run.time_to_recall(scene, wanted.seed, ticking(progress, "all views at once", looks))
-    factor = math.sqrt(factor_before * calibrate().cpu_factor)
+    factor = math.sqrt(slowdown_before * measure_machine_speed().cpu_slowdown)
     baseline = training_run.against_truth(
         tsdf_baseline.tsdf_surface(scene.keyframes, ticking(progress, "TSDF beside it", views)), scene
     )
@@ -218,7 +218,7 @@ def _about(scene: seeded_views.MapperScene, wanted: MapperBench) -> Result:
 
 
 def _divided(tree: Result, factor: float) -> Result:
-    """Divide every time in a tree by the calibration factor."""
+    """Divide every time in a tree by the slowdown of the machine."""
     return {
         name: _divided(value, factor) if isinstance(value, dict) else None if value is None else value / factor
         for name, value in tree.items()

@@ -16,7 +16,7 @@ from sitl.bench.mapper.sparsification import ause, spearman
 from uav_recon.app.option_validation import UsageError
 from uav_recon.mapping.neural.neural_mapper import NeuralMapper
 from uav_recon.measurement import host_info, result_file
-from uav_recon.measurement.machine_speed import calibrate
+from uav_recon.measurement.machine_speed import measure_machine_speed
 
 PRINTED_WIDTH = 100  # if the output is not a terminal
 RANDOM_SEED = 20240320
@@ -55,7 +55,7 @@ def bench_uncertainty(wanted: MapperBench, after: tuple[int, ...]) -> int:
         "camera_errors": wanted.camera_error_scale,
         "machine": host_info.processor(),
         "commit": host_info.commit(),
-        "calibration_cpu": calibrate().cpu_factor,
+        "calibration_cpu": measure_machine_speed().cpu_slowdown,
     }
     result: Result = {"about": about, "partial_maps": maps}
     mapper_tables.show_uncertainties(Console(width=None if sys.stdout.isatty() else PRINTED_WIDTH), result)

@@ -28,7 +28,7 @@ from uav_recon.app.option_validation import UsageError, require_writable_file
 from uav_recon.config import Config
 from uav_recon.errors import UserError
 from uav_recon.measurement import host_info, result_file
-from uav_recon.measurement.machine_speed import calibrate
+from uav_recon.measurement.machine_speed import measure_machine_speed
 from uav_recon.measurement.printed_table import narrow_table
 from uav_recon.types.frames import FloatArray
 
@@ -90,7 +90,7 @@ def bench_setpoints(minutes: float, negative: bool, autopilot: str, json: Path |
     status = Console(stderr=True)
     with status.status("loading ...") as now:
         measured = measure(minutes * 60.0, negative, autopilot, lambda what: now.update(f"{what} ..."))
-    factor = calibrate().cpu_factor
+    factor = measure_machine_speed().cpu_slowdown
     _show(Console(width=None if sys.stdout.isatty() else PRINTED_WIDTH), measured, minutes, negative, factor)
     if json is not None:
         about = {

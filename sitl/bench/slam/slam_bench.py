@@ -21,7 +21,7 @@ from sitl.bench.slam.frame_trackers import METHODS
 from sitl.bench.slam.tracking_metrics import TrackingFigures, figures_of
 from uav_recon.app.option_validation import UsageError, require_writable_file, require_writable_folder
 from uav_recon.measurement import host_info, result_file
-from uav_recon.measurement.machine_speed import calibrate
+from uav_recon.measurement.machine_speed import measure_machine_speed
 
 if TYPE_CHECKING:
     from sitl.apps.rgbd_sequences import RgbdSequence, SequenceOptions
@@ -91,11 +91,11 @@ def bench_slam(wanted: SlamBench) -> int:
     one_thread()  # before Open3D is loaded, which counts its threads then
     cv2.setNumThreads(1)
     console = Console(stderr=True)
-    calibration = calibrate()
+    machine_speed = measure_machine_speed()
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     with Progress(*columns, console=console, transient=True, auto_refresh=False) as progress:
         rows = _rows(wanted, sequences, progress)
-    factor = math.sqrt(calibration.cpu_factor * calibrate().cpu_factor)
+    factor = math.sqrt(machine_speed.cpu_slowdown * measure_machine_speed().cpu_slowdown)
     result = {"summary": summary(rows), "sequences": rows, "about": _about(wanted, factor)}
     slam_tables.show(Console(width=None if sys.stdout.isatty() else PRINTED_WIDTH), result)
     if wanted.json is not None:

@@ -29,7 +29,7 @@ from sitl.runtime.worker_pool import worker_pool
 from uav_recon.app.option_validation import UsageError, readable, require_writable_file, require_writable_folder
 from uav_recon.errors import UserError
 from uav_recon.measurement import result_file
-from uav_recon.measurement.machine_speed import Calibration, calibrate
+from uav_recon.measurement.machine_speed import MachineSpeed, measure_machine_speed
 from uav_recon.measurement.result_file import result_header
 
 FIRMWARE_OFFERS = {
@@ -121,12 +121,12 @@ def faults(options: FaultOptions) -> int:
     require_writable_folder("--out", options.out)
     compile_ahead(flight_jobs(neural=False), console)
     one_thread()
-    calibration = calibrate()
+    machine_speed = measure_machine_speed()
     with contextlib.closing(_fly_all(groups, 1 if options.live else options.jobs, console)) as records:
         for result in _results(campaign, records):
             results.append(result)
             console.print(_line(result), markup=False, highlight=False, soft_wrap=True)
-            _save(options, results, calibration)
+            _save(options, results, machine_speed)
     flown = [r for r in results if r.passed is not None]
     bad = [r for r in flown if not r.passed]
     for version in sorted({r.firmware for r in flown if r.firmware}):
@@ -226,11 +226,11 @@ def summary(results: Sequence[Result]) -> dict[str, int]:
     }
 
 
-def _save(options: FaultOptions, results: list[Result], calibration: Calibration) -> None:
+def _save(options: FaultOptions, results: list[Result], machine_speed: MachineSpeed) -> None:
     try:
         if options.json is not None:
             scenarios = [result.tree() for result in results]
-            result_file.save(options.json, {"summary": summary(results), "scenarios": scenarios}, result_header(calibration))
+            result_file.save(options.json, {"summary": summary(results), "scenarios": scenarios}, result_header(machine_speed))
         if options.out is not None:
             options.out.mkdir(parents=True, exist_ok=True)
             write_page(options.out / "faults.html", results)

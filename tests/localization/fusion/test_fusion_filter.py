@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from uav_recon.localization.fusion.filter_pose_gates import PoseRejection
 from uav_recon.localization.fusion.fusion_filter import FusionFilter
 from uav_recon.localization.fusion.imu_integration import GRAVITY_MPS2
-from uav_recon.measurement.machine_speed import calibrate
+from uav_recon.measurement.machine_speed import measure_machine_speed
 from uav_recon.types.camera import ImuSample
 from uav_recon.types.pose import Pose, PoseHealth, StampedPose
 
@@ -335,7 +335,7 @@ def test_before_the_first_pose_there_is_no_odometry() -> None:
 
 def test_it_is_cheap() -> None:
     """On the reference machine, quietest of five flights: 0.5 ms a pose, 0.1 ms a sample (measured 0.3 and 0.015)."""
-    slower = calibrate().cpu_factor
+    slower = measure_machine_speed().cpu_slowdown
     imu_s, pose_s = (min(costs_s) / slower for costs_s in zip(*(_median_costs_s() for _ in range(5)), strict=True))
     assert imu_s < 1e-4
     assert pose_s < 5e-4 * 1.5  # caches shared with other work

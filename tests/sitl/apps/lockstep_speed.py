@@ -1,8 +1,8 @@
 """Measure the speed of lockstep.
 
 Usage: `python tests/sitl/apps/lockstep_speed.py [SCENE [VIEWS [SEED]]]`. It flies with the depth-only mapper.
-The speed of a shared machine changes within a minute. Therefore it is calibrated every two seconds between two turns of the
-flight. That time is not counted, and the flight's time is divided by the mean of all calibrations.
+The speed of a shared machine changes within a minute. Therefore it is measured every two seconds between two turns of the
+flight. That time is not counted, and the flight's time is divided by the mean of all these slowdowns.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ from sitl.apps.lockstep import NoHook, fly_in_lockstep
 from sitl.apps.sim_options import SimOptions
 from sitl.apps.sweep_case import one_thread
 from sitl.scene.scene import load_scene
-from uav_recon.measurement.machine_speed import calibrate
+from uav_recon.measurement.machine_speed import measure_machine_speed
 
 EVERY_S = 2.0
 
 
 class Stopwatch(NoHook):
-    """Hook that calibrates the machine every EVERY_S; ``took_s`` is the time that this took."""
+    """Hook that measures the speed of the machine every EVERY_S; ``took_s`` is the time that this took."""
 
     def __init__(self) -> None:
         self.factors: list[float] = []
@@ -35,10 +35,10 @@ class Stopwatch(NoHook):
         self._next_s = 0.0
 
     def turn(self, now_s: float) -> None:
-        """Calibrate, if it is due."""
+        """Measure, if it is due."""
         began_s = time.perf_counter()
         if began_s >= self._next_s:
-            self.factors.append(calibrate(5).factor)
+            self.factors.append(measure_machine_speed(5).slowdown)
             self._next_s = time.perf_counter()
             self.took_s += self._next_s - began_s
             self._next_s += EVERY_S
@@ -61,7 +61,7 @@ def main(scene_name: str | None, views: int, seed: int) -> None:
     raw = flight.simulated_s / wall_s
     print(
         f"{scene_name or 'built-in'}: {flight.simulated_s:.0f} s flown in {wall_s:.1f} s, {raw:.1f} times real time; "
-        f"calibration {factor:.2f} ({low:.2f} to {high:.2f}): {raw * factor:.1f} calibrated"
+        f"slowdown {factor:.2f} ({low:.2f} to {high:.2f}): {raw * factor:.1f} calibrated"
     )
 
 

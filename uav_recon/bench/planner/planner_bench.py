@@ -20,7 +20,7 @@ from uav_recon.bench.planner.recorded_stream import SIZE, STRIDE, RecordedStream
 from uav_recon.bench.planner.replay import judged_views, mapped_of, timed_plans, timed_stages
 from uav_recon.bench.planner.stages import MOUNTS_RAD, STAGES, warm_up
 from uav_recon.measurement import host_info, result_file
-from uav_recon.measurement.machine_speed import Calibration, calibrate
+from uav_recon.measurement.machine_speed import MachineSpeed, measure_machine_speed
 from uav_recon.planning.tour import atsp
 from uav_recon.types.maps import UNKNOWN
 
@@ -46,7 +46,7 @@ def bench_planner(stream: Path | None, size: str | None, stride: int | None, sca
     began_s = time.perf_counter()
     warm_up(recording)
     compile_s = time.perf_counter() - began_s
-    calibration = calibrate()
+    machine_speed = measure_machine_speed()
     result: Result = {
         "stream": recording.name,
         "image": f"{recording.lens.width}x{recording.lens.height}",
@@ -55,19 +55,19 @@ def bench_planner(stream: Path | None, size: str | None, stride: int | None, sca
         "machine": host_info.processor(),
         "commit": host_info.commit(),
         "compile_s": compile_s,
-        "calibration": calibration.factor,
-        "calibration_cpu": calibration.cpu_factor,
+        "calibration": machine_speed.slowdown,
+        "calibration_cpu": machine_speed.cpu_slowdown,
     }
     progress = Progress(console=Console(stderr=True), transient=True, auto_refresh=False)
     with progress:
-        result |= _growth(recording, progress) if scale else _replay(recording, calibration, progress)
+        result |= _growth(recording, progress) if scale else _replay(recording, machine_speed, progress)
     planner_tables.show(Console(width=None if sys.stdout.isatty() else PRINTED_WIDTH), result)
     if json_path is not None:
         result_file.save(json_path, result)
     return 0
 
 
-def _replay(recording: RecordedStream, calibration: Calibration, progress: Progress) -> Result:
+def _replay(recording: RecordedStream, machine_speed: MachineSpeed, progress: Progress) -> Result:
     frames = recording.frames
     timed = timed_stages(recording, _tracked(progress, frames, "stages"))
     mapped = mapped_of(recording)
@@ -78,9 +78,9 @@ def _replay(recording: RecordedStream, calibration: Calibration, progress: Progr
     cpu = {**{name: timed.cpu.spread(*parts) for name, parts in STAGES.items()}, "plan": whole.cpu.spread("plan")}
     result: Result = {
         "stages": {name: asdict(spread) for name, spread in wall.items()},
-        "stages_calibrated": {name: asdict(spread.divided_by(calibration.factor)) for name, spread in wall.items()},
+        "stages_calibrated": {name: asdict(spread.divided_by(machine_speed.slowdown)) for name, spread in wall.items()},
         "stages_cpu": {name: asdict(spread) for name, spread in cpu.items()},
-        "stages_cpu_calibrated": {name: asdict(spread.divided_by(calibration.cpu_factor)) for name, spread in cpu.items()},
+        "stages_cpu_calibrated": {name: asdict(spread.divided_by(machine_speed.cpu_slowdown)) for name, spread in cpu.items()},
         "best_view_ratio": _ratio_summary(ratios["gimbal"]),
         "best_view_ratio_fixed": _ratio_summary(ratios["fixed"]),
     }

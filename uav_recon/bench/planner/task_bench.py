@@ -22,7 +22,7 @@ from uav_recon.app.option_validation import UsageError, readable, require_writab
 from uav_recon.errors import UserError
 from uav_recon.mapping.keyframe_store import KeyframeError, KeyframeFolder
 from uav_recon.measurement import host_info, result_file
-from uav_recon.measurement.machine_speed import calibrate
+from uav_recon.measurement.machine_speed import measure_machine_speed
 from uav_recon.measurement.printed_table import narrow_table
 from uav_recon.measurement.stage_timing import Stopwatch, TimingSummary
 from uav_recon.planning.candidate_view import PlanningContext
@@ -55,19 +55,19 @@ def bench_tasks(flight: Path, json_path: Path | None) -> int:
     if not flown:
         raise UsageError(f"{flight}: has no config.toml: not a flight")
     times, tasks, elements = _measure(flight)
-    calibration = calibrate()
+    machine_speed = measure_machine_speed()
     result: Result = {
         "flight": flight.name,
         "elements": elements,
         "machine": host_info.processor(),
         "commit": host_info.commit(),
-        "calibration_cpu": calibration.cpu_factor,
+        "calibration_cpu": machine_speed.cpu_slowdown,
         "phases": {
             phase: {
                 "plans": len(times[phase]),
                 "tasks": float(np.mean(tasks[phase])),
                 "cpu_ms": asdict(TimingSummary.of(times[phase])),
-                "cpu_ms_calibrated": asdict(TimingSummary.of(times[phase]).divided_by(calibration.cpu_factor)),
+                "cpu_ms_calibrated": asdict(TimingSummary.of(times[phase]).divided_by(machine_speed.cpu_slowdown)),
             }
             for phase in PHASES
         },
