@@ -16,6 +16,7 @@ from uav_recon.safety.failsafe_precedence import (
     FailsafeAction,
     FailsafeInputs,
     FailsafeTimeouts,
+    Override,
 )
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode, Value
@@ -34,6 +35,11 @@ CLEARS = {
     FailsafeAction.HOLD: ClearCondition.AT_ONCE,
     FailsafeAction.RETREAT: ClearCondition.GOOD_HEALTH,
     FailsafeAction.LAND: ClearCondition.NEVER,
+}
+OVERRIDES = {
+    FailsafeAction.HOLD: (Override.LAND,),
+    FailsafeAction.RETREAT: (Override.OPERATOR_HOLD, Override.LAND),
+    FailsafeAction.LAND: (),
 }
 
 
@@ -200,6 +206,7 @@ def test_each_limit_is_exact_and_an_age_that_is_no_number_exceeds_it(name: str) 
         assert Failsafe(TIMEOUTS).step(health(0.0, **{age: age_s}))[0] is FailsafeAction.LAND
 
 
-def test_every_limit_has_an_action_and_every_action_clears_in_one_way() -> None:
+def test_every_limit_has_an_action_and_every_action_clears_and_is_overridden_in_one_way() -> None:
     assert set(ACTIONS) == {field.name for field in dataclasses.fields(FailsafeTimeouts)}
     assert [condition.clears for condition in CONDITIONS] == [CLEARS[condition.action] for condition in CONDITIONS]
+    assert [condition.overrides for condition in CONDITIONS] == [OVERRIDES[condition.action] for condition in CONDITIONS]

@@ -1,10 +1,9 @@
-"""Conditions of the failsafe: cause, action, and when the action may end.
+"""Precedence of the failsafe: cause, action, when the action may end, and what overrides it.
 
-The first row that applies decides.
+The first row that applies decides. A row whose action is less severe stands above a more severe one only where the latter could
+not be carried out: a retreat needs a pose, the mission's map and depth.
 
-A human with the sticks overrides every row: the pilot yields at once. No command of the operator and nothing that the mission
-sends overrides any row. A row whose action is less severe stands above a more severe one only where the latter could not be
-carried out: a retreat needs a pose, the mission's map and depth.
+A human with the sticks overrides every row: the pilot yields at once. A trajectory of the mission overrides none.
 """
 
 from __future__ import annotations
@@ -38,6 +37,13 @@ class ClearCondition(Enum):
     AT_ONCE = "at once"
     GOOD_HEALTH = "after a time without a cause"
     NEVER = "never"
+
+
+class Override(Enum):
+    """Command that is carried out in place of the action, while its cause lasts."""
+
+    OPERATOR_HOLD = "hold of the operator"
+    LAND = "land, of the operator or of the mission"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -88,11 +94,15 @@ class Observation:
 
 @dataclass(frozen=True, slots=True)
 class FailsafeCondition:
-    """One row. cause: the reason, or None while it does not apply."""
+    """One row.
+
+    cause: the reason, or None while it does not apply. overrides: commands that replace the action.
+    """
 
     cause: Callable[[Observation], Reason | None]
     action: FailsafeAction
     clears: ClearCondition
+    overrides: tuple[Override, ...]
 
 
 def _silence(code: ReasonCode, age_s: float, limit_s: float) -> Reason | None:
@@ -125,9 +135,9 @@ def _many_refusals(seen: Observation) -> Reason | None:
     return Reason(ReasonCode.MANY_REFUSALS, (MANY_REFUSALS,)) if seen.inputs.many_refusals else None
 
 
-_HOLD = FailsafeAction.HOLD, ClearCondition.AT_ONCE
-_RETREAT = FailsafeAction.RETREAT, ClearCondition.GOOD_HEALTH
-_LAND = FailsafeAction.LAND, ClearCondition.NEVER
+_HOLD = FailsafeAction.HOLD, ClearCondition.AT_ONCE, (Override.LAND,)
+_RETREAT = FailsafeAction.RETREAT, ClearCondition.GOOD_HEALTH, (Override.OPERATOR_HOLD, Override.LAND)
+_LAND = FailsafeAction.LAND, ClearCondition.NEVER, ()
 
 CONDITIONS = (
     FailsafeCondition(lambda seen: _no_pose(seen, seen.timeouts.pose_land_s), *_LAND),
