@@ -239,7 +239,7 @@ class _Alarms:
         self.lost_s += STEP_S * (odom.health is PoseHealth.LOST or odom.quality == 0)
         if odom.health is PoseHealth.WRONG and self._before is not PoseHealth.WRONG:
             self.begun += 1
-            self.reasons[odom.why.code.value if odom.why else ""] += 1
+            self.reasons[odom.health_reason.code.value if odom.health_reason else ""] += 1
         self._before = odom.health
 
 

@@ -163,7 +163,7 @@ class StampedPose:
 
     velocity_odom_mps: (3,). covariance: (6, 6), position then rotation vector, m² and rad².
     quality: 0 (lost) to 100. reset_counter: +1 (mod 256) whenever odom itself jumps. map_epoch: of the maps that go with it.
-    health, and why it is no better (None for GOOD). correction: odom's pose in the world at this stamp.
+    health_reason: why the health is no better, None for GOOD. correction: odom's pose in the world at this stamp.
     """
 
     stamp_s: float
@@ -174,7 +174,7 @@ class StampedPose:
     reset_counter: int = 0
     map_epoch: int = 0
     health: PoseHealth = PoseHealth.GOOD
-    why: Reason | None = None
+    health_reason: Reason | None = None
     correction: WorldFromOdom = field(default_factory=WorldFromOdom.start)
 
     def __post_init__(self) -> None:
@@ -184,8 +184,8 @@ class StampedPose:
     @property
     def unsure(self) -> Reason | None:
         """Reason why the source is uncertain of the place, None if it is not."""
-        told = self.health is PoseHealth.DEGRADED and self.why is not None and self.why.code is ReasonCode.PLACE_UNSURE
-        return self.why if told else None
+        reason = self.health_reason if self.health is PoseHealth.DEGRADED else None
+        return reason if reason is not None and reason.code is ReasonCode.PLACE_UNSURE else None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

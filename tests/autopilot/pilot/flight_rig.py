@@ -134,7 +134,7 @@ class Rig:
         self.operator_lost = False
         self.poses = True
         self.health = PoseHealth.GOOD
-        self.why = POSES_DISAGREE  # of a health that is not good
+        self.health_reason = POSES_DISAGREE  # of a health that is not good
         self.turn = 0
         self.track: list[tuple[float, FloatArray]] = []
 
@@ -187,9 +187,9 @@ class Rig:
         truth = self.autopilot.truth()
         if self.poses and self.turn % 3 == 0:
             pose = Pose(np.array(truth.quat_wxyz), np.array(truth.position))
-            why = None if self.health is PoseHealth.GOOD else self.why
+            reason = None if self.health is PoseHealth.GOOD else self.health_reason
             velocity = np.array(truth.velocity)
-            self.channels.odom.publish(StampedPose(truth.stamp_s, pose, velocity, health=self.health, why=why))
+            self.channels.odom.publish(StampedPose(truth.stamp_s, pose, velocity, health=self.health, health_reason=reason))
         if self.depth and self.turn % 7 == 0:
             ranges = np.full((12, 16), self.wall_m, dtype=np.float32)
             self.channels.nearby.publish(MinRangeGrid(now, BODY_FROM_DEPTH, ranges, (0.95, 0.55), 0.9))

@@ -125,7 +125,7 @@ def test_uncertain_of_its_place_it_goes_back_to_what_it_has_seen_before(hovering
     """With the headings of the way out: back along x it still looks along x. It flies on once the place is sure again."""
     hovering.run(hovering.fly((2.5, 0.0, 1.1), identifier=2).duration_s / 2)
     place_m, began_s = np.array(hovering.px4.truth().position), hovering.clock.now_s()
-    hovering.health, hovering.why = PoseHealth.DEGRADED, Reason(ReasonCode.PLACE_UNSURE, (0.09,))
+    hovering.health, hovering.health_reason = PoseHealth.DEGRADED, Reason(ReasonCode.PLACE_UNSURE, (0.09,))
     hovering.run(4.0)
     _, places = setpoints(hovering, began_s + 2.0)
     assert places[-1][0] < place_m[0], "on its way back"
@@ -142,7 +142,7 @@ def test_uncertain_of_its_place_it_goes_back_to_what_it_has_seen_before(hovering
 def test_uncertain_of_its_place_on_the_pad_it_takes_off() -> None:
     """From the pad little is seen, and there is no view to go back to."""
     rig = Rig()
-    rig.health, rig.why = PoseHealth.DEGRADED, Reason(ReasonCode.PLACE_UNSURE, (0.05,))
+    rig.health, rig.health_reason = PoseHealth.DEGRADED, Reason(ReasonCode.PLACE_UNSURE, (0.05,))
     rig.until(FlightPhase.READY, 20.0)
     rig.intent = (Goal.FLY, None)
     rig.until(FlightPhase.FLYING, 8.0)

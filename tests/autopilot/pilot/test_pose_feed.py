@@ -93,7 +93,7 @@ def test_poses_with_wrong_axes_are_not_fed_and_those_that_drift_are() -> None:
     for n, code in enumerate((None, ReasonCode.ODOMETRY_DRIFT, *sorted(AXES))):
         health = PoseHealth.GOOD if code is None else PoseHealth.WRONG
         why = None if code is None else Reason(code, code.example)
-        odom.publish(replace(_pose(n * STEP_S), health=health, why=why))
+        odom.publish(replace(_pose(n * STEP_S), health=health, health_reason=why))
         feed.step(n * STEP_S + 0.01)
         assert feed.misleads == (n >= 2)
         assert feed.wrong == why

@@ -112,7 +112,7 @@ def test_the_filter_flies_by_a_gyro_of_30_hz_and_says_so() -> None:
 
     flown = fly(undisturbed, seconds=6.0, inertial=gyro_only)
     alone = fly(undisturbed, seconds=6.0, imu=False)
-    assert {odom.why.code if odom.why else None for odom in flown.odom} == {ReasonCode.AUTOPILOT_GYRO}
+    assert {odom.health_reason.code if odom.health_reason else None for odom in flown.odom} == {ReasonCode.AUTOPILOT_GYRO}
     assert flown.healths(0.0) == {PoseHealth.DEGRADED}
     assert flown.error_m(0.0) < 0.06
     turns = [max(flight.turns_rad[flight.since(0.0) :]) for flight in (flown, alone)]

@@ -47,7 +47,7 @@ def undisturbed(pose: StampedPose, since_s: float) -> StampedPose:
 def test_a_calm_flight_is_good_throughout() -> None:
     flown = fly(undisturbed)
     assert flown.healths(0.0) == {GOOD}
-    assert {odom.why for odom in flown.odom} == {None}
+    assert {odom.health_reason for odom in flown.odom} == {None}
     assert flown.fusion.correction.epoch == flown.resets() == 0
     assert not flown.fusion.rejected
 
@@ -56,8 +56,8 @@ def test_b1_a_silent_source_is_lost_within_a_quarter_second() -> None:
     flown = fly(silent(0.0, 1e9))
     assert flown.first(LOST) <= 0.3
     lost = flown.odom[flown.since(0.3)]
-    assert lost.why is not None
-    assert (lost.why.code, int(lost.why.values[0])) == (ReasonCode.NO_POSE, 0)
+    assert lost.health_reason is not None
+    assert (lost.health_reason.code, int(lost.health_reason.values[0])) == (ReasonCode.NO_POSE, 0)
     assert flown.odom[flown.since(0.6)].quality == 0
     assert flown.error_m(0.0, 0.5) < 0.05  # what the autopilot is fed meanwhile
 
@@ -144,7 +144,7 @@ def test_b9_a_heading_lost_for_good_is_never_flown_on(turn_deg: float) -> None:
     assert flown.healths(0.3) == {LOST}
     assert flown.resets() == 0
     assert flown.odom[flown.since(0.6)].quality == 0
-    why = flown.odom[-1].why
+    why = flown.odom[-1].health_reason
     assert why is not None
     assert why.code is ReasonCode.POSES_DISAGREE
     assert math.degrees(max(flown.turns_rad)) < 1.5
@@ -354,5 +354,5 @@ def test_a_blow_that_turned_it_is_followed(axis: int) -> None:
 def test_without_inertial_samples_nothing_contradicts_them_and_it_says_so() -> None:
     flown = fly(undisturbed, imu=False)
     assert flown.healths(0.0) == {DEGRADED}
-    assert flown.odom[-1].why == Reason(ReasonCode.NO_IMU)
+    assert flown.odom[-1].health_reason == Reason(ReasonCode.NO_IMU)
     assert MOTION.start_s < flown.stamps_s[0]

@@ -55,7 +55,9 @@ def _frozen(*, gyro: bool, accelerometer: bool) -> Callable[[ImuSample, float], 
 
 
 def _reasons(flown: FlownOdometry, from_s: float = 0.0, to_s: float = ALL_S) -> set[ReasonCode | None]:
-    return {odom.why.code if odom.why else None for odom in flown.odom[flown.since(from_s) : flown.since(to_s)]}
+    return {
+        odom.health_reason.code if odom.health_reason else None for odom in flown.odom[flown.since(from_s) : flown.since(to_s)]
+    }
 
 
 @pytest.mark.parametrize("seed", SEEDS)

@@ -55,5 +55,5 @@ def test_odometry_with_a_fault_is_wrong_and_keeps_its_quality(monkeypatch: pytes
     usual, drift = published(60, 50)[-1], Reason(ReasonCode.ODOMETRY_DRIFT, (0.05,))
     monkeypatch.setattr(DepthConsistencyMonitor, "drift", lambda *_: drift)
     newest = published(60, 50)[-1]
-    assert (newest.health, newest.why) == (PoseHealth.WRONG, drift)
+    assert (newest.health, newest.health_reason) == (PoseHealth.WRONG, drift)
     assert newest.quality == usual.quality > 0

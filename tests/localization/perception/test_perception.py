@@ -80,7 +80,7 @@ class World:
                 moved = Pose.from_yaw(0.0, np.array([0.5 * (stamp_s >= self.moved_from_s), 0.0, 0.0]))
                 pose = StampedPose(stamp_s, moved @ MOTION.pose(stamp_s), np.zeros(3))
                 unsure = self.unsure_s[0] <= stamp_s - MOTION.start_s < self.unsure_s[1]
-                out.append(replace(pose, health=PoseHealth.DEGRADED, why=UNSURE) if unsure else pose)
+                out.append(replace(pose, health=PoseHealth.DEGRADED, health_reason=UNSURE) if unsure else pose)
         return out
 
     def close(self) -> None: ...
@@ -152,7 +152,7 @@ def test_odometry_that_depth_contradicts_is_wrong_and_as_good_as_before(world: W
     _perception, seen = _run(world, 2.0)
     reported = [odom for odom in seen.odom if odom.stamp_s >= MOTION.start_s + 1.0]
     assert len(reported) >= 25
-    assert {(odom.health, odom.why, odom.quality) for odom in reported} == {(PoseHealth.WRONG, drift, 100)}
+    assert {(odom.health, odom.health_reason, odom.quality) for odom in reported} == {(PoseHealth.WRONG, drift, 100)}
 
 
 def test_a_frame_gets_the_pose_of_its_own_stamp_once_it_is_known(world: World) -> None:

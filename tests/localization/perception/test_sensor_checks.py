@@ -30,7 +30,7 @@ def odometry_of(*poses: StampedPose) -> FusedOdometry:
 
 
 def resting(health: PoseHealth = PoseHealth.GOOD, why: Reason | None = None) -> list[StampedPose]:
-    return [StampedPose(k / 30, Pose.identity(), np.zeros(3), health=health, why=why) for k in range(10)]
+    return [StampedPose(k / 30, Pose.identity(), np.zeros(3), health=health, health_reason=why) for k in range(10)]
 
 
 def checked(monkeypatch: pytest.MonkeyPatch, odometry: FusedOdometry, stamp_s: float) -> tuple[list[CameraMotion | None], int]:

@@ -240,7 +240,7 @@ def test_doubt_about_the_place_is_reported_before_there_is_no_pose() -> None:
         assert (None if pose is None else pose.health) == health, after_s
         if pose is not None:
             assert math.sqrt(pose.covariance[0, 0]) >= math.hypot(track_m, against_m)
-            assert (pose.why is None) == (health is PoseHealth.GOOD)
+            assert (pose.health_reason is None) == (health is PoseHealth.GOOD)
             assert pose.quality <= 100 * min(0.08 / track_m, 1.0) + 0.5
 
 

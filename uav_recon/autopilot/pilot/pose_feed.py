@@ -80,7 +80,7 @@ class PoseFeed:
         return self.wrong is not None and self.wrong.code in AXES
 
     def _why(self, health: PoseHealth) -> Reason | None:
-        return self.pose.why if self.pose is not None and self.pose.health is health else None
+        return self.pose.health_reason if self.pose is not None and self.pose.health is health else None
 
 
 def newest(channel: Channel[T], heard: T | None) -> T | None:

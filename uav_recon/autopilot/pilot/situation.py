@@ -117,7 +117,7 @@ class SituationBuilder:
         """Reason why the speed is reduced, by the odometry or the link; None if it is not."""
         pose = self._poses.pose
         if pose is not None and pose.health is not PoseHealth.GOOD:
-            return pose.why or _ODOMETRY_DEGRADED
+            return pose.health_reason or _ODOMETRY_DEGRADED
         return self._link.status.slow
 
     @property

@@ -140,7 +140,7 @@ class FusionFilter:
         age_s, source = stamp_s - newest.stamp_s, node.measurement.source
         health, reason = self._health_monitor.health(age_s, self._bank.fault(), len(self._relocalization) > 0)
         if health is PoseHealth.GOOD:
-            health, reason = source.health, source.why
+            health, reason = source.health, source.health_reason
         return StampedPose(
             stamp_s,
             Pose(np.array(state.odom_from_body(here)), np.array(state.position_m)),

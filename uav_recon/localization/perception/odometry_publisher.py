@@ -33,7 +33,7 @@ class OdometryPublisher:
             return
         fault = checks.fault(now_s)
         if fault is not None:
-            estimate = replace(estimate, health=PoseHealth.WRONG, why=fault)
+            estimate = replace(estimate, health=PoseHealth.WRONG, health_reason=fault)
         self._channel.publish(estimate)
         self.published += 1
         self._lost_published = estimate.quality == 0

@@ -397,7 +397,8 @@ class SlamTracker:
         left_m = float(np.linalg.norm(self._unreleased_m))
         if not self._unsure and left_m <= _LEFT_M:
             return pose
-        return replace(pose, health=PoseHealth.DEGRADED, why=Reason(ReasonCode.PLACE_UNSURE, (math.hypot(sigma_m, left_m),)))
+        unsure = Reason(ReasonCode.PLACE_UNSURE, (math.hypot(sigma_m, left_m),))
+        return replace(pose, health=PoseHealth.DEGRADED, health_reason=unsure)
 
     def _stamped(self, stamp_s: float, sigma_m: float = 0.0) -> StampedPose:
         assert self._state is not None
