@@ -20,7 +20,7 @@ _FULL_SHARE = 0.5  # min. share of a cell's pixels with a return for a full cell
 _WIDEST_PX = 320  # max. width of the used depth image; more pixels would only cost time
 
 
-def nearest_in_cells(frame: Frame, body_from_depth: Pose, believed: bool = True) -> MinRangeGrid:
+def nearest_in_cells(frame: Frame, body_from_depth: Pose, consistent: bool = True) -> MinRangeGrid:
     """Divide a depth frame into cells and keep each one's nearest return (m, along the ray).
 
     Takes about 0.1 ms. NaN, infinity and non-positive values are no return: such pixels are neither near nor free.
@@ -37,7 +37,7 @@ def nearest_in_cells(frame: Frame, body_from_depth: Pose, believed: bool = True)
     full = returns > _FULL_SHARE * high * wide
     half_tan = (columns * wide * stride / 2 / lens.fx, rows * high * stride / 2 / lens.fy)
     return MinRangeGrid(
-        frame.stamp_s, body_from_depth, range_m, half_tan, float(returns.mean()) / (high * wide), believed, full
+        frame.stamp_s, body_from_depth, range_m, half_tan, float(returns.mean()) / (high * wide), consistent, full
     )
 
 

@@ -19,8 +19,7 @@ class MinRangeGrid:
 
     range_m: (rows, columns) float32, distance along the ray to the nearest return in each cell, NaN where it holds too few.
     half_tan: tangents of half the horizontal and half the vertical angle of view. share: of the pixels that had a return.
-    believed: False if the frame is inconsistent in itself or with earlier ones; even then the vehicle does not fly towards the
-    near returns in it.
+    consistent: with itself and with earlier frames. Even if it is not, the vehicle does not fly towards the near returns in it.
     full: (rows, columns), cells most of whose pixels had a return. In any other cell, the space in front of the nearest return
     is unknown.
     """
@@ -30,7 +29,7 @@ class MinRangeGrid:
     range_m: Float32Array
     half_tan: tuple[float, float]
     share: float
-    believed: bool = True
+    consistent: bool = True
     full: BoolArray = field(default_factory=lambda: _EVERY)
 
     def __post_init__(self) -> None:

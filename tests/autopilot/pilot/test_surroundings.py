@@ -17,11 +17,11 @@ MOUNT = body_from_camera(np.array([0.1, 0.0, 0.0]), 0.0)
 FORWARD = np.array([1.0, 0.0, 0.0])
 
 
-def _nearby(stamp_s: float, range_m: float, believed: bool = True) -> MinRangeGrid:
-    return MinRangeGrid(stamp_s, MOUNT, np.full((12, 16), range_m, np.float32), (0.95, 0.55), 0.9, believed)
+def _nearby(stamp_s: float, range_m: float, consistent: bool = True) -> MinRangeGrid:
+    return MinRangeGrid(stamp_s, MOUNT, np.full((12, 16), range_m, np.float32), (0.95, 0.55), 0.9, consistent)
 
 
-def test_a_picture_that_is_not_believed_is_none_but_for_what_is_near_in_it() -> None:
+def test_a_picture_that_is_inconsistent_is_none_but_for_what_is_near_in_it() -> None:
     channel, sight = MemoryChannel(MinRangeGrid), RecentlySeenSpace(blind_memory_s=10.0, vehicle_radius_m=0.2)
     lookout = Surroundings(MemoryChannel(FreeSpace), channel, sight, 0.2, 0.2)
 
@@ -31,7 +31,7 @@ def test_a_picture_that_is_not_believed_is_none_but_for_what_is_near_in_it() -> 
     assert lookout.depth_age_s(5.0) == math.inf
     channel.publish(_nearby(5.0, 2.0))
     lookout.step(pose(5.0), 5.0)
-    channel.publish(_nearby(5.2, 4.0, believed=False))
+    channel.publish(_nearby(5.2, 4.0, consistent=False))
     lookout.step(pose(5.2), 5.2)
     assert math.isclose(lookout.depth_age_s(5.2), 0.2)
     assert lookout.rejects_depth(5.2, 0.3)

@@ -43,7 +43,7 @@ class Surroundings:
         self._min_ranges_received: MinRangeGrid | None = None
         self.known_free: FreeSpaceCheck | None = None
         self.ahead: ForwardDepth | None = None
-        self._believed_s = -math.inf
+        self._consistent_s = -math.inf
         self._neighbourhood = SuddenObstacleDetector()
         self._past = RecentPoses()
         self.sudden_obstacle: SuddenObstacle | None = None  # in the newest valid frame
@@ -69,9 +69,9 @@ class Surroundings:
             return
         if self.ahead is None or nearby.stamp_s > self.ahead.stamp_s:
             self.ahead = ForwardDepth(nearby, self._radius_m)
-            self._believed_s = nearby.stamp_s if nearby.believed else self._believed_s
+            self._consistent_s = nearby.stamp_s if nearby.consistent else self._consistent_s
             then = self._past.at(nearby.stamp_s, _BESIDE_S)
-            if then is not None and nearby.believed:
+            if then is not None and nearby.consistent:
                 self._sight.add(nearby, then.odom_from_body)
                 self.sudden_obstacle = self._neighbourhood.look(nearby, then.odom_from_body)
 
@@ -89,11 +89,11 @@ class Surroundings:
 
     def depth_age_s(self, now_s: float) -> float:
         """Return the age (s) of the newest valid frame with enough returns, infinity for none."""
-        return now_s - self._believed_s
+        return now_s - self._consistent_s
 
     def rejects_depth(self, now_s: float, within_s: float) -> bool:
         """Return True if frames came within this time, and the newest one is inconsistent.
 
         Only frames with enough returns count.
         """
-        return self.ahead is not None and self.ahead.stamp_s > self._believed_s and now_s - self.ahead.stamp_s <= within_s
+        return self.ahead is not None and self.ahead.stamp_s > self._consistent_s and now_s - self.ahead.stamp_s <= within_s

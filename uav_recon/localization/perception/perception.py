@@ -133,7 +133,7 @@ class Perception:
         if body_from_depth is None:
             return None
         rejection = self._checks.rejection(frame, body_from_depth, self._odometry)
-        self._channels.nearby.publish(nearest_in_cells(frame, body_from_depth, believed=rejection is None))
+        self._channels.nearby.publish(nearest_in_cells(frame, body_from_depth, consistent=rejection is None))
         return rejection
 
     def _publish_frame(self, now_s: float) -> None:
