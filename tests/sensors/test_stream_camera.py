@@ -227,7 +227,7 @@ def test_an_invalid_stream_file_is_a_one_line_error(
 def test_the_depth_table_is_in_metres_within_the_valid_range() -> None:
     table = depth_lookup_table(0.3, 6.0, 0.001)
     counts = np.arange(65536)
-    believed = (counts >= 300) & (counts <= 6000)
-    np.testing.assert_allclose(table[believed], counts[believed] / 1000, rtol=1e-6)
-    assert np.isnan(table[~believed]).all()
+    in_range = (counts >= 300) & (counts <= 6000)
+    np.testing.assert_allclose(table[in_range], counts[in_range] / 1000, rtol=1e-6)
+    assert np.isnan(table[~in_range]).all()
     assert np.isnan(depth_lookup_table(0.0, 100.0)[0])  # zero means unknown, never near

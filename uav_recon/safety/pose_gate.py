@@ -41,7 +41,7 @@ class PoseGate:
 
     def __init__(self, max_yaw_rate_radps: float) -> None:
         self._max_yaw_rate_radps = 2.0 * max_yaw_rate_radps  # turning is checked at the setpoint; here for plausibility only
-        self._believed: StampedPose | None = None
+        self._accepted: StampedPose | None = None
         self._track: StampedPose | None = None  # the newest of a track that is not accepted yet
         self._agreed = 0
         self._since_s = 0.0
@@ -49,16 +49,16 @@ class PoseGate:
 
     def judge(self, pose: StampedPose, now_s: float) -> PoseVerdict:
         """Accept a pose, or reject it with a reason."""
-        last = self._believed
+        last = self._accepted
         repeated = last is not None and pose.stamp_s <= last.stamp_s
         if fault := _unfit(pose, now_s) or (Reason(ReasonCode.POSE_REPEATED) if repeated else None):
             return self._refuse(fault)
         if last is None or pose.reset_counter != last.reset_counter:
-            return self._believe(pose, again=last is not None)
+            return self._accept(pose, again=last is not None)
         why = self._leap(last, pose)
         lost = self._refused >= _PATIENCE
         if why is None and not lost:
-            return self._believe(pose, again=False)
+            return self._accept(pose, again=False)
         return self._prove(pose, why or Reason(ReasonCode.POSE_ON_TRIAL))
 
     def _prove(self, pose: StampedPose, why: Reason) -> PoseVerdict:
@@ -73,11 +73,11 @@ class PoseGate:
             self._since_s = pose.stamp_s
         self._agreed += 1
         if self._agreed >= _PROOF and pose.stamp_s - self._since_s >= _PROOF_S:
-            return self._believe(pose, again=True)
+            return self._accept(pose, again=True)
         return self._refuse(why)
 
-    def _believe(self, pose: StampedPose, again: bool) -> PoseVerdict:
-        self._believed = pose
+    def _accept(self, pose: StampedPose, again: bool) -> PoseVerdict:
+        self._accepted = pose
         self._track = None
         self._refused = 0
         return PoseVerdict(True, again)

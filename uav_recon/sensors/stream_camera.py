@@ -61,8 +61,8 @@ def depth_lookup_table(depth_min_m: float, depth_max_m: float, metres_per_unit: 
     NaN for 0 and for depths outside [depth_min_m, depth_max_m].
     """
     metres = np.arange(65536) * metres_per_unit
-    believed = (metres >= depth_min_m - 1e-9) & (metres <= depth_max_m + 1e-9) & (metres > 0.0)
-    return np.where(believed, metres, np.nan).astype(np.float32)
+    in_range = (metres >= depth_min_m - 1e-9) & (metres <= depth_max_m + 1e-9) & (metres > 0.0)
+    return np.where(in_range, metres, np.nan).astype(np.float32)
 
 
 class _Stream:
