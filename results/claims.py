@@ -137,7 +137,7 @@ class Headline:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class ClaimOutcome:
     """Measured values of a claim in the order of its figures, and headers of its runs.
 
     reason: why there are no values; '' if there are. files: names of the runs that have a JSON file. stale: measured too
@@ -252,7 +252,7 @@ def load_results(runs: dict[str, Run], root: Path = ROOT) -> dict[str, Tree]:
     return found
 
 
-def evaluate(claim: Claim, results: dict[str, Tree]) -> Outcome:
+def evaluate(claim: Claim, results: dict[str, Tree]) -> ClaimOutcome:
     """Compare a claim with the results of its runs.
 
     Raises ClaimError naming file and key where a key is missing, or where the runs are of several commits.
@@ -263,15 +263,15 @@ def evaluate(claim: Claim, results: dict[str, Tree]) -> Outcome:
         reason = claim.unmeasured or "no result yet"
         if files:
             reason = f"no {', '.join(missing)} yet"
-        return Outcome(claim, reason=reason, files=files)
+        return ClaimOutcome(claim, reason=reason, files=files)
     headers = tuple(at(results[run.name], "header", run.path) for run in claim.runs)
     _require_one_commit(claim, results)
     contention = max(_number(header, "contention", run.path) for header, run in zip(headers, claim.runs, strict=True))
     if claim.timing and contention > MAX_CONTENTION:
         reason = f"other programs used the cores (contention {contention:.2f}, at most {MAX_CONTENTION} is used)"
-        return Outcome(claim, reason=reason, files=files)
+        return ClaimOutcome(claim, reason=reason, files=files)
     values = (figure.worst([_value(figure, results[run.name], run.path) for run in claim.runs]) for figure in claim.figures)
-    return Outcome(claim, tuple(values), headers, files=files)
+    return ClaimOutcome(claim, tuple(values), headers, files=files)
 
 
 def _require_one_commit(claim: Claim, results: dict[str, Tree]) -> None:

@@ -6,7 +6,7 @@ import csv
 import io
 from collections.abc import Iterable, Sequence
 
-from results.claims import MAX_CONTENTION, ClaimError, Figure, Headline, Outcome, Tree, at
+from results.claims import MAX_CONTENTION, ClaimError, ClaimOutcome, Figure, Headline, Tree, at
 from results.revision_age import MAX_COMMITS
 from uav_recon.measurement.machine_speed import REFERENCE_S
 
@@ -18,7 +18,7 @@ MACHINE_KEYS = ("processor", "cores", "memory_gib")
 STALE = " **STALE**"
 
 
-def results_page(outcomes: Sequence[Outcome]) -> str:
+def results_page(outcomes: Sequence[ClaimOutcome]) -> str:
     """Return results/README.md."""
     measured = [outcome for outcome in outcomes if outcome.measured]
     failed, passed = _split(measured)
@@ -56,14 +56,14 @@ def results_page(outcomes: Sequence[Outcome]) -> str:
     return "\n\n".join(part for part in parts if part) + "\n"
 
 
-def readme_block(outcomes: Sequence[Outcome], headlines: Sequence[Headline]) -> str:
+def readme_block(outcomes: Sequence[ClaimOutcome], headlines: Sequence[Headline]) -> str:
     """Return what stands between the markers in README.md: a table of one value a line."""
     by_id = {outcome.claim.id: outcome for outcome in outcomes}
     rows = [(line.text, _headline_value(by_id[line.claim], line.figure)) for line in headlines]
     return _table(("measured by `make results`", "value"), rows)
 
 
-def _headline_value(outcome: Outcome, name: str) -> str:
+def _headline_value(outcome: ClaimOutcome, name: str) -> str:
     """Return the value of a figure, with its requirement if that is missed."""
     if not outcome.measured:
         return "not measured"
@@ -83,7 +83,7 @@ def insert_block(readme: str, block: str) -> str:
     return f"{head}{BEGIN}\n{block}\n{END}{rest.partition(END)[2]}"
 
 
-def history(text: str, outcomes: Iterable[Outcome]) -> str:
+def history(text: str, outcomes: Iterable[ClaimOutcome]) -> str:
     """Return history.csv with a line appended for each measured figure that it lacks."""
     known = {tuple(row[:3]) for row in csv.reader(io.StringIO(text))}
     out = io.StringIO(text or "")
@@ -105,12 +105,12 @@ def _pass_word(figure: Figure, value: float | str | None) -> str:
     return "" if held is None else "pass" if held else "FAIL"
 
 
-def _split(measured: Sequence[Outcome]) -> tuple[list[Outcome], list[Outcome]]:
+def _split(measured: Sequence[ClaimOutcome]) -> tuple[list[ClaimOutcome], list[ClaimOutcome]]:
     """Those that fail, and those that pass."""
     return [o for o in measured if not o.passed], [o for o in measured if o.passed]
 
 
-def _measured_table(outcomes: Sequence[Outcome], machines: list[str]) -> str:
+def _measured_table(outcomes: Sequence[ClaimOutcome], machines: list[str]) -> str:
     rows = []
     for o in outcomes:
         labels = dict.fromkeys(f"M{machines.index(_machine(header)) + 1}" for header in o.headers)
@@ -132,12 +132,12 @@ def _span(numbers: Sequence[float]) -> str:
     return " to ".join(dict.fromkeys(f"{number:.1f}" for number in (numbers[0], numbers[-1])))
 
 
-def _missing_table(outcomes: Sequence[Outcome]) -> str:
+def _missing_table(outcomes: Sequence[ClaimOutcome]) -> str:
     rows = [(f"**{o.claim.id}**<br>{o.claim.claim}", o.reason, _note(o), _files(o)) for o in outcomes]
     return _table(("claim", "why", "earlier measurement", "result file"), rows)
 
 
-def _note(outcome: Outcome) -> str:
+def _note(outcome: ClaimOutcome) -> str:
     note = outcome.claim.note
     return f"[note](notes/{note})" if note else "none"
 
@@ -151,17 +151,17 @@ def _machine(header: Tree) -> str:
     return f"{name}, {cores} cores, {float(memory):.0f} GiB of memory"
 
 
-def _verdict(outcome: Outcome) -> str:
+def _verdict(outcome: ClaimOutcome) -> str:
     return ("pass" if outcome.passed else "**FAIL**") + (STALE if outcome.stale else "")
 
 
-def _requirements(outcome: Outcome) -> str:
+def _requirements(outcome: ClaimOutcome) -> str:
     many = len(outcome.claim.runs) > 1
     lines = (f"{figure.name} {figure.requirement}" for figure in outcome.claim.figures if figure.requirement)
     return ("worst of several runs:<br>" if many else "") + "<br>".join(lines)
 
 
-def _values(outcome: Outcome) -> str:
+def _values(outcome: ClaimOutcome) -> str:
     lines = []
     for figure, value in zip(outcome.claim.figures, outcome.values, strict=True):
         text = f"{figure.name} {figure.text(value)}"
@@ -169,12 +169,12 @@ def _values(outcome: Outcome) -> str:
     return "<br>".join(lines)
 
 
-def _files(outcome: Outcome) -> str:
+def _files(outcome: ClaimOutcome) -> str:
     files = (f"[{run.name}](current/{run.name}.json)" if run.name in outcome.files else run.name for run in outcome.claim.runs)
     return "<br>".join(files)
 
 
-def _commands_table(outcomes: Sequence[Outcome]) -> str:
+def _commands_table(outcomes: Sequence[ClaimOutcome]) -> str:
     runs = dict.fromkeys(run for outcome in outcomes for run in outcome.claim.runs)
     rows = [
         (run.name, f"`{run.command_line}`", f"{run.minutes:g}", "measure-long" if run.long else "measure") for run in runs

@@ -8,13 +8,13 @@ import subprocess
 from dataclasses import replace
 from pathlib import Path
 
-from results.claims import Outcome
+from results.claims import ClaimOutcome
 
 MAX_COMMITS = 60
 COUNTED = ("uav_recon/planning", "uav_recon/localization", "uav_recon/mapping")
 
 
-def with_age(outcome: Outcome, root: Path) -> Outcome:
+def with_age(outcome: ClaimOutcome, root: Path) -> ClaimOutcome:
     """Return the outcome marked as stale if it is older than MAX_COMMITS, or of a commit that the history does not have."""
     ages = [commits_since(str(header["commit"]), root) for header in outcome.headers]
     return replace(outcome, stale=any(age is None or age > MAX_COMMITS for age in ages))

@@ -11,7 +11,7 @@ from telemetry_values import changed
 
 from uav_recon.autopilot.firmware import ardupilot
 from uav_recon.autopilot.firmware.ardupilot import CLIMB_M, TAKE_OFF, ArduPilotArmingSequence
-from uav_recon.autopilot.firmware.profile import ARM_DISARM, DO_SET_MODE, Outcome
+from uav_recon.autopilot.firmware.profile import ARM_DISARM, DO_SET_MODE, ArmingOutcome
 from uav_recon.autopilot.mavlink.link_status import LinkStatus
 from uav_recon.autopilot.mavlink.telemetry import ArmingReadiness, ModeReport, Telemetry
 from uav_recon.types.reason import Reason, autopilot_text
@@ -68,14 +68,14 @@ class Bench:
         self.take_off = ArduPilotArmingSequence(0.0)
         self.tick = 0
         self.asked: list[tuple[float, int]] = []
-        self.outcome = Outcome.PENDING
+        self.outcome = ArmingOutcome.PENDING
 
     def tell(self, **changes: Any) -> None:
         """Change the telemetry."""
         self.t = changed(self.t, **changes)
 
     def run(self, until_s: float) -> None:
-        while self.tick < until_s * 100 and self.outcome is Outcome.PENDING:
+        while self.tick < until_s * 100 and self.outcome is ArmingOutcome.PENDING:
             now = self.tick / 100
             self.tell(heartbeat_s=math.floor(now * 5) / 5)
             self.outcome, command = self.take_off.step(now, self.t)
@@ -98,7 +98,7 @@ def test_mode_then_motors_then_one_climb() -> None:
     assert [command for _, command in b.asked] == [DO_SET_MODE, ARM_DISARM, TAKE_OFF]
     b.tell(position_m=np.array([0.0, 0.0, CLIMB_M - 0.05]))
     b.run(6.0)
-    assert b.outcome is Outcome.ARMED
+    assert b.outcome is ArmingOutcome.ARMED
 
 
 def test_an_old_heartbeat_is_no_proof_of_the_mode() -> None:
@@ -111,7 +111,7 @@ def test_a_climb_that_does_not_come_is_given_up_and_not_asked_for_again() -> Non
     b = Bench(custom_mode=GUIDED, armed=True)
     b.run(20.0)
     assert [command for _, command in b.asked] == [DO_SET_MODE, TAKE_OFF]
-    assert b.outcome is Outcome.GIVEN_UP
+    assert b.outcome is ArmingOutcome.GIVEN_UP
     slow = Reason(ReasonCode.CLIMB_TOO_SLOW, (0.0, 5.0))
     assert b.take_off.reason == Reason(ReasonCode.TAKEOFF_GIVEN_UP, details=(slow,))
 
@@ -121,7 +121,7 @@ def test_a_mode_changed_in_the_climb_gives_up() -> None:
     b.run(2.0)
     b.tell(custom_mode=LOITER)
     b.run(3.0)
-    assert b.outcome is Outcome.GIVEN_UP
+    assert b.outcome is ArmingOutcome.GIVEN_UP
     changed = Reason(ReasonCode.MODE_CHANGED, ("LOITER",))
     assert b.take_off.reason == Reason(ReasonCode.TAKEOFF_GIVEN_UP, details=(changed,))
 
@@ -131,7 +131,7 @@ def test_motors_that_stop_before_it_flew_give_up() -> None:
     b.run(2.0)
     b.tell(armed=False)
     b.run(3.0)
-    assert b.outcome is Outcome.GIVEN_UP
+    assert b.outcome is ArmingOutcome.GIVEN_UP
 
 
 def test_motors_that_stay_off_are_asked_three_times() -> None:

@@ -11,7 +11,7 @@ import pytest
 from telemetry_values import changed
 
 from uav_recon.autopilot.firmware import px4
-from uav_recon.autopilot.firmware.profile import ARM_DISARM, DO_SET_MODE, Outcome
+from uav_recon.autopilot.firmware.profile import ARM_DISARM, DO_SET_MODE, ArmingOutcome
 from uav_recon.autopilot.firmware.px4 import Px4ArmingSequence
 from uav_recon.autopilot.mavlink.link_status import LinkStatus
 from uav_recon.autopilot.mavlink.telemetry import ArmingReadiness, ModeReport, Telemetry
@@ -93,10 +93,10 @@ def test_what_is_missing_has_its_figures() -> None:
 
 def drive(
     arming: Px4ArmingSequence, telemetry: Telemetry, until_s: float, start_s: float = 0.0
-) -> tuple[list[tuple[float, int]], Outcome]:
+) -> tuple[list[tuple[float, int]], ArmingOutcome]:
     """Step at 100 Hz under telemetry that never changes, with a heartbeat every 0.2 s."""
-    asked, outcome, tick = [], Outcome.PENDING, round(start_s * 100)
-    while tick < until_s * 100 and outcome is Outcome.PENDING:
+    asked, outcome, tick = [], ArmingOutcome.PENDING, round(start_s * 100)
+    while tick < until_s * 100 and outcome is ArmingOutcome.PENDING:
         now = tick / 100
         outcome, command = arming.step(now, changed(telemetry, heartbeat_s=math.floor(now * 5) / 5))
         if command is not None:
@@ -111,7 +111,7 @@ def test_a_mode_that_never_shows_is_asked_for_three_times() -> None:
     asked, outcome = drive(arming, changed(READY, warning="no RC"), 20.0)
     assert [command for _, command in asked] == [DO_SET_MODE] * 3
     assert asked[0][0] >= 1.0
-    assert outcome is Outcome.GIVEN_UP
+    assert outcome is ArmingOutcome.GIVEN_UP
     assert arming.reason == given_up(Reason(ReasonCode.MODE_UNCHANGED, ("AUTO.LOITER",)), *autopilot_text("no RC"))
 
 
@@ -121,7 +121,7 @@ def test_motors_that_stay_off_are_asked_three_times_five_seconds_apart() -> None
     arms = [at for at, command in asked if command == ARM_DISARM]
     assert len(arms) == 3
     assert [b - a for a, b in itertools.pairwise(arms)] == pytest.approx([5.0, 5.0], abs=0.02)
-    assert outcome is Outcome.GIVEN_UP
+    assert outcome is ArmingOutcome.GIVEN_UP
     assert arming.reason == given_up(Reason(ReasonCode.MOTORS_STAY_OFF), *autopilot_text("Arming denied: compass"))
 
 
@@ -135,10 +135,10 @@ def test_a_mode_changed_before_arming_gives_up() -> None:
     arming = Px4ArmingSequence(0.0)
     drive(arming, changed(READY, custom_mode=OFFBOARD), 2.0)
     asked, outcome = drive(arming, changed(READY, custom_mode=POSCTL), 4.0, start_s=2.0)
-    assert (asked, outcome) == ([], Outcome.GIVEN_UP)
+    assert (asked, outcome) == ([], ArmingOutcome.GIVEN_UP)
     assert arming.reason == given_up(Reason(ReasonCode.MODE_CHANGED, ("POSCTL",)))
 
 
 def test_armed_in_our_mode_is_the_end_of_it() -> None:
     _, outcome = drive(Px4ArmingSequence(0.0), changed(READY, custom_mode=OFFBOARD, armed=True), 5.0)
-    assert outcome is Outcome.ARMED
+    assert outcome is ArmingOutcome.ARMED

@@ -52,7 +52,7 @@ ORDERS = (
 
 
 @dataclass(frozen=True)
-class Outcome:
+class HostileTrafficOutcome:
     """effects: what changed of what the link holds true, and what it said; heard_after_s of each burst, and taken_s, the
     processor's time for it; grown_bytes of the process, and what waited in the decoder at most.
     """
@@ -147,7 +147,7 @@ def heard_after_s(link: VehicleLink, far: Wire, count: int, now_s: float) -> flo
     return float("inf")
 
 
-def bombard(size: int, forged: int, seed: int) -> Outcome:
+def bombard(size: int, forged: int, seed: int) -> HostileTrafficOutcome:
     """size: bytes in all; forged: frames among them."""
     rng, (link, far) = np.random.default_rng(seed), flying()
     before, after_s, taken_s, effects, waited = held_true(link), [], [], [], 0
@@ -169,7 +169,7 @@ def bombard(size: int, forged: int, seed: int) -> Outcome:
         effects += [f"{name}: {before[name]} became {now[name]}" for name in before if now[name] != before[name]]
         before = now
     grown = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - started) * 1024
-    return Outcome(effects + ["the link spoke"] * bool(far.sent), after_s, taken_s, grown, waited)
+    return HostileTrafficOutcome(effects + ["the link spoke"] * bool(far.sent), after_s, taken_s, grown, waited)
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from telemetry_values import changed
 
-from uav_recon.autopilot.firmware.profile import ARM, Command, Outcome
+from uav_recon.autopilot.firmware.profile import ARM, ArmingOutcome, Command
 from uav_recon.autopilot.mavlink.link_status import LinkStatus
 from uav_recon.autopilot.mavlink.telemetry import Telemetry
 from uav_recon.autopilot.pilot.takeoff_sequence import TakeoffSequence
@@ -30,7 +30,7 @@ class Bench:
     streams = True
     reason: Reason | None = None
 
-    def __init__(self, *answers: tuple[Outcome, Command | None]) -> None:
+    def __init__(self, *answers: tuple[ArmingOutcome, Command | None]) -> None:
         self._answers = list(answers)
         self.sent: list[int] = []
         self.armed_s: list[float] = []
@@ -40,7 +40,7 @@ class Bench:
         link: Any = self
         self.takeoff = TakeoffSequence(link, authority)
 
-    def step(self, now_s: float, t: Telemetry) -> tuple[Outcome, Command | None]:
+    def step(self, now_s: float, t: Telemetry) -> tuple[ArmingOutcome, Command | None]:
         return self._answers.pop(0)
 
     def command(self, now_s: float, command: int, *parameters: float) -> None:
@@ -51,10 +51,12 @@ class Bench:
 
 
 def test_commands_are_sent_and_only_the_one_to_arm_makes_motors_ours() -> None:
-    bench = Bench((Outcome.PENDING, MODE), (Outcome.PENDING, None), (Outcome.PENDING, ARM), (Outcome.ARMED, None))
+    bench = Bench(
+        (ArmingOutcome.PENDING, MODE), (ArmingOutcome.PENDING, None), (ArmingOutcome.PENDING, ARM), (ArmingOutcome.ARMED, None)
+    )
     bench.takeoff.begin(0.0)
     outcomes = [bench.takeoff.arm(float(n), True, None) for n in range(4)]
-    assert outcomes == [Outcome.PENDING] * 3 + [Outcome.ARMED]
+    assert outcomes == [ArmingOutcome.PENDING] * 3 + [ArmingOutcome.ARMED]
     assert bench.sent == [MODE[0], ARM[0]]
     assert bench.armed_s == [2.0]
 
@@ -70,19 +72,19 @@ def test_commands_are_sent_and_only_the_one_to_arm_makes_motors_ours() -> None:
     ],
 )
 def test_it_is_aborted_without_another_command(wanted: bool, land_wanted: Reason | None, duplicate: bool, why: Reason) -> None:
-    bench = Bench((Outcome.PENDING, ARM))
+    bench = Bench((ArmingOutcome.PENDING, ARM))
     bench.takeoff.begin(0.0)
     bench.status = dataclasses.replace(bench.status, duplicate_autopilot=duplicate)
-    assert bench.takeoff.arm(0.0, wanted, land_wanted) is Outcome.GIVEN_UP
+    assert bench.takeoff.arm(0.0, wanted, land_wanted) is ArmingOutcome.GIVEN_UP
     assert bench.takeoff.abort_reason == why
     assert bench.sent == []
 
 
 def test_the_firmwares_reason_is_kept() -> None:
-    bench = Bench((Outcome.GIVEN_UP, None))
+    bench = Bench((ArmingOutcome.GIVEN_UP, None))
     bench.reason = OFF
     bench.takeoff.begin(0.0)
-    assert bench.takeoff.arm(0.0, True, None) is Outcome.GIVEN_UP
+    assert bench.takeoff.arm(0.0, True, None) is ArmingOutcome.GIVEN_UP
     assert bench.takeoff.abort_reason == OFF
 
 

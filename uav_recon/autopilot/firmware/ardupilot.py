@@ -15,9 +15,9 @@ from uav_recon.autopilot.firmware.profile import (
     ARM_AGAIN_S,
     DO_SET_MODE,
     MODE_AGAIN_S,
+    ArmingOutcome,
     Command,
     FirmwareProfile,
-    Outcome,
     Request,
     SupportedFirmware,
     missing_to_arm,
@@ -111,7 +111,7 @@ class ArduPilotArmingSequence:
         self._climb_s = math.inf
         self._lift_off = TakeoffMonitor(math.nan)
 
-    def step(self, now_s: float, t: Telemetry) -> tuple[Outcome, Command | None]:
+    def step(self, now_s: float, t: Telemetry) -> tuple[ArmingOutcome, Command | None]:
         """Return the state of the attempt, and the command to send now.
 
         No setpoint may be sent before the state is ARMED.
@@ -129,31 +129,31 @@ class ArduPilotArmingSequence:
             return self._ask(self._arm, now_s, Reason(ReasonCode.MOTORS_STAY_OFF), t)
         return self._climb(now_s, t)
 
-    def _climb(self, now_s: float, t: Telemetry) -> tuple[Outcome, Command | None]:
+    def _climb(self, now_s: float, t: Telemetry) -> tuple[ArmingOutcome, Command | None]:
         height_m = float(t.estimate.position_m[2])
         if self._climb_s == math.inf:
             self._climb_s = now_s
             self._ground_m = height_m
             self._lift_off = TakeoffMonitor(height_m, self.LIFT_S)
             self._lift_off.begin(now_s)
-            return Outcome.PENDING, CLIMB
+            return ArmingOutcome.PENDING, CLIMB
         fault = self._lift_off.fault(now_s, t)
         if fault:
             return self._give_up(fault)
         climbed_m, took_s = height_m - self._ground_m, now_s - self._climb_s
         if climbed_m >= CLIMB_M - self.ARRIVED_M:
-            return Outcome.ARMED, None
+            return ArmingOutcome.ARMED, None
         if took_s > self.CLIMB_S:
             return self._give_up(Reason(ReasonCode.CLIMB_TOO_SLOW, (climbed_m, took_s)))
-        return Outcome.PENDING, None
+        return ArmingOutcome.PENDING, None
 
-    def _ask(self, request: Request, now_s: float, why: Reason, t: Telemetry) -> tuple[Outcome, Command | None]:
+    def _ask(self, request: Request, now_s: float, why: Reason, t: Telemetry) -> tuple[ArmingOutcome, Command | None]:
         command, self.reason = request.step(now_s, why, t)
-        return (Outcome.GIVEN_UP if self.reason else Outcome.PENDING), command
+        return (ArmingOutcome.GIVEN_UP if self.reason else ArmingOutcome.PENDING), command
 
-    def _give_up(self, why: Reason) -> tuple[Outcome, Command | None]:
+    def _give_up(self, why: Reason) -> tuple[ArmingOutcome, Command | None]:
         self.reason = Reason(ReasonCode.TAKEOFF_GIVEN_UP, details=(why,))
-        return Outcome.GIVEN_UP, None
+        return ArmingOutcome.GIVEN_UP, None
 
 
 ARDUPILOT = FirmwareProfile(

@@ -30,7 +30,7 @@ ARM: Command = (ARM_DISARM, (1.0,))  # the second parameter stays 0: the autopil
 DISARM: Command = (ARM_DISARM, (0.0,))  # likewise: in flight the autopilot refuses it
 
 
-class Outcome(Enum):
+class ArmingOutcome(Enum):
     """State of an attempt to arm."""
 
     PENDING = "pending"
@@ -47,7 +47,7 @@ class ArmingSequence(Protocol):
     streams: bool
     reason: Reason | None
 
-    def step(self, now_s: float, t: Telemetry) -> tuple[Outcome, Command | None]:
+    def step(self, now_s: float, t: Telemetry) -> tuple[ArmingOutcome, Command | None]:
         """Return the state of the attempt, and the command to send now. GIVEN_UP has a reason."""
         ...
 

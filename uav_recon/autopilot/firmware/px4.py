@@ -13,9 +13,9 @@ from uav_recon.autopilot.firmware.profile import (
     ARM_AGAIN_S,
     DO_SET_MODE,
     MODE_AGAIN_S,
+    ArmingOutcome,
     Command,
     FirmwareProfile,
-    Outcome,
     Request,
     SupportedFirmware,
     missing_to_arm,
@@ -114,7 +114,7 @@ class Px4ArmingSequence:
         self._mode_before: int | None = None
         self._mode_seen = False
 
-    def step(self, now_s: float, t: Telemetry) -> tuple[Outcome, Command | None]:
+    def step(self, now_s: float, t: Telemetry) -> tuple[ArmingOutcome, Command | None]:
         """Return the state of the attempt, and the command to send now.
 
         Setpoints must be streaming all the time.
@@ -123,20 +123,20 @@ class Px4ArmingSequence:
         if not is_ours(t.mode.custom_mode) and (self._mode_seen or t.mode.custom_mode != self._mode_before):
             changed = Reason(ReasonCode.MODE_CHANGED, (mode_name(t.mode.custom_mode),))
             self.reason = Reason(ReasonCode.ARMING_GIVEN_UP, details=(changed,))
-            return Outcome.GIVEN_UP, None
+            return ArmingOutcome.GIVEN_UP, None
         if now_s - self._start_s < self.STREAM_S:
-            return Outcome.PENDING, None
+            return ArmingOutcome.PENDING, None
         if not self._mode_seen:
             if not (is_ours(t.mode.custom_mode) and t.mode.heartbeat_s > self._mode.asked_s > -math.inf):
                 return self._ask(self._mode, now_s, Reason(ReasonCode.MODE_UNCHANGED, (mode_name(t.mode.custom_mode),)), t)
             self._mode_seen = True
         if t.mode.armed:
-            return Outcome.ARMED, None
+            return ArmingOutcome.ARMED, None
         return self._ask(self._arm, now_s, Reason(ReasonCode.MOTORS_STAY_OFF), t)
 
-    def _ask(self, request: Request, now_s: float, why: Reason, t: Telemetry) -> tuple[Outcome, Command | None]:
+    def _ask(self, request: Request, now_s: float, why: Reason, t: Telemetry) -> tuple[ArmingOutcome, Command | None]:
         command, self.reason = request.step(now_s, why, t)
-        return (Outcome.GIVEN_UP if self.reason else Outcome.PENDING), command
+        return (ArmingOutcome.GIVEN_UP if self.reason else ArmingOutcome.PENDING), command
 
 
 PX4 = FirmwareProfile(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from uav_recon.autopilot.firmware.profile import FirmwareProfile, Outcome
+from uav_recon.autopilot.firmware.profile import ArmingOutcome, FirmwareProfile
 from uav_recon.autopilot.link.navigation import Navigation
 from uav_recon.autopilot.link.vehicle_link import VehicleLink
 from uav_recon.autopilot.mavlink.allow_list import AllowListFilter
@@ -286,9 +286,9 @@ class Pilot:
         unfit = self._failsafe.prevents_takeoff(self._situation.health(now_s, self._failsafe.refusals))
         wanted = self._mission_input.goal(now_s) is Goal.FLY and not unfit
         outcome = self._takeoff.arm(now_s, wanted, self._land_wanted)
-        if outcome is Outcome.GIVEN_UP:
+        if outcome is ArmingOutcome.GIVEN_UP:
             self._abandon_takeoff(self._takeoff.abort_reason)
-        elif outcome is Outcome.ARMED:
+        elif outcome is ArmingOutcome.ARMED:
             self.phase = FlightPhase.FLYING
             self._note = None
             if not self._takeoff.streams:

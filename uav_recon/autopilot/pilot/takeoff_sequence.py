@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from uav_recon.autopilot.firmware.profile import ARM, ArmingSequence, Outcome
+from uav_recon.autopilot.firmware.profile import ARM, ArmingOutcome, ArmingSequence
 from uav_recon.autopilot.firmware.takeoff_monitor import TakeoffMonitor
 from uav_recon.autopilot.link.vehicle_link import VehicleLink
 from uav_recon.autopilot.pilot.control_authority import ControlAuthority
@@ -44,7 +44,7 @@ class TakeoffSequence:
         self._climb = TakeoffMonitor(float(self._link.telemetry.estimate.position_m[2]))
         self.abort_reason = self.climb_fault = None
 
-    def arm(self, now_s: float, wanted: bool, land_wanted: Reason | None) -> Outcome:
+    def arm(self, now_s: float, wanted: bool, land_wanted: Reason | None) -> ArmingOutcome:
         """Run one step of arming: send the command that is due, and return the state of the attempt.
 
         wanted: the mission still wants to fly, and nothing prevents it. land_wanted: why the operator wants no flight.
@@ -53,10 +53,10 @@ class TakeoffSequence:
             land_wanted or self._link.status.duplicate_fault or (None if wanted else Reason(ReasonCode.ARMING_WITHDRAWN))
         )
         if self._arming is None or self.abort_reason:
-            return Outcome.GIVEN_UP
+            return ArmingOutcome.GIVEN_UP
         outcome, command = self._arming.step(now_s, self._link.telemetry)
         self.abort_reason = self._arming.reason
-        if outcome is Outcome.PENDING and command is not None:
+        if outcome is ArmingOutcome.PENDING and command is not None:
             if command == ARM:
                 self._authority.asked_to_arm(now_s)
             self._link.command(now_s, command[0], *command[1])
