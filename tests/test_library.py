@@ -93,9 +93,9 @@ def test_the_short_constructors_have_the_defaults_of_the_configuration() -> None
     for name in ("hfov_rad", "vfov_rad", "pitch_min_rad", "pitch_max_rad", "range_m", "near_m", "surface_range_m"):
         assert getattr(planner.camera, name) == pytest.approx(getattr(geometry, name), rel=1e-12), name
     np.testing.assert_array_equal(planner.camera.position_body_m, geometry.position_body_m)
-    usual = ViewPlanner(PlannerConfig(), LOW_M, HIGH_M, geometry, planner._price)
+    usual = ViewPlanner(PlannerConfig(), LOW_M, HIGH_M, geometry, planner._travel_time_model)
     assert planner.config == usual.config
-    assert planner._price == YawWhileFlying(motion.speed_mps, math.radians(motion.yaw_rate_degps))
+    assert planner._travel_time_model == YawWhileFlying(motion.speed_mps, math.radians(motion.yaw_rate_degps))
 
 
 def test_a_look_round_maps_the_room() -> None:

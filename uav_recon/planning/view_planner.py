@@ -64,7 +64,7 @@ class ViewPlanner:
 
     fence_min_m, fence_max_m: (3,) corners in world of the box to be explored.
     fence_inset_m: distance that the body keeps from the sides of the box.
-    price: predicts the travel time of a path.
+    travel_time_model: predicts the travel time of a path.
     timer: returns seconds; read only to fill task_s and step_s.
 
     Public attributes, for NarrowPassagePlanner: config (with all values of the preset), camera (as the variant uses its
@@ -79,14 +79,14 @@ class ViewPlanner:
         fence_min_m: FloatArray,
         fence_max_m: FloatArray,
         camera: CameraGeometry,
-        price: TravelTimeModel,
+        travel_time_model: TravelTimeModel,
         timer: Callable[[], float] = time.perf_counter,
         fence_inset_m: float | None = None,
     ) -> None:
         self.fence_m = np.asarray(fence_min_m, dtype=np.float64), np.asarray(fence_max_m, dtype=np.float64)
         self.config = config = derived(config, *self.fence_m, camera)
         self._inset_m = config.clearance_m if fence_inset_m is None else fence_inset_m
-        self._price = price
+        self._travel_time_model = travel_time_model
         self._timer = timer
         self._variant = variant(config.variant, config)
         self.camera = self._variant.camera(camera)
@@ -262,7 +262,7 @@ class ViewPlanner:
         committed: 1 if the first task is committed and stays first, else 0.
         """
         self._ways.update(context.exit_cells, request.position_world, view_positions(tasks))
-        costs_s = time_costs(self._ways, tasks, request.yaw_rad, request.velocity_world_mps, self._price)
+        costs_s = time_costs(self._ways, tasks, request.yaw_rad, request.velocity_world_mps, self._travel_time_model)
         if self.space.is_confined(context.position_world) and tasks:
             # one view may open the way to others
             return [1] if committed else [best_by_rate([one.task for one in tasks], costs_s)], 0

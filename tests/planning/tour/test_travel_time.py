@@ -46,10 +46,10 @@ def test_costs_are_the_longer_of_flight_and_turn_plus_the_first_turn_and_braking
             assert costs[i, j] == pytest.approx(expected)
 
 
-@pytest.mark.parametrize("price", [ON_THE_WAY, NOSE_FIRST])
-def test_an_unreachable_task_has_infinite_cost(price: YawWhileFlying | YawThenFly) -> None:
+@pytest.mark.parametrize("travel_time_model", [ON_THE_WAY, NOSE_FIRST])
+def test_an_unreachable_task_has_infinite_cost(travel_time_model: YawWhileFlying | YawThenFly) -> None:
     lengths_m = np.array([[0.0, np.inf], [np.inf, 0.0]])
-    costs = price.seconds(lengths_m, np.zeros((2, 2, 3)), np.zeros(2), np.zeros(2))
+    costs = travel_time_model.seconds(lengths_m, np.zeros((2, 2, 3)), np.zeros(2), np.zeros(2))
     assert np.isinf(costs[0, 1])
     assert np.isfinite(costs[0, 0])
 

@@ -156,8 +156,8 @@ class ReplayMap:
     def planner(self) -> ViewPlanner:
         """Return a planner for this map's fence and camera."""
         motion = MotionConfig()
-        price = YawWhileFlying(motion.speed_mps, math.radians(motion.yaw_rate_degps))
-        return ViewPlanner(self.config, *self.fence_m, self.camera, price)
+        travel_time_model = YawWhileFlying(motion.speed_mps, math.radians(motion.yaw_rate_degps))
+        return ViewPlanner(self.config, *self.fence_m, self.camera, travel_time_model)
 
 
 class PlannerStages:
@@ -174,7 +174,7 @@ class PlannerStages:
         self._views = FrontierViews(mapped.config, mapped.camera)
         self._choice = variant(mapped.config.variant, mapped.config).choice
         self._none_ignored = np.zeros(grid.shape, dtype=np.uint8)
-        self._price = YawWhileFlying(motion.speed_mps, math.radians(motion.yaw_rate_degps))
+        self._travel_time_model = YawWhileFlying(motion.speed_mps, math.radians(motion.yaw_rate_degps))
 
     def decide(self, voxels: VoxelMap, posed: PosedFrame, watch: Stopwatch) -> BenchDecision:
         """Plan from the pose of a frame. The laps are those of STAGES."""
@@ -205,7 +205,7 @@ class PlannerStages:
         if not tasks:
             return NOTHING
         self._ways.update(exit_cells, posed.world_from_depth.translation_m, view_positions(tasks))
-        costs_s = time_costs(self._ways, tasks, heading_rad(posed), np.zeros(3), self._price)
+        costs_s = time_costs(self._ways, tasks, heading_rad(posed), np.zeros(3), self._travel_time_model)
         watch.lap("ways")
         if self._space.is_confined(posed.world_from_depth.translation_m):
             order = np.array([best_by_rate([one.task for one in tasks], costs_s)], dtype=np.int64)

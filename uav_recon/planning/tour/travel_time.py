@@ -84,7 +84,11 @@ class YawThenFly:
 
 
 def time_costs(
-    ways: PathCache, proposals: list[CandidateView], yaw_rad: float, velocity_world_mps: FloatArray, price: TravelTimeModel
+    ways: PathCache,
+    proposals: list[CandidateView],
+    yaw_rad: float,
+    velocity_world_mps: FloatArray,
+    travel_time_model: TravelTimeModel,
 ) -> FloatArray:
     """Return the seconds (N+1, N+1) from node to node, asymmetric.
 
@@ -93,7 +97,7 @@ def time_costs(
     views = [proposal.task.viewpoint for proposal in proposals]
     yaws = np.array([yaw_rad, *(view.yaw_rad for view in views)], dtype=np.float64)
     pitches = np.array([0.0, *(view.pitch_down_rad for view in views)], dtype=np.float64)  # no view is taken at node 0
-    costs = price.seconds(ways.lengths_m, ways.departures, yaws, pitches)
+    costs = travel_time_model.seconds(ways.lengths_m, ways.departures, yaws, pitches)
     leave(costs, ways.departures, np.ascontiguousarray(velocity_world_mps, dtype=np.float64))
     return costs
 
