@@ -116,12 +116,12 @@ class NarrowPassagePlanner:
         tasks_made_s = self._timer()
         if not proposals:
             return None
-        ways = PathCache(space)
-        ways.update(exit_cells, request.position_world, view_positions(proposals))
-        nearest = int(np.argmin(ways.lengths_m[0, 1:]))
+        path_cache = PathCache(space)
+        path_cache.update(exit_cells, request.position_world, view_positions(proposals))
+        nearest = int(np.argmin(path_cache.lengths_m[0, 1:]))
         path = ViewPath(
             viewpoints=(proposals[nearest].task.viewpoint,),
-            waypoints_world=(ways.path_world(0, nearest + 1),),
+            waypoints_world=(path_cache.path_world(0, nearest + 1),),
             mode=PlanMode.EXPLORE,
             map_revision=request.voxels.revision,
             map_epoch=request.voxels.map_epoch,

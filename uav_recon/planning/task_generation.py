@@ -52,7 +52,7 @@ class TaskQuery:
 
     context: PlanningContext
     frontiers: Frontiers
-    ways: PathCache
+    path_cache: PathCache
     surface: SurfaceElements | None
     looks: Float32Array
     views_left: int
@@ -90,12 +90,12 @@ class ClusterTasks:
 
     def propose(self, query: TaskQuery) -> GeneratedTasks:
         """See TaskSource."""
-        context, ways = query.context, query.ways
+        context, path_cache = query.context, query.path_cache
         found, later = self._explore(context, query.frontiers)
         explore, farther = found[:MAX_FRONTIERS], found[MAX_FRONTIERS:]
-        ways.update(context.exit_cells, context.position_world, view_positions(explore))
+        path_cache.update(context.exit_cells, context.position_world, view_positions(explore))
         opening = np.array([_is_opening(one) for one in explore], dtype=np.bool_)
-        mode = self._variant.mode.choose(ways.lengths_m[0, 1:], opening, later + sum(map(_is_opening, farther)))
+        mode = self._variant.mode.choose(path_cache.lengths_m[0, 1:], opening, later + sum(map(_is_opening, farther)))
         spare, frontiers = query.views_left - len(explore), len(found) + later
         if mode is PlanMode.EXPLORE or TaskKind.RECONSTRUCT not in self._variant.kinds or spare <= 0:
             return GeneratedTasks(mode, explore, frontiers)

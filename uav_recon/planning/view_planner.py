@@ -162,7 +162,9 @@ class ViewPlanner:
     ) -> ViewPath | NothingLeft:
         """Return the tour over the tasks of a source."""
         generated = source.propose(
-            TaskQuery(context, self.frontiers, self._ways, request.surface, self.view_history.surface_looks, request.views_left)
+            TaskQuery(
+                context, self.frontiers, self._path_cache, request.surface, self.view_history.surface_looks, request.views_left
+            )
         )
         committed = self._committed(context, request)
         tasks = _drop_duplicate_tasks(committed, self._not_refused(generated.proposals))
@@ -215,7 +217,7 @@ class ViewPlanner:
         proposal = route_to(context, goal)
         if proposal is None:
             return self._nothing(Reason(ReasonCode.NO_KNOWN_PATH), start_s, start_s)
-        self._ways.update(context.exit_cells, request.position_world, view_positions([proposal]))
+        self._path_cache.update(context.exit_cells, request.position_world, view_positions([proposal]))
         return self._path(request, GeneratedTasks(PlanMode.EXPLORE, [], 0), [proposal], [1], start_s, start_s)
 
     def _look(self, request: PlanRequest) -> PlanningContext | Reason:
@@ -228,7 +230,7 @@ class ViewPlanner:
         if frame != self._frame:
             self._frame = frame
             self.space = FlyableSpace(voxels.grid, self.config.clearance_m, *self._box(voxels.grid, self._inset_m))
-            self._ways = PathCache(self.space)
+            self._path_cache = PathCache(self.space)
         self.frontiers.touch(self.view_history.evaluate_flown_views(request))
         self.frontiers.update(voxels, *self._box(voxels.grid, 0.0), self.view_history.exhausted)
         if request.views_left <= 0:
@@ -261,8 +263,8 @@ class ViewPlanner:
 
         committed: 1 if the first task is committed and stays first, else 0.
         """
-        self._ways.update(context.exit_cells, request.position_world, view_positions(tasks))
-        costs_s = time_costs(self._ways, tasks, request.yaw_rad, request.velocity_world_mps, self._travel_time_model)
+        self._path_cache.update(context.exit_cells, request.position_world, view_positions(tasks))
+        costs_s = time_costs(self._path_cache, tasks, request.yaw_rad, request.velocity_world_mps, self._travel_time_model)
         if self.space.is_confined(context.position_world) and tasks:
             # one view may open the way to others
             return [1] if committed else [best_by_rate([one.task for one in tasks], costs_s)], 0
@@ -273,13 +275,13 @@ class ViewPlanner:
 
     def _within_horizon(self, order: list[int], widening: float) -> list[int]:
         """Return the first nodes of the tour whose path is within L_exec; at least one."""
-        lengths_m = self._ways.lengths_m
+        lengths_m = self._path_cache.lengths_m
         travelled_m = np.cumsum([lengths_m[i, j] for i, j in zip([0, *order[:-1]], order, strict=True)])
         return order[: max(1, int(np.searchsorted(travelled_m, self.config.horizon_m * widening, side="right")))]
 
     def _legs(self, nodes: list[int]) -> tuple[FloatArray, ...]:
         """Return the waypoints (N, 3) of the leg to each node of a tour."""
-        return tuple(self._ways.path_world(i, j) for i, j in zip([0, *nodes[:-1]], nodes, strict=True))
+        return tuple(self._path_cache.path_world(i, j) for i, j in zip([0, *nodes[:-1]], nodes, strict=True))
 
     def _turned_to_path(
         self, request: PlanRequest, views: list[CandidateView], nodes: list[int], committed: int

@@ -98,21 +98,21 @@ def centres(cells: IntArray) -> FloatArray:
     return np.asarray(cells).reshape(-1, 3) + np.float64(0.5)
 
 
-def check_polyline(space: FlyableSpace, ways: PathCache, i: int, j: int) -> None:
-    way = space.padded(ways.path_world(i, j))
+def check_polyline(space: FlyableSpace, path_cache: PathCache, i: int, j: int) -> None:
+    way = space.padded(path_cache.path_world(i, j))
     # conversion to world coordinates and back has a rounding error, so a sample on a border may be in either voxel
     nudges = [np.array(nudge) * 1e-9 for nudge in itertools.product((-1, 1), repeat=3)]
     for a, b in itertools.pairwise(way):
         assert any(segment_is_open(space.mask, *(a + nudge), *(b + nudge)) for nudge in nudges)
     for node, end in ((i, way[0]), (j, way[-1])):
         if node:
-            np.testing.assert_allclose(end, ways._places[node - 1], atol=1e-9)
+            np.testing.assert_allclose(end, path_cache._places[node - 1], atol=1e-9)
     length_m = float(np.linalg.norm(np.diff(way, axis=0), axis=1).sum()) * RESOLUTION_M
-    assert length_m == pytest.approx(ways.lengths_m[i, j], abs=1e-9)
-    np.testing.assert_allclose(ways.path_world(j, i), ways.path_world(i, j)[::-1])
+    assert length_m == pytest.approx(path_cache.lengths_m[i, j], abs=1e-9)
+    np.testing.assert_allclose(path_cache.path_world(j, i), path_cache.path_world(i, j)[::-1])
     if len(way) > 1:
         step = way[1] - way[0]
-        np.testing.assert_allclose(ways.departures[i, j], step / np.linalg.norm(step), atol=1e-9)
+        np.testing.assert_allclose(path_cache.departures[i, j], step / np.linalg.norm(step), atol=1e-9)
 
 
 def largest_component(mask: ByteArray) -> IntArray:
@@ -131,17 +131,17 @@ def test_paths_in_clutter_are_open_and_as_short_as_an_exact_search() -> None:
         start = space.world(chosen[0] + 0.5)
         exit_cells = space.locate_vehicle(start)
         assert exit_cells is not None
-        ways = PathCache(space)
-        ways.update(exit_cells, start, centres(chosen[1:]))
+        path_cache = PathCache(space)
+        path_cache.update(exit_cells, start, centres(chosen[1:]))
         for i, j in itertools.combinations(range(6), 2):
             grid_length, pulled = oracle(space.mask, chosen[i], chosen[j])
             if grid_length == 0:
                 continue
-            length = ways.lengths_m[i, j] / RESOLUTION_M
+            length = path_cache.lengths_m[i, j] / RESOLUTION_M
             assert length >= np.linalg.norm(chosen[i] - chosen[j]) - 1e-9
             excess.append(length / pulled - 1)
             over_grid.append(length / grid_length - 1)
-            check_polyline(space, ways, i, j)
+            check_polyline(space, path_cache, i, j)
     assert np.mean(excess) < 0.005
     assert np.percentile(excess, 95) < 0.03
     assert np.mean(over_grid) < -0.03  # straight lines are shorter than grid steps
@@ -153,16 +153,16 @@ def test_paths_in_the_reference_map_are_as_short_as_an_exact_search() -> None:
     world = World(reference.astype(np.uint8))
     space = world.space(0.35)
     cells = largest_component(space.mask)
-    ways = PathCache(space)
+    path_cache = PathCache(space)
     excess = []
     for pair in cells[np.random.default_rng(100).integers(len(cells), size=(100, 2))]:
         start = space.world(pair[0] + 0.5)
         exit_cells = space.locate_vehicle(start)
         assert exit_cells is not None
-        ways.update(exit_cells, start, centres(pair[1:]))
+        path_cache.update(exit_cells, start, centres(pair[1:]))
         _, pulled = oracle(space.mask, pair[0], pair[1])
-        excess.append(ways.lengths_m[0, 1] / RESOLUTION_M / pulled - 1)
-        check_polyline(space, ways, 0, 1)
+        excess.append(path_cache.lengths_m[0, 1] / RESOLUTION_M / pulled - 1)
+        check_polyline(space, path_cache, 0, 1)
     assert np.mean(excess) <= 0.002
     assert np.percentile(excess, 95) <= 0.01
 
@@ -172,7 +172,7 @@ def test_cached_paths_equal_a_new_search(seed: int) -> None:
     rng = np.random.default_rng(seed)
     world = cluttered(rng, (60, 45, 18), 45)
     space = world.space(0.14)
-    ways = PathCache(space)
+    path_cache = PathCache(space)
     tasks = np.zeros((0, 3))
     remembered = 0
     for _ in range(25):
@@ -187,14 +187,14 @@ def test_cached_paths_equal_a_new_search(seed: int) -> None:
         open_still = np.array([space.mask[tuple(place.astype(int))] for place in tasks], dtype=bool)
         chosen = cells[rng.integers(len(cells), size=3)]
         tasks = np.concatenate([tasks[open_still][:9], chosen[:1] + 0.5, chosen[1:] + rng.random((2, 3))])
-        before = ways._known.kept.sum()
-        ways.update(exit_cells, start, tasks)
+        before = path_cache._known.kept.sum()
+        path_cache.update(exit_cells, start, tasks)
         again = PathCache(space)
         again.update(exit_cells, start, tasks)
-        np.testing.assert_array_equal(ways.lengths_m, again.lengths_m)
-        np.testing.assert_array_equal(ways.departures, again.departures)
+        np.testing.assert_array_equal(path_cache.lengths_m, again.lengths_m)
+        np.testing.assert_array_equal(path_cache.departures, again.departures)
         i, j = rng.integers(0, len(tasks) + 1, 2)
-        np.testing.assert_array_equal(ways.path_world(int(i), int(j)), again.path_world(int(i), int(j)))
+        np.testing.assert_array_equal(path_cache.path_world(int(i), int(j)), again.path_world(int(i), int(j)))
         remembered += int(before > 0)
     assert remembered > 15
 
@@ -216,15 +216,15 @@ def test_a_path_ends_exactly_at_its_view_anywhere_in_a_voxel(seed: int) -> None:
         start = space.world(chosen[0] + rng.random(3))
         exit_cells = space.locate_vehicle(start)
         assert exit_cells is not None
-        ways, centred = PathCache(space), PathCache(space)
-        ways.update(exit_cells, start, places)
+        path_cache, centred = PathCache(space), PathCache(space)
+        path_cache.update(exit_cells, start, places)
         centred.update(exit_cells, start, centres(chosen))
         for i, j in itertools.combinations(range(5), 2):
-            assert np.isfinite(ways.lengths_m[i, j])
-            check_polyline(space, ways, i, j)
-            bends += len(ways.path_world(i, j)) > 3
+            assert np.isfinite(path_cache.lengths_m[i, j])
+            check_polyline(space, path_cache, i, j)
+            bends += len(path_cache.path_world(i, j)) > 3
             off = sum(float(np.linalg.norm(places[n - 1] - chosen[n - 1] - 0.5)) for n in (i, j) if n)
-            excess.append(ways.lengths_m[i, j] / RESOLUTION_M - centred.lengths_m[i, j] / RESOLUTION_M - off)
+            excess.append(path_cache.lengths_m[i, j] / RESOLUTION_M - centred.lengths_m[i, j] / RESOLUTION_M - off)
     assert bends > 100
     # in voxels: no longer than via the centre, apart from random differences of the search
     assert np.mean(excess) <= 0.0
@@ -241,7 +241,7 @@ def walled() -> World:
 def test_a_door_that_opens_is_used_and_one_that_closes_is_not() -> None:
     world = walled()
     space = world.space(0.14)
-    ways = PathCache(space)
+    path_cache = PathCache(space)
     cells = centres(np.array([[10, 8, 6], [32, 8, 6]]))
     start = world.grid.centre(np.array([6, 6, 6]))
     lengths_m = []
@@ -250,8 +250,8 @@ def test_a_door_that_opens_is_used_and_one_that_closes_is_not() -> None:
         space.update(world.voxels())
         exit_cells = space.locate_vehicle(start)
         assert exit_cells is not None
-        ways.update(exit_cells, start, cells)
-        lengths_m.append(ways.lengths_m[1, 2])
+        path_cache.update(exit_cells, start, cells)
+        lengths_m.append(path_cache.lengths_m[1, 2])
     assert lengths_m[0] == lengths_m[2] > lengths_m[1] + 0.8
     assert lengths_m[1] == pytest.approx(2.2)
 
@@ -262,13 +262,13 @@ def test_nodes_at_the_same_position_have_distance_zero() -> None:
     start = world.grid.centre(np.array([6, 6, 6]))
     exit_cells = space.locate_vehicle(start)
     assert exit_cells is not None
-    ways = PathCache(space)
-    ways.update(exit_cells, start, centres(np.array([[7, 7, 7], [20, 25, 6], [20, 25, 6]])))
-    assert ways.lengths_m[0, 1] == pytest.approx(0.0)
-    assert ways.lengths_m[2, 3] == 0.0
-    np.testing.assert_array_equal(ways.departures[2, 3], np.zeros(3))
-    assert len(ways.path_world(2, 3)) == len(ways.path_world(0, 1)) == 1
-    assert ways.lengths_m[1, 2] == ways.lengths_m[1, 3] == pytest.approx(ways.lengths_m[0, 2])
+    path_cache = PathCache(space)
+    path_cache.update(exit_cells, start, centres(np.array([[7, 7, 7], [20, 25, 6], [20, 25, 6]])))
+    assert path_cache.lengths_m[0, 1] == pytest.approx(0.0)
+    assert path_cache.lengths_m[2, 3] == 0.0
+    np.testing.assert_array_equal(path_cache.departures[2, 3], np.zeros(3))
+    assert len(path_cache.path_world(2, 3)) == len(path_cache.path_world(0, 1)) == 1
+    assert path_cache.lengths_m[1, 2] == path_cache.lengths_m[1, 3] == pytest.approx(path_cache.lengths_m[0, 2])
 
 
 def test_there_is_no_path_through_a_wall() -> None:
@@ -278,10 +278,10 @@ def test_there_is_no_path_through_a_wall() -> None:
     start = world.grid.centre(np.array([6, 6, 6]))
     exit_cells = space.locate_vehicle(start)
     assert exit_cells is not None
-    ways = PathCache(space)
-    ways.update(exit_cells, start, centres(np.array([[32, 8, 6], [10, 20, 6]])))
-    assert np.isinf(ways.lengths_m[0, 1])
-    assert np.isfinite(ways.lengths_m[0, 2])
+    path_cache = PathCache(space)
+    path_cache.update(exit_cells, start, centres(np.array([[32, 8, 6], [10, 20, 6]])))
+    assert np.isinf(path_cache.lengths_m[0, 1])
+    assert np.isfinite(path_cache.lengths_m[0, 2])
 
 
 def test_a_vehicle_outside_flyable_space_leaves_by_its_exit_cells_first() -> None:
@@ -291,18 +291,18 @@ def test_a_vehicle_outside_flyable_space_leaves_by_its_exit_cells_first() -> Non
     exit_cells = space.locate_vehicle(start)
     assert exit_cells is not None
     assert len(exit_cells) > 1
-    ways = PathCache(space)
-    ways.update(exit_cells, start, centres(np.array([[12, 9, 7]])))
-    way = ways.path_world(0, 1)
+    path_cache = PathCache(space)
+    path_cache.update(exit_cells, start, centres(np.array([[12, 9, 7]])))
+    way = path_cache.path_world(0, 1)
     np.testing.assert_allclose(way[0], start)
     np.testing.assert_allclose(way[1 : len(exit_cells)], space.world(space.centre(exit_cells[1:])))
-    assert ways.lengths_m[0, 1] == pytest.approx(np.linalg.norm(np.diff(way, axis=0), axis=1).sum())
+    assert path_cache.lengths_m[0, 1] == pytest.approx(np.linalg.norm(np.diff(way, axis=0), axis=1).sum())
 
 
 def test_a_map_of_a_new_epoch_starts_from_scratch() -> None:
     world = walled()
     space = world.space(0.14)
-    ways = PathCache(space)
+    path_cache = PathCache(space)
     start = world.grid.centre(np.array([6, 6, 6]))
     cells = centres(np.array([[10, 8, 6], [32, 8, 6]]))
     for epoch, open_door in ((0, False), (1, True)):
@@ -312,8 +312,8 @@ def test_a_map_of_a_new_epoch_starts_from_scratch() -> None:
         space.update(voxels)
         exit_cells = space.locate_vehicle(start)
         assert exit_cells is not None
-        ways.update(exit_cells, start, cells)
-        assert (ways.lengths_m[1, 2] < 2.3) == open_door
+        path_cache.update(exit_cells, start, cells)
+        assert (path_cache.lengths_m[1, 2] < 2.3) == open_door
 
 
 def test_any_number_of_tasks_is_accepted() -> None:
@@ -324,11 +324,11 @@ def test_any_number_of_tasks_is_accepted() -> None:
     assert exit_cells is not None
     rng = np.random.default_rng(3)
     open_cells = largest_component(space.mask)
-    ways = PathCache(space)
+    path_cache = PathCache(space)
     for count in (0, 1, 50):
-        ways.update(exit_cells, start, centres(open_cells[rng.integers(len(open_cells), size=count)]))
-        assert ways.lengths_m.shape == (count + 1, count + 1)
-        assert np.isfinite(ways.lengths_m).all()
+        path_cache.update(exit_cells, start, centres(open_cells[rng.integers(len(open_cells), size=count)]))
+        assert path_cache.lengths_m.shape == (count + 1, count + 1)
+        assert np.isfinite(path_cache.lengths_m).all()
 
 
 @pytest.mark.parametrize("tasks", [33, 40, 80])
@@ -339,10 +339,10 @@ def test_a_plan_with_one_more_task_forgets_no_path(tasks: int) -> None:
     exit_cells = space.locate_vehicle(start)
     assert exit_cells is not None
     places = centres(largest_component(space.mask)[: tasks + 1])
-    ways = PathCache(space)
-    ways.update(exit_cells, start, places[:-1])
-    kept = ways._known.kept.copy()
-    ways.update(exit_cells, start, places)
+    path_cache = PathCache(space)
+    path_cache.update(exit_cells, start, places[:-1])
+    kept = path_cache._known.kept.copy()
+    path_cache.update(exit_cells, start, places)
     assert kept.sum() == tasks * (tasks - 1) // 2
-    assert ways._known.kept.shape == kept.shape
-    assert ways._known.kept[kept].all()
+    assert path_cache._known.kept.shape == kept.shape
+    assert path_cache._known.kept[kept].all()

@@ -48,11 +48,11 @@ def compare(
     if not len(chosen):
         return None
     space = space_of(voxels, clearance_m, (low, high))
-    ways = PathCache(space)
+    path_cache = PathCache(space)
     ours, exact = [], []
     for start, goal in chosen:
         exact.append(path_oracle.length_of(path_oracle.shortest_path(mask, start, goal)) * grid.resolution_m)
-        ours.append(_planned_m(space, ways, start, goal))
+        ours.append(_planned_m(space, path_cache, start, goal))
     excess = np.array(ours) / np.array(exact) - 1.0
     return PathLengths(
         pairs=pairs,
@@ -71,11 +71,11 @@ def space_of(voxels: VoxelMap, clearance_m: float, box: tuple[IntArray, IntArray
     return space
 
 
-def _planned_m(space: FlyableSpace, ways: PathCache, start: IntArray, goal: IntArray) -> float:
+def _planned_m(space: FlyableSpace, path_cache: PathCache, start: IntArray, goal: IntArray) -> float:
     """Return the planner's path length between two connected voxels (3,)."""
     start_m = space.grid.centre(start)
     exit_cells = space.locate_vehicle(start_m)
     if exit_cells is None:
         return float(np.inf)
-    ways.update(exit_cells, start_m, goal[None] + np.float64(1.5))
-    return float(ways.lengths_m[0, 1])
+    path_cache.update(exit_cells, start_m, goal[None] + np.float64(1.5))
+    return float(path_cache.lengths_m[0, 1])

@@ -72,7 +72,7 @@ def _quality(result: Result) -> list[str]:
             )
     if lengths is not None:
         lines.append(
-            f"ways: {lengths['mean_m']:.3f} m on {lengths['pairs']} pairs, {lengths['mean_excess']:+.2%} beside exact search "
+            f"paths: {lengths['mean_m']:.3f} m on {lengths['pairs']} pairs, {lengths['mean_excess']:+.2%} beside exact search "
             f"(p95 {lengths['p95_excess']:+.2%}, worst {lengths['max_excess']:+.2%})"
         )
     return lines

@@ -49,7 +49,7 @@ WARM_FRAMES = 20
 # laps of a frame, and the stages that are sums of laps
 SEARCH = ("frontiers", "space")
 VIEWPOINTS = ("views",)
-TOUR = ("ways", "order", "headings")
+TOUR = ("paths", "order", "headings")
 STAGES: dict[str, tuple[str, ...]] = {
     "fusion": ("fusion",),
     "distance": ("distance",),
@@ -170,7 +170,7 @@ class PlannerStages:
         inset_m = mapped.config.clearance_m
         self._space = FlyableSpace(grid, inset_m, *fence_box(grid, mapped.fence_m[0] + inset_m, mapped.fence_m[1] - inset_m))
         self._frontiers = Frontiers()
-        self._ways = PathCache(self._space)
+        self._path_cache = PathCache(self._space)
         self._views = FrontierViews(mapped.config, mapped.camera)
         self._choice = variant(mapped.config.variant, mapped.config).choice
         self._none_ignored = np.zeros(grid.shape, dtype=np.uint8)
@@ -204,9 +204,9 @@ class PlannerStages:
     def _tour(self, exit_cells: IntArray, posed: PosedFrame, tasks: list[CandidateView], watch: Stopwatch) -> IntArray:
         if not tasks:
             return NOTHING
-        self._ways.update(exit_cells, posed.world_from_depth.translation_m, view_positions(tasks))
-        costs_s = time_costs(self._ways, tasks, heading_rad(posed), np.zeros(3), self._travel_time_model)
-        watch.lap("ways")
+        self._path_cache.update(exit_cells, posed.world_from_depth.translation_m, view_positions(tasks))
+        costs_s = time_costs(self._path_cache, tasks, heading_rad(posed), np.zeros(3), self._travel_time_model)
+        watch.lap("paths")
         if self._space.is_confined(posed.world_from_depth.translation_m):
             order = np.array([best_by_rate([one.task for one in tasks], costs_s)], dtype=np.int64)
         else:
@@ -220,9 +220,9 @@ class PlannerStages:
             return ()
         nodes = (order + 1).tolist()
         steps = list(zip([0, *nodes[:-1]], nodes, strict=True))
-        along_m = np.cumsum([self._ways.lengths_m[i, j] for i, j in steps])
+        along_m = np.cumsum([self._path_cache.lengths_m[i, j] for i, j in steps])
         count = max(int(np.searchsorted(along_m, self._mapped.config.horizon_m, side="right")), 1)
-        legs = [self._ways.path_world(i, j) for i, j in steps[:count]]
+        legs = [self._path_cache.path_world(i, j) for i, j in steps[:count]]
         grid, camera = self._mapped.voxels.grid, self._mapped.camera
         lens = camera.lens(grid.resolution_m, camera.range_m)
         views = [tasks[index] for index in order[:count].tolist()]

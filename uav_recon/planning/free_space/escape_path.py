@@ -29,7 +29,7 @@ class EscapePath:
         self._buckets = np.empty((3, edge**3), dtype=np.int64)
         self._now = 0
 
-    def way(self, mask: ByteArray, free: ByteArray, cell: IntArray) -> IntArray | None:
+    def find(self, mask: ByteArray, free: ByteArray, cell: IntArray) -> IntArray | None:
         """Return the flat cells (N,) from ``cell`` to the nearest flyable cell, or None.
 
         Both ends are included. Indices refer to the padded arrays. None if there is no path within the limit.
@@ -37,7 +37,7 @@ class EscapePath:
         cell: (3,) padded index.
         """
         self._now += 1
-        way = _way_out(
+        cells = _nearest_flyable(
             mask,
             free,
             cell,
@@ -50,11 +50,11 @@ class EscapePath:
             self._now,
             self._buckets,
         )
-        return way if len(way) else None
+        return cells if len(cells) else None
 
 
 @kernel
-def _way_out(  # noqa: C901
+def _nearest_flyable(  # noqa: C901
     mask: ByteArray,
     free: ByteArray,
     cell: IntArray,
@@ -107,11 +107,11 @@ def _way_out(  # noqa: C901
     while at >= 0:
         count += 1
         at = previous[at]
-    way = np.empty(count, dtype=np.int64)
+    cells = np.empty(count, dtype=np.int64)
     at = best
     for n in range(count - 1, -1, -1):
         a, b, c = at // (edge * edge), at // edge % edge, at % edge
         i, j, k = cell[0] + a - reach, cell[1] + b - reach, cell[2] + c - reach
-        way[n] = (i * mask.shape[1] + j) * mask.shape[2] + k
+        cells[n] = (i * mask.shape[1] + j) * mask.shape[2] + k
         at = previous[at]
-    return way
+    return cells

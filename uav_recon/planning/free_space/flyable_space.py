@@ -144,7 +144,7 @@ class FlyableSpace:
         cell = np.floor(self.padded(position_world)).astype(np.int64)
         if np.any(cell < 1) or np.any(cell >= np.array(self.mask.shape) - 1):
             return None
-        cells = self._escape.way(self.mask, self.free, cell)
+        cells = self._escape.find(self.mask, self.free, cell)
         if cells is None:
             return None
         i, j, k = (int(n) for n in np.unravel_index(int(cells[-1]), self.mask.shape))

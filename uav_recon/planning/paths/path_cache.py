@@ -93,11 +93,11 @@ class PathCache:
             _forget(self._known, space.leap, blocks, space.mask_revision, space.block_revision, self._seen)
             self._seen = space.revision
         self._places = np.ascontiguousarray(places, dtype=np.float64)
-        self._cache_slots = _cache_slot(self._known, self._places, self._plan)
+        self._slots = _assigned_slots(self._known, self._places, self._plan)
         self._head = space.centre(exit_cells)
         self._head[0] = space.padded(position_world)
         lengths, self.departures = _connect(
-            self._known, blocks, space.leap, self._memory, self._cache_slots, self._head, self._buffer
+            self._known, blocks, space.leap, self._memory, self._slots, self._head, self._buffer
         )
         self.lengths_m = lengths * space.grid.resolution_m
 
@@ -106,31 +106,31 @@ class PathCache:
 
         It is one point if both nodes have the same position.
         """
-        way = self._way(i, j)
-        moved = np.concatenate(([True], np.any(np.abs(np.diff(way, axis=0)) > 1e-9, axis=1)))
-        return np.ascontiguousarray(self._space.world(way[moved]))
+        path = self._path(i, j)
+        moved = np.concatenate(([True], np.any(np.abs(np.diff(path, axis=0)) > 1e-9, axis=1)))
+        return np.ascontiguousarray(self._space.world(path[moved]))
 
-    def _way(self, i: int, j: int) -> FloatArray:
+    def _path(self, i: int, j: int) -> FloatArray:
         if i == j:
             return self._head[:1] if i == 0 else self._places[i - 1 : i]
         if i > 0 and j > 0:
-            a, b = int(self._cache_slots[i - 1]), int(self._cache_slots[j - 1])
+            a, b = int(self._slots[i - 1]), int(self._slots[j - 1])
             if a == b:
                 return self._places[i - 1 : i]
             if _comes_first(self._known.place, b, a):
-                return self._way(j, i)[::-1]
+                return self._path(j, i)[::-1]
             if self._known.number[a, b] <= MAX_POINTS:
                 return self._known.points[a, b, : self._known.number[a, b]]
             start = self._places[i - 1]
         elif j == 0:
-            return self._way(j, i)[::-1]
+            return self._path(j, i)[::-1]
         else:
             start = self._head[-1]
-        count, _, _ = _way_between(
+        count, _, _ = _path_between(
             self._regions.blocks, self._space.leap, self._memory, start, self._places[j - 1], self._buffer
         )
-        way = self._buffer[:count].copy()
-        return np.concatenate([self._head[:-1], way]) if i == 0 else way
+        path = self._buffer[:count].copy()
+        return np.concatenate([self._head[:-1], path]) if i == 0 else path
 
 
 @kernel
@@ -187,7 +187,7 @@ def _comes_first(places: FloatArray, a: int, b: int) -> bool:
 
 
 @kernel
-def _seat_of(known: CachedPaths, place: FloatArray) -> int:
+def _slot_of(known: CachedPaths, place: FloatArray) -> int:
     """Return the entry of a cached position (3,), or -1."""
     for a in range(len(known.place)):
         if known.place[a, 0] == place[0] and known.place[a, 1] == place[1] and known.place[a, 2] == place[2]:
@@ -196,30 +196,30 @@ def _seat_of(known: CachedPaths, place: FloatArray) -> int:
 
 
 @kernel
-def _cache_slot(known: CachedPaths, places: FloatArray, plan: int) -> IntArray:
+def _assigned_slots(known: CachedPaths, places: FloatArray, plan: int) -> IntArray:
     """Assign an entry (N,) to each position (N, 3).
 
     A cached position keeps its entry. A new one takes the entry that was unused for the longest time.
     """
-    seats = np.full(len(places), -1)
+    slots = np.full(len(places), -1)
     for n in range(len(places)):
-        seats[n] = _seat_of(known, places[n])
-        if seats[n] >= 0:
-            known.used[seats[n]] = plan
+        slots[n] = _slot_of(known, places[n])
+        if slots[n] >= 0:
+            known.used[slots[n]] = plan
     for n in range(len(places)):
-        if seats[n] < 0:
-            seats[n] = _seat_of(known, places[n])  # the same position may be in the list twice
-        if seats[n] < 0:
+        if slots[n] < 0:
+            slots[n] = _slot_of(known, places[n])  # the same position may be in the list twice
+        if slots[n] < 0:
             a = int(np.argmin(known.used))
-            seats[n], known.used[a] = a, plan
+            slots[n], known.used[a] = a, plan
             copy_row(known.place, a, places[n])
             known.kept[a, :] = False
             known.kept[:, a] = False
-    return seats
+    return slots
 
 
 @kernel
-def _way_between(
+def _path_between(
     blocks: VoxelBlocks, leap: ByteArray, memory: Memory, start: FloatArray, goal: FloatArray, points: FloatArray
 ) -> tuple[int, float, float]:
     """Write the path into ``points``; return its number of points (0: none), length and span.
@@ -251,7 +251,7 @@ def _connect(  # noqa: C901
     blocks: VoxelBlocks,
     leap: ByteArray,
     memory: Memory,
-    seats: IntArray,
+    slots: IntArray,
     head: FloatArray,
     points: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
@@ -261,12 +261,12 @@ def _connect(  # noqa: C901
 
     head: (M, 3) from the vehicle's position to the nearest flyable cell.
     """
-    nodes = len(seats) + 1
+    nodes = len(slots) + 1
     lengths, departures = np.full((nodes, nodes), np.inf), np.zeros((nodes, nodes, 3))
     for n in range(nodes):
         lengths[n, n] = 0.0
     for n in range(1, nodes):
-        count, length, _ = _way_between(blocks, leap, memory, head[-1], known.place[seats[n - 1]], points)
+        count, length, _ = _path_between(blocks, leap, memory, head[-1], known.place[slots[n - 1]], points)
         if count == 0:
             continue
         lengths[0, n] = lengths[n, 0] = length + length_of(head)
@@ -274,13 +274,13 @@ def _connect(  # noqa: C901
         copy_row(departures[n], 0, departure(points[:count][::-1]))
     for m in range(1, nodes):
         for n in range(1, nodes):
-            a, b = seats[m - 1], seats[n - 1]
+            a, b = slots[m - 1], slots[n - 1]
             if a == b:
                 lengths[m, n] = 0.0
             if not _comes_first(known.place, a, b):
                 continue
             if not known.kept[a, b]:
-                count, length, span = _way_between(blocks, leap, memory, known.place[a], known.place[b], points)
+                count, length, span = _path_between(blocks, leap, memory, known.place[a], known.place[b], points)
                 known.kept[a, b], known.number[a, b], known.length[a, b], known.span[a, b] = count > 0, count, length, span
                 copy_row(known.leaves[a, b], 0, departure(points[:count]))
                 copy_row(known.leaves[a, b], 1, departure(points[:count][::-1]))

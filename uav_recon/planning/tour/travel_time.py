@@ -84,7 +84,7 @@ class YawThenFly:
 
 
 def time_costs(
-    ways: PathCache,
+    path_cache: PathCache,
     proposals: list[CandidateView],
     yaw_rad: float,
     velocity_world_mps: FloatArray,
@@ -97,8 +97,8 @@ def time_costs(
     views = [proposal.task.viewpoint for proposal in proposals]
     yaws = np.array([yaw_rad, *(view.yaw_rad for view in views)], dtype=np.float64)
     pitches = np.array([0.0, *(view.pitch_down_rad for view in views)], dtype=np.float64)  # no view is taken at node 0
-    costs = travel_time_model.seconds(ways.lengths_m, ways.departures, yaws, pitches)
-    leave(costs, ways.departures, np.ascontiguousarray(velocity_world_mps, dtype=np.float64))
+    costs = travel_time_model.seconds(path_cache.lengths_m, path_cache.departures, yaws, pitches)
+    leave(costs, path_cache.departures, np.ascontiguousarray(velocity_world_mps, dtype=np.float64))
     return costs
 
 
