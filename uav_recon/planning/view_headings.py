@@ -13,7 +13,7 @@ import numpy as np
 
 from uav_recon.planning.camera_frustum import CAM_X, CAM_Y, CAM_Z
 from uav_recon.planning.candidate_view import CandidateView
-from uav_recon.planning.frontier.camera_aiming import framed
+from uav_recon.planning.frontier.camera_aiming import count_in_frustum
 from uav_recon.types.frames import FloatArray
 
 KEPT_SHARE = 0.9  # of the promised cells in view; the rest is mostly seen on the way to the heading
@@ -76,4 +76,5 @@ def _shown(view: CandidateView, cells: FloatArray, lens: FloatArray, off_rad: fl
     cos, sin = math.cos(yaw_rad), math.sin(yaw_rad)
     x, y, z = lens[CAM_X], lens[CAM_Y], lens[CAM_Z]
     eye = view.place - 1.0 + np.array([cos * x - sin * y, sin * x + cos * y, z])
-    return framed(lens, np.ascontiguousarray((cells - eye).T, dtype=np.float32), len(cells), yaw_rad, best.pitch_down_rad)
+    directions = np.ascontiguousarray((cells - eye).T, dtype=np.float32)
+    return count_in_frustum(lens, directions, len(cells), yaw_rad, best.pitch_down_rad)

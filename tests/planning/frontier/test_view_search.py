@@ -17,7 +17,7 @@ from uav_recon.planning.free_space.flyable_space import FlyableSpace
 from uav_recon.planning.free_space.subvoxel_clearance import SIDES2
 from uav_recon.planning.frontier.frontiers import Frontiers
 from uav_recon.planning.frontier.view_cache import MAX_BLOCKERS, targets
-from uav_recon.planning.frontier.view_search import ROOM, SearchScene, _ranked, best_view
+from uav_recon.planning.frontier.view_search import MAX_MOVE_TESTS, SearchScene, _ranked, best_view
 from uav_recon.planning.frontier.visibility_bound import HASH_SIZE
 from uav_recon.planning.view_sampling import explore_shell
 from uav_recon.types.maps import FREE, TILE
@@ -49,19 +49,18 @@ def test_a_view_is_nearly_as_good_as_the_best_of_a_thousand(solid: Solid, camera
         distance2=voxels.distance2.reshape(-1), shape=world.grid.shape, reachable=space.reachable.reshape(-1),
         berth=space.berth, lens=lens,
     )  # fmt: skip
-    asked, blockers = np.zeros(len(shell.offsets) + ROOM, dtype=np.int32), np.zeros(MAX_BLOCKERS, dtype=np.int32)
+    asked, blockers = np.zeros(len(shell.offsets) + MAX_MOVE_TESTS, dtype=np.int32), np.zeros(MAX_BLOCKERS, dtype=np.int32)
     for row in frontiers.rows():
         points, first = targets(frontiers.faces, frontiers.flat(int(row)))
-        view, seen, asks, hidden, boxes = best_view(
+        view, seen, tested, hidden, boxes = best_view(
             scene, shell, frontiers.table.rows.centre[row], points, first, asked, blockers
         )
-        assert asks <= len(asked)
+        assert tested <= len(asked)
+        cells = asked[:tested]
         assert hidden < MAX_BLOCKERS
         assert len(set(blockers[:hidden].tolist())) == hidden
         assert (voxels.distance2.reshape(-1)[blockers[:hidden]] == 0).all()
-        assert (space.reachable.reshape(-1)[np.where(asked[:asks] >= 0, asked[:asks], ~asked[:asks])] > 0).tolist() == (
-            asked[:asks] >= 0
-        ).tolist()
+        assert (space.reachable.reshape(-1)[np.where(cells >= 0, cells, ~cells)] > 0).tolist() == (cells >= 0).tolist()
         target = view_oracle.OracleFrontier(frontiers.cluster(int(row)).cells, low, high)
         best = view_oracle.best_seen(voxels.state, oracle, reachable, target, (5.0, 42.0), int(row))
         if best >= 10:
@@ -72,7 +71,7 @@ def test_a_view_is_nearly_as_good_as_the_best_of_a_thousand(solid: Solid, camera
             assert ((np.maximum(np.abs(closed - view[:3]) - 0.5, 0.0) ** 2).sum(axis=1) >= space.berth[SIDES2]).all()
             assert ((view[:3] >= low + 2.5) & (view[:3] <= high - 2.5)).all()
             assert seen.sum() <= view_oracle.cells_seen(voxels.state, oracle, view, target)
-            at = np.array(np.unravel_index(np.where(asked[:asks] >= 0, asked[:asks], ~asked[:asks]), space.reachable.shape)) - 1
+            at = np.array(np.unravel_index(np.where(cells >= 0, cells, ~cells), space.reachable.shape)) - 1
             for box, places in zip(boxes, (view[:2, None], at[:2]), strict=True):
                 assert (box[:2, None] * TILE <= places).all()
                 assert (places < box[2:, None] * TILE + TILE).all()

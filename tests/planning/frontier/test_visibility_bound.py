@@ -11,7 +11,7 @@ from box_world import FIXED, GIMBAL
 from uav_recon.geometry.traversal import is_visible
 from uav_recon.planning.camera_frustum import PITCH_MIN, RANGE, CameraGeometry, in_view, sight
 from uav_recon.planning.frontier.view_cache import targets
-from uav_recon.planning.frontier.visibility_bound import FITTING, FRAMED, TURNED, cells_with, distinct, visibility_bound
+from uav_recon.planning.frontier.visibility_bound import FITTING, FRAMED, TURNED, cells_with, distinct_targets, visibility_bound
 from uav_recon.types.frames import ByteArray, IntArray
 from uav_recon.types.maps import FREE, OCCUPIED, UNKNOWN
 
@@ -42,7 +42,7 @@ def test_every_visible_cell_faces_the_camera_and_is_within_the_bound(camera: Cam
     for seed in range(6):
         state, faces, flat = random_world(seed)
         points, first = targets(faces, flat)
-        found = distinct((state == FREE).astype(np.uint8).reshape(-1), SHAPE, points, first)
+        found = distinct_targets((state == FREE).astype(np.uint8).reshape(-1), SHAPE, points, first)
         centres, _, links, _ = found
         np.testing.assert_array_equal(centres.T[links], points)
         assert len(np.unique(points, axis=0)) == centres.shape[1]

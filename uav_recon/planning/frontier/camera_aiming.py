@@ -8,18 +8,18 @@ from uav_recon.geometry.jit import kernel
 from uav_recon.planning.camera_frustum import PITCH_MAX, PITCH_MIN, TAN_H, TAN_V
 from uav_recon.types.frames import Float32Array, FloatArray
 
-TURNS = 24  # headings tried over the full circle ...
-FINE_TURNS = 4  # ... and on each side of the best one
-NODS = 3  # pitches tried on each side ...
-NOD_RAD = np.radians(10.0)  # ... and their spacing
+YAW_STEPS = 24  # headings tried over the full circle ...
+FINE_YAW_STEPS = 4  # ... and on each side of the best one
+PITCH_STEPS = 3  # pitches tried on each side ...
+PITCH_STEP_RAD = np.radians(10.0)  # ... and their spacing
 
 
 @kernel
-def framed(lens: FloatArray, ways: Float32Array, count: int, yaw: float, pitch: float) -> int:
+def count_in_frustum(lens: FloatArray, directions: Float32Array, count: int, yaw: float, pitch: float) -> int:
     """Return how many of the first ``count`` directions (3, N) lie inside the frustum."""
     cy, sy, cp, sp = np.float32(np.cos(yaw)), np.float32(np.sin(yaw)), np.float32(np.cos(pitch)), np.float32(np.sin(pitch))
     tan_h, tan_v, zero = np.float32(lens[TAN_H]), np.float32(lens[TAN_V]), np.float32(0.0)
-    xs, ys, zs = ways[0], ways[1], ways[2]
+    xs, ys, zs = directions[0], directions[1], directions[2]
     shown = np.int32(0)  # as wide as the other operands, so that the loop is vectorized
     for n in range(count):
         along, left = cy * xs[n] + sy * ys[n], cy * ys[n] - sy * xs[n]
@@ -29,40 +29,41 @@ def framed(lens: FloatArray, ways: Float32Array, count: int, yaw: float, pitch: 
 
 
 @kernel
-def aimed(lens: FloatArray, ways: Float32Array, count: int, yaw: float, pitch: float) -> tuple[int, float, float]:  # noqa: C901
+def best_aim(lens: FloatArray, directions: Float32Array, count: int, yaw: float, pitch: float) -> tuple[int, float, float]:  # noqa: C901
     """Return the max. number of directions in one view, and yaw and pitch of that view.
 
-    The directions are the first ``count`` of ``ways`` (3, N). The given angles are used if they show all. Otherwise the
+    The directions are the first ``count`` of ``directions`` (3, N). The given angles are used if they show all. Otherwise the
     mean direction is tried, then headings over the full circle and pitches within the range of the mount, first coarse and
     then fine.
     """
-    most = framed(lens, ways, count, yaw, pitch)
+    most = count_in_frustum(lens, directions, count, yaw, pitch)
     if most == count:
         return most, yaw, pitch
     x, y, z = 0.0, 0.0, 0.0
     for n in range(count):
-        dx, dy, dz = float(ways[0, n]), float(ways[1, n]), float(ways[2, n])
+        dx, dy, dz = float(directions[0, n]), float(directions[1, n]), float(directions[2, n])
         length = np.sqrt(dx * dx + dy * dy + dz * dz)
         x, y, z = x + dx / length, y + dy / length, z + dz / length
     mean_yaw = np.arctan2(y, x)
     mean_pitch = min(max(np.arctan2(-z, np.sqrt(x * x + y * y)), lens[PITCH_MIN]), lens[PITCH_MAX])
-    shown = framed(lens, ways, count, mean_yaw, mean_pitch)
+    shown = count_in_frustum(lens, directions, count, mean_yaw, mean_pitch)
     if shown > most:
         most, yaw, pitch = shown, mean_yaw, mean_pitch
     if most == count:
         return most, yaw, pitch
     for fine in range(2):
         base = yaw
-        for n in range(2 * FINE_TURNS + 1 if fine else TURNS):
-            tried = base + ((n - FINE_TURNS) * (np.pi / TURNS / FINE_TURNS) if fine else n * (2 * np.pi / TURNS))
-            shown = framed(lens, ways, count, tried, pitch)
+        for n in range(2 * FINE_YAW_STEPS + 1 if fine else YAW_STEPS):
+            step = (n - FINE_YAW_STEPS) * (np.pi / YAW_STEPS / FINE_YAW_STEPS) if fine else n * (2 * np.pi / YAW_STEPS)
+            tried = base + step
+            shown = count_in_frustum(lens, directions, count, tried, pitch)
             if shown > most:
                 most, yaw = shown, tried
         base = pitch
         if lens[PITCH_MAX] > lens[PITCH_MIN]:
-            for n in range(-NODS, NODS + 1):
-                tried = min(max(base + n * NOD_RAD / (1 + 3 * fine), lens[PITCH_MIN]), lens[PITCH_MAX])
-                shown = framed(lens, ways, count, yaw, tried)
+            for n in range(-PITCH_STEPS, PITCH_STEPS + 1):
+                tried = min(max(base + n * PITCH_STEP_RAD / (1 + 3 * fine), lens[PITCH_MIN]), lens[PITCH_MAX])
+                shown = count_in_frustum(lens, directions, count, yaw, tried)
                 if shown > most:
                     most, pitch = shown, tried
     return most, np.arctan2(np.sin(yaw), np.cos(yaw)), pitch

@@ -107,14 +107,14 @@ class FrontierViews:
             if before:
                 near = self._tiles.near(frontiers.table.rows.centre[clusters], self._reach)
                 clusters, without = clusters[near], without + int(np.count_nonzero(~near))
-            for cluster, held in zip(clusters.tolist(), self._held(voxels, space, frontiers, clusters), strict=True):
-                row = held if self.table.is_about(held, int(frontiers.table.rows.key[cluster])) else -1
+            for cluster, held in zip(clusters.tolist(), self._cached_rows(voxels, space, frontiers, clusters), strict=True):
+                row = held if self.table.holds_cluster(held, int(frontiers.table.rows.key[cluster])) else -1
                 if row < 0 and (searches > 0 or not found):
                     searches -= 1
                     row = self._search(voxels, space, space.reachable, frontiers, cluster, lens)
                 if row < 0:
                     later += 1
-                elif self._worth(row):
+                elif self._meets_demand(row):
                     self.table.used[row] = self._plans
                     found.append(row)
                 else:
@@ -142,13 +142,13 @@ class FrontierViews:
                 counts[reason] += 1
         return counts
 
-    def _held(self, voxels: VoxelMap, space: Flyable, frontiers: Frontiers, clusters: IntArray) -> list[int]:
+    def _cached_rows(self, voxels: VoxelMap, space: Flyable, frontiers: Frontiers, clusters: IntArray) -> list[int]:
         """Return the rows of the valid cached results of these clusters, -1 for none.
 
         Rows with a view are protected from replacement in this plan.
         """
         keys = frontiers.table.rows.key[clusters].tolist()
-        held = self.table.holding(keys, voxels.distance2, space.reachable, frontiers.closed, space.reachable_revision)
+        held = self.table.valid_rows(keys, voxels.distance2, space.reachable, frontiers.closed, space.reachable_revision)
         self.table.used[[row for row in held if row >= 0 and self.table.rows.shown[row] >= self._demand.min_cells]] = (
             self._plans
         )
@@ -169,7 +169,7 @@ class FrontierViews:
         self._centre[row] = clusters.centre[cluster]
         return row
 
-    def _worth(self, row: int) -> bool:
+    def _meets_demand(self, row: int) -> bool:
         return bool(self.table.rows.shown[row] >= self._demand.min_cells)
 
     def _proposals(self, voxels: VoxelMap, found: list[int], lens: FloatArray) -> list[CandidateView]:
@@ -181,7 +181,7 @@ class FrontierViews:
         if not found:
             return []
         best_first = sorted(found, key=lambda row: (-int(self.table.rows.shown[row]), self.table.key[row]))
-        covering = self.table.covering(best_first, voxels.distance2, voxels.grid.shape, lens, COVERED_SHARE)
+        covering = self.table.covering_views(best_first, voxels.distance2, voxels.grid.shape, lens, COVERED_SHARE)
         place = {row: n for n, row in enumerate(found)}
         covering.sort(key=lambda one: place[one[0]])
         return [self._proposal(voxels.grid, row, cells) for row, cells in covering if len(cells) >= self._demand.min_cells]
@@ -198,16 +198,16 @@ class FrontierViews:
         self, voxels: VoxelMap, space: Flyable, frontiers: Frontiers, cluster: int, lens: FloatArray
     ) -> ReasonCode | None:
         row = self._search(voxels, space, space.reachable, frontiers, cluster, lens)
-        if self._worth(row):
+        if self._meets_demand(row):
             return None
-        asked = self.table.rows.asked[row, : self.table.rows.counts[row, 0]]
-        if not space.mask.reshape(-1)[np.where(asked >= 0, asked, ~asked)].any():
+        tested = self.table.rows.tested_cells[row, : self.table.rows.counts[row, 0]]
+        if not space.mask.reshape(-1)[np.where(tested >= 0, tested, ~tested)].any():
             return ReasonCode.FRONTIERS_TOO_NARROW
         if self.table.rows.shown[row]:
             return ReasonCode.FRONTIERS_TOO_FEW_CELLS
         row = self._search(voxels, space, space.mask, frontiers, cluster, lens)
-        beyond = self._worth(row)
-        self.table.forget(row)
+        beyond = self._meets_demand(row)
+        self.table.remove(row)
         return ReasonCode.FRONTIERS_NOT_REACHABLE if beyond else ReasonCode.FRONTIERS_OUT_OF_VIEW
 
     def _keep_map(self, frontiers: Frontiers, resolution_m: float) -> None:

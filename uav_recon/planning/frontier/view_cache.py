@@ -10,7 +10,7 @@ from uav_recon.geometry.jit import kernel
 from uav_recon.geometry.rows import copy_row
 from uav_recon.geometry.traversal import first_obstacle
 from uav_recon.planning.camera_frustum import LineOfSight, in_view, sight
-from uav_recon.planning.frontier.view_search import ROOM, SearchScene, best_view
+from uav_recon.planning.frontier.view_search import MAX_MOVE_TESTS, SearchScene, best_view
 from uav_recon.planning.frontier.visibility_bound import Int32Array
 from uav_recon.planning.view_sampling import ViewShell
 from uav_recon.types.frames import BoolArray, ByteArray, FloatArray, IntArray
@@ -25,15 +25,15 @@ class ViewRows(NamedTuple):
     """Search results in R rows.
 
     shown: (R,) number of cells that the view shows, 0 = none.
-    pose: (R, 5), see view_search.best_view(); also for asked, blockers and box.
-    counts: (R, 4) filled lengths of asked and blockers, and the revisions of map and space at the search.
+    pose: (R, 5), see view_search.best_view(); also for tested_cells, blockers and box.
+    counts: (R, 4) filled lengths of tested_cells and blockers, and the revisions of map and space at the search.
     points, first: (R, ...) targets() of a sample of the cells shown.
     samples: (R,) number of sampled cells.
     """
 
     shown: IntArray
     pose: FloatArray
-    asked: Int32Array
+    tested_cells: Int32Array
     blockers: Int32Array
     box: IntArray
     counts: IntArray
@@ -59,7 +59,7 @@ class ViewCache:
         self.rows = ViewRows(
             shown=np.zeros(ROWS, dtype=np.int64),
             pose=np.zeros((ROWS, 5)),
-            asked=np.zeros((ROWS, len(shell.offsets) + ROOM), dtype=np.int32),
+            tested_cells=np.zeros((ROWS, len(shell.offsets) + MAX_MOVE_TESTS), dtype=np.int32),
             blockers=np.zeros((ROWS, MAX_BLOCKERS), dtype=np.int32),
             box=np.zeros((ROWS, 2, 4), dtype=np.int64),
             counts=np.zeros((ROWS, 4), dtype=np.int64),
@@ -95,33 +95,33 @@ class ViewCache:
         self._next = (self._next + 1) % ROWS
         if self.row_of.get(self.key[row]) == row:
             del self.row_of[self.key[row]]
-        self.promised[row] = _answer(row, scene, self.shell, faces, centre, flat, self.rows)
+        self.promised[row] = _fill_row(row, scene, self.shell, faces, centre, flat, self.rows)
         self.rows.counts[row, 2:] = revisions
         self.key[row], self.row_of[key] = key, row
         return row
 
-    def is_about(self, row: int, key: int) -> bool:
+    def holds_cluster(self, row: int, key: int) -> bool:
         """Return True if a row holds the result of a cluster, and was not reused for another."""
         return row >= 0 and self.key[row] == key
 
-    def forget(self, row: int) -> None:
+    def remove(self, row: int) -> None:
         """Remove a result from the index."""
         self.row_of.pop(self.key[row], None)
 
-    def holding(
-        self, keys: list[int], distance2: ByteArray, reachable: ByteArray, closed: IntArray, moved: IntArray
+    def valid_rows(
+        self, keys: list[int], distance2: ByteArray, reachable: ByteArray, closed: IntArray, reachable_revision: IntArray
     ) -> list[int]:
         """Return the rows of the results of these clusters that are still valid; -1 for the others.
 
         closed: (tiles) revision of the map at which a voxel of the tile last stopped being free.
-        moved: (tiles) revision of the space at which ``reachable`` last changed in the tile.
+        reachable_revision: (tiles) revision of the space at which ``reachable`` last changed in the tile.
         """
         rows = np.array([self.row_of.get(key, -1) for key in keys], dtype=np.int64)
-        _still_hold(rows, distance2.reshape(-1), reachable.reshape(-1), closed, moved, self.rows)
+        _drop_invalid(rows, distance2.reshape(-1), reachable.reshape(-1), closed, reachable_revision, self.rows)
         held: list[int] = rows.tolist()
         return held
 
-    def covering(
+    def covering_views(
         self, rows: list[int], distance2: ByteArray, shape: tuple[int, int, int], lens: FloatArray, share: float
     ) -> list[tuple[int, IntArray]]:
         """Return the rows of few views that together show a share of what each view shows.
@@ -131,8 +131,8 @@ class ViewCache:
         """
         places, samples = np.array(rows, dtype=np.int64), self.rows.samples[rows]
         owner = np.full((len(rows), max(1, int(samples.max()))), -1, dtype=np.int64)
-        shows = _sights(places, distance2.reshape(-1), shape, lens, self.rows, owner.shape[1])
-        chosen = _cover(shows, samples, self.rows.shown[rows] / np.maximum(samples, 1), share, owner)
+        shows = _visibility(places, distance2.reshape(-1), shape, lens, self.rows, owner.shape[1])
+        chosen = _greedy_cover(shows, samples, self.rows.shown[rows] / np.maximum(samples, 1), share, owner)
         owners, cells = [], [self.promised[row] for row in rows]
         for n in range(len(rows)):
             ends = np.arange(samples[n] + 1) * len(cells[n]) // max(int(samples[n]), 1)
@@ -170,17 +170,17 @@ def targets(faces: ByteArray, flat: IntArray) -> tuple[FloatArray, IntArray]:
 
 
 @kernel
-def _answer(
+def _fill_row(
     row: int, scene: SearchScene, shell: ViewShell, faces: ByteArray, centre: FloatArray, flat: IntArray, rows: ViewRows
 ) -> IntArray:
     """Fill a row and return the flat indices of the cells that the view shows."""
     own_points, own_first = targets(faces, flat)
-    best, seen, asks, hidden, tiles = best_view(
-        scene, shell, centre, own_points, own_first, rows.asked[row], rows.blockers[row]
+    best, seen, tested, hidden, tiles = best_view(
+        scene, shell, centre, own_points, own_first, rows.tested_cells[row], rows.blockers[row]
     )
     counts, box, samples, points = rows.counts, rows.box, rows.samples, rows.points
     copy_row(rows.pose, row, best)
-    counts[row, 0], counts[row, 1] = asks, hidden
+    counts[row, 0], counts[row, 1] = tested, hidden
     for n in range(2):
         copy_row(box[row], n, tiles[n])
     cells = np.flatnonzero(seen)
@@ -197,12 +197,12 @@ def _answer(
 
 
 @kernel
-def _still_hold(  # noqa: C901, PLR0912
+def _drop_invalid(  # noqa: C901, PLR0912
     rows: IntArray,
     distance2: ByteArray,
     reachable: ByteArray,
     closed: IntArray,
-    moved: IntArray,
+    reachable_revision: IntArray,
     results: ViewRows,
 ) -> None:
     """Set to -1 the rows whose result would differ from a new call of best_view().
@@ -210,36 +210,36 @@ def _still_hold(  # noqa: C901, PLR0912
     A blocked line stays blocked while the first voxel that blocked it is not free. A clear line stays clear while no voxel
     in its box has stopped being free.
     """
-    asked, blockers, box, counts = results.asked, results.blockers, results.box, results.counts
+    tested_cells, blockers, box, counts = results.tested_cells, results.blockers, results.box, results.counts
     for m in range(len(rows)):
         row = rows[m]
         if row < 0:
             continue
-        holds, ask_again = counts[row, 1] <= blockers.shape[1], False
+        valid, test_again = counts[row, 1] <= blockers.shape[1], False
         lines, places = box[row, 0], box[row, 1]
         for i in range(lines[0], lines[2] + 1):
             for j in range(lines[1], lines[3] + 1):
-                holds = holds and closed[i, j] <= counts[row, 2]
+                valid = valid and closed[i, j] <= counts[row, 2]
         for i in range(places[0], places[2] + 1):
             for j in range(places[1], places[3] + 1):
-                ask_again = ask_again or moved[i, j] > counts[row, 3]
-        if holds:
+                test_again = test_again or reachable_revision[i, j] > counts[row, 3]
+        if valid:
             for n in range(counts[row, 1]):
                 if distance2[np.uint64(blockers[row, n])] != 0:
-                    holds = False
+                    valid = False
                     break
-        if holds and ask_again:
+        if valid and test_again:
             for n in range(counts[row, 0]):
-                at = asked[row, n]
+                at = tested_cells[row, n]
                 if (reachable[np.uint64(at if at >= 0 else ~at)] != 0) != (at >= 0):
-                    holds = False
+                    valid = False
                     break
-        if not holds:
+        if not valid:
             rows[m] = -1
 
 
 @kernel
-def _sights(
+def _visibility(
     rows: IntArray, distance2: ByteArray, shape: tuple[int, int, int], lens: FloatArray, results: ViewRows, most: int
 ) -> BoolArray:
     """Return a mask (N, N, most): the view of a row shows a sample of the cells of another.
@@ -260,7 +260,7 @@ def _sights(
 
 
 @kernel
-def _news(shows: BoolArray, owner: IntArray, left: IntArray, cells: FloatArray) -> float:
+def _new_cells(shows: BoolArray, owner: IntArray, left: IntArray, cells: FloatArray) -> float:
     """Return the number of cells that a view shows and no chosen one does.
 
     left: (N,) samples of each row that are still to be shown; rows without any do not count. shows: (N, S). owner: (N, S)
@@ -276,21 +276,21 @@ def _news(shows: BoolArray, owner: IntArray, left: IntArray, cells: FloatArray) 
 
 
 @kernel
-def _cover(shows: BoolArray, samples: IntArray, cells: FloatArray, share: float, owner: IntArray) -> IntArray:
+def _greedy_cover(shows: BoolArray, samples: IntArray, cells: FloatArray, share: float, owner: IntArray) -> IntArray:
     """Return the chosen views: each time the one that shows most cells that no chosen one shows.
 
-    shows: see _sights(). samples, cells: (N,) samples of each row, and cells for which each stands.
+    shows: see _visibility(). samples, cells: (N,) samples of each row, and cells for which each stands.
     owner: (N, S) filled with -1; output: the first chosen view that shows each sample.
     """
     chosen = np.empty(len(samples), dtype=np.int64)
     left = np.maximum(np.ceil(share * samples), 1.0).astype(np.int64)  # of each row: samples that are still to be shown
     count = 0
     while count < len(chosen):
-        best, best_news = -1, 0.0
+        best, most_new_cells = -1, 0.0
         for n in range(len(samples)):
-            news = _news(shows[n], owner, left, cells)
-            if news > best_news:
-                best, best_news = n, news
+            new_cells = _new_cells(shows[n], owner, left, cells)
+            if new_cells > most_new_cells:
+                best, most_new_cells = n, new_cells
         if best < 0:
             break
         chosen[count] = best

@@ -28,13 +28,13 @@ HASH_SIZE = 4096  # size of a hash table, a power of two
 
 
 @kernel
-def distinct(distance2: ByteArray, shape: tuple[int, int, int], points: FloatArray, first: IntArray) -> Targets:
+def distinct_targets(distance2: ByteArray, shape: tuple[int, int, int], points: FloatArray, first: IntArray) -> Targets:
     """Return each unknown neighbour once.
 
     distance2: raveled. points, first: see view_cache.targets(); fewer points than HASH_SIZE.
     """
     nx, ny, nz = shape
-    book = np.zeros(HASH_SIZE, dtype=np.int32)
+    hash_table = np.zeros(HASH_SIZE, dtype=np.int32)
     links = np.empty(len(points), dtype=np.int64)
     centres = np.empty((3, len(points)), dtype=np.float32)
     sides = np.zeros(len(points), dtype=np.int32)
@@ -43,12 +43,12 @@ def distinct(distance2: ByteArray, shape: tuple[int, int, int], points: FloatArr
         i, j, k = int(points[m, 0]), int(points[m, 1]), int(points[m, 2])
         flat = (i * ny + j) * nz + k
         at = (flat * 2654435761 >> 16) & (HASH_SIZE - 1)
-        while book[at] != 0:
-            u = book[at] - 1
+        while hash_table[at] != 0:
+            u = hash_table[at] - 1
             if centres[0, u] == points[m, 0] and centres[1, u] == points[m, 1] and centres[2, u] == points[m, 2]:
                 break
             at = (at + 1) & (HASH_SIZE - 1)
-        if book[at] == 0:
+        if hash_table[at] == 0:
             sides[count] = (
                 (i > 0 and distance2[flat - ny * nz] != 0)
                 | (i < nx - 1 and distance2[flat + ny * nz] != 0) << 1
@@ -60,8 +60,8 @@ def distinct(distance2: ByteArray, shape: tuple[int, int, int], points: FloatArr
             for axis in range(3):
                 centres[axis, count] = points[m, axis]
             count += 1
-            book[at] = count
-        links[m] = book[at] - 1
+            hash_table[at] = count
+        links[m] = hash_table[at] - 1
     return centres[:, :count].copy(), sides[:count].copy(), links, first
 
 

@@ -24,25 +24,22 @@ HIDDEN = 2
 
 
 @kernel
-def record_blocker(voxel: int, notes: Blockers, count: int) -> int:
-    """Append a voxel to ``blockers`` if it is not in the list; return the number of blockers.
-
-    ``book`` is a hash table of the list.
-    """
-    book, blockers = notes
+def record_blocker(voxel: int, blockers: Blockers, count: int) -> int:
+    """Append a voxel to the list of blockers if it is not in it; return the number of blockers."""
+    hash_table, listed = blockers
     at = (voxel * 2654435761 >> 16) & (HASH_SIZE - 1)
-    while book[np.uint64(at)] != 0:
-        if book[np.uint64(at)] == voxel + 1:
+    while hash_table[np.uint64(at)] != 0:
+        if hash_table[np.uint64(at)] == voxel + 1:
             return count
         at = (at + 1) & (HASH_SIZE - 1)
-    if count < len(blockers):
-        book[np.uint64(at)] = voxel + 1
-        blockers[count] = voxel
+    if count < len(listed):
+        hash_table[np.uint64(at)] = voxel + 1
+        listed[count] = voxel
     return count + 1
 
 
 @kernel
-def note_sides(shape: tuple[int, int, int], targets: Targets, notes: Blockers, count: int) -> int:
+def record_side_blockers(shape: tuple[int, int, int], targets: Targets, blockers: Blockers, count: int) -> int:
     """Append the voxels that close the sides of the targets; return the number of blockers."""
     nx, ny, nz = shape
     centres, sides, _, _ = targets
@@ -51,17 +48,17 @@ def note_sides(shape: tuple[int, int, int], targets: Targets, notes: Blockers, c
         flat = (i * ny + j) * nz + k
         closed = ~sides[u]
         if closed & 1 and i > 0:
-            count = record_blocker(flat - ny * nz, notes, count)
+            count = record_blocker(flat - ny * nz, blockers, count)
         if closed & 2 and i < nx - 1:
-            count = record_blocker(flat + ny * nz, notes, count)
+            count = record_blocker(flat + ny * nz, blockers, count)
         if closed & 4 and j > 0:
-            count = record_blocker(flat - nz, notes, count)
+            count = record_blocker(flat - nz, blockers, count)
         if closed & 8 and j < ny - 1:
-            count = record_blocker(flat + nz, notes, count)
+            count = record_blocker(flat + nz, blockers, count)
         if closed & 16 and k > 0:
-            count = record_blocker(flat - 1, notes, count)
+            count = record_blocker(flat - 1, blockers, count)
         if closed & 32 and k < nz - 1:
-            count = record_blocker(flat + 1, notes, count)
+            count = record_blocker(flat + 1, blockers, count)
     return count
 
 
@@ -72,8 +69,8 @@ def inside(shape: tuple[int, int, int], line: LineOfSight) -> bool:
 
 
 @kernel
-def candidate_rays(targets: Targets, line: LineOfSight, facing: Int32Array, ways: Float32Array) -> int:
-    """Fill ways (3, N) with the direction to the first FITTING target of each cell; return N.
+def candidate_rays(targets: Targets, line: LineOfSight, facing: Int32Array, directions: Float32Array) -> int:
+    """Fill directions (3, N) to the first FITTING target of each cell; return N.
 
     Cells without such a target are skipped.
     """
@@ -84,7 +81,7 @@ def candidate_rays(targets: Targets, line: LineOfSight, facing: Int32Array, ways
             u = links[m]
             if facing[u] & FITTING:
                 for axis in range(3):
-                    ways[axis, count] = centres[axis, u] - np.float32(line[axis])
+                    directions[axis, count] = centres[axis, u] - np.float32(line[axis])
                 count += 1
                 break
     return count
@@ -96,20 +93,20 @@ def visible_cells(
     targets: Targets,
     line: LineOfSight,
     facing: Int32Array,
-    hoped: int,
-    beat: int,
+    candidates: int,
+    to_exceed: int,
     order: IntArray,
     found: ByteArray,
-    ways: Float32Array,
-    notes: Blockers,
+    directions: Float32Array,
+    blockers: Blockers,
     count: int,
 ) -> tuple[int, int]:
-    """Fill ways (3, N) with a direction to each cell visible at any heading.
+    """Fill directions (3, N) with a direction to each cell visible at any heading.
 
-    Returns N and the number of blockers. N is 0 if it cannot exceed ``beat``.
+    Returns N and the number of blockers. N is 0 if it cannot exceed ``to_exceed``.
 
     facing: see visibility_bound().
-    hoped: number of cells with a FITTING target.
+    candidates: number of cells with a FITTING target.
     order: (N,) order of the cells, changed: recently hidden cells are tested first.
     found: (U,) work array.
     """
@@ -130,24 +127,24 @@ def visible_cells(
                 voxel = first_obstacle(distance2, shape[1], shape[2], x, y, z, line[0], line[1], line[2])
                 found[u] = CLEAR if voxel < 0 else HIDDEN
                 if voxel >= 0:
-                    count = record_blocker(voxel, notes, count)
+                    count = record_blocker(voxel, blockers, count)
             if found[u] == CLEAR:
                 for axis in range(3):
-                    ways[axis, visible] = centres[axis, u] - np.float32(line[axis])
+                    directions[axis, visible] = centres[axis, u] - np.float32(line[axis])
                 visible += 1
                 shown = True
                 break
         if asked and not shown:
             order[at], order[hidden] = order[hidden], cell
             hidden += 1
-            if hoped - hidden <= beat:
+            if candidates - hidden <= to_exceed:
                 return 0, count
     return visible, count
 
 
 @kernel
 def confirm_visible(
-    scene: Scene, view: FloatArray, points: FloatArray, first: IntArray, notes: Blockers, count: int
+    scene: Scene, view: FloatArray, points: FloatArray, first: IntArray, blockers: Blockers, count: int
 ) -> tuple[BoolArray, int]:
     """Return a mask of the cells that a view shows, and the number of blockers.
 
@@ -168,5 +165,5 @@ def confirm_visible(
                 if voxel < 0 or voxel == own:
                     seen[cell] = True
                     break
-            count = record_blocker(voxel, notes, count)
+            count = record_blocker(voxel, blockers, count)
     return seen, count
