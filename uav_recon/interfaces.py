@@ -161,7 +161,7 @@ class ViewBudget(Protocol):
     No call blocks.
     """
 
-    def worth(self, posed: PosedFrame, views_left: int, *, explored: bool) -> bool:
+    def selects(self, posed: PosedFrame, views_left: int, *, explored: bool) -> bool:
         """Return True if the frame should use one of the remaining views.
 
         explored: the newest plan leads to no opening into unknown space.

@@ -40,20 +40,20 @@ def coverage() -> KeyframeSelection:
 
 def test_new_surface_is_worth_a_view_and_a_repeated_image_is_not(coverage: KeyframeSelection) -> None:
     posed = wall_seen(0.0, 0.0)
-    assert coverage.worth(posed, views_left=MANY, explored=False)
+    assert coverage.selects(posed, views_left=MANY, explored=False)
     coverage.keep(posed)
-    assert not coverage.worth(posed, views_left=MANY, explored=False)
-    assert not coverage.worth(wall_seen(0.05, 0.0), views_left=MANY, explored=False)  # moved less than the baseline
+    assert not coverage.selects(posed, views_left=MANY, explored=False)
+    assert not coverage.selects(wall_seen(0.05, 0.0), views_left=MANY, explored=False)  # moved less than the baseline
 
 
 def test_surface_needs_several_views_and_then_no_more(coverage: KeyframeSelection) -> None:
     for i in range(int(OBSERVATIONS_PER_VOXEL) + 4):
         posed = wall_seen(0.3 * (i % 2), 0.0)
         coverage.keep(posed)
-    assert not coverage.worth(
+    assert not coverage.selects(
         wall_seen(0.3, 0.0), views_left=10_000, explored=False
     )  # the surface in this view has been seen well
-    assert coverage.worth(wall_seen(0.0, np.pi), views_left=MANY, explored=False)
+    assert coverage.selects(wall_seen(0.0, np.pi), views_left=MANY, explored=False)
 
 
 def test_the_sum_of_views_is_kept_and_a_query_changes_nothing(coverage: KeyframeSelection) -> None:
@@ -61,7 +61,7 @@ def test_the_sum_of_views_is_kept_and_a_query_changes_nothing(coverage: Keyframe
     for step in range(40):
         posed = wall_seen(float(rng.uniform(-1, 1)), float(rng.uniform(-0.3, 0.3)), float(rng.uniform(0.5, 1.9)))
         before = coverage._looks.copy()
-        coverage.worth(posed, views_left=MANY, explored=False)
+        coverage.selects(posed, views_left=MANY, explored=False)
         np.testing.assert_array_equal(coverage._looks, before)
         if step % 2:
             coverage.keep(posed)
@@ -90,20 +90,20 @@ def test_noisy_depth_counts_for_less() -> None:
 
 
 def test_no_budget_and_no_depth_are_worth_nothing(coverage: KeyframeSelection) -> None:
-    assert not coverage.worth(wall_seen(0.0, 0.0), views_left=0, explored=False)
-    assert not coverage.worth(wall_seen(0.0, 0.0, depth_m=float("nan")), views_left=60, explored=False)
+    assert not coverage.selects(wall_seen(0.0, 0.0), views_left=0, explored=False)
+    assert not coverage.selects(wall_seen(0.0, 0.0, depth_m=float("nan")), views_left=60, explored=False)
 
 
 def test_a_smaller_budget_needs_a_larger_gain(coverage: KeyframeSelection) -> None:
     """The gain that each view must bring grows as the budget shrinks."""
     posed = wall_seen(0.0, 0.0, depth_m=1.0)  # a small area is in view
-    assert coverage.worth(posed, views_left=2000, explored=False)
-    assert not coverage.worth(posed, views_left=5, explored=False)
+    assert coverage.selects(posed, views_left=2000, explored=False)
+    assert not coverage.selects(posed, views_left=5, explored=False)
 
 
 def test_an_explored_room_keeps_no_views_for_tasks_to_come(coverage: KeyframeSelection) -> None:
     """Once nothing is left to explore, a view that brings its share is taken."""
     posed = wall_seen(0.0, 0.0, depth_m=1.0)
-    views = next(n for n in range(5, 2000) if coverage.worth(posed, views_left=n, explored=True))
-    assert not coverage.worth(posed, views_left=views, explored=False)
-    assert coverage.worth(posed, views_left=math.ceil(BUDGET_RESERVE_FACTOR * views), explored=False)
+    views = next(n for n in range(5, 2000) if coverage.selects(posed, views_left=n, explored=True))
+    assert not coverage.selects(posed, views_left=views, explored=False)
+    assert coverage.selects(posed, views_left=math.ceil(BUDGET_RESERVE_FACTOR * views), explored=False)

@@ -141,7 +141,7 @@ class NoExtraViews:
     def __init__(self) -> None:
         self.asked_as_explored: set[bool] = set()
 
-    def worth(self, posed: PosedFrame, views_left: int, *, explored: bool) -> bool:
+    def selects(self, posed: PosedFrame, views_left: int, *, explored: bool) -> bool:
         self.asked_as_explored.add(explored)
         return False
 

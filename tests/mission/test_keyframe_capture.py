@@ -51,7 +51,7 @@ def test_no_view_is_captured_off_the_track(desk: Desk) -> None:
 
 def test_other_frames_are_weighed_while_surveying(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
     case = CaptureCase(desk, views=2)
-    monkeypatch.setattr(desk.budget, "worth", lambda posed, views_left, explored: views_left == 2)
+    monkeypatch.setattr(desk.budget, "selects", lambda posed, views_left, explored: views_left == 2)
     case.keyframes.capture(10.2, posed_frame(10.1), surveying=False)
     assert desk.mapper.stamps == []
     for stamp_s in (10.2, 10.3):

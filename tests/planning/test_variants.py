@@ -21,8 +21,8 @@ def test_every_name_makes_its_own_objects(name: VariantName) -> None:
     one, other = variant(name, config), variant(name, config)
     assert one.name == name
     assert one.kinds
-    assert one.choice is not other.choice  # it has the state of one flight
-    assert isinstance(one.mode.choose(np.ones(5), np.ones(5, dtype=np.bool_), 0), PlanMode)
+    assert one.task_ordering is not other.task_ordering  # it has the state of one flight
+    assert isinstance(one.mode_rule.choose(np.ones(5), np.ones(5, dtype=np.bool_), 0), PlanMode)
 
 
 @pytest.mark.parametrize(
@@ -43,13 +43,13 @@ def test_each_variant_has_its_kinds_mode_choice_and_views(
 ) -> None:
     found = variant(name, PlannerConfig())
     assert found.kinds == kinds
-    assert isinstance(found.mode, mode)
-    assert isinstance(found.choice, choice)
+    assert isinstance(found.mode_rule, mode)
+    assert isinstance(found.task_ordering, choice)
     assert found.views == views
 
 
 def test_thresholds_come_from_the_config() -> None:
-    mode = variant("adaptive", PlannerConfig(near_distance_m=2.5, near_count=7, near_share=0.3)).mode
+    mode = variant("adaptive", PlannerConfig(near_distance_m=2.5, near_count=7, near_share=0.3)).mode_rule
     assert mode == Adaptive(2.5, 7, 0.3)
 
 

@@ -205,7 +205,7 @@ class _Mapping:
             self._voxels.declare_free(here, _BODY_RADIUS_M, float(here[2]) - _BODY_HALF_M, float(here[2]) + _BODY_HALF_M)
         self._voxels.integrate(posed)
         due = self.log.views < _FIRST_VIEWS + self._share * (self.log.views_budget - _FIRST_VIEWS)
-        if due and self._budget.worth(posed, _ANY_GAIN, explored=False) and self.mapper.add(posed):
+        if due and self._budget.selects(posed, _ANY_GAIN, explored=False) and self.mapper.add(posed):
             self._budget.keep(posed)
             self.log.view(posed)
 

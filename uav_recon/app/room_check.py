@@ -13,7 +13,7 @@ from uav_recon.app import config_file
 from uav_recon.app.option_validation import UsageError, mount_pitch_deg
 from uav_recon.config import CameraConfig, Config, PlannerConfig
 from uav_recon.errors import EXIT_FAILURE
-from uav_recon.planning.mount_visibility import TILTS_DEG, WORTH, DepthView, RoomVisibility, Size, VisibleShares
+from uav_recon.planning.mount_visibility import MIN_IMPROVEMENT, TILTS_DEG, DepthView, RoomVisibility, Size, VisibleShares
 
 _SIDES_M = (0.5, 100.0)
 GIMBAL = "gimbal"
@@ -34,7 +34,7 @@ class MountAdvice:
     @property
     def fits(self) -> bool:
         """Return True if no other tilt shows much more."""
-        return self.recommended_share < self.share + WORTH
+        return self.recommended_share < self.share + MIN_IMPROVEMENT
 
 
 def check_room(size: str, config: Path | None, mount: str | None, clearance_m: float | None) -> int:

@@ -56,7 +56,7 @@ class KeyframeSelection:
         )
         self._last: Pose | None = None
 
-    def worth(self, posed: PosedFrame, views_left: int, *, explored: bool) -> bool:
+    def selects(self, posed: PosedFrame, views_left: int, *, explored: bool) -> bool:
         """Return True if the frame should use one of the remaining views. Takes about 1 ms.
 
         explored: no opening into unknown space is left, so that no task is to come that nobody knows yet.
@@ -105,7 +105,7 @@ class KeyframeSelection:
 class PlannedViewsOnly:
     """Selects no frame beside the planned views: views at a set spacing need the whole budget."""
 
-    def worth(self, posed: PosedFrame, views_left: int, *, explored: bool) -> bool:
+    def selects(self, posed: PosedFrame, views_left: int, *, explored: bool) -> bool:
         """Return False."""
         return False
 

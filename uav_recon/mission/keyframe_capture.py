@@ -31,4 +31,4 @@ class KeyframeCapture:
             self._log.view(posed)
 
     def _is_worth_a_view(self, posed: PosedFrame) -> bool:
-        return self._stages.budget.worth(posed, self._log.views_left, explored=self._log.explored)
+        return self._stages.budget.selects(posed, self._log.views_left, explored=self._log.explored)

@@ -22,7 +22,7 @@ MIN_VOLUME_M3 = 0.5  # ... or, in a large room, from less space than this
 LARGEST_M = 2.0 * FARTHEST_M  # of a side: in a larger room nothing is seen from elsewhere
 TILTS_DEG = (15.0, 10.0, 5.0, 0.0)  # compared, positive looks down
 USUAL_DEG = 10.0  # where each of them shows the room: from more places than a lower one it sees a ceiling
-WORTH = 0.04  # the room is not shown by each if one of TILTS_DEG shows this much more than the first
+MIN_IMPROVEMENT = 0.04  # the room is not shown by each if one of TILTS_DEG shows this much more than the first
 AS_GOOD = 0.01  # of tilts whose shares differ by less, the one that looks lower is taken
 FLOOR, CEILING, WALLS = range(3)
 _PLACES = 11  # positions along each axis of the flown box
@@ -81,7 +81,7 @@ class RoomVisibility:
         """Return the usual tilt; in a small room the first of TILTS_DEG that shows as much as any."""
         room = {tilt: self.shares(math.radians(tilt)).room for tilt in TILTS_DEG}
         most = max(room.values())
-        if most < room[TILTS_DEG[0]] + WORTH:
+        if most < room[TILTS_DEG[0]] + MIN_IMPROVEMENT:
             return USUAL_DEG
         return next(tilt for tilt in TILTS_DEG if room[tilt] > most - AS_GOOD)
 

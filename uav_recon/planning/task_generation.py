@@ -95,7 +95,7 @@ class ClusterTasks:
         explore, farther = found[:MAX_FRONTIERS], found[MAX_FRONTIERS:]
         path_cache.update(context.exit_cells, context.position_world, view_positions(explore))
         opening = np.array([_is_opening(one) for one in explore], dtype=np.bool_)
-        mode = self._variant.mode.choose(path_cache.lengths_m[0, 1:], opening, later + sum(map(_is_opening, farther)))
+        mode = self._variant.mode_rule.choose(path_cache.lengths_m[0, 1:], opening, later + sum(map(_is_opening, farther)))
         spare, frontiers = query.views_left - len(explore), len(found) + later
         if mode is PlanMode.EXPLORE or TaskKind.RECONSTRUCT not in self._variant.kinds or spare <= 0:
             return GeneratedTasks(mode, explore, frontiers)
@@ -131,8 +131,8 @@ class ClusterTasks:
             return [], 0
         found = self._views.update(context.voxels, context.space, frontiers, context.position_world)
         gains = frontiers.beyond(context.voxels, [one.promised for one in found.proposals])
-        worth = zip(found.proposals, gains.tolist(), strict=True)
-        return [one.with_gain(gain) for one, gain in worth if gain >= self._min_unknown], found.openings_later
+        with_gains = zip(found.proposals, gains.tolist(), strict=True)
+        return [one.with_gain(gain) for one, gain in with_gains if gain >= self._min_unknown], found.openings_later
 
 
 def _is_opening(proposal: CandidateView) -> bool:

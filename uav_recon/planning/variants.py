@@ -21,37 +21,37 @@ BOTH = frozenset(TaskKind)
 class Variant:
     """The parts of a planner.
 
-    A choice holds the state of one flight: make one variant per planner.
+    A task ordering holds the state of one flight: make one variant per planner.
 
     kinds: kinds of tasks that are generated.
-    mode: rule that decides when surface tasks are generated beside frontier tasks.
-    choice: orders the tasks and drops those not worth a flight.
+    mode_rule: rule that decides when surface tasks are generated beside frontier tasks.
+    task_ordering: orders the tasks and drops those not worth a flight.
     camera: restricts the use of the mount.
     views: source of the tasks: one best view per cluster, or the gain field.
     """
 
     name: VariantName
     kinds: frozenset[TaskKind]
-    mode: ModeRule
-    choice: TaskOrdering
+    mode_rule: ModeRule
+    task_ordering: TaskOrdering
     camera: Callable[[CameraGeometry], CameraGeometry]
     views: Literal["clusters", "field"] = "clusters"
 
 
 def variant(name: VariantName, config: PlannerConfig) -> Variant:
     """Make a variant by its name; ``config.variant`` is not read."""
-    worth = StoppingRule(config.worth_share)
+    stopping_rule = StoppingRule(config.worth_share)
     explore, surface = frozenset({TaskKind.EXPLORE}), frozenset({TaskKind.RECONSTRUCT})
     adaptive = Adaptive(config.near_distance_m, config.near_count, config.near_share)
     made: dict[VariantName, Variant] = {
-        "adaptive": Variant("adaptive", BOTH, adaptive, Tour(worth), as_mounted),  # V5
-        "merged": Variant("merged", BOTH, AlwaysMerged(), Tour(worth), as_mounted),  # V4
-        "reconstruct": Variant("reconstruct", surface, AlwaysMerged(), Tour(worth), as_mounted),  # V3
-        "explore": Variant("explore", explore, ExploreOnly(), Tour(worth), as_mounted),  # V2
-        "explore-yaw": Variant("explore-yaw", explore, ExploreOnly(), Tour(worth), yaw_only),  # V1
-        "explore-then-refine": Variant("explore-then-refine", BOTH, ExploreThenRefine(), Tour(worth), as_mounted),
-        "evpp": Variant("evpp", BOTH, AlwaysMerged(), Greedy(worth), as_mounted, views="field"),
-        "vpp": Variant("vpp", BOTH, AlwaysMerged(), FrontierWithDetours(worth), as_mounted),
+        "adaptive": Variant("adaptive", BOTH, adaptive, Tour(stopping_rule), as_mounted),  # V5
+        "merged": Variant("merged", BOTH, AlwaysMerged(), Tour(stopping_rule), as_mounted),  # V4
+        "reconstruct": Variant("reconstruct", surface, AlwaysMerged(), Tour(stopping_rule), as_mounted),  # V3
+        "explore": Variant("explore", explore, ExploreOnly(), Tour(stopping_rule), as_mounted),  # V2
+        "explore-yaw": Variant("explore-yaw", explore, ExploreOnly(), Tour(stopping_rule), yaw_only),  # V1
+        "explore-then-refine": Variant("explore-then-refine", BOTH, ExploreThenRefine(), Tour(stopping_rule), as_mounted),
+        "evpp": Variant("evpp", BOTH, AlwaysMerged(), Greedy(stopping_rule), as_mounted, views="field"),
+        "vpp": Variant("vpp", BOTH, AlwaysMerged(), FrontierWithDetours(stopping_rule), as_mounted),
     }
     return made[name]
 

@@ -19,7 +19,7 @@ MAX_LOOKS = 2  # unsuccessful views after which a frontier voxel is exhausted
 HOPELESS_SHARE = 0.7  # if this share of the promised voxels is left after a view, another view will not settle them either
 ARRIVED_M = 0.35  # a view counts as flown within this distance ...
 ARRIVED_RAD = 0.4  # ... and this heading difference
-WORTH_SHARE = 0.3  # if a smaller share of the promised frontier voxels is left, the view is no longer flown to
+STILL_FRONTIER_SHARE = 0.3  # if a smaller share of the promised frontier voxels is left, the view is no longer flown to
 # consecutive plans at the same position: the first view was refused by motion planning, so it counts as flown
 STALLED_PLANS = 3
 GIVEN_UP_LOOKS = 3.0  # looks at a right angle for which a view of surface counts whose motion is refused again
@@ -126,15 +126,15 @@ class ViewHistory:
         return self._proposals[passed] if passed < len(self._proposals) else None
 
     @staticmethod
-    def is_worth(voxels: VoxelMap, proposal: CandidateView) -> bool:
-        """Return True if at least WORTH_SHARE of the frontier cells of a view still exist.
+    def still_has_gain(voxels: VoxelMap, proposal: CandidateView) -> bool:
+        """Return True if at least STILL_FRONTIER_SHARE of the frontier cells of a view still exist.
 
         A surface view is always worth it.
         """
         if proposal.task.kind is not TaskKind.EXPLORE:
             return True
         still = int(np.count_nonzero(_still_frontier(voxels.state, proposal.promised)))
-        return still >= WORTH_SHARE * len(proposal.promised)
+        return still >= STILL_FRONTIER_SHARE * len(proposal.promised)
 
     def _keep_frame(self, request: PlanRequest) -> None:
         grid = request.voxels.grid

@@ -203,7 +203,7 @@ class ViewPlanner:
     def next_view_has_gain(self, voxels: VoxelMap, position_world: FloatArray, yaw_rad: float) -> bool:
         """Return True if the next view of the accepted path still has a gain in a newer map."""
         following = self.view_history.next_promised(position_world, yaw_rad)
-        return following is None or self.view_history.is_worth(voxels, following)
+        return following is None or self.view_history.still_has_gain(voxels, following)
 
     def route(self, request: PlanRequest, goal: Viewpoint) -> ViewPath | NothingLeft:
         """Return the shortest path to a position. Its last waypoint is the nearest flyable voxel.
@@ -251,7 +251,7 @@ class ViewPlanner:
             following is None
             or not request.velocity_world_mps.any()
             or not context.holds(following.place)
-            or not self.view_history.is_worth(context.voxels, following)
+            or not self.view_history.still_has_gain(context.voxels, following)
         ):
             return []
         return [following]
@@ -269,7 +269,7 @@ class ViewPlanner:
             # one view may open the way to others
             return [1] if committed else [best_by_rate([one.task for one in tasks], costs_s)], 0
         # the tour begins at the committed view
-        kept = self._variant.choice.order([one.task for one in tasks[committed:]], costs_s[committed:, committed:])
+        kept = self._variant.task_ordering.order([one.task for one in tasks[committed:]], costs_s[committed:, committed:])
         order = [*range(1, committed + 1), *(int(node) + committed for node in kept.order)]
         return order[: request.views_left], kept.dropped
 

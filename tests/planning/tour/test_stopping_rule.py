@@ -23,9 +23,9 @@ def along_a_line(*at: tuple[TaskKind, float, float]) -> tuple[list[Task], FloatA
     return tasks, np.abs(x[:, None] - x)
 
 
-def kept(worth: StoppingRule, *at: tuple[TaskKind, float, float]) -> list[int]:
+def kept(stopping_rule: StoppingRule, *at: tuple[TaskKind, float, float]) -> list[int]:
     tasks, costs_s = along_a_line(*at)
-    answer = worth.keep(tasks, costs_s, np.arange(1, len(at) + 1))
+    answer = stopping_rule.keep(tasks, costs_s, np.arange(1, len(at) + 1))
     assert answer.dropped == len(at) - len(answer.order)
     nodes: list[int] = answer.order.tolist()
     return nodes
@@ -36,11 +36,11 @@ def worth_after_10_per_second() -> StoppingRule:
 
     With its share of a fifth it requires a gain of 2 per second.
     """
-    worth = StoppingRule(0.2)
+    stopping_rule = StoppingRule(0.2)
     metres = SHORTEST_TOUR_S - 4 * VIEW_S
     tour = [(SURFACE, metres * n / 4, 10 * SHORTEST_TOUR_S / 4) for n in range(1, 5)]
-    assert kept(worth, *tour) == [1, 2, 3, 4]
-    return worth
+    assert kept(stopping_rule, *tour) == [1, 2, 3, 4]
+    return stopping_rule
 
 
 def test_a_task_must_gain_its_share_of_the_best_rate_so_far() -> None:
@@ -54,9 +54,9 @@ def test_frontiers_are_always_kept() -> None:
 
 
 def test_only_the_detour_counts_and_not_the_path_that_is_flown_anyway() -> None:
-    worth = worth_after_10_per_second()
-    assert kept(worth, (SURFACE, 50.0, 1.1), (EXPLORE, 60.0, 4.0)) == [1, 2]  # on the path: only the stop counts
-    assert kept(worth, (SURFACE, -5.0, 15.0), (EXPLORE, 60.0, 4.0)) == [2]  # back and forth: 10.5 s
+    stopping_rule = worth_after_10_per_second()
+    assert kept(stopping_rule, (SURFACE, 50.0, 1.1), (EXPLORE, 60.0, 4.0)) == [1, 2]  # on the path: only the stop counts
+    assert kept(stopping_rule, (SURFACE, -5.0, 15.0), (EXPLORE, 60.0, 4.0)) == [2]  # back and forth: 10.5 s
 
 
 def test_far_tasks_share_the_cost_of_the_path() -> None:
@@ -68,18 +68,18 @@ def test_far_tasks_share_the_cost_of_the_path() -> None:
 
 
 def test_the_first_tour_sets_the_rate_and_one_nearby_view_does_not_set_it_high() -> None:
-    worth = StoppingRule(0.2)
-    assert kept(worth, (SURFACE, 0.1, 30.0)) == [1]  # it would be 50 per second over its 0.6 s alone
-    assert kept(worth, (SURFACE, 10.0, 10.0)) == [1]
-    assert kept(worth, (SURFACE, 20.0, 10.0)) == []
+    stopping_rule = StoppingRule(0.2)
+    assert kept(stopping_rule, (SURFACE, 0.1, 30.0)) == [1]  # it would be 50 per second over its 0.6 s alone
+    assert kept(stopping_rule, (SURFACE, 10.0, 10.0)) == [1]
+    assert kept(stopping_rule, (SURFACE, 20.0, 10.0)) == []
 
 
 @pytest.mark.parametrize("scale", [1e-6, 1.0, 1e6])
 def test_the_unit_of_the_gain_does_not_matter(scale: float) -> None:
-    worth = StoppingRule(0.2)
+    stopping_rule = StoppingRule(0.2)
     tour = [(SURFACE, float(n), 40.0 * scale) for n in range(1, 9)]
-    assert len(kept(worth, *tour)) == 8
-    assert kept(worth, (SURFACE, 3.0, 100.0 * scale), (SURFACE, 90.0, 20.0 * scale)) == [1]
+    assert len(kept(stopping_rule, *tour)) == 8
+    assert kept(stopping_rule, (SURFACE, 3.0, 100.0 * scale), (SURFACE, 90.0, 20.0 * scale)) == [1]
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -90,8 +90,8 @@ def test_no_kept_part_of_a_tour_gains_less_than_its_flight_costs(seed: int) -> N
     costs_s = np.linalg.norm(place[:, None] - place, axis=-1) + rng.uniform(0, 2, (count + 1, count + 1))
     kinds = rng.choice(np.array([EXPLORE, SURFACE, SURFACE]), count)
     tasks = [Task(kind, np.zeros(3), Viewpoint(np.zeros(3), 0.0, 0.0), float(rng.uniform(0, 60))) for kind in kinds]
-    worth = worth_after_10_per_second()
-    nodes = worth.keep(tasks, costs_s, rng.permutation(count) + 1).order.tolist()
+    stopping_rule = worth_after_10_per_second()
+    nodes = stopping_rule.keep(tasks, costs_s, rng.permutation(count) + 1).order.tolist()
 
     def seconds(tour: list[int]) -> float:
         return float(sum(costs_s[a, b] + VIEW_S for a, b in itertools.pairwise([0, *tour])))

@@ -172,7 +172,7 @@ class PlannerStages:
         self._frontiers = Frontiers()
         self._path_cache = PathCache(self._space)
         self._views = FrontierViews(mapped.config, mapped.camera)
-        self._choice = variant(mapped.config.variant, mapped.config).choice
+        self._task_ordering = variant(mapped.config.variant, mapped.config).task_ordering
         self._none_ignored = np.zeros(grid.shape, dtype=np.uint8)
         self._travel_time_model = YawWhileFlying(motion.speed_mps, math.radians(motion.yaw_rate_degps))
 
@@ -210,7 +210,7 @@ class PlannerStages:
         if self._space.is_confined(posed.world_from_depth.translation_m):
             order = np.array([best_by_rate([one.task for one in tasks], costs_s)], dtype=np.int64)
         else:
-            order = self._choice.order([one.task for one in tasks], costs_s).order
+            order = self._task_ordering.order([one.task for one in tasks], costs_s).order
         watch.lap("order")
         return order - 1
 

@@ -30,12 +30,12 @@ def count_rejected_frontiers(state: ByteArray, faces: ByteArray, exhausted: Byte
     sizes = _sizes(inside & ~in_vain)
     return {
         ReasonCode.FRONTIERS_TOO_SMALL: int(np.count_nonzero(sizes < MIN_CELLS)),
-        ReasonCode.FRONTIERS_VIEWED_WITHOUT_RESULT: _worth_a_view(inside & in_vain),
-        ReasonCode.FRONTIERS_OUTSIDE_FENCE: _worth_a_view(_beside_unknown(state) & ~inside),
+        ReasonCode.FRONTIERS_VIEWED_WITHOUT_RESULT: _cluster_count(inside & in_vain),
+        ReasonCode.FRONTIERS_OUTSIDE_FENCE: _cluster_count(_beside_unknown(state) & ~inside),
     }
 
 
-def _worth_a_view(mask: BoolArray) -> int:
+def _cluster_count(mask: BoolArray) -> int:
     return int(np.count_nonzero(_sizes(mask) >= MIN_CELLS))
 
 

@@ -44,7 +44,7 @@ AT_ONCE = 8  # positions with a bound of ENOUGH cells from which rays are cast a
 CASTS = 64  # max. positions from which rays are cast, highest bound first
 PEAKS = 4  # number of best positions, APART voxels from each other, that are moved ...
 APART = 7.0
-WORTH_MOVING = 0.6  # ... if they show this share of the best view ...
+PEAK_SHARE = 0.6  # ... if they show this share of the best view ...
 HOPS = (4.0, 2.0, 1.0, 0.2)  # ... by these distances in voxels, along an axis or a space diagonal ...
 FROM_CENTRE_TO_CENTRE = 1.0  # ... a shorter hop ends off a voxel centre, where the clearance is tested ...
 STEPS = 40  # ... until rays have been cast from this number of positions
@@ -354,13 +354,13 @@ def best_view(  # noqa: C901
         for p in _ranked(bounds[:reachable_count], 2 * target_count):
             if cast == CASTS or bounds[p] == 0 or totals[0] >= ENOUGH * cells:
                 break
-            to_exceed = max(totals[-1], int(WORTH_MOVING * totals[0]))
+            to_exceed = max(totals[-1], int(PEAK_SHARE * totals[0]))
             total, count, was_cast = _cast_rays_from(scene, cluster, places[p], totals[0], to_exceed, work, record, view, count)
             cast += was_cast
             if total > 0:
                 _insert_peak(view, total, peaks, totals)
         for q in range(PEAKS):
-            if totals[0] < ENOUGH * cells and totals[q] > WORTH_MOVING * totals[0]:
+            if totals[0] < ENOUGH * cells and totals[q] > PEAK_SHARE * totals[0]:
                 totals[q], tested, count = _hill_climb(
                     scene, reachable, berth, cluster, work, record, peaks[q], totals[q], tested, count
                 )  # fmt: skip

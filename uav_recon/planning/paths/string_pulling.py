@@ -13,7 +13,7 @@ from uav_recon.planning.paths.segments import distance, segment_is_open
 from uav_recon.types.frames import ByteArray, FloatArray
 
 ROUNDS = 2
-WORTH = 0.05  # voxels; smaller gains end the search
+MIN_GAIN = 0.05  # voxels; smaller gains end the search
 HALVINGS = 4
 SLOPES = (0.17, 0.7)  # inward share of a sideways step
 
@@ -45,7 +45,7 @@ def _settle(leap: ByteArray, points: FloatArray, count: int) -> int:
             if x + 2 < count:
                 gain += _slide(leap, points, x, x + 1)
             gain += _slide(leap, points, x, x) + _cut(leap, points, x - 1, x, x + 1) + _cut(leap, points, x + 1, x, x - 1)
-        if gain < WORTH:
+        if gain < MIN_GAIN:
             break
     return count
 
@@ -128,7 +128,7 @@ def _slide(leap: ByteArray, points: FloatArray, first: int, last: int) -> float:
             sx, sy, sz = step * dx, step * dy, step * dz
             to_back = _apart(points, first - 1, points[first, 0] + sx, points[first, 1] + sy, points[first, 2] + sz)
             to_on = _apart(points, last + 1, points[last, 0] + sx, points[last, 1] + sy, points[last, 2] + sz)
-            if back + on - to_back - to_on > WORTH and _may_move(leap, points, first, last, sx, sy, sz):
+            if back + on - to_back - to_on > MIN_GAIN and _may_move(leap, points, first, last, sx, sy, sz):
                 for x in range(first, last + 1):
                     points[x, 0], points[x, 1], points[x, 2] = points[x, 0] + sx, points[x, 1] + sy, points[x, 2] + sz
                 back, on = to_back, to_on
@@ -171,7 +171,7 @@ def _round_off(leap: ByteArray, points: FloatArray, count: int, x: int) -> int:
         if meet and _open(leap, points, x - 1, ex, ey, ez) and _open(leap, points, x + 1, fx, fy, fz):
             seen, ax, ay, az, bx, by, bz = d, ex, ey, ez, fx, fy, fz
         step /= 2
-    if seen * (2.0 - distance(ux, uy, uz, vx, vy, vz)) < WORTH:
+    if seen * (2.0 - distance(ux, uy, uz, vx, vy, vz)) < MIN_GAIN:
         return count
     for n in range(count, x + 1, -1):
         points[n, 0], points[n, 1], points[n, 2] = points[n - 1, 0], points[n - 1, 1], points[n - 1, 2]

@@ -24,7 +24,7 @@ from uav_recon.types.maps import SurfaceElements
 from uav_recon.types.tasks import Task, TaskKind, Viewpoint
 
 LOOK_DISCOUNT = 0.35  # factor on an element's uncertainty for each task that saw it at a right angle, so that tasks end
-WORTH_SHARE = 1.0  # min. gain of a view as a share of min_visible; one most uncertain element has gain 1
+MIN_GAIN_SHARE = 1.0  # min. gain of a view as a share of min_visible; one most uncertain element has gain 1
 HOPEFUL_VIEWS = 12  # candidates per task evaluated by element ...
 FULL_VIEWS = 3  # ... and of these, the number evaluated in full
 _TIGHT_RADII_M = (0.5, 0.65)  # for tight rooms
@@ -103,7 +103,7 @@ class SurfaceViews:
         hopeful = places[promising(state, context.space.reachable, lens, places, centre, patches, HOPEFUL_VIEWS)]
         cosine = np.zeros(len(weight))
         best, yaw, pitch, gain = best_view(state, lens, hopeful, centre, *surface, min_visible, FULL_VIEWS, cosine)
-        if best < 0 or gain < WORTH_SHARE * min_visible:
+        if best < 0 or gain < MIN_GAIN_SHARE * min_visible:
             return None
         seen = np.flatnonzero(cosine)
         weight[seen] *= LOOK_DISCOUNT ** cosine[seen]

@@ -37,8 +37,8 @@ class Tour:
     Beyond the paper, it leaves out deferred tasks and tasks that are not worth their flight.
     """
 
-    def __init__(self, worth: StoppingRule) -> None:
-        self._worth = worth
+    def __init__(self, stopping_rule: StoppingRule) -> None:
+        self._stopping_rule = stopping_rule
 
     def order(self, tasks: Sequence[Task], costs_s: FloatArray) -> KeptTour:
         """See TaskOrdering."""
@@ -49,23 +49,23 @@ class Tour:
     def _of(self, which: BoolArray, tasks: Sequence[Task], costs_s: FloatArray) -> KeptTour:
         """Return the tour of the tasks selected by a mask (N,)."""
         if which.all():
-            return self._worth.keep(tasks, costs_s, best_tour(costs_s))
+            return self._stopping_rule.keep(tasks, costs_s, best_tour(costs_s))
         nodes = np.flatnonzero(np.concatenate(([True], which)))
         costs_s = np.ascontiguousarray(costs_s[nodes][:, nodes])
-        kept = self._worth.keep([tasks[node - 1] for node in nodes[1:]], costs_s, best_tour(costs_s))
+        kept = self._stopping_rule.keep([tasks[node - 1] for node in nodes[1:]], costs_s, best_tour(costs_s))
         return KeptTour(nodes[kept.order], kept.dropped)
 
 
 class Greedy:
     """EVPP's ordering: only the view with the most gain per second of flight; then plan again."""
 
-    def __init__(self, worth: StoppingRule) -> None:
-        self._worth = worth
+    def __init__(self, stopping_rule: StoppingRule) -> None:
+        self._stopping_rule = stopping_rule
 
     def order(self, tasks: Sequence[Task], costs_s: FloatArray) -> KeptTour:
         """See TaskOrdering."""
         best = [best_by_rate(tasks, costs_s)] if len(tasks) else []
-        return self._worth.keep(tasks, costs_s, np.array(best, dtype=np.int64))
+        return self._stopping_rule.keep(tasks, costs_s, np.array(best, dtype=np.int64))
 
 
 def best_by_rate(tasks: Sequence[Task], costs_s: FloatArray) -> int:
@@ -80,17 +80,17 @@ class FrontierWithDetours:
     Without a frontier, surface is viewed nearest first.
     """
 
-    def __init__(self, worth: StoppingRule) -> None:
-        self._worth = worth
+    def __init__(self, stopping_rule: StoppingRule) -> None:
+        self._stopping_rule = stopping_rule
 
     def order(self, tasks: Sequence[Task], costs_s: FloatArray) -> KeptTour:
         """See TaskOrdering."""
         frontiers = [n for n, task in enumerate(tasks, 1) if task.kind is TaskKind.EXPLORE]
         surface = [n for n, task in enumerate(tasks, 1) if task.kind is TaskKind.RECONSTRUCT]
         if not frontiers:
-            return self._worth.keep(tasks, costs_s, np.array(_nearest_first(surface, costs_s), dtype=np.int64))
+            return self._stopping_rule.keep(tasks, costs_s, np.array(_nearest_first(surface, costs_s), dtype=np.int64))
         goal = min(frontiers, key=lambda n: (costs_s[0, n], n))
-        return self._worth.keep(tasks, costs_s, np.array(_with_detours(goal, surface, tasks, costs_s), dtype=np.int64))
+        return self._stopping_rule.keep(tasks, costs_s, np.array(_with_detours(goal, surface, tasks, costs_s), dtype=np.int64))
 
 
 def _nearest_first(nodes: list[int], costs_s: FloatArray) -> list[int]:
