@@ -87,20 +87,20 @@ def refine(wanted: RefineOptions) -> int:
 
     Raises UserError in one line for bad input.
     """
-    from uav_recon.mapping.neural.sdf_torch import distributed as team
+    from uav_recon.mapping.neural.sdf_torch import distributed
 
     wanted.checked()
     try:
-        kind = team.device_kind(wanted.device)
-    except team.DeviceError as error:
+        kind = distributed.device_kind(wanted.device)
+    except distributed.DeviceError as error:
         raise UserError(f"--device {error}", EXIT_USAGE) from None
-    processes = wanted.processes or (team.gpus() if kind == "cuda" else 1)
-    if kind == "cuda" and processes > team.gpus():
-        raise UserError(f"--processes {processes}: torch sees {team.gpus()} GPUs", EXIT_USAGE)
+    processes = wanted.processes or (distributed.gpus() if kind == "cuda" else 1)
+    if kind == "cuda" and processes > distributed.gpus():
+        raise UserError(f"--processes {processes}: torch sees {distributed.gpus()} GPUs", EXIT_USAGE)
     if processes > 1 and WORKER not in os.environ:
         _state(_checkpoints(wanted, kind)[2])  # errors are printed here, once
         return _under_torchrun(wanted, processes)
-    return _Work(wanted, team.ProcessGroup(kind), kind).run()
+    return _Work(wanted, distributed.ProcessGroup(kind), kind).run()
 
 
 def memory_gb() -> float:
@@ -140,12 +140,12 @@ def _under_torchrun(wanted: RefineOptions, processes: int) -> int:
 class _Work:
     """One process of a run."""
 
-    def __init__(self, wanted: RefineOptions, team: ProcessGroup, kind: str) -> None:
+    def __init__(self, wanted: RefineOptions, process_group: ProcessGroup, kind: str) -> None:
         self._wanted = wanted
-        self._team = team
+        self._process_group = process_group
         self._kind = kind
         self._folder = wanted.flight / REFINED
-        self._console = Console(stderr=True, quiet=not team.is_main)
+        self._console = Console(stderr=True, quiet=not process_group.is_main)
         self._display = StepDisplay(self._console)
         self._stop = Stop()
 
@@ -155,7 +155,7 @@ class _Work:
         from uav_recon.mapping.neural.sdf_torch.feature_grid import GridError
         from uav_recon.mapping.neural.watertight.watertight_mesh import MeshResolutionError
 
-        lock = self._claim() if self._team.is_main else None
+        lock = self._claim() if self._process_group.is_main else None
         try:
             self._run()
         except (GridError, MeshResolutionError) as error:
@@ -175,11 +175,11 @@ class _Work:
 
         gathered, refiner, checkpoints = self._prepare()
         done = self._learn(refiner, checkpoints)
-        self._team.shutdown()
+        self._process_group.shutdown()
         self._stop.restore_default()
         if not done:
             self._say(f"stopped after {refiner.steps} of {self._wanted.steps} steps; the same command continues from there")
-        elif self._team.is_main:
+        elif self._process_group.is_main:
             with self._display.step("extracting and closing the surface"):
                 painted = ColourFusedField(refiner.field, gathered.replay, gathered.low_m, gathered.high_m)
                 mesh = closed_mesh(painted, gathered, self._wanted.voxel_m)
@@ -203,7 +203,7 @@ class _Work:
         with self._display.step("loading the keyframes") as progress:
             gathered = _gathered(self._wanted.flight, config, self._say, progress)
             check_size(gathered, self._wanted.voxel_m)  # now, not after the training
-            refiner = Refiner(gathered, plan, self._team)
+            refiner = Refiner(gathered, plan, self._process_group)
         if state is not None:
             refiner.restore(state)
             self._say(f"continuing after {refiner.steps} of {plan.steps} steps")
@@ -222,16 +222,16 @@ class _Work:
             lines as report,
         ):
             task = progress.add_task("training", total=self._wanted.steps, completed=start, rate="")
-            while not refiner.done and not self._team.any(self._asked()):
+            while not refiner.done and not self._process_group.any(self._asked()):
                 loss = refiner.advance(SLICE_STEPS)
                 now_s = time.monotonic()
                 rate = f"{(refiner.steps - start) / (now_s - began_s):.1f} steps/s, loss {loss:.3f}"
                 progress.update(task, completed=refiner.steps, rate=rate)
                 report(refiner.steps, self._wanted.steps)
-                if self._team.is_main and now_s - saved_s > self._wanted.save_every_s:
+                if self._process_group.is_main and now_s - saved_s > self._wanted.save_every_s:
                     checkpoints.save(refiner.state())
                     saved_s, saved_at = time.monotonic(), refiner.steps
-        if self._team.is_main and saved_at != refiner.steps:
+        if self._process_group.is_main and saved_at != refiner.steps:
             checkpoints.save(refiner.state())
         return refiner.done
 

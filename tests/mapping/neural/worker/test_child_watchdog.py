@@ -18,15 +18,15 @@ from uav_recon.mapping.neural.worker.child_watchdog import (
 
 
 def given_up_after_s(
-    pulse: ProcessActivity, grows: bool = False, patient: bool = False, longest_s: float = 200.0
+    activity: ProcessActivity, grows: bool = False, patient: bool = False, longest_s: float = 200.0
 ) -> float | None:
     """Return the seconds from a request until the child is given up; None for never."""
     watchdog, now_s = ChildWatchdog(), 0.0
     watchdog.asked(now_s)
     while now_s < longest_s:
         now_s += CHECK_PERIOD_S
-        used_s = pulse.processor_s + (now_s if grows else 0.0)
-        if watchdog.is_hung(now_s, ProcessActivity(used_s, pulse.at_rest), patient):
+        used_s = activity.processor_s + (now_s if grows else 0.0)
+        if watchdog.is_hung(now_s, ProcessActivity(used_s, activity.at_rest), patient):
             return now_s
     return None
 
@@ -67,7 +67,7 @@ def test_an_ended_process_is_not_reported_as_hung() -> None:
 
 
 def test_the_activity_of_this_process_is_read() -> None:
-    pulse = activity_of(os.getpid())
-    assert pulse is not None
-    assert pulse.processor_s > 0.0
-    assert not pulse.at_rest
+    activity = activity_of(os.getpid())
+    assert activity is not None
+    assert activity.processor_s > 0.0
+    assert not activity.at_rest

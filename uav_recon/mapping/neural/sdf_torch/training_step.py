@@ -35,19 +35,19 @@ class TorchTrainingStep:
         low_m: Float32Array,
         high_m: Float32Array,
         sampling: Sampling,
-        team: ProcessGroup,
+        process_group: ProcessGroup,
     ) -> None:
         self._field = field
         self._views = views
         self._sampling = sampling
-        self._team = team
-        self._module = team.parallel(field)
+        self._process_group = process_group
+        self._module = process_group.parallel(field)
         self._adam = TorchAdam(field.features, field.weights)
-        device = team.device
+        device = process_group.device
         self._low, self._high = (torch.tensor(corner, device=device) for corner in (low_m, high_m))
         self._stream = torch.tensor(0, device=device)  # the bits of the random state
         self._count, self._rate, self._loss = (torch.tensor(0.0, device=device) for _ in range(3))
-        self._stride = state_before(0, team.size, sampling.rays)
+        self._stride = state_before(0, process_group.size, sampling.rays)
         self._graph: torch.cuda.CUDAGraph | None = None
         self._eager = 0
         self.steps = 0
@@ -58,7 +58,7 @@ class TorchTrainingStep:
         self._rate.fill_(rate)
         if self._graph is not None:
             self._graph.replay()
-        elif self._team.device.type == "cuda" and self._team.size == 1:
+        elif self._process_group.device.type == "cuda" and self._process_group.size == 1:
             self._warm_step()
         else:
             self._step()
@@ -94,7 +94,7 @@ class TorchTrainingStep:
 
     def _rewind(self) -> None:
         """Set the random stream and the step count according to the number of steps."""
-        draws = self.steps * self._team.size + self._team.rank
+        draws = self.steps * self._process_group.size + self._process_group.rank
         self._stream.fill_(state_before(self._sampling.seed, draws, self._sampling.rays))
         self._count.fill_(float(self.steps))
 

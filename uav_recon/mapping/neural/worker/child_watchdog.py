@@ -54,14 +54,14 @@ class ChildWatchdog:
         """Record that the child answered."""
         self._asked_s = None
 
-    def is_hung(self, now_s: float, pulse: ProcessActivity | None, patient: bool) -> bool:
+    def is_hung(self, now_s: float, activity: ProcessActivity | None, patient: bool) -> bool:
         """Return True if the child hangs.
 
         patient: the child compiles or learns a whole flight, so a missing answer alone is no sign of a hang.
         """
-        if pulse is None or self._asked_s is None:
+        if activity is None or self._asked_s is None:
             return False
-        if not pulse.at_rest or pulse.processor_s > self._used_s:
+        if not activity.at_rest or activity.processor_s > self._used_s:
             self._awake_s = now_s
-        self._used_s = pulse.processor_s
+        self._used_s = activity.processor_s
         return now_s - self._awake_s > IDLE_TIMEOUT_S or (not patient and now_s - self._asked_s > RESPONSE_TIMEOUT_S)
