@@ -61,5 +61,5 @@ class PlanningContext:
         """
         x, y, z = (place - 1.0).tolist()
         shape, space = self.voxels.grid.shape, self.space
-        beside = blocking_voxel(self.voxels.distance2.reshape(-1), shape, space.berth, x, y, z)
-        return bool(beside == CLEAR and space.reachable.reshape(-1)[space.flat(np.floor(place).astype(np.int64))])
+        beside = blocking_voxel(self.voxels.distance2.reshape(-1), shape, space.clearance_box, x, y, z)
+        return bool(beside == CLEAR and space.reachable.reshape(-1)[space.flat_index(np.floor(place).astype(np.int64))])

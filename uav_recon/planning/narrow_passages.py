@@ -150,7 +150,7 @@ class NarrowPassagePlanner:
         beyond = _Beyond(
             mask=usual.mask,
             reachable=usual.mask & context.space.reachable & (1 - usual.reachable),
-            berth=usual.berth,
+            clearance_box=usual.clearance_box,
             revision=1,
             reachable_revision=np.ones_like(usual.reachable_revision),
         )
@@ -166,6 +166,6 @@ class _Beyond:
 
     mask: ByteArray
     reachable: ByteArray
-    berth: FloatArray
+    clearance_box: FloatArray
     revision: int
     reachable_revision: IntArray

@@ -16,7 +16,7 @@ def route_to(context: PlanningContext, goal: Viewpoint) -> CandidateView | None:
     Returns None if all reachable cells are farther away than NEAR_ENOUGH_M.
     """
     space = context.space
-    at = space.padded(goal.position_world)
+    at = space.padded_from_world(goal.position_world)
     reach = NEAR_ENOUGH_M / space.grid.resolution_m
     low = np.clip(np.floor(at - reach), 0, space.reachable.shape).astype(np.int64)
     high = np.clip(np.floor(at + reach) + 1, 0, space.reachable.shape).astype(np.int64)
@@ -29,7 +29,7 @@ def route_to(context: PlanningContext, goal: Viewpoint) -> CandidateView | None:
     if away[nearest] > reach:
         return None
     place = cells[nearest] + 0.5
-    place_world = space.world(place)
+    place_world = space.world_from_padded(place)
     task = Task(TaskKind.EXPLORE, place_world, Viewpoint(place_world, goal.yaw_rad, goal.pitch_down_rad), 0.0)
     nothing = np.zeros(0, dtype=np.int64)
     return CandidateView(task, place, nothing, nothing.astype(np.float64))

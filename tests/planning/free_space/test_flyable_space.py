@@ -83,10 +83,10 @@ def test_incremental_updates_equal_a_computation_from_scratch(seed: int) -> None
         space.update(world.voxels())
         mask = flyable(world.voxels(), clearance_m, low, high)
         np.testing.assert_array_equal(space.mask, mask)
-        np.testing.assert_array_equal(space.free, np.pad(world.state == FREE, 1))
+        np.testing.assert_array_equal(space.known_free, np.pad(world.state == FREE, 1))
         position = world.grid.origin_world_m + rng.uniform(0, 1, 3) * np.array(shape) * RESOLUTION_M
         if mask.any() and rng.random() < 0.5:
-            position = space.world(rng.choice(np.argwhere(mask)) + 0.5)
+            position = space.world_from_padded(rng.choice(np.argwhere(mask)) + 0.5)
         cells = space.locate_vehicle(position)
         if cells is not None:
             np.testing.assert_array_equal(space.reachable, connected(mask, int(cells[-1])))
@@ -114,8 +114,8 @@ def test_line_checks_with_leaps_over_open_space_equal_plain_checks() -> None:
         cells = np.argwhere(space.mask)
         for a, b in cells[rng.integers(len(cells), size=(400, 2))] + rng.random((400, 2, 3)):
             answers.append(segment_is_open(space.mask, *a, *b))
-            assert segment_is_open(space.leap, *a, *b) == answers[-1]
-            assert segment_is_open(space.leap, *b, *a) == answers[-1]
+            assert segment_is_open(space.open_samples, *a, *b) == answers[-1]
+            assert segment_is_open(space.open_samples, *b, *a) == answers[-1]
     assert 0.1 < np.mean(answers) < 0.9
 
 
@@ -178,7 +178,7 @@ def test_a_vehicle_outside_flyable_space_leaves_through_free_space() -> None:
     np.testing.assert_array_equal(way[0], [2, 15, 10])
     np.testing.assert_array_equal(way[-1], [4, 15, 10])
     assert np.all(np.abs(np.diff(way, axis=0)) <= 1)
-    assert all(space.free.ravel()[cell] for cell in cells[1:])
+    assert all(space.known_free.ravel()[cell] for cell in cells[1:])
 
 
 def test_a_single_free_voxel_no_free_space_and_positions_outside_have_no_exit() -> None:

@@ -39,9 +39,9 @@ def test_a_part_of_a_block_is_the_connected_component_of_its_voxels() -> None:
             assert part_around(first, word(voxels)) == word(labels == n)
 
 
-def changed_blocks(regions: ReachableSpace, differs: BoolArray) -> IntArray:
+def changed_blocks(reachable_space: ReachableSpace, differs: BoolArray) -> IntArray:
     at = np.argwhere(differs[1:-1, 1:-1, 1:-1]) // EDGE + 1
-    return np.unique((at[:, 0] * regions.blocks.shape[1] + at[:, 1]) * regions.blocks.shape[2] + at[:, 2])
+    return np.unique((at[:, 0] * reachable_space.blocks.shape[1] + at[:, 1]) * reachable_space.blocks.shape[2] + at[:, 2])
 
 
 def connected(mask: ByteArray, cell: IntArray) -> ByteArray:
@@ -55,16 +55,16 @@ def test_random_changes_give_the_components_of_a_labelling_from_scratch(seed: in
     shape = tuple(int(n) for n in rng.integers(3, 26, 3))
     share = rng.uniform(0.08, 0.3)  # around the share at which random voxels become connected
     mask = np.pad((rng.random(shape) < share).astype(np.uint8), 1)
-    regions = ReachableSpace((shape[0], shape[1], shape[2]))
-    regions.update(mask, changed_blocks(regions, mask > 0), 1)
+    reachable_space = ReachableSpace((shape[0], shape[1], shape[2]))
+    reachable_space.update(mask, changed_blocks(reachable_space, mask > 0), 1)
     cell = None
     for revision in range(2, 60):
         if mask.any() and (cell is None or not mask[tuple(cell)] or rng.random() < 0.2):
             cell = rng.choice(np.argwhere(mask))
         if cell is not None and mask[tuple(cell)]:
             i, j, k = (int(n) for n in cell)
-            regions.set_root(i, j, k, revision)
-            np.testing.assert_array_equal(regions.reachable, connected(mask, cell))
+            reachable_space.set_root(i, j, k, revision)
+            np.testing.assert_array_equal(reachable_space.reachable, connected(mask, cell))
         flips = rng.random(shape) < rng.choice([0.001, 0.01, 0.1])
         if rng.random() < 0.2:  # add or remove a wall
             flips = np.zeros(shape, dtype=bool)
@@ -72,20 +72,20 @@ def test_random_changes_give_the_components_of_a_labelling_from_scratch(seed: in
             np.moveaxis(flips, axis, 0)[int(rng.integers(shape[axis]))] = rng.random() < 0.9
         after = mask.copy()
         after[1:-1, 1:-1, 1:-1] ^= flips.astype(np.uint8)
-        changed = changed_blocks(regions, after != mask)
+        changed = changed_blocks(reachable_space, after != mask)
         mask = after
-        regions.update(mask, changed, revision)
+        reachable_space.update(mask, changed, revision)
 
 
 def test_a_block_that_only_grows_keeps_all_parents() -> None:
     mask = np.zeros((14, 6, 6), dtype=np.uint8)
     mask[1:13, 2, 2] = 1
-    regions = ReachableSpace((12, 4, 4))
-    regions.update(mask, changed_blocks(regions, mask > 0), 1)
-    regions.set_root(1, 2, 2, 1)
-    parents = regions.parent.copy()
+    reachable_space = ReachableSpace((12, 4, 4))
+    reachable_space.update(mask, changed_blocks(reachable_space, mask > 0), 1)
+    reachable_space.set_root(1, 2, 2, 1)
+    parents = reachable_space.parent.copy()
     grown = mask.copy()
     grown[5:9, 2:4, 2] = 1
-    regions.update(grown, changed_blocks(regions, grown != mask), 2)
-    np.testing.assert_array_equal(regions.parent, parents)
-    np.testing.assert_array_equal(regions.reachable, grown)
+    reachable_space.update(grown, changed_blocks(reachable_space, grown != mask), 2)
+    np.testing.assert_array_equal(reachable_space.parent, parents)
+    np.testing.assert_array_equal(reachable_space.reachable, grown)

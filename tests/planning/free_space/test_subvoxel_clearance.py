@@ -11,7 +11,7 @@ from scipy import ndimage
 
 from uav_recon.planning.candidate_view import PlanningContext
 from uav_recon.planning.free_space.flyable_space import FlyableSpace
-from uav_recon.planning.free_space.subvoxel_clearance import CLEAR, LOW, OUTSIDE, SIDES2, blocking_voxel, clearance_box
+from uav_recon.planning.free_space.subvoxel_clearance import CLEAR, LOW, OUTSIDE, SIDES2, blocking_voxel, make_clearance_box
 from uav_recon.types.maps import FREE, OCCUPIED, GridSpec, VoxelMap
 
 CLEARANCE_M = 0.35
@@ -33,7 +33,7 @@ def cluttered(rng: np.random.Generator) -> tuple[PlanningContext, NDArray[np.flo
     space = FlyableSpace(grid, CLEARANCE_M, LOWEST, HIGHEST)
     voxels = VoxelMap.whole(grid, state, np.round(np.minimum(distance, 11.0) ** 2).astype(np.uint8), 1)
     space.update(voxels)
-    start = space.world(rng.choice(np.argwhere(space.mask)) + 0.5)
+    start = space.world_from_padded(rng.choice(np.argwhere(space.mask)) + 0.5)
     exit_cells = space.locate_vehicle(start)
     assert exit_cells is not None
     return PlanningContext(voxels, space, exit_cells, start), np.argwhere(solid) - np.float64(0.5)
@@ -50,7 +50,7 @@ def test_an_accepted_position_has_at_least_the_clearance_of_a_voxel_centre(seed:
     reachable = context.space.reachable
     centres = np.argwhere(reachable) - 0.5
     least = min(to_sides(closed, place) for place in centres)
-    promised = np.sqrt(context.space.berth[SIDES2])
+    promised = np.sqrt(context.space.clearance_box[SIDES2])
     assert promised * 0.1 >= 0.3  # d_s of the paper
     assert promised <= least
     held = refused = 0
@@ -77,24 +77,24 @@ def test_the_clearance_box_follows_from_the_nearest_allowed_voxel(needed2: int) 
     most = int(np.sqrt(needed2)) + 1
     steps = [s for s in itertools.product(range(-most, most + 1), repeat=3) if np.dot(s, s) >= needed2]
     sides2 = (np.maximum(np.abs(np.array(steps)) - 0.5, 0.0) ** 2).sum(axis=1)
-    berth = clearance_box((90, 80, 70), np.array([0, 9, 40]), np.array([90, 60, 70]), needed2)
+    clearance_box = make_clearance_box((90, 80, 70), np.array([0, 9, 40]), np.array([90, 60, 70]), needed2)
     border = np.sqrt(sides2.min())
-    assert berth[SIDES2] == sides2.min()
-    np.testing.assert_allclose(berth[LOW:SIDES2], [border, max(9.5, border), 40.5, 90 - border, 59.5, 70 - border])
+    assert clearance_box[SIDES2] == sides2.min()
+    np.testing.assert_allclose(clearance_box[LOW:SIDES2], [border, max(9.5, border), 40.5, 90 - border, 59.5, 70 - border])
 
 
 def test_the_blocking_voxel_is_not_free_and_too_near() -> None:
     rng = np.random.default_rng(3)
     context, _ = cluttered(rng)
-    voxels, berth = context.voxels, context.space.berth
+    voxels, clearance_box = context.voxels, context.space.clearance_box
     answers = []
     for place in rng.uniform(2.0, 24.0, (2000, 3)):
-        at = blocking_voxel(voxels.distance2.reshape(-1), voxels.grid.shape, berth, *place)
+        at = blocking_voxel(voxels.distance2.reshape(-1), voxels.grid.shape, clearance_box, *place)
         answers.append(min(at, 0))
         if at >= 0:
             voxel = np.array(np.unravel_index(at, voxels.grid.shape))
             assert voxels.state[tuple(voxel)] != FREE
-            assert to_sides(voxel[None] + np.float64(0.5), place) ** 2 < berth[SIDES2]
+            assert to_sides(voxel[None] + np.float64(0.5), place) ** 2 < clearance_box[SIDES2]
     assert min(answers.count(kind) for kind in (CLEAR, OUTSIDE, 0)) > 50
 
 
@@ -102,4 +102,4 @@ def test_the_blocking_voxel_is_not_free_and_too_near() -> None:
 def test_positions_that_are_not_finite_or_far_away_are_outside(place: tuple[float, float, float]) -> None:
     context, _ = cluttered(np.random.default_rng(1))
     voxels = context.voxels
-    assert blocking_voxel(voxels.distance2.reshape(-1), voxels.grid.shape, context.space.berth, *place) == OUTSIDE
+    assert blocking_voxel(voxels.distance2.reshape(-1), voxels.grid.shape, context.space.clearance_box, *place) == OUTSIDE

@@ -47,7 +47,7 @@ def test_a_view_is_nearly_as_good_as_the_best_of_a_thousand(solid: Solid, camera
     closed, off_centre = np.argwhere(voxels.state != FREE) + 0.5, 0
     scene = SearchScene(
         distance2=voxels.distance2.reshape(-1), shape=world.grid.shape, reachable=space.reachable.reshape(-1),
-        berth=space.berth, lens=lens,
+        clearance_box=space.clearance_box, lens=lens,
     )  # fmt: skip
     asked, blockers = np.zeros(len(shell.offsets) + MAX_MOVE_TESTS, dtype=np.int32), np.zeros(MAX_BLOCKERS, dtype=np.int32)
     for row in frontiers.rows():
@@ -68,7 +68,7 @@ def test_a_view_is_nearly_as_good_as_the_best_of_a_thousand(solid: Solid, camera
             assert reachable[tuple(view[:3].astype(int))]
             off_centre += bool((view[:3] % 1.0 != 0.5).any())
             # clearance to the nearest side is at least that of a voxel centre
-            assert ((np.maximum(np.abs(closed - view[:3]) - 0.5, 0.0) ** 2).sum(axis=1) >= space.berth[SIDES2]).all()
+            assert ((np.maximum(np.abs(closed - view[:3]) - 0.5, 0.0) ** 2).sum(axis=1) >= space.clearance_box[SIDES2]).all()
             assert ((view[:3] >= low + 2.5) & (view[:3] <= high - 2.5)).all()
             assert seen.sum() <= view_oracle.cells_seen(voxels.state, oracle, view, target)
             at = np.array(np.unravel_index(np.where(cells >= 0, cells, ~cells), space.reachable.shape)) - 1

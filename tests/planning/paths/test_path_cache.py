@@ -99,7 +99,7 @@ def centres(cells: IntArray) -> FloatArray:
 
 
 def check_polyline(space: FlyableSpace, path_cache: PathCache, i: int, j: int) -> None:
-    way = space.padded(path_cache.path_world(i, j))
+    way = space.padded_from_world(path_cache.path_world(i, j))
     # conversion to world coordinates and back has a rounding error, so a sample on a border may be in either voxel
     nudges = [np.array(nudge) * 1e-9 for nudge in itertools.product((-1, 1), repeat=3)]
     for a, b in itertools.pairwise(way):
@@ -128,7 +128,7 @@ def test_paths_in_clutter_are_open_and_as_short_as_an_exact_search() -> None:
         space = world.space(0.14)
         cells = largest_component(space.mask)
         chosen = cells[rng.integers(len(cells), size=6)]
-        start = space.world(chosen[0] + 0.5)
+        start = space.world_from_padded(chosen[0] + 0.5)
         exit_cells = space.locate_vehicle(start)
         assert exit_cells is not None
         path_cache = PathCache(space)
@@ -156,7 +156,7 @@ def test_paths_in_the_reference_map_are_as_short_as_an_exact_search() -> None:
     path_cache = PathCache(space)
     excess = []
     for pair in cells[np.random.default_rng(100).integers(len(cells), size=(100, 2))]:
-        start = space.world(pair[0] + 0.5)
+        start = space.world_from_padded(pair[0] + 0.5)
         exit_cells = space.locate_vehicle(start)
         assert exit_cells is not None
         path_cache.update(exit_cells, start, centres(pair[1:]))
@@ -181,7 +181,7 @@ def test_cached_paths_equal_a_new_search(seed: int) -> None:
         world.paint(low, high, int(rng.choice([FREE, OCCUPIED])))
         space.update(world.voxels())
         cells = largest_component(space.mask)
-        start = space.world(rng.choice(cells) + 0.5)
+        start = space.world_from_padded(rng.choice(cells) + 0.5)
         exit_cells = space.locate_vehicle(start)
         assert exit_cells is not None
         open_still = np.array([space.mask[tuple(place.astype(int))] for place in tasks], dtype=bool)
@@ -213,7 +213,7 @@ def test_a_path_ends_exactly_at_its_view_anywhere_in_a_voxel(seed: int) -> None:
     for _ in range(25):
         chosen = cells[rng.integers(len(cells), size=4)]
         places = np.concatenate([chosen[:1] + 0.5, chosen[1:] + rng.random((3, 3))])
-        start = space.world(chosen[0] + rng.random(3))
+        start = space.world_from_padded(chosen[0] + rng.random(3))
         exit_cells = space.locate_vehicle(start)
         assert exit_cells is not None
         path_cache, centred = PathCache(space), PathCache(space)
@@ -295,7 +295,7 @@ def test_a_vehicle_outside_flyable_space_leaves_by_its_exit_cells_first() -> Non
     path_cache.update(exit_cells, start, centres(np.array([[12, 9, 7]])))
     way = path_cache.path_world(0, 1)
     np.testing.assert_allclose(way[0], start)
-    np.testing.assert_allclose(way[1 : len(exit_cells)], space.world(space.centre(exit_cells[1:])))
+    np.testing.assert_allclose(way[1 : len(exit_cells)], space.world_from_padded(space.cell_centres(exit_cells[1:])))
     assert path_cache.lengths_m[0, 1] == pytest.approx(np.linalg.norm(np.diff(way, axis=0), axis=1).sum())
 
 

@@ -29,7 +29,7 @@ class EscapePath:
         self._buckets = np.empty((3, edge**3), dtype=np.int64)
         self._now = 0
 
-    def find(self, mask: ByteArray, free: ByteArray, cell: IntArray) -> IntArray | None:
+    def find(self, mask: ByteArray, known_free: ByteArray, cell: IntArray) -> IntArray | None:
         """Return the flat cells (N,) from ``cell`` to the nearest flyable cell, or None.
 
         Both ends are included. Indices refer to the padded arrays. None if there is no path within the limit.
@@ -39,7 +39,7 @@ class EscapePath:
         self._now += 1
         cells = _nearest_flyable(
             mask,
-            free,
+            known_free,
             cell,
             STEPS,
             STEP_LENGTHS,
@@ -56,7 +56,7 @@ class EscapePath:
 @kernel
 def _nearest_flyable(  # noqa: C901
     mask: ByteArray,
-    free: ByteArray,
+    known_free: ByteArray,
     cell: IntArray,
     steps: IntArray,
     lengths: FloatArray,
@@ -90,7 +90,7 @@ def _nearest_flyable(  # noqa: C901
                     best, best_distance = at, here
                 continue
             for e in range(26):
-                if not free[i + steps[e, 0], j + steps[e, 1], k + steps[e, 2]]:
+                if not known_free[i + steps[e, 0], j + steps[e, 1], k + steps[e, 2]]:
                     continue
                 reached = here + lengths[e]
                 if reached > limit:

@@ -10,13 +10,13 @@ import numpy as np
 from uav_recon.geometry.jit import kernel
 from uav_recon.planning.free_space.escape_path import EscapePath
 from uav_recon.planning.free_space.reachability import ReachableSpace
-from uav_recon.planning.free_space.subvoxel_clearance import clearance_box
+from uav_recon.planning.free_space.subvoxel_clearance import make_clearance_box
 from uav_recon.planning.free_space.voxel_blocks import EDGE
 from uav_recon.types.frames import ByteArray, FloatArray, IntArray
 from uav_recon.types.maps import FREE, TILE, GridSpec, VoxelMap
 
 NEVER = 256  # larger than any squared distance stored in a byte
-MAX_LEAPS = 12
+MAX_OPEN_SAMPLES = 12
 CONFINED_M = 1.5  # along each axis from the vehicle: if there are fewer reachable positions than ...
 CONFINED_M3 = 1.5  # ... this, it is confined
 
@@ -35,24 +35,24 @@ class MapArrays(NamedTuple):
 class ClearanceRule(NamedTuple):
     """The condition for a voxel to be flyable.
 
-    box: (2, 3) first and one-past-last voxel. needed2: least squared distance, voxels. leaps2: (MAX_LEAPS - 1,) squared
-    distances from which one more sample of a line is known to be open.
+    box: (2, 3) first and one-past-last voxel. needed2: least squared distance, voxels.
+    open_samples2: (MAX_OPEN_SAMPLES - 1,) squared distances from which one more sample of a line is known to be open.
     """
 
     box: IntArray
     needed2: int
-    leaps2: IntArray
+    open_samples2: IntArray
 
 
 class SpaceArrays(NamedTuple):
     """Arrays of a FlyableSpace that an update writes; see there.
 
-    blocks_shape: (3,) of the blocks of ``regions``. changed: (blocks,) output, the changed blocks, each once.
+    blocks_shape: (3,) of the blocks of ``reachable_space``. changed: (blocks,) output, the changed blocks, each once.
     """
 
     mask: ByteArray
-    free: ByteArray
-    leap: ByteArray
+    known_free: ByteArray
+    open_samples: ByteArray
     mask_revision: IntArray
     block_revision: IntArray
     blocks_shape: IntArray
@@ -66,16 +66,16 @@ class FlyableSpace:
 
     mask: (nx+2, ny+2, nz+2) uint8, 1 = flyable: known free, far enough from all voxels that are not known free, and with
         indices in [low, high). The border of zeros removes the bounds checks from searches.
-    free: the same shape, 1 = known free.
+    known_free: the same shape, 1 = known free.
     reachable: the same shape, 1 = flyable and 26-connected to the vehicle's last position given to locate_vehicle().
-    leap: the same shape, for lines through the mask, see ``segment_is_open``. 0 where the mask is 0, else 1 + the number of
-        following samples that the distance field shows to be open for every direction of the line. Lines begin and end in
-        the mask, so they never leave the box.
-    berth: (7,) clearance box for positions off a voxel centre, see ``clearance_box``.
+    open_samples: the same shape, for lines through the mask, see ``segment_is_open``. 0 where the mask is 0, else 1 + the
+        number of following samples that the distance field shows to be open for every direction of the line. Lines begin
+        and end in the mask, so they never leave the box.
+    clearance_box: (7,) clearance box for positions off a voxel centre, see ``make_clearance_box``.
     revision: increases with each change of mask or reachable.
     mask_revision, reachable_revision: (tiles along x, along y), the revision at which a tile of TILE x TILE columns last
         changed.
-    block_revision: the same for the mask in the blocks of ``regions``.
+    block_revision: the same for the mask in the blocks of ``reachable_space``.
     """
 
     def __init__(self, grid: GridSpec, clearance_m: float, low: IntArray, high: IntArray) -> None:
@@ -87,27 +87,29 @@ class FlyableSpace:
         self.grid = grid
         needed2 = int(min(np.ceil((clearance_m / grid.resolution_m + 0.5 - 1e-3) ** 2), NEVER))
         needed = math.sqrt(needed2) + math.sqrt(3.0)  # twice the distance from a point to its voxel's centre
-        leaps2 = np.array([min(math.ceil((needed + 0.5 * n) ** 2), NEVER) for n in range(1, MAX_LEAPS)], dtype=np.int64)
+        open_samples2 = np.array(
+            [min(math.ceil((needed + 0.5 * n) ** 2), NEVER) for n in range(1, MAX_OPEN_SAMPLES)], dtype=np.int64
+        )
         box = np.array([np.clip(low, 0, grid.shape), np.clip(high, 0, grid.shape)], dtype=np.int64)
-        self._rule = ClearanceRule(box=box, needed2=needed2, leaps2=leaps2)
-        self.berth = clearance_box(grid.shape, box[0], box[1], needed2)
+        self._rule = ClearanceRule(box=box, needed2=needed2, open_samples2=open_samples2)
+        self.clearance_box = make_clearance_box(grid.shape, box[0], box[1], needed2)
         self._escape = EscapePath(grid.resolution_m)
         self._start()
 
     def _start(self) -> None:
         nx, ny, nz = self.grid.shape
         self.mask = np.zeros((nx + 2, ny + 2, nz + 2), dtype=np.uint8)
-        self.free = np.zeros_like(self.mask)
-        self.leap = np.zeros_like(self.mask)
-        self.regions = ReachableSpace(self.grid.shape)
-        self.reachable: ByteArray = self.regions.reachable
-        self.reachable_revision: IntArray = self.regions.tile_revision
+        self.known_free = np.zeros_like(self.mask)
+        self.open_samples = np.zeros_like(self.mask)
+        self.reachable_space = ReachableSpace(self.grid.shape)
+        self.reachable: ByteArray = self.reachable_space.reachable
+        self.reachable_revision: IntArray = self.reachable_space.tile_revision
         self.mask_revision = np.zeros_like(self.reachable_revision)
-        self.block_revision = np.zeros(len(self.regions.blocks.counts), dtype=np.int64)
+        self.block_revision = np.zeros(len(self.reachable_space.blocks.counts), dtype=np.int64)
         self._arrays = SpaceArrays(
-            mask=self.mask, free=self.free, leap=self.leap, mask_revision=self.mask_revision,
-            block_revision=self.block_revision, blocks_shape=self.regions.blocks.shape,
-            changed=np.empty(len(self.regions.blocks.counts), dtype=np.int64),
+            mask=self.mask, known_free=self.known_free, open_samples=self.open_samples, mask_revision=self.mask_revision,
+            block_revision=self.block_revision, blocks_shape=self.reachable_space.blocks.shape,
+            changed=np.empty(len(self.reachable_space.blocks.counts), dtype=np.int64),
         )  # fmt: skip
         self.revision = 0
         self._seen: tuple[int, int] = (0, -1)  # map epoch and revision
@@ -131,7 +133,7 @@ class FlyableSpace:
         count = _renew(arrays, since, self._rule, self._arrays, self.revision + 1)
         if count:
             self.revision += 1
-            self.regions.update(self.mask, self._arrays.changed[:count], self.revision)
+            self.reachable_space.update(self.mask, self._arrays.changed[:count], self.revision)
 
     def locate_vehicle(self, position_world: FloatArray) -> IntArray | None:
         """Return the flat cells from the vehicle's cell to the nearest flyable one, both included.
@@ -141,41 +143,41 @@ class FlyableSpace:
         None if there is no such path within ESCAPE_LIMIT_M; ``reachable`` is then unchanged. Otherwise ``reachable``
         becomes the set of cells reachable from the last cell.
         """
-        cell = np.floor(self.padded(position_world)).astype(np.int64)
+        cell = np.floor(self.padded_from_world(position_world)).astype(np.int64)
         if np.any(cell < 1) or np.any(cell >= np.array(self.mask.shape) - 1):
             return None
-        cells = self._escape.find(self.mask, self.free, cell)
+        cells = self._escape.find(self.mask, self.known_free, cell)
         if cells is None:
             return None
         i, j, k = (int(n) for n in np.unravel_index(int(cells[-1]), self.mask.shape))
         if not self.reachable[i, j, k]:
             self.revision += 1
-            self.regions.set_root(i, j, k, self.revision)
+            self.reachable_space.set_root(i, j, k, self.revision)
         return cells
 
-    def padded(self, points_world: FloatArray) -> FloatArray:
+    def padded_from_world(self, points_world: FloatArray) -> FloatArray:
         """Convert world points (3,) or (N, 3) to padded voxel units."""
         out: FloatArray = (points_world - self.grid.origin_world_m) / self.grid.resolution_m + 1.0
         return out
 
     def is_confined(self, position_world: FloatArray) -> bool:
         """Return True if the vehicle can hardly move, as over its pad after the first look round."""
-        at, reach = self.padded(position_world), CONFINED_M / self.grid.resolution_m
+        at, reach = self.padded_from_world(position_world), CONFINED_M / self.grid.resolution_m
         low, high = np.maximum(np.floor(at - reach), 0).astype(np.int64), np.floor(at + reach).astype(np.int64) + 1
         around = self.reachable[low[0] : high[0], low[1] : high[1], low[2] : high[2]]
         return bool(np.count_nonzero(around) * self.grid.resolution_m**3 < CONFINED_M3)
 
-    def world(self, points_padded: FloatArray) -> FloatArray:
+    def world_from_padded(self, points_padded: FloatArray) -> FloatArray:
         """Convert padded voxel units to world points."""
         out: FloatArray = (points_padded - 1.0) * self.grid.resolution_m + self.grid.origin_world_m
         return out
 
-    def flat(self, cell_padded: IntArray) -> int:
+    def flat_index(self, cell_padded: IntArray) -> int:
         """Return the flat index of a padded cell (3,), clipped to the border if it lies outside."""
         cell = np.clip(cell_padded, 0, np.array(self.mask.shape) - 1)
         return int(np.ravel_multi_index((int(cell[0]), int(cell[1]), int(cell[2])), self.mask.shape))
 
-    def centre(self, flat: IntArray) -> FloatArray:
+    def cell_centres(self, flat: IntArray) -> FloatArray:
         """Return the centres (N, 3) in padded voxel units of flat indices (N,)."""
         centre: FloatArray = np.stack(np.unravel_index(flat, self.mask.shape), axis=-1) + np.float64(0.5)
         return centre
@@ -185,10 +187,10 @@ class FlyableSpace:
 def _renew(  # noqa: C901, PLR0912
     voxels: MapArrays, since: int, rule: ClearanceRule, space: SpaceArrays, revision: int
 ) -> int:
-    """Update mask, free and leap in the changed tiles and return the number of changed blocks."""
+    """Update the arrays of a space in the changed tiles; return the number of changed blocks."""
     state, distance2, tile_revision = voxels
-    box, needed2, leaps2 = rule
-    mask, free, leap, mask_revision, block_revision, blocks_shape, changed = space
+    box, needed2, open_samples2 = rule
+    mask, known_free, open_samples, mask_revision, block_revision, blocks_shape, changed = space
     nx, ny, nz = state.shape
     count = 0
     column = np.zeros(nz, dtype=np.uint8)
@@ -196,7 +198,7 @@ def _renew(  # noqa: C901, PLR0912
         for i in range(tile[0] * TILE, min(tile[0] * TILE + TILE, nx)):
             for j in range(tile[1] * TILE, min(tile[1] * TILE + TILE, ny)):
                 states, distances = state[i, j], distance2[i, j]
-                frees, masks, leaps = free[i + 1, j + 1], mask[i + 1, j + 1], leap[i + 1, j + 1]
+                frees, masks, open_counts = known_free[i + 1, j + 1], mask[i + 1, j + 1], open_samples[i + 1, j + 1]
                 low, high = box[0, 2], box[1, 2]
                 if i < box[0, 0] or i >= box[1, 0] or j < box[0, 1] or j >= box[1, 1]:
                     high = low
@@ -208,10 +210,10 @@ def _renew(  # noqa: C901, PLR0912
                     column[k] &= np.uint8(distances[k] >= needed2) & np.uint8(k >= low) & np.uint8(k < high)
                     differs |= column[k] ^ masks[k + 1]
                 for k in range(nz):
-                    leaps[k + 1] = column[k]
-                for least2 in leaps2:
+                    open_counts[k + 1] = column[k]
+                for least2 in open_samples2:
                     for k in range(nz):
-                        leaps[k + 1] += column[k] & np.uint8(distances[k] >= least2)
+                        open_counts[k + 1] += column[k] & np.uint8(distances[k] >= least2)
                 if differs == 0:
                     continue
                 base = ((i // EDGE + 1) * blocks_shape[1] + j // EDGE + 1) * blocks_shape[2] + 1

@@ -22,7 +22,7 @@ CLEAR = -1
 OUTSIDE = -2
 
 
-def clearance_box(shape: tuple[int, int, int], low: IntArray, high: IntArray, needed2: int) -> FloatArray:
+def make_clearance_box(shape: tuple[int, int, int], low: IntArray, high: IntArray, needed2: int) -> FloatArray:
     """Return the clearance box (7,): bounds of a position and squared distance to voxel sides.
 
     The bounds are a box around the centres [low, high).
@@ -38,20 +38,24 @@ def clearance_box(shape: tuple[int, int, int], low: IntArray, high: IntArray, ne
 
 
 @kernel
-def blocking_voxel(distance2: ByteArray, shape: tuple[int, int, int], berth: FloatArray, x: float, y: float, z: float) -> int:
+def blocking_voxel(
+    distance2: ByteArray, shape: tuple[int, int, int], clearance_box: FloatArray, x: float, y: float, z: float
+) -> int:
     """Return the flat index of a voxel, not known free, with a side too close to a position.
 
     CLEAR if there is none, OUTSIDE if the position is outside the clearance box.
 
     distance2: raveled, as in VoxelMap.
-    berth: (7,), see clearance_box().
+    clearance_box: (7,), see make_clearance_box().
     """
     nx, ny, nz = shape
     if not (
-        berth[LOW] <= x <= berth[HIGH] and berth[LOW + 1] <= y <= berth[HIGH + 1] and berth[LOW + 2] <= z <= berth[HIGH + 2]
+        clearance_box[LOW] <= x <= clearance_box[HIGH]
+        and clearance_box[LOW + 1] <= y <= clearance_box[HIGH + 1]
+        and clearance_box[LOW + 2] <= z <= clearance_box[HIGH + 2]
     ):
         return OUTSIDE
-    least2 = berth[SIDES2]
+    least2 = clearance_box[SIDES2]
     least = math.sqrt(least2)
     own = distance2[np.uint64((int(x) * ny + int(y)) * nz + int(z))]
     if own >= (least + math.sqrt(3.0)) ** 2:  # from the position to its voxel's centre, and from a voxel's corner to its centre

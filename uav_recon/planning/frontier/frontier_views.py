@@ -36,8 +36,8 @@ class Flyable(Reach, Protocol):
         """Return the mask (nx + 2, ny + 2, nz + 2) uint8, padded by zeros: 1 = flyable."""
 
     @property
-    def berth(self) -> FloatArray:
-        """Return the clearance box (7,); see subvoxel_clearance.clearance_box()."""
+    def clearance_box(self) -> FloatArray:
+        """Return the clearance box (7,); see subvoxel_clearance.make_clearance_box()."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,7 +160,7 @@ class FrontierViews:
         clusters, revisions = frontiers.table.rows, (voxels.revision, space.revision)
         scene = SearchScene(
             distance2=voxels.distance2.reshape(-1), shape=voxels.grid.shape, reachable=reachable.reshape(-1),
-            berth=space.berth, lens=lens,
+            clearance_box=space.clearance_box, lens=lens,
         )  # fmt: skip
         row = self.table.search(
             int(clusters.key[cluster]), scene, frontiers.faces, frontiers.flat(cluster), clusters.centre[cluster], revisions,
@@ -234,9 +234,9 @@ def warm_up(config: PlannerConfig, camera: CameraGeometry) -> None:
     distance2.setflags(write=False)
     frontiers, views = Frontiers(), FrontierViews(config, camera)
     mask = np.zeros((42, 32, 22), dtype=np.uint8)
-    berth = np.array([0.0, 0.0, 0.0, 40.0, 30.0, 20.0, 9.0])
+    clearance_box = np.array([0.0, 0.0, 0.0, 40.0, 30.0, 20.0, 9.0])
     for revision, reachable in enumerate((mask + np.uint8(1), mask)):
-        space = _Anywhere(mask + np.uint8(1), reachable, revision, np.full((5, 4), revision, dtype=np.int64), berth)
+        space = _Anywhere(mask + np.uint8(1), reachable, revision, np.full((5, 4), revision, dtype=np.int64), clearance_box)
         voxels = VoxelMap.whole(grid, state, distance2, revision)
         frontiers.update(voxels, np.zeros(3, dtype=np.int64), np.array(grid.shape), np.zeros(grid.shape, dtype=np.uint8))
         views.update(voxels, space, frontiers, np.ones(3))
@@ -254,4 +254,4 @@ class _Anywhere:
     reachable: ByteArray
     revision: int
     reachable_revision: IntArray
-    berth: FloatArray
+    clearance_box: FloatArray

@@ -63,14 +63,14 @@ Dependencies = tuple[Int32Array, FloatArray, Blockers]  # tested_cells, extents 
 class SearchScene(NamedTuple):
     """The map and the space that a search reads, and the camera.
 
-    distance2: (nx * ny * nz,) as in VoxelMap. shape: of the map. reachable: raveled, padded by one voxel on all sides. berth:
-    (7,) clearance box of the space. lens: see camera_frustum.
+    distance2: (nx * ny * nz,) as in VoxelMap. shape: of the map. reachable: raveled, padded by one voxel on all sides.
+    clearance_box: (7,), of the space. lens: see camera_frustum.
     """
 
     distance2: ByteArray
     shape: tuple[int, int, int]
     reachable: ByteArray
-    berth: FloatArray
+    clearance_box: FloatArray
     lens: FloatArray
 
 
@@ -259,7 +259,7 @@ def _insert_peak(view: FloatArray, total: int, peaks: FloatArray, totals: IntArr
 def _hill_climb(
     scene: Scene,
     reachable: ByteArray,
-    berth: FloatArray,
+    clearance_box: FloatArray,
     cluster: Cluster,
     work: WorkArrays,
     record: Dependencies,
@@ -274,7 +274,7 @@ def _hill_climb(
     """
     distance2, shape, _ = scene
     tested_cells, extents, blockers = record
-    cells, margin = len(cluster[1]) - 1, math.sqrt(berth[SIDES2])
+    cells, margin = len(cluster[1]) - 1, math.sqrt(clearance_box[SIDES2])
     hop, direction, steps = 0, 0, 0
     while hop < len(HOPS) and steps < STEPS and total < ENOUGH * cells and tested < len(tested_cells):
         if direction == len(HOP_DIRECTIONS):
@@ -287,7 +287,7 @@ def _hill_climb(
         if not within:
             continue
         if HOPS[hop] < FROM_CENTRE_TO_CENTRE:
-            voxel = blocking_voxel(distance2, shape, berth, x, y, z)
+            voxel = blocking_voxel(distance2, shape, clearance_box, x, y, z)
             if voxel >= 0:
                 count = record_blocker(voxel, blockers, count)
             if voxel != CLEAR:
@@ -326,7 +326,7 @@ def best_view(  # noqa: C901
     means too many blockers), and boxes (2, 4) with the first and last tile, i and j of each, of all lines and of all tested
     positions.
     """
-    distance2, shape, reachable, berth, lens = space
+    distance2, shape, reachable, clearance_box, lens = space
     cells = len(first) - 1
     scene, blocker_record = (distance2, shape, lens), (np.zeros(HASH_SIZE, dtype=np.int32), blockers)
     targets = distinct_targets(distance2, shape, points, first)
@@ -362,7 +362,7 @@ def best_view(  # noqa: C901
         for q in range(PEAKS):
             if totals[0] < ENOUGH * cells and totals[q] > PEAK_SHARE * totals[0]:
                 totals[q], tested, count = _hill_climb(
-                    scene, reachable, berth, cluster, work, record, peaks[q], totals[q], tested, count
+                    scene, reachable, clearance_box, cluster, work, record, peaks[q], totals[q], tested, count
                 )  # fmt: skip
     best = peaks[np.argmax(totals)]
     count = record_side_blockers(shape, targets, blocker_record, count)

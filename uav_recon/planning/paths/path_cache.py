@@ -64,8 +64,8 @@ class PathCache:
         self._start(PLACES)
 
     def _start(self, places: int) -> None:
-        self._regions = self._space.regions
-        self._memory = memory_for(self._regions.blocks)
+        self._reachable_space = self._space.reachable_space
+        self._memory = memory_for(self._reachable_space.blocks)
         self._seen = self._space.revision
         self._buffer = np.empty((_ROOM, 3))
         self._known = CachedPaths(
@@ -85,19 +85,19 @@ class PathCache:
         exit_cells: result of ``FlyableSpace.locate_vehicle`` for position_world.
         places: (N, 3) positions of the tasks' views, padded voxel units, each in a flyable voxel.
         """
-        if self._space.regions is not self._regions or len(places) > len(self._known.place):
+        if self._space.reachable_space is not self._reachable_space or len(places) > len(self._known.place):
             self._start(max(2 * len(places), PLACES))
-        space, blocks = self._space, self._regions.blocks
+        space, blocks = self._space, self._reachable_space.blocks
         self._plan += 1
         if space.revision != self._seen:
-            _forget(self._known, space.leap, blocks, space.mask_revision, space.block_revision, self._seen)
+            _forget(self._known, space.open_samples, blocks, space.mask_revision, space.block_revision, self._seen)
             self._seen = space.revision
         self._places = np.ascontiguousarray(places, dtype=np.float64)
         self._slots = _assigned_slots(self._known, self._places, self._plan)
-        self._head = space.centre(exit_cells)
-        self._head[0] = space.padded(position_world)
+        self._head = space.cell_centres(exit_cells)
+        self._head[0] = space.padded_from_world(position_world)
         lengths, self.departures = _connect(
-            self._known, blocks, space.leap, self._memory, self._slots, self._head, self._buffer
+            self._known, blocks, space.open_samples, self._memory, self._slots, self._head, self._buffer
         )
         self.lengths_m = lengths * space.grid.resolution_m
 
@@ -108,7 +108,7 @@ class PathCache:
         """
         path = self._path(i, j)
         moved = np.concatenate(([True], np.any(np.abs(np.diff(path, axis=0)) > 1e-9, axis=1)))
-        return np.ascontiguousarray(self._space.world(path[moved]))
+        return np.ascontiguousarray(self._space.world_from_padded(path[moved]))
 
     def _path(self, i: int, j: int) -> FloatArray:
         if i == j:
@@ -127,7 +127,7 @@ class PathCache:
         else:
             start = self._head[-1]
         count, _, _ = _path_between(
-            self._regions.blocks, self._space.leap, self._memory, start, self._places[j - 1], self._buffer
+            self._reachable_space.blocks, self._space.open_samples, self._memory, start, self._places[j - 1], self._buffer
         )
         path = self._buffer[:count].copy()
         return np.concatenate([self._head[:-1], path]) if i == 0 else path
@@ -135,7 +135,12 @@ class PathCache:
 
 @kernel
 def _forget(
-    known: CachedPaths, leap: ByteArray, blocks: VoxelBlocks, mask_revision: IntArray, block_revision: IntArray, seen: int
+    known: CachedPaths,
+    open_samples: ByteArray,
+    blocks: VoxelBlocks,
+    mask_revision: IntArray,
+    block_revision: IntArray,
+    seen: int,
 ) -> None:
     """Invalidate each path whose span contains a change of the mask since revision ``seen``."""
     away = np.empty(len(known.place))
@@ -220,13 +225,13 @@ def _assigned_slots(known: CachedPaths, places: FloatArray, plan: int) -> IntArr
 
 @kernel
 def _path_between(
-    blocks: VoxelBlocks, leap: ByteArray, memory: Memory, start: FloatArray, goal: FloatArray, points: FloatArray
+    blocks: VoxelBlocks, open_samples: ByteArray, memory: Memory, start: FloatArray, goal: FloatArray, points: FloatArray
 ) -> tuple[int, float, float]:
     """Write the path into ``points``; return its number of points (0: none), length and span.
 
     Length and span are in voxels.
     """
-    if segment_is_open(leap, start[0], start[1], start[2], goal[0], goal[1], goal[2]):
+    if segment_is_open(open_samples, start[0], start[1], start[2], goal[0], goal[1], goal[2]):
         copy_row(points, 0, start)
         copy_row(points, 1, goal)
         length = distance(start[0], start[1], start[2], goal[0], goal[1], goal[2])
@@ -238,10 +243,10 @@ def _path_between(
         ends[n] = part_at(blocks, int(places[n, 0]), int(places[n, 1]), int(places[n, 2]))
         if ends[n] < 0:
             return 0, np.inf, np.inf
-    count, span = search_polyline(blocks, leap, memory, ends, places, points)
+    count, span = search_polyline(blocks, open_samples, memory, ends, places, points)
     if count == 0:
         return 0, np.inf, np.inf
-    count = pull_taut(leap, points, count)
+    count = pull_taut(open_samples, points, count)
     return count, length_of(points[:count]), span
 
 
@@ -249,7 +254,7 @@ def _path_between(
 def _connect(  # noqa: C901
     known: CachedPaths,
     blocks: VoxelBlocks,
-    leap: ByteArray,
+    open_samples: ByteArray,
     memory: Memory,
     slots: IntArray,
     head: FloatArray,
@@ -266,7 +271,7 @@ def _connect(  # noqa: C901
     for n in range(nodes):
         lengths[n, n] = 0.0
     for n in range(1, nodes):
-        count, length, _ = _path_between(blocks, leap, memory, head[-1], known.place[slots[n - 1]], points)
+        count, length, _ = _path_between(blocks, open_samples, memory, head[-1], known.place[slots[n - 1]], points)
         if count == 0:
             continue
         lengths[0, n] = lengths[n, 0] = length + length_of(head)
@@ -280,7 +285,7 @@ def _connect(  # noqa: C901
             if not _comes_first(known.place, a, b):
                 continue
             if not known.kept[a, b]:
-                count, length, span = _path_between(blocks, leap, memory, known.place[a], known.place[b], points)
+                count, length, span = _path_between(blocks, open_samples, memory, known.place[a], known.place[b], points)
                 known.kept[a, b], known.number[a, b], known.length[a, b], known.span[a, b] = count > 0, count, length, span
                 copy_row(known.leaves[a, b], 0, departure(points[:count]))
                 copy_row(known.leaves[a, b], 1, departure(points[:count][::-1]))

@@ -20,13 +20,13 @@ def distance(x0: float, y0: float, z0: float, x1: float, y1: float, z1: float) -
 
 
 @kernel
-def segment_is_open(leap: ByteArray, x0: float, y0: float, z0: float, x1: float, y1: float, z1: float) -> bool:
+def segment_is_open(open_samples: ByteArray, x0: float, y0: float, z0: float, x1: float, y1: float, z1: float) -> bool:
     """Return True if every sample of a segment lies in a mask; both ends must lie in it.
 
     Samples are at most half a voxel apart.
 
-    leap: a mask, or, in place of its ones, the number of samples to advance. All samples skipped by the advance are known
-        to be open.
+    open_samples: a mask, or, in place of its ones, the number of samples to advance. All samples skipped by the advance are
+        known to be open.
     """
     if x0 > x1 or (x0 == x1 and (y0 > y1 or (y0 == y1 and z0 > z1))):
         x0, y0, z0, x1, y1, z1 = x1, y1, z1, x0, y0, z0  # the result is the same in both directions, to the last bit
@@ -35,7 +35,8 @@ def segment_is_open(leap: ByteArray, x0: float, y0: float, z0: float, x1: float,
     count = 2 * math.ceil(math.sqrt(dx * dx + dy * dy + dz * dz)) + 2
     dx, dy, dz = dx / count, dy / count, dz / count
     x, y, z = x0 + 0.5 * dx, y0 + 0.5 * dy, z0 + 0.5 * dz
-    flat, across, along = leap.ravel(), np.int64(leap.shape[1] * leap.shape[2]), np.int64(leap.shape[2])
+    flat, along = open_samples.ravel(), np.int64(open_samples.shape[2])
+    across = np.int64(open_samples.shape[1] * open_samples.shape[2])
     n = 0
     while n < count:
         # unsigned: avoids the test for a negative index
@@ -73,8 +74,8 @@ def departure(points: FloatArray) -> FloatArray:
 
 def warm_up() -> None:
     """Compile all kernels."""
-    leap = np.ones((4, 4, 4), dtype=np.uint8)
-    segment_is_open(leap, 1.5, 1.5, 1.5, 2.5, 2.5, 2.5)
+    open_samples = np.ones((4, 4, 4), dtype=np.uint8)
+    segment_is_open(open_samples, 1.5, 1.5, 1.5, 2.5, 2.5, 2.5)
     distance(0.0, 0.0, 0.0, 1.0, 1.0, 1.0)
     way = np.array([[1.5, 1.5, 1.5], [1.5, 2.5, 1.5], [2.5, 2.5, 2.5]])
     for polyline in (way, way[::-1]):  # both memory layouts of paths

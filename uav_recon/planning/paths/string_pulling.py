@@ -1,7 +1,7 @@
 """String pulling: shortens polylines in a padded voxel mask.
 
-A polyline is open if each of its segments is (see ``segment_is_open``, also for ``leap``). String pulling keeps the ends,
-keeps the polyline open and never makes it longer. Positions are in padded voxel units, lengths in voxels.
+A polyline is open if each of its segments is (see ``segment_is_open``, also for ``open_samples``). String pulling keeps the
+ends, keeps the polyline open and never makes it longer. Positions are in padded voxel units, lengths in voxels.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ SLOPES = (0.17, 0.7)  # inward share of a sideways step
 
 
 @kernel
-def pull_taut(leap: ByteArray, points: FloatArray, count: int) -> int:
+def pull_taut(open_samples: ByteArray, points: FloatArray, count: int) -> int:
     """Shorten the open polyline points[:count] in place; return the new point count.
 
     Corners are removed, slid sideways, cut from both sides, and rounded off into two corners where the path bends around a
@@ -27,32 +27,36 @@ def pull_taut(leap: ByteArray, points: FloatArray, count: int) -> int:
 
     points: (M, 3); the new count is at most M.
     """
-    count = _settle(leap, points, count)
+    count = _settle(open_samples, points, count)
     x = 1
     while x < count - 1:
-        after = _round_off(leap, points, count, x)
+        after = _round_off(open_samples, points, count, x)
         x += 1 + after - count
         count = after
-    return _settle(leap, points, count)
+    return _settle(open_samples, points, count)
 
 
 @kernel
-def _settle(leap: ByteArray, points: FloatArray, count: int) -> int:
+def _settle(open_samples: ByteArray, points: FloatArray, count: int) -> int:
     for _ in range(ROUNDS):
-        count = _straighten(leap, points, count)
+        count = _straighten(open_samples, points, count)
         gain = 0.0
         for x in range(1, count - 1):
             if x + 2 < count:
-                gain += _slide(leap, points, x, x + 1)
-            gain += _slide(leap, points, x, x) + _cut(leap, points, x - 1, x, x + 1) + _cut(leap, points, x + 1, x, x - 1)
+                gain += _slide(open_samples, points, x, x + 1)
+            gain += (
+                _slide(open_samples, points, x, x)
+                + _cut(open_samples, points, x - 1, x, x + 1)
+                + _cut(open_samples, points, x + 1, x, x - 1)
+            )
         if gain < MIN_GAIN:
             break
     return count
 
 
 @kernel
-def _open(leap: ByteArray, points: FloatArray, a: int, x: float, y: float, z: float) -> bool:
-    return segment_is_open(leap, points[a, 0], points[a, 1], points[a, 2], x, y, z)
+def _open(open_samples: ByteArray, points: FloatArray, a: int, x: float, y: float, z: float) -> bool:
+    return segment_is_open(open_samples, points[a, 0], points[a, 1], points[a, 2], x, y, z)
 
 
 @kernel
@@ -61,11 +65,11 @@ def _apart(points: FloatArray, a: int, x: float, y: float, z: float) -> float:
 
 
 @kernel
-def _straighten(leap: ByteArray, points: FloatArray, count: int) -> int:
+def _straighten(open_samples: ByteArray, points: FloatArray, count: int) -> int:
     """Remove corners whose neighbours see each other; return the new point count."""
     x = 1
     while x < count - 1:
-        if _open(leap, points, x - 1, points[x + 1, 0], points[x + 1, 1], points[x + 1, 2]):
+        if _open(open_samples, points, x - 1, points[x + 1, 0], points[x + 1, 1], points[x + 1, 2]):
             for n in range(x, count - 1):
                 points[n, 0], points[n, 1], points[n, 2] = points[n + 1, 0], points[n + 1, 1], points[n + 1, 2]
             count -= 1
@@ -76,7 +80,7 @@ def _straighten(leap: ByteArray, points: FloatArray, count: int) -> int:
 
 
 @kernel
-def _cut(leap: ByteArray, points: FloatArray, a: int, x: int, b: int) -> float:
+def _cut(open_samples: ByteArray, points: FloatArray, a: int, x: int, b: int) -> float:
     """Move corner ``x`` along its segment towards ``b`` while ``a`` sees it.
 
     Returns the length saved.
@@ -89,8 +93,8 @@ def _cut(leap: ByteArray, points: FloatArray, a: int, x: int, b: int) -> float:
         t = seen + step
         qx, qy, qz = px + t * dx, py + t * dy, pz + t * dz
         # a corner must lie in the mask itself, and a piece of an open segment has its own samples to test
-        is_open = leap[int(qx), int(qy), int(qz)] > 0 and _open(leap, points, a, qx, qy, qz)
-        if is_open and _open(leap, points, b, qx, qy, qz):
+        is_open = open_samples[int(qx), int(qy), int(qz)] > 0 and _open(open_samples, points, a, qx, qy, qz)
+        if is_open and _open(open_samples, points, b, qx, qy, qz):
             seen = t
     if seen == 0.0:
         return 0.0
@@ -100,7 +104,7 @@ def _cut(leap: ByteArray, points: FloatArray, a: int, x: int, b: int) -> float:
 
 
 @kernel
-def _slide(leap: ByteArray, points: FloatArray, first: int, last: int) -> float:
+def _slide(open_samples: ByteArray, points: FloatArray, first: int, last: int) -> float:
     """Move corners [first, last] together, sideways and inwards, while the path gets shorter.
 
     Returns the length saved. A surface stops a corner from moving straight inwards, but along the surface there may be a
@@ -128,7 +132,7 @@ def _slide(leap: ByteArray, points: FloatArray, first: int, last: int) -> float:
             sx, sy, sz = step * dx, step * dy, step * dz
             to_back = _apart(points, first - 1, points[first, 0] + sx, points[first, 1] + sy, points[first, 2] + sz)
             to_on = _apart(points, last + 1, points[last, 0] + sx, points[last, 1] + sy, points[last, 2] + sz)
-            if back + on - to_back - to_on > MIN_GAIN and _may_move(leap, points, first, last, sx, sy, sz):
+            if back + on - to_back - to_on > MIN_GAIN and _may_move(open_samples, points, first, last, sx, sy, sz):
                 for x in range(first, last + 1):
                     points[x, 0], points[x, 1], points[x, 2] = points[x, 0] + sx, points[x, 1] + sy, points[x, 2] + sz
                 back, on = to_back, to_on
@@ -138,14 +142,14 @@ def _slide(leap: ByteArray, points: FloatArray, first: int, last: int) -> float:
 
 
 @kernel
-def _may_move(leap: ByteArray, points: FloatArray, first: int, last: int, sx: float, sy: float, sz: float) -> bool:
+def _may_move(open_samples: ByteArray, points: FloatArray, first: int, last: int, sx: float, sy: float, sz: float) -> bool:
     for x in range(first, last + 1):
-        if leap[int(points[x, 0] + sx), int(points[x, 1] + sy), int(points[x, 2] + sz)] == 0:
+        if open_samples[int(points[x, 0] + sx), int(points[x, 1] + sy), int(points[x, 2] + sz)] == 0:
             return False
     for x in range(first, last + 2):
         a, b = 1.0 if x > first else 0.0, 1.0 if x <= last else 0.0
         if not segment_is_open(
-            leap, points[x - 1, 0] + a * sx, points[x - 1, 1] + a * sy, points[x - 1, 2] + a * sz,
+            open_samples, points[x - 1, 0] + a * sx, points[x - 1, 1] + a * sy, points[x - 1, 2] + a * sz,
             points[x, 0] + b * sx, points[x, 1] + b * sy, points[x, 2] + b * sz,
         ):  # fmt: skip
             return False
@@ -153,7 +157,7 @@ def _may_move(leap: ByteArray, points: FloatArray, first: int, last: int, sx: fl
 
 
 @kernel
-def _round_off(leap: ByteArray, points: FloatArray, count: int, x: int) -> int:
+def _round_off(open_samples: ByteArray, points: FloatArray, count: int, x: int) -> int:
     """Replace corner ``x`` by two corners where that is shorter; return the new point count."""
     px, py, pz = points[x, 0], points[x, 1], points[x, 2]
     back, on = _apart(points, x - 1, px, py, pz), _apart(points, x + 1, px, py, pz)
@@ -166,9 +170,9 @@ def _round_off(leap: ByteArray, points: FloatArray, count: int, x: int) -> int:
     for _ in range(HALVINGS + 2):
         d = seen + step
         ex, ey, ez, fx, fy, fz = px + d * ux, py + d * uy, pz + d * uz, px + d * vx, py + d * vy, pz + d * vz
-        is_open = leap[int(ex), int(ey), int(ez)] > 0 and leap[int(fx), int(fy), int(fz)] > 0
-        meet = is_open and segment_is_open(leap, ex, ey, ez, fx, fy, fz)
-        if meet and _open(leap, points, x - 1, ex, ey, ez) and _open(leap, points, x + 1, fx, fy, fz):
+        is_open = open_samples[int(ex), int(ey), int(ez)] > 0 and open_samples[int(fx), int(fy), int(fz)] > 0
+        meet = is_open and segment_is_open(open_samples, ex, ey, ez, fx, fy, fz)
+        if meet and _open(open_samples, points, x - 1, ex, ey, ez) and _open(open_samples, points, x + 1, fx, fy, fz):
             seen, ax, ay, az, bx, by, bz = d, ex, ey, ez, fx, fy, fz
         step /= 2
     if seen * (2.0 - distance(ux, uy, uz, vx, vy, vz)) < MIN_GAIN:

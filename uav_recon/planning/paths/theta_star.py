@@ -99,7 +99,9 @@ def _pop(heap_cost: FloatArray, heap_part: PartArray, size: int) -> int:
 
 
 @kernel
-def _search(blocks: VoxelBlocks, leap: ByteArray, memory: Memory, ends: IntArray, places: FloatArray) -> tuple[bool, float]:  # noqa: C901, PLR0912
+def _search(  # noqa: C901, PLR0912
+    blocks: VoxelBlocks, open_samples: ByteArray, memory: Memory, ends: IntArray, places: FloatArray
+) -> tuple[bool, float]:
     """Search from start to goal; return whether there is a path, and the largest cost expanded.
 
     Fills ``memory.before``, which leads from the goal back to the start.
@@ -130,7 +132,7 @@ def _search(blocks: VoxelBlocks, leap: ByteArray, memory: Memory, ends: IntArray
         origin = before[part]
         ox, oy, oz = centres[origin, 0], centres[origin, 1], centres[origin, 2]
         block = part % number
-        if part != start and not segment_is_open(leap, ox, oy, oz, x, y, z):
+        if part != start and not segment_is_open(open_samples, ox, oy, oz, x, y, z):
             # the assumed line of sight does not exist: take the shortest path through a closed neighbour (lazy Theta*)
             length[part] = np.inf
             for side in range(26):
@@ -167,7 +169,7 @@ def _search(blocks: VoxelBlocks, leap: ByteArray, memory: Memory, ends: IntArray
 
 @kernel
 def _bend(
-    blocks: VoxelBlocks, leap: ByteArray, a: FloatArray, part_a: int, b: FloatArray, part_b: int, found: FloatArray
+    blocks: VoxelBlocks, open_samples: ByteArray, a: FloatArray, part_a: int, b: FloatArray, part_b: int, found: FloatArray
 ) -> int:
     """Write points ``found`` (M, 3) that lead from a to b through their two parts; return M.
 
@@ -182,8 +184,8 @@ def _bend(
             if (blocks.words[part] >> np.uint64(bit)) & ONE:
                 x, y, z = i + bit // 16 + 0.5, j + bit // 4 % 4 + 0.5, k + bit % 4 + 0.5
                 detour = distance(a[0], a[1], a[2], x, y, z) + distance(x, y, z, b[0], b[1], b[2])
-                better = detour < best and segment_is_open(leap, a[0], a[1], a[2], x, y, z)
-                if better and segment_is_open(leap, x, y, z, b[0], b[1], b[2]):
+                better = detour < best and segment_is_open(open_samples, a[0], a[1], a[2], x, y, z)
+                if better and segment_is_open(open_samples, x, y, z, b[0], b[1], b[2]):
                     best, count = detour, 1
                     found[0, 0], found[0, 1], found[0, 2] = x, y, z
     return count if count else _voxel_by_voxel(blocks, a, part_a, b, part_b, found)
@@ -235,7 +237,7 @@ def _voxel_by_voxel(blocks: VoxelBlocks, a: FloatArray, part_a: int, b: FloatArr
 
 @kernel
 def search_polyline(
-    blocks: VoxelBlocks, leap: ByteArray, memory: Memory, ends: IntArray, places: FloatArray, points: FloatArray
+    blocks: VoxelBlocks, open_samples: ByteArray, memory: Memory, ends: IntArray, places: FloatArray, points: FloatArray
 ) -> tuple[int, float]:
     """Write an open polyline into ``points`` (M, 3); return its number of points and its span.
 
@@ -243,7 +245,7 @@ def search_polyline(
 
     ends: (2,) parts of start and goal.
     places: (2, 3) positions of start and goal, in a voxel of these parts.
-    leap: see segment_is_open.
+    open_samples: see segment_is_open.
     span: only voxels x with |start - x| + |x - goal| <= span were read. No other voxel can change the polyline, before or
         after string pulling.
     """
@@ -251,7 +253,7 @@ def search_polyline(
     if ends[0] == ends[1]:
         memory.before[ends[1]] = ends[0]
     else:
-        found, span = _search(blocks, leap, memory, ends, places)
+        found, span = _search(blocks, open_samples, memory, ends, places)
     if not found:
         return 0, np.inf
     # collected from the goal back, then reversed
@@ -263,8 +265,8 @@ def search_polyline(
         before = memory.before[part] + 0
         there = places[0].copy() if before == ends[0] else blocks.centre[before].copy()
         between = 0
-        if not segment_is_open(leap, here[0], here[1], here[2], there[0], there[1], there[2]):
-            between = _bend(blocks, leap, here, part, there, before, bends)
+        if not segment_is_open(open_samples, here[0], here[1], here[2], there[0], there[1], there[2]):
+            between = _bend(blocks, open_samples, here, part, there, before, bends)
             reached += DETOUR
         if count + between + 1 > len(points):
             return 0, np.inf

@@ -53,7 +53,7 @@ class FieldViews:
         The kind of a view is the larger part of its gain: unknown space or surface.
         """
         grid = context.voxels.grid
-        here = context.space.centre(context.exit_cells[-1:])[0] - 1.0
+        here = context.space.cell_centres(context.exit_cells[-1:])[0] - 1.0
         for radius_m in RADII_M:
             proposals = self._within(context, frontiers, surface, looks, here, radius_m / grid.resolution_m)
             if proposals:
