@@ -282,13 +282,13 @@ class MotionPlannerInterface(Protocol):
     A returned Reason says why there is no trajectory.
     """
 
-    def through(
+    def plan_from_rest(
         self, path: ViewPath, voxels: VoxelMap, start: Setpoint, start_s: float, views_at_spacing_m: float, identifier: int
     ) -> Trajectory | Reason:
         """Plan from rest at ``start`` through every view of the path to rest at the last one."""
         ...
 
-    def onward(
+    def plan_from_motion(
         self, path: ViewPath, voxels: VoxelMap, flying: Trajectory, leave_s: float, views_at_spacing_m: float, identifier: int
     ) -> Trajectory | Reason:
         """Follow ``flying`` until ``leave_s``, then fly every view of the path without stopping.
@@ -297,19 +297,19 @@ class MotionPlannerInterface(Protocol):
         """
         ...
 
-    def turn(self, start: Setpoint, start_s: float, total_yaw_rad: float, views: int, identifier: int) -> Trajectory:
+    def plan_turn(self, start: Setpoint, start_s: float, total_yaw_rad: float, views: int, identifier: int) -> Trajectory:
         """Turn on the spot through ``total_yaw_rad`` and capture ``views`` views."""
         ...
 
-    def line(self, start: Setpoint, goal_m: FloatArray, yaw_rad: float, start_s: float, identifier: int) -> Trajectory:
+    def plan_line(self, start: Setpoint, goal_m: FloatArray, yaw_rad: float, start_s: float, identifier: int) -> Trajectory:
         """Fly a straight line from rest to rest."""
         ...
 
-    def stop(self, trajectory: Trajectory, now_s: float, identifier: int) -> Trajectory:
+    def plan_stop(self, trajectory: Trajectory, now_s: float, identifier: int) -> Trajectory:
         """Brake to rest along the same path."""
         ...
 
-    def still_clear(self, trajectory: Trajectory, now_s: float, voxels: VoxelMap) -> bool:
+    def is_still_clear(self, trajectory: Trajectory, now_s: float, voxels: VoxelMap) -> bool:
         """Return True if the rest of the trajectory is clear in a newer map."""
         ...
 
@@ -317,7 +317,7 @@ class MotionPlannerInterface(Protocol):
 class SpeedLimitedMotion(MotionPlannerInterface, Protocol):
     """A motion planner whose speed limit can be changed at run time."""
 
-    def allow(self, max_speed_mps: float) -> None:
+    def set_max_speed(self, max_speed_mps: float) -> None:
         """Set the speed limit in m/s of all trajectories planned from now on."""
         ...
 

@@ -76,7 +76,7 @@ class Hover:
             goal = Goal.FLY
         elif phase is FlightPhase.FLYING and trajectory is None:
             up = np.array([0.0, 0.0, self._config.mission.takeoff_height_m])
-            trajectory = self._motion.line(Setpoint.hold(np.zeros(3), 0.0), up, 0.0, now_s + 0.3, 1)
+            trajectory = self._motion.plan_line(Setpoint.hold(np.zeros(3), 0.0), up, 0.0, now_s + 0.3, 1)
         self._intent = (goal, trajectory)
         return Intent(now_s, *self._intent)
 

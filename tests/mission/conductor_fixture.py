@@ -169,12 +169,12 @@ class Asked(MotionPlanner):
 
     ways = 0
 
-    def through(
+    def plan_from_rest(
         self, path: ViewPath, voxels: VoxelMap, start: Setpoint, start_s: float, views_at_spacing_m: float, identifier: int,
         views: RecentViews | None = None,
     ) -> Trajectory | Reason:  # fmt: skip
         self.ways += 1
-        return super().through(path, voxels, start, start_s, views_at_spacing_m, identifier, views)
+        return super().plan_from_rest(path, voxels, start, start_s, views_at_spacing_m, identifier, views)
 
 
 class Desk:

@@ -18,8 +18,8 @@ from uav_recon.types.reason_code import ReasonCode
 
 def test_a_state_is_recorded_everywhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     desk, track, allowed = Desk(tmp_path), FlightTrack(0.0), list[tuple[str, float]]()
-    monkeypatch.setattr(desk.stages.motion, "allow", lambda speed_mps: allowed.append(("motion", speed_mps)))
-    monkeypatch.setattr(desk.stages.retreat, "allow", lambda speed_mps: allowed.append(("retreat", speed_mps)))
+    monkeypatch.setattr(desk.stages.motion, "set_max_speed", lambda speed_mps: allowed.append(("motion", speed_mps)))
+    monkeypatch.setattr(desk.stages.retreat, "set_max_speed", lambda speed_mps: allowed.append(("retreat", speed_mps)))
     battery = BatteryPolicy(track, np.zeros(3), 0.35)
     vehicle = vehicle_state(10.0, x_m=1.5, max_speed_mps=0.4, slow_reason=Reason(ReasonCode.NO_IMU))
     VehicleIntake(desk.stages, track, battery, desk.journal).update(10.0, vehicle, None)

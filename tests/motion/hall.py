@@ -61,7 +61,7 @@ def straight(*points: list[float], yaw: float = 0.0) -> ViewPath:
 
 def flown(path: ViewPath, voxels: VoxelMap = HALL, spacing_m: float = 0.4, yaw_rad: float = 0.0) -> Trajectory:
     """From rest at the path's first waypoint."""
-    trajectory = MOTION.through(path, voxels, Setpoint.hold(path.waypoints_world[0][0], yaw_rad), 5.0, spacing_m, 7)
+    trajectory = MOTION.plan_from_rest(path, voxels, Setpoint.hold(path.waypoints_world[0][0], yaw_rad), 5.0, spacing_m, 7)
     assert isinstance(trajectory, Trajectory), trajectory
     return trajectory
 

@@ -33,7 +33,7 @@ from uav_recon.types.trajectory import Trajectory
 
 
 def left(flying: Trajectory, leave_s: float, path: ViewPath) -> Trajectory:
-    answer = MOTION.onward(path, HALL, flying, leave_s, np.inf, 9)
+    answer = MOTION.plan_from_motion(path, HALL, flying, leave_s, np.inf, 9)
     assert isinstance(answer, Trajectory), answer
     return answer
 
@@ -117,7 +117,7 @@ def test_before_a_wall_it_turns_away_in_time() -> None:
         leave_s = flying.start_s + flying.duration_s - before_s
         here = flying.setpoint_at(leave_s).position_m
         for goal in ([-2, 0, 1.5], [0.5, 2.0, 1.5], [0.9, -2.0, 1.5]):
-            answer = MOTION.onward(path_of([np.array([here, goal])], [1.0]), walled, flying, leave_s, np.inf, 9)
+            answer = MOTION.plan_from_motion(path_of([np.array([here, goal])], [1.0]), walled, flying, leave_s, np.inf, 9)
             assert isinstance(answer, Trajectory), answer
             assert is_free(answer.position_m, walled).all()
             assert room_around(answer.position_m, walled).min() >= CLEARANCE_M - 0.05 - 1e-6
@@ -134,7 +134,7 @@ def test_where_it_cannot_run_on_it_brakes_along_the_way_it_has() -> None:
     at = int(np.argmax(flying.position_m[:, 0] > 0.4))
     leave_s = flying.start_s + at * flying.step_s
     here = flying.position_m[at]
-    answer = MOTION.onward(path_of([np.array([here, [-3, 0, 1.5]])], [0.0]), corridor, flying, leave_s, np.inf, 9)
+    answer = MOTION.plan_from_motion(path_of([np.array([here, [-3, 0, 1.5]])], [0.0]), corridor, flying, leave_s, np.inf, 9)
     assert isinstance(answer, Trajectory), answer
     assert_joins(answer, flying, leave_s)
     assert room_around(answer.position_m, corridor).min() >= CLEARANCE_M - 0.05 - 0.02
@@ -146,7 +146,7 @@ def test_what_is_impossible_is_refused_in_words() -> None:
     here = flying.setpoint_at(7.0).position_m
     walled = room(wall([1.6, -5, 0], [1.8, 5, 3]))
     path = path_of([np.array([here, [3, 0, 1.5]])], [1.0])
-    blocked = MOTION.onward(path, walled, flying, 7.0, np.inf, 9)
+    blocked = MOTION.plan_from_motion(path, walled, flying, 7.0, np.inf, 9)
     assert isinstance(blocked, Reason)
     assert blocked.code is ReasonCode.PATH_CLEARANCE
-    assert MOTION.onward(path, room(epoch=1), flying, 7.0, np.inf, 9) == Reason(ReasonCode.PATH_MAP_EPOCH, (0, 1))
+    assert MOTION.plan_from_motion(path, room(epoch=1), flying, 7.0, np.inf, 9) == Reason(ReasonCode.PATH_MAP_EPOCH, (0, 1))

@@ -69,7 +69,7 @@ def test_no_sample_comes_nearer_than_it_may(seed: int) -> None:
         state[low[0] : high[0], low[1] : high[1], low[2] : high[2]] = OCCUPIED if rng.random() < 0.6 else UNKNOWN
     voxels = voxel_map(state)
     path = random_path(rng, short=False)
-    answer = MOTION.through(path, voxels, Setpoint.hold(path.waypoints_world[0][0], 0.0), 0.0, np.inf, 1)
+    answer = MOTION.plan_from_rest(path, voxels, Setpoint.hold(path.waypoints_world[0][0], 0.0), 0.0, np.inf, 1)
     if isinstance(answer, Reason):
         way = np.vstack(
             [np.linspace(a, b, 50) for leg in path.waypoints_world for a, b in itertools.pairwise(leg)]
@@ -152,15 +152,15 @@ def test_two_views_on_one_spot_are_both_met() -> None:
 def test_a_way_through_a_wall_is_refused_in_words() -> None:
     walled = room(([0, -5, 0], [0.2, 5, 3], UNKNOWN))
     start = Setpoint.hold(np.array([-2, 0, 1.0]), 0.0)
-    reason = MOTION.through(straight([-2, 0, 1.0], [2, 0, 1.0]), walled, start, 0.0, 0.4, 1)
+    reason = MOTION.plan_from_rest(straight([-2, 0, 1.0], [2, 0, 1.0]), walled, start, 0.0, 0.4, 1)
     assert isinstance(reason, Reason) and reason.code is ReasonCode.PATH_CLEARANCE
 
 
 def test_what_cannot_be_flown_whatever_the_map_is_refused_in_words() -> None:
     start = Setpoint.hold(np.array([-2, 0, 1.0]), 0.0)
-    reason = MOTION.through(straight([-2, 0, 1.0]), room(epoch=3), start, 0.0, 0.4, 1)
+    reason = MOTION.plan_from_rest(straight([-2, 0, 1.0]), room(epoch=3), start, 0.0, 0.4, 1)
     assert reason == Reason(ReasonCode.PATH_MAP_EPOCH, (0, 3))
-    reason = MOTION.through(path_of([], []), HALL, start, 0.0, 0.4, 1)
+    reason = MOTION.plan_from_rest(path_of([], []), HALL, start, 0.0, 0.4, 1)
     assert reason == Reason(ReasonCode.PATH_WITHOUT_VIEW)
 
 
@@ -168,16 +168,16 @@ def test_leaves_a_tight_spot_through_free_space_only() -> None:
     pocket = room(wall([-2.4, -5, 0], [-1, -0.2, 3]), wall([-2.4, 0.2, 0], [-1, 5, 3]))
     assert flown(straight([-1.6, 0.05, 1.0], [1, 0.05, 1.0]), pocket).duration_s > 0
     back = straight([1, 0.05, 1.0], [-1.6, 0.05, 1.0])
-    assert isinstance(MOTION.through(back, pocket, Setpoint.hold(np.array([1, 0.05, 1.0]), 0.0), 0.0, 0.4, 1), Reason)
+    assert isinstance(MOTION.plan_from_rest(back, pocket, Setpoint.hold(np.array([1, 0.05, 1.0]), 0.0), 0.0, 0.4, 1), Reason)
 
 
 def test_still_clear_looks_only_ahead() -> None:
     trajectory = flown(straight([-3, 0, 1.0], [3, 0, 1.0]))
     walled = room(wall([-0.5, -1, 0], [-0.3, 1, 3]))
-    assert MOTION.still_clear(trajectory, trajectory.start_s, HALL)
-    assert not MOTION.still_clear(trajectory, trajectory.start_s, walled)
-    assert MOTION.still_clear(trajectory, trajectory.start_s + 0.75 * trajectory.duration_s, walled)
-    assert not MOTION.still_clear(trajectory, trajectory.start_s, room(epoch=1))
+    assert MOTION.is_still_clear(trajectory, trajectory.start_s, HALL)
+    assert not MOTION.is_still_clear(trajectory, trajectory.start_s, walled)
+    assert MOTION.is_still_clear(trajectory, trajectory.start_s + 0.75 * trajectory.duration_s, walled)
+    assert not MOTION.is_still_clear(trajectory, trajectory.start_s, room(epoch=1))
 
 
 @settings(max_examples=40, deadline=None)
@@ -187,10 +187,10 @@ def test_what_was_clear_stays_clear_on_the_same_map(seed: int) -> None:
     voxels = room(wall([-0.4, -5, 0], [0.4, -0.3, 3]), wall([-0.4, 0.5, 0], [0.4, 5, 3]))
     ends = rng.uniform([-3, -1, 0.8], [-1, 1, 2]), rng.uniform([1, -1, 0.8], [3, 1, 2])
     path = path_of([np.array([ends[0], [-0.8, 0.1, 1.3], [0.8, 0.1, 1.3], ends[1]])], [float(rng.uniform(-3, 3))])
-    trajectory = MOTION.through(path, voxels, Setpoint.hold(ends[0], 0.0), 0.0, np.inf, 1)
+    trajectory = MOTION.plan_from_rest(path, voxels, Setpoint.hold(ends[0], 0.0), 0.0, np.inf, 1)
     assert isinstance(trajectory, Trajectory), trajectory
     for share in np.linspace(0.0, 1.0, 23):
-        assert MOTION.still_clear(trajectory, share * trajectory.duration_s, voxels)
+        assert MOTION.is_still_clear(trajectory, share * trajectory.duration_s, voxels)
 
 
 def test_the_same_request_gives_the_same_motion() -> None:

@@ -24,7 +24,7 @@ SMOOTHING_MPS = 0.05  # of what is 0.2 s before and behind
 
 
 def flown(path: ViewPath, voxels: VoxelMap, motion: MotionPlanner = MOTION) -> Trajectory:
-    trajectory = motion.through(path, voxels, Setpoint.hold(path.waypoints_world[0][0], 0.0), 5.0, 0.4, 7)
+    trajectory = motion.plan_from_rest(path, voxels, Setpoint.hold(path.waypoints_world[0][0], 0.0), 5.0, 0.4, 7)
     assert isinstance(trajectory, Trajectory), trajectory
     return trajectory
 

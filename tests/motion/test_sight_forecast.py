@@ -41,7 +41,7 @@ def sideways(views: RecentViews | None) -> Trajectory:
     """A metre to the left and two to the right, with all views to the front: too short for turns to both sides."""
     aside = np.array([0.0, 1.0, 0.0])
     legs = [np.array([HERE, HERE + aside]), np.array([HERE + aside, HERE - aside])]
-    flown = MOTION.through(path_of(legs, [0.0, 0.0]), HALL, Setpoint.hold(HERE, 0.0), 100.0, np.inf, 1, views)
+    flown = MOTION.plan_from_rest(path_of(legs, [0.0, 0.0]), HALL, Setpoint.hold(HERE, 0.0), 100.0, np.inf, 1, views)
     assert isinstance(flown, Trajectory), flown
     return flown
 

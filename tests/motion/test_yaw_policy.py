@@ -36,7 +36,7 @@ def in_picture(way: FloatArray, yaw_rad: FloatArray, pitch_down_rad: FloatArray,
 
 
 def nose_ahead(path: ViewPath, start: Setpoint) -> Trajectory:
-    trajectory = MOTION.through(path, HALL, start, 5.0, 0.4, 7)
+    trajectory = MOTION.plan_from_rest(path, HALL, start, 5.0, 0.4, 7)
     assert isinstance(trajectory, Trajectory), trajectory
     return trajectory
 
@@ -107,7 +107,7 @@ def test_what_looks_at_its_views_flies_as_fast_anywhere() -> None:
 def test_out_of_a_motion_it_brakes_before_it_turns_away(path: ViewPath, share: float) -> None:
     first = path_of([np.array([[0.0, 0.0, 1.2], [2.0, 0.0, 1.2]])], [0.0], [TILT_RAD])
     flying = nose_ahead(first, Setpoint.hold(np.array([0.0, 0.0, 1.2]), 0.0, TILT_RAD))
-    trajectory = MOTION.onward(path, HALL, flying, 5.0 + share * flying.duration_s, 0.4, 8)
+    trajectory = MOTION.plan_from_motion(path, HALL, flying, 5.0 + share * flying.duration_s, 0.4, 8)
     if isinstance(trajectory, Trajectory):
         assert_slow_where_blind(trajectory)
         assert_rests(trajectory, -1)

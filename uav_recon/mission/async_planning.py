@@ -87,14 +87,16 @@ class AsyncPlanner:
         if isinstance(path, NothingLeft):
             return PlanResult(path, path.reason)
         flying, leave_s = departure.flying, departure.leave_s
-        return PlanResult(path, self._motion.onward(path, request.voxels, flying, leave_s, self._view_spacing_m, identifier))
+        return PlanResult(
+            path, self._motion.plan_from_motion(path, request.voxels, flying, leave_s, self._view_spacing_m, identifier)
+        )
 
     def _flown(
         self, path: ViewPath | NothingLeft, request: PlanRequest, rest: Setpoint, spacing_m: float, identifier: int
     ) -> PlanResult:
         if isinstance(path, NothingLeft):
             return PlanResult(path, path.reason)
-        return PlanResult(path, self._motion.through(path, request.voxels, rest, 0.0, spacing_m, identifier))
+        return PlanResult(path, self._motion.plan_from_rest(path, request.voxels, rest, 0.0, spacing_m, identifier))
 
     def _homed(
         self,
@@ -107,4 +109,4 @@ class AsyncPlanner:
         if isinstance(path, NothingLeft):
             return PlanResult(path, path.reason)
         ahead = yaw_along_path(path, rest.yaw_rad)
-        return PlanResult(ahead, motion.through(ahead, request.voxels, rest, 0.0, np.inf, identifier))
+        return PlanResult(ahead, motion.plan_from_rest(ahead, request.voxels, rest, 0.0, np.inf, identifier))

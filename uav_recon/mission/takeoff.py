@@ -42,4 +42,4 @@ class Takeoff:
         self.risen = bool(start.position_m[2] >= LIFTED_M)
         goal = np.array([*start.position_m[:2], self._height_m if self.risen else LIFT_M])
         self.begun_s = min(self.begun_s, now_s)
-        self._helm.fly(self._motion.line(start, goal, start.yaw_rad, now_s, track.next_identifier()), now_s)
+        self._helm.fly(self._motion.plan_line(start, goal, start.yaw_rad, now_s, track.next_identifier()), now_s)

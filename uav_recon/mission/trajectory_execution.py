@@ -45,12 +45,12 @@ class TrajectoryExecutor:
     def hold(self, now_s: float, vehicle: VehicleState) -> None:
         """Hold where the vehicle comes to rest: its pilot has stopped it there."""
         here, identifier = self.track.place(vehicle), self.track.next_identifier()
-        self.fly(self._motion.line(here, here.position_m, here.yaw_rad, now_s, identifier), now_s)
+        self.fly(self._motion.plan_line(here, here.position_m, here.yaw_rad, now_s, identifier), now_s)
 
     def look_round(self, now_s: float, vehicle: VehicleState, views: int) -> float:
         """Turn once on the spot with a number of views; return the duration (s)."""
         start, identifier = self.track.rest(vehicle), self.track.next_identifier()
-        turn = self._motion.turn(start, now_s, math.tau, views, identifier)
+        turn = self._motion.plan_turn(start, now_s, math.tau, views, identifier)
         self.fly(turn, now_s)
         return turn.duration_s
 
@@ -59,7 +59,7 @@ class TrajectoryExecutor:
         trajectory = self.track.trajectory
         if trajectory is None or self.track.at_rest(now_s):
             return
-        self._braking = self._motion.stop(trajectory, now_s, self.track.next_identifier())
+        self._braking = self._motion.plan_stop(trajectory, now_s, self.track.next_identifier())
         self.track.trajectory = self._braking
         self._captures.cancel_after(now_s)
 
@@ -72,7 +72,7 @@ class TrajectoryExecutor:
         if trajectory is None or trajectory is self._braking or voxels.revision == self._checked_revision:
             return False
         self._checked_revision = voxels.revision
-        if self._motion.still_clear(trajectory, now_s, voxels):
+        if self._motion.is_still_clear(trajectory, now_s, voxels):
             return False
         self._account.refusal(now_s, Reason(ReasonCode.MAP_BLOCKS_PATH))
         self.brake(now_s)

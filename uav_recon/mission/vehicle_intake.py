@@ -23,7 +23,7 @@ class VehicleIntake:
     def update(self, now_s: float, vehicle: VehicleState, voxels: VoxelMap | None) -> None:
         """Record a state; the battery policy needs the new position and the map."""
         self._track.follow(vehicle)
-        self._stages.motion.allow(vehicle.max_speed_mps)
-        self._stages.retreat.allow(vehicle.max_speed_mps)
+        self._stages.motion.set_max_speed(vehicle.max_speed_mps)
+        self._stages.retreat.set_max_speed(vehicle.max_speed_mps)
         self._speed_limit_log.update(vehicle)
         self._battery.update(now_s, vehicle, voxels)

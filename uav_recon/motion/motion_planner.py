@@ -79,7 +79,7 @@ class MotionPlanner:
             config.model_copy(update={"tight_speed_mps": narrow_mps}), clearance_m, hull_m, yaw_policy
         )
 
-    def through(
+    def plan_from_rest(
         self, path: ViewPath, voxels: VoxelMap, start: Setpoint, start_s: float, views_at_spacing_m: float, identifier: int,
         views: RecentViews | None = None,
     ) -> Trajectory | Reason:  # fmt: skip
@@ -99,14 +99,14 @@ class MotionPlanner:
         kept_m = self._asked_m(path.clearance_m)
         return flight if isinstance(flight, Reason) else flight.trajectory(start_s, path.map_epoch, identifier, kept_m)
 
-    def onward(
+    def plan_from_motion(
         self, path: ViewPath, voxels: VoxelMap, flying: Trajectory, leave_s: float, views_at_spacing_m: float, identifier: int,
         views: RecentViews | None = None,
     ) -> Trajectory | Reason:  # fmt: skip
         """Plan out of a motion that is being flown, at ``leave_s``, through every view of the path.
 
-        Limits and result are those of ``through``. The path begins where ``flying`` is at ``leave_s``. The trajectory begins
-        KEPT_S before that with ``flying``'s own samples. It leaves ``flying`` without a jump in position, velocity,
+        Limits and result are those of ``plan_from_rest``. The path begins where ``flying`` is at ``leave_s``. The trajectory
+        begins KEPT_S before that with ``flying``'s own samples. It leaves ``flying`` without a jump in position, velocity,
         acceleration or heading, and may continue for a short distance before it turns. If that is not clear, it brakes along
         ``flying`` first. views_s contains the views of the path only.
         """
@@ -131,7 +131,7 @@ class MotionPlanner:
                 return flight.trajectory(start_s, path.map_epoch, identifier, kept_m)
         return self._after_braking(path, voxels, flying, at, views_at_spacing_m, identifier, views)
 
-    def turn(self, start: Setpoint, start_s: float, total_yaw_rad: float, views: int, identifier: int) -> Trajectory:
+    def plan_turn(self, start: Setpoint, start_s: float, total_yaw_rad: float, views: int, identifier: int) -> Trajectory:
         """Turn on the spot and capture ``views`` views.
 
         They are equally spaced in angle; the last is at the end.
@@ -143,7 +143,7 @@ class MotionPlanner:
         band = ElasticBand.along(course, self._pacer.span_rad, None)
         return self._pacer.flown(band, entry, None, np.inf).trajectory(start_s, 0, identifier)
 
-    def line(self, start: Setpoint, goal_m: FloatArray, yaw_rad: float, start_s: float, identifier: int) -> Trajectory:
+    def plan_line(self, start: Setpoint, goal_m: FloatArray, yaw_rad: float, start_s: float, identifier: int) -> Trajectory:
         """Fly straight from rest to rest at the tight speed, for take-off and descent.
 
         The map is not checked.
@@ -155,11 +155,11 @@ class MotionPlanner:
         flown = self._slow_pacer.flown(band, entry, None, np.inf).trajectory(start_s, 0, identifier)
         return dataclasses.replace(flown, views_s=np.zeros(0))
 
-    def stop(self, trajectory: Trajectory, now_s: float, identifier: int) -> Trajectory:
+    def plan_stop(self, trajectory: Trajectory, now_s: float, identifier: int) -> Trajectory:
         """Brake to rest along the same path, with the deceleration for a blocked path; no captures."""
         return self._braked(trajectory, now_s, identifier, self._hardness)
 
-    def still_clear(self, trajectory: Trajectory, now_s: float, voxels: VoxelMap) -> bool:
+    def is_still_clear(self, trajectory: Trajectory, now_s: float, voxels: VoxelMap) -> bool:
         """Return True if the rest of the trajectory is clear in a newer map.
 
         False for a map of another epoch.
@@ -201,12 +201,14 @@ class MotionPlanner:
         voxels = VoxelMap.whole(grid, np.full(grid.shape, FREE, dtype=np.uint8), np.full(grid.shape, 81, dtype=np.uint8), 0)
         goal = Viewpoint(np.array([2.0, 1.0, 1.0]), 0.5, 0.0)
         path = ViewPath((goal,), (goal.position_world[None],), PlanMode.EXPLORE, 0, 0, (), 0.0, 0.0)
-        flown = planner.through(path, voxels, Setpoint.hold(np.ones(3), 0.0), 0.0, 0.5, 0)
+        flown = planner.plan_from_rest(path, voxels, Setpoint.hold(np.ones(3), 0.0), 0.0, 0.5, 0)
         if isinstance(flown, Trajectory):
-            planner.stop(flown, 1.0, 1)
-            planner.still_clear(flown, 1.0, voxels)
-            planner.onward(path, voxels, flown, 1.0, 0.5, 2)
-            planner.through(dataclasses.replace(path, clearance_m=1.0), voxels, Setpoint.hold(np.ones(3), 0.0), 0.0, 0.5, 0)
+            planner.plan_stop(flown, 1.0, 1)
+            planner.is_still_clear(flown, 1.0, voxels)
+            planner.plan_from_motion(path, voxels, flown, 1.0, 0.5, 2)
+            planner.plan_from_rest(
+                dataclasses.replace(path, clearance_m=1.0), voxels, Setpoint.hold(np.ones(3), 0.0), 0.0, 0.5, 0
+            )
 
     def _clear(
         self,
@@ -265,7 +267,7 @@ class MotionPlanner:
 
         def along(leg: FloatArray) -> Trajectory | Reason:
             way = dataclasses.replace(path, waypoints_world=(leg, *others))
-            return self.through(way, voxels, here, start_s, spacing_m, identifier, views)
+            return self.plan_from_rest(way, voxels, here, start_s, spacing_m, identifier, views)
 
         flown = along(first[1:])
         if isinstance(flown, Reason):

@@ -41,7 +41,7 @@ class SpeedLimitedPlanner:
         slow = usual.at_most(SLOW_SHARE * safety.retreat_speed_mps)
         return SpeedLimitedPlanner(MotionPlanner(usual, *limits), MotionPlanner(slow, *limits), usual.speed_mps)
 
-    def allow(self, max_speed_mps: float) -> None:
+    def set_max_speed(self, max_speed_mps: float) -> None:
         """Set the speed limit from now on.
 
         The speed never falls below that of the slow planner.
@@ -56,34 +56,34 @@ class SpeedLimitedPlanner:
     def _motion(self) -> MotionPlanner:
         return self._usual if self._max_speed_mps >= self._usual_mps else self._slow
 
-    def through(
+    def plan_from_rest(
         self, path: ViewPath, voxels: VoxelMap, start: Setpoint, start_s: float, views_at_spacing_m: float, identifier: int
     ) -> Trajectory | Reason:
         """Plan from rest through the views; see MotionPlannerInterface."""
-        return self._motion.through(path, voxels, start, start_s, views_at_spacing_m, identifier, self._views)
+        return self._motion.plan_from_rest(path, voxels, start, start_s, views_at_spacing_m, identifier, self._views)
 
-    def onward(
+    def plan_from_motion(
         self, path: ViewPath, voxels: VoxelMap, flying: Trajectory, leave_s: float, views_at_spacing_m: float, identifier: int
     ) -> Trajectory | Reason:
         """Plan out of a motion through the views; see MotionPlannerInterface."""
-        return self._motion.onward(path, voxels, flying, leave_s, views_at_spacing_m, identifier, self._views)
+        return self._motion.plan_from_motion(path, voxels, flying, leave_s, views_at_spacing_m, identifier, self._views)
 
-    def turn(self, start: Setpoint, start_s: float, total_yaw_rad: float, views: int, identifier: int) -> Trajectory:
+    def plan_turn(self, start: Setpoint, start_s: float, total_yaw_rad: float, views: int, identifier: int) -> Trajectory:
         """Turn on the spot, always with the usual limits."""
-        return self._usual.turn(start, start_s, total_yaw_rad, views, identifier)
+        return self._usual.plan_turn(start, start_s, total_yaw_rad, views, identifier)
 
-    def line(self, start: Setpoint, goal_m: FloatArray, yaw_rad: float, start_s: float, identifier: int) -> Trajectory:
+    def plan_line(self, start: Setpoint, goal_m: FloatArray, yaw_rad: float, start_s: float, identifier: int) -> Trajectory:
         """Fly straight, from rest to rest."""
-        return self._motion.line(start, goal_m, yaw_rad, start_s, identifier)
+        return self._motion.plan_line(start, goal_m, yaw_rad, start_s, identifier)
 
-    def stop(self, trajectory: Trajectory, now_s: float, identifier: int) -> Trajectory:
+    def plan_stop(self, trajectory: Trajectory, now_s: float, identifier: int) -> Trajectory:
         """Brake to rest along the same path."""
-        return self._usual.stop(trajectory, now_s, identifier)
+        return self._usual.plan_stop(trajectory, now_s, identifier)
 
     def warm_up(self) -> None:
         """Compile the kernels, which both planners use."""
         self._usual.warm_up()
 
-    def still_clear(self, trajectory: Trajectory, now_s: float, voxels: VoxelMap) -> bool:
+    def is_still_clear(self, trajectory: Trajectory, now_s: float, voxels: VoxelMap) -> bool:
         """Return True if the rest of the trajectory is clear in a newer map."""
-        return self._usual.still_clear(trajectory, now_s, voxels)
+        return self._usual.is_still_clear(trajectory, now_s, voxels)
