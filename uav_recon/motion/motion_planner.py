@@ -21,7 +21,7 @@ from uav_recon.motion.elastic_band import ElasticBand, PathCourse
 from uav_recon.motion.initial_state import InitialState
 from uav_recon.motion.sight_forecast import SightForecast
 from uav_recon.motion.time_scaling import braking, joined, replayed
-from uav_recon.motion.trajectory_generation import Pacer, TrajectoryGenerator
+from uav_recon.motion.trajectory_generation import TrajectoryGenerator, TrajectorySamples
 from uav_recon.motion.yaw_policy import AT_VIEWS, YawPolicy
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.maps import FREE, GridSpec, VoxelMap
@@ -71,11 +71,13 @@ class MotionPlanner:
         self._low_m = np.full(3, -np.inf) if low_m is None else low_m
         self._high_m = np.full(3, np.inf) if high_m is None else high_m
         self._clearance_m = clearance_m
-        self._pacer = Pacer.of(config, clearance_m, hull_m, yaw_policy)
-        self._hardness = (braking_mps2 or config.acceleration_mps2) / config.acceleration_mps2
-        self._slow_pacer = Pacer.of(config.model_copy(update={"speed_mps": config.tight_speed_mps}), clearance_m, hull_m)
+        self._generator = TrajectoryGenerator.of(config, clearance_m, hull_m, yaw_policy)
+        self._braking_ratio = (braking_mps2 or config.acceleration_mps2) / config.acceleration_mps2
+        self._slow_generator = TrajectoryGenerator.of(
+            config.model_copy(update={"speed_mps": config.tight_speed_mps}), clearance_m, hull_m
+        )
         narrow_mps = min(NARROW_MPS, config.tight_speed_mps)
-        self._narrow_pacer = Pacer.of(
+        self._narrow_generator = TrajectoryGenerator.of(
             config.model_copy(update={"tight_speed_mps": narrow_mps}), clearance_m, hull_m, yaw_policy
         )
 
@@ -92,12 +94,12 @@ class MotionPlanner:
         fault = _fault(path, voxels)
         if fault:
             return fault
-        entry, space = InitialState.resting(start, self._pacer.box), self._space(voxels)
+        entry, space = InitialState.resting(start, self._generator.box), self._space(voxels)
         forecast = self._forecast(views, space, start_s)
-        course = PathCourse.through(entry.place, path.waypoints_world, path.viewpoints, self._pacer.yaw_policy, forecast)
-        flight = self._clear(course, None, entry, space, views_at_spacing_m, path.clearance_m, forecast)
+        course = PathCourse.through(entry.place, path.waypoints_world, path.viewpoints, self._generator.yaw_policy, forecast)
+        samples = self._clear(course, None, entry, space, views_at_spacing_m, path.clearance_m, forecast)
         kept_m = self._asked_m(path.clearance_m)
-        return flight if isinstance(flight, Reason) else flight.trajectory(start_s, path.map_epoch, identifier, kept_m)
+        return samples if isinstance(samples, Reason) else samples.trajectory(start_s, path.map_epoch, identifier, kept_m)
 
     def plan_from_motion(
         self, path: ViewPath, voxels: VoxelMap, flying: Trajectory, leave_s: float, views_at_spacing_m: float, identifier: int,
@@ -114,21 +116,22 @@ class MotionPlanner:
         if fault:
             return fault
         at = max(int((leave_s - flying.start_s) / flying.step_s + 1e-6), 0)  # past its end it rests
-        entry, space = InitialState.leaving(flying, at, self._pacer.box, self._pacer.most()), self._space(voxels)
+        entry = InitialState.leaving(flying, at, self._generator.box, self._generator.max_acceleration())
+        space = self._space(voxels)
         start_s, kept_m = flying.start_s + (at - entry.left + 1) * flying.step_s, self._asked_m(path.clearance_m)
-        forecast, yaw_policy = self._forecast(views, space, leave_s), self._pacer.yaw_policy
+        forecast, yaw_policy = self._forecast(views, space, leave_s), self._generator.yaw_policy
         if not entry.is_moving:
             course = PathCourse.through(entry.place, _ahead(path, entry, entry.place), path.viewpoints, yaw_policy, forecast)
             still = self._clear(course, None, entry, space, views_at_spacing_m, path.clearance_m, forecast)
             return still if isinstance(still, Reason) else still.trajectory(start_s, path.map_epoch, identifier, kept_m)
         for overrun in OVERRUN_SHARES if _leads_on(path, entry) else OVERRUN_SHARES[-1:]:
-            rolled, begin = self._pacer.begun(entry, overrun)
+            rolled, begin = self._generator.continued_positions(entry, overrun)
             course = PathCourse.through(begin, _ahead(path, entry, begin), path.viewpoints, yaw_policy, forecast)
             if overrun > 0.0:
                 course = course.after(rolled, overrun >= 1.0)
-            flight = self._clear(course, entry.place, entry, space, views_at_spacing_m, path.clearance_m, forecast)
-            if isinstance(flight, TrajectoryGenerator) and not self._pacer.exceeds_limit(flight, entry, forecast).any():
-                return flight.trajectory(start_s, path.map_epoch, identifier, kept_m)
+            samples = self._clear(course, entry.place, entry, space, views_at_spacing_m, path.clearance_m, forecast)
+            if isinstance(samples, TrajectorySamples) and not self._generator.exceeds_limit(samples, entry, forecast).any():
+                return samples.trajectory(start_s, path.map_epoch, identifier, kept_m)
         return self._after_braking(path, voxels, flying, at, views_at_spacing_m, identifier, views)
 
     def plan_turn(self, start: Setpoint, start_s: float, total_yaw_rad: float, views: int, identifier: int) -> Trajectory:
@@ -136,28 +139,28 @@ class MotionPlanner:
 
         They are equally spaced in angle; the last is at the end.
         """
-        entry = InitialState.resting(start, self._pacer.box)
+        entry = InitialState.resting(start, self._generator.box)
         vertex = np.tile(entry.place, (max(views, 1) + 1, 1))
         vertex[:, 3] += np.linspace(0.0, total_yaw_rad, len(vertex))
         course = PathCourse(vertex, np.arange(1, views + 1), np.zeros(len(vertex), dtype=np.bool_))
-        band = ElasticBand.along(course, self._pacer.span_rad, None)
-        return self._pacer.flown(band, entry, None, np.inf).trajectory(start_s, 0, identifier)
+        band = ElasticBand.along(course, self._generator.span_rad, None)
+        return self._generator.generate(band, entry, None, np.inf).trajectory(start_s, 0, identifier)
 
     def plan_line(self, start: Setpoint, goal_m: FloatArray, yaw_rad: float, start_s: float, identifier: int) -> Trajectory:
         """Fly straight from rest to rest at the tight speed, for take-off and descent.
 
         The map is not checked.
         """
-        entry = InitialState.resting(start, self._pacer.box)
+        entry = InitialState.resting(start, self._generator.box)
         goal = np.asarray(goal_m, dtype=np.float64)
         course = PathCourse.through(entry.place, [goal[None]], [Viewpoint(goal, yaw_rad, start.camera_pitch_down_rad)])
-        band = ElasticBand.along(course, self._slow_pacer.span_rad, None)
-        flown = self._slow_pacer.flown(band, entry, None, np.inf).trajectory(start_s, 0, identifier)
+        band = ElasticBand.along(course, self._slow_generator.span_rad, None)
+        flown = self._slow_generator.generate(band, entry, None, np.inf).trajectory(start_s, 0, identifier)
         return dataclasses.replace(flown, views_s=np.zeros(0))
 
     def plan_stop(self, trajectory: Trajectory, now_s: float, identifier: int) -> Trajectory:
         """Brake to rest along the same path, with the deceleration for a blocked path; no captures."""
-        return self._braked(trajectory, now_s, identifier, self._hardness)
+        return self._braked(trajectory, now_s, identifier, self._braking_ratio)
 
     def is_still_clear(self, trajectory: Trajectory, now_s: float, voxels: VoxelMap) -> bool:
         """Return True if the rest of the trajectory is clear in a newer map.
@@ -169,17 +172,17 @@ class MotionPlanner:
         first = int(np.clip((now_s - trajectory.start_s) / trajectory.step_s, 0, len(trajectory.yaw_rad) - 1))
         return is_clear(self._space(voxels), trajectory.position_m, first, self._asked_m(trajectory.clearance_m) - TOLERANCE_M)
 
-    def _braked(self, trajectory: Trajectory, now_s: float, identifier: int, hardness: float) -> Trajectory:
+    def _braked(self, trajectory: Trajectory, now_s: float, identifier: int, braking_ratio: float) -> Trajectory:
         """Brake to rest along the same path.
 
-        hardness: deceleration; 1 = the limits of planned motion.
+        braking_ratio: deceleration; 1 = the limits of planned motion.
         """
         into_s = now_s - trajectory.start_s
         if into_s <= 0.0 or into_s >= trajectory.duration_s:
             still = np.zeros(2)
             return replayed(trajectory, min(max(into_s, 0.0), trajectory.duration_s), (still, still, still), now_s, identifier)
-        share = BRAKE_SHARE * hardness
-        pace = braking(trajectory, into_s, share * self._pacer.acceleration, share * self._pacer.spin)
+        share = BRAKE_SHARE * braking_ratio
+        pace = braking(trajectory, into_s, share * self._generator.acceleration, share * self._generator.yaw_acceleration)
         return replayed(trajectory, into_s, pace, now_s, identifier)
 
     def _asked_m(self, clearance_m: float | None) -> float:
@@ -187,7 +190,7 @@ class MotionPlanner:
 
     def _forecast(self, views: RecentViews | None, space: ClearanceMap, start_s: float) -> SightForecast | None:
         newest_s = -np.inf if views is None else float(views.stamp_s[-1])
-        return self._pacer.yaw_policy.forecast(views, space, max(start_s, newest_s + PLANNED_S))
+        return self._generator.yaw_policy.forecast(views, space, max(start_s, newest_s + PLANNED_S))
 
     def _space(self, voxels: VoxelMap) -> ClearanceMap:
         return ClearanceMap.of(voxels, self._low_m, self._high_m, self._clearance_m)
@@ -219,35 +222,35 @@ class MotionPlanner:
         spacing_m: float,
         clearance_m: float | None,
         forecast: SightForecast | None,
-    ) -> TrajectoryGenerator | Reason:
-        """Return a flight along the course with ``clearance_m``, or the reason for the failure.
+    ) -> TrajectorySamples | Reason:
+        """Return a trajectory along the course with ``clearance_m``, or the reason for the failure.
 
         If the relaxed band comes too close to something, the nearest corners become stops. If that is not enough, all corners
         become stops and the band is not relaxed.
         """
         stop, min_m = course.stop.copy(), self._asked_m(clearance_m) - PLANNED_M
-        pacer, room_m = self._pacer, self._clearance_m
+        generator, room_m = self._generator, self._clearance_m
         if clearance_m is not None:
-            pacer, room_m = self._narrow_pacer, self._clearance_m + NARROW_EXTRA_CLEARANCE_M
+            generator, room_m = self._narrow_generator, self._clearance_m + NARROW_EXTRA_CLEARANCE_M
         for attempt in range(3):
             strung = course.with_stops(stop)
-            band = ElasticBand.along(strung, self._pacer.span_rad, before)
+            band = ElasticBand.along(strung, self._generator.span_rad, before)
             if attempt < 2 and clearance_m is not None:
                 band = centred(band, space, room_m)
             if attempt < 2:
                 band = band.relaxed(strung, space, room_m, min_m, NEAR_VIEW)
-            flight = pacer.flown(band, entry, space, spacing_m, forecast)
-            if not flight.feasible:
+            samples = generator.generate(band, entry, space, spacing_m, forecast)
+            if not samples.feasible:
                 return Reason(ReasonCode.PATH_ENTRY_TOO_FAST)
-            bad = blocked(space, flight.rows, entry.left, min_m)
+            bad = blocked(space, samples.rows, entry.left, min_m)
             if not bad.any():
-                return flight
+                return samples
             if attempt == 0:
-                reach_m = course.vertex[:, None, :3] - flight.rows[bad][None, :, :3]
+                reach_m = course.vertex[:, None, :3] - samples.rows[bad][None, :, :3]
                 stop[np.argmin(np.linalg.norm(reach_m, axis=2), axis=0)] = True
             else:
                 stop[:] = True
-        return Reason(ReasonCode.PATH_CLEARANCE, (min_m, *flight.rows[np.argmax(bad), :3].tolist()))
+        return Reason(ReasonCode.PATH_CLEARANCE, (min_m, *samples.rows[np.argmax(bad), :3].tolist()))
 
     def _after_braking(
         self, path: ViewPath, voxels: VoxelMap, flying: Trajectory, at: int, spacing_m: float, identifier: int,

@@ -78,7 +78,7 @@ def _within(slope: float, bend: float, bound: float, x: float, low: float, high:
 
 
 @kernel
-def _change(slope: AnyArray, bend: AnyArray, acceleration: float, spin: float, x: float) -> tuple[float, float]:
+def _change(slope: AnyArray, bend: AnyArray, acceleration: float, yaw_acceleration: float, x: float) -> tuple[float, float]:
     """Return the least and greatest d²s/dt² at a node with x = (ds/dt)².
 
     The interval is empty (low > high) if x is too large.
@@ -96,17 +96,19 @@ def _change(slope: AnyArray, bend: AnyArray, acceleration: float, spin: float, x
             return 1.0, -1.0
         half = math.sqrt(rest)
         low, high = (-b * x - half) / a, (-b * x + half) / a
-    low, high = _within(slope[3], bend[3], spin, x, low, high)
-    return _within(slope[4], bend[4], spin, x, low, high)
+    low, high = _within(slope[3], bend[3], yaw_acceleration, x, low, high)
+    return _within(slope[4], bend[4], yaw_acceleration, x, low, high)
 
 
 @kernel
-def _reaches(slope: AnyArray, bend: AnyArray, acceleration: float, spin: float, x: float, width: float, max_x: float) -> bool:
+def _reaches(
+    slope: AnyArray, bend: AnyArray, acceleration: float, yaw_acceleration: float, x: float, width: float, max_x: float
+) -> bool:
     """Return True if an allowed d²s/dt² brings x into [0, max_x] at the next node.
 
     If it is true for one x, it is true for all smaller ones.
     """
-    least, most = _change(slope, bend, acceleration, spin, x)
+    least, most = _change(slope, bend, acceleration, yaw_acceleration, x)
     return least <= most and x + width * least <= max_x and x + width * most >= 0.0
 
 
@@ -127,8 +129,8 @@ def _gain(slope: AnyArray, bend: AnyArray, max_speed_mps: float, x: float) -> fl
 
 @kernel
 def fastest(
-    slope: AnyArray, bend: AnyArray, cap: AnyArray, max_speed_mps: AnyArray, max_acceleration_mps2: AnyArray, spin: float,
-    first: float, x: AnyArray,
+    slope: AnyArray, bend: AnyArray, cap: AnyArray, max_speed_mps: AnyArray, max_acceleration_mps2: AnyArray,
+    yaw_acceleration: float, first: float, x: AnyArray,
 ) -> bool:  # fmt: skip
     """Fill x (M,), the squared pace at each node: ``first`` at the first, 0 at the last.
 
@@ -140,10 +142,10 @@ def fastest(
     x[last] = 0.0
     for n in range(last - 1, -1, -1):
         low, high = 0.0, cap[n]
-        if not _reaches(slope[n], bend[n], max_acceleration_mps2[n], spin, high, width, x[n + 1]):
+        if not _reaches(slope[n], bend[n], max_acceleration_mps2[n], yaw_acceleration, high, width, x[n + 1]):
             for _ in range(HALVINGS):
                 middle = 0.5 * (low + high)
-                if _reaches(slope[n], bend[n], max_acceleration_mps2[n], spin, middle, width, x[n + 1]):
+                if _reaches(slope[n], bend[n], max_acceleration_mps2[n], yaw_acceleration, middle, width, x[n + 1]):
                     low = middle
                 else:
                     high = middle
@@ -153,7 +155,7 @@ def fastest(
         return False
     x[0] = first
     for n in range(last):
-        least, most = _change(slope[n], bend[n], max_acceleration_mps2[n], spin, x[n])
+        least, most = _change(slope[n], bend[n], max_acceleration_mps2[n], yaw_acceleration, x[n])
         most = max(min(most, _gain(slope[n], bend[n], max_speed_mps[n], x[n])), least)
         x[n + 1] = min(x[n + 1], max(x[n] + width * most, 1e-9))
     x[last] = 0.0

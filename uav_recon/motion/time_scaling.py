@@ -22,11 +22,11 @@ Pace = tuple[FloatArray, FloatArray, FloatArray]  # (N,) each: time in the old t
 
 
 @kernel
-def _slow_down(old: AnyArray, first_s: float, acceleration: float, spin: float, played: AnyArray) -> int:
+def _slow_down(old: AnyArray, first_s: float, acceleration: float, yaw_acceleration: float, played: AnyArray) -> int:
     """Brake by replaying the old samples at a falling rate; return the number of filled rows.
 
     played: rows (tau, tau', tau''). old: (N, 5) of speed, tangential and normal acceleration, absolute yaw rate, and yaw
-    acceleration in the direction of that rate. tau'' is as low as the bounds on acceleration and spin allow at this sample
+    acceleration in the direction of that rate. tau'' is as low as the bounds on both accelerations allow at this sample
     (tangential a tau'^2 + v tau''), but rises and, by the square-root law, falls with bounded jerk. Ends at tau' = 0 or with
     the old samples.
     """
@@ -38,11 +38,11 @@ def _slow_down(old: AnyArray, first_s: float, acceleration: float, spin: float, 
             return n + 1
         at = min(tau / STEP_S + rate, len(old) - 1.000001)  # where the change takes effect
         low = int(at)
-        speed, along, across, turning, spinning = old[low] + (at - low) * (old[low + 1] - old[low])
+        speed, along, across, turning, old_yaw_acceleration = old[low] + (at - low) * (old[low + 1] - old[low])
         speed, turning = max(speed, 0.01), max(turning, 0.01)
         held = np.sqrt(max(acceleration**2 - (across * rate * rate) ** 2, 0.0))
-        bound = max(-(held + along * rate * rate) / speed, -(spin + spinning * rate * rate) / turning)
-        slew = min(acceleration / speed / BRAKE_RISE_S, spin / turning / BRAKE_RISE_S, HARDEST_SLEW)
+        bound = max(-(held + along * rate * rate) / speed, -(yaw_acceleration + old_yaw_acceleration * rate * rate) / turning)
+        slew = min(acceleration / speed / BRAKE_RISE_S, yaw_acceleration / turning / BRAKE_RISE_S, HARDEST_SLEW)
         wanted = max(min(bound, 0.0), -np.sqrt(2.0 * slew * rate))
         change = max(wanted, change - slew * STEP_S)
         slower = rate + change * STEP_S
@@ -53,7 +53,7 @@ def _slow_down(old: AnyArray, first_s: float, acceleration: float, spin: float, 
 
 
 def braking(
-    trajectory: Trajectory, first_s: float, acceleration: float, spin: float
+    trajectory: Trajectory, first_s: float, acceleration: float, yaw_acceleration: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the fastest stop from ``first_s`` into a trajectory, as a Pace.
 
@@ -64,10 +64,10 @@ def braking(
     total2 = np.sum(trajectory.acceleration_mps2**2, axis=1)
     along = np.sum(trajectory.acceleration_mps2 * velocity, axis=1) / np.maximum(speed, 1e-6)
     across = np.sqrt(np.maximum(total2 - along**2, 0.0))
-    spinning = np.gradient(turning, trajectory.step_s) * np.sign(turning)
+    old_yaw_acceleration = np.gradient(turning, trajectory.step_s) * np.sign(turning)
     played = np.zeros((int(4 * (trajectory.duration_s - first_s) / STEP_S) + 250, 3))
-    old = np.stack([speed, along, across, np.abs(turning), spinning], axis=1)
-    count = _slow_down(old, first_s, acceleration, spin, played)
+    old = np.stack([speed, along, across, np.abs(turning), old_yaw_acceleration], axis=1)
+    count = _slow_down(old, first_s, acceleration, yaw_acceleration, played)
     played[count - 1, 1:] = 0.0
     return played[:count, 0] - first_s, played[:count, 1], played[:count, 2]
 

@@ -41,8 +41,8 @@ SLOWEST = 2.0  # spans a second: a lower pace at the start of a moving band woul
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class TrajectoryGenerator:
-    """Rows (N + 1, 5) of x, y, z, yaw, pitch each STEP_S, and the instants of the views.
+class TrajectorySamples:
+    """Samples (N + 1, 5) of x, y, z, yaw, pitch each STEP_S, and the instants of the views.
 
     Row 0 is one step before the start; views_s is relative to the start. Not feasible: the entry is too fast for what follows.
     """
@@ -69,8 +69,8 @@ class TrajectoryGenerator:
 
 
 @dataclass(frozen=True, slots=True)
-class Pacer:
-    """The limits (SI, radians), and the generation of flights along bands within them."""
+class TrajectoryGenerator:
+    """The limits (SI, radians), and the generation of trajectories along bands within them."""
 
     speed: float
     tight_speed: float
@@ -78,7 +78,7 @@ class Pacer:
     descent: float
     acceleration: float
     rate: float
-    spin: float
+    yaw_acceleration: float
     blur_radps: float
     blur_distance_m: float
     clearance_m: float
@@ -88,16 +88,16 @@ class Pacer:
     yaw_policy: YawPolicy
 
     @staticmethod
-    def of(config: MotionConfig, clearance_m: float, hull_m: float, yaw_policy: YawPolicy = AT_VIEWS) -> Pacer:
+    def of(config: MotionConfig, clearance_m: float, hull_m: float, yaw_policy: YawPolicy = AT_VIEWS) -> TrajectoryGenerator:
         """Return the limits of a config."""
-        return Pacer(
+        return TrajectoryGenerator(
             speed=FULL * config.speed_mps,
             tight_speed=FULL * config.tight_speed_mps,
             climb=FULL * config.climb_mps,
             descent=FULL * config.descent_mps,
             acceleration=config.acceleration_mps2,
             rate=math.radians(FULL * config.yaw_rate_degps),
-            spin=math.radians(config.yaw_acceleration_degps2),
+            yaw_acceleration=math.radians(config.yaw_acceleration_degps2),
             blur_radps=FULL * config.blur_px / (config.focal_px * config.exposure_s),
             blur_distance_m=config.blur_distance_m,
             clearance_m=clearance_m,
@@ -112,9 +112,9 @@ class Pacer:
         """Max. turn of one span of a band, in radians."""
         return self.rate * SPAN_S
 
-    def most(self) -> FloatArray:
+    def max_acceleration(self) -> FloatArray:
         """Return the greatest acceleration of each coordinate (5,)."""
-        return np.array([self.acceleration] * 3 + [self.spin] * 2)
+        return np.array([self.acceleration] * 3 + [self.yaw_acceleration] * 2)
 
     def entry_pace(self, entry: InitialState) -> float:
         """Return the spans per second at the start of a band entered in motion.
@@ -125,25 +125,25 @@ class Pacer:
         turning = float(np.abs(entry.velocity[3:]).max())
         return max(speed / SPAN_M, turning / self.span_rad, SLOWEST)
 
-    def begun(self, entry: InitialState, overrun: float) -> tuple[FloatArray, FloatArray]:
+    def continued_positions(self, entry: InitialState, overrun: float) -> tuple[FloatArray, FloatArray]:
         """Return two positions (5,) on the continuation of a moving entry.
 
         The first is one span on. The second is farther by the share ``overrun`` of the braking distance. All five coordinates
         brake in the time that the slowest of them needs.
         """
         speed, turning = float(np.linalg.norm(entry.velocity[:3])), float(np.abs(entry.velocity[3:]).max())
-        braking_s = max(speed / self.acceleration, turning / self.spin) * 1.1 / SHARE
+        braking_s = max(speed / self.acceleration, turning / self.yaw_acceleration) * 1.1 / SHARE
         rolled = entry.place + entry.velocity / self.entry_pace(entry)
         return rolled, rolled + entry.velocity * (0.5 * overrun * braking_s)
 
-    def flown(
+    def generate(
         self, band: ElasticBand, entry: InitialState, space: ClearanceMap | None, spacing_m: float,
         forecast: SightForecast | None = None,
-    ) -> TrajectoryGenerator:  # fmt: skip
-        """Return the fastest flight along a band.
+    ) -> TrajectorySamples:  # fmt: skip
+        """Return the fastest trajectory along a band.
 
-        If smoothing and sampling leave too much acceleration, the whole flight is made slower. Where the result shows that the
-        camera does not look in the direction of flight, the speed is limited: a body that accelerates leans.
+        If smoothing and sampling leave too much acceleration, the whole trajectory is made slower. Where the result shows that
+        the camera does not look in the direction of flight, the speed is limited: a body that accelerates leans.
 
         forecast: of what the camera will have seen. Its ages follow from the first pass, which is then made again.
         """
@@ -151,36 +151,38 @@ class Pacer:
         first = self.entry_pace(entry) ** 2 if entry.is_moving else 0.0
         cap, x, times = np.empty(len(curve.along_m)), np.empty(len(curve.along_m)), np.empty(len(curve.along_m))
         max_speed_mps = self._speed_limits(curve, space, forecast, self._estimated_times_s(curve, forecast))
-        leaning_mps2 = self._leaning(curve, entry)
-        self._cap(curve, band, entry, space, max_speed_mps, cap)
+        leaning_mps2 = self._lean_limits_mps2(curve, entry)
+        self._limit_nodes(curve, band, entry, space, max_speed_mps, cap)
         share = SHARE
         for attempt in range(TRIES if forecast is None else TRIES + 1):
             max_acceleration_mps2 = np.minimum(share * self.acceleration, leaning_mps2)
-            if not fastest(curve.slope, curve.bend, cap, max_speed_mps, max_acceleration_mps2, share * self.spin, first, x):
-                return TrajectoryGenerator(entry.rows, np.zeros(0), feasible=False)
+            if not fastest(
+                curve.slope, curve.bend, cap, max_speed_mps, max_acceleration_mps2, share * self.yaw_acceleration, first, x
+            ):
+                return TrajectorySamples(entry.rows, np.zeros(0), feasible=False)
             node_times(x, times)
             if attempt == 0 and forecast is not None:
                 max_speed_mps = self._speed_limits(curve, space, forecast, forecast.begin_s + times)
-                self._cap(curve, band, entry, space, max_speed_mps, cap)
+                self._limit_nodes(curve, band, entry, space, max_speed_mps, cap)
                 continue
-            flight = self._smoothed(band, entry, curve, x, times, spacing_m)
-            _, change = flight.rates()
+            samples = self._smoothed(band, entry, curve, x, times, spacing_m)
+            _, change = samples.rates()
             new = change[entry.left :]
             excess = max(
                 float(np.sqrt(np.max(np.sum(new[:, :3] ** 2, axis=1)))) / self.acceleration,
-                float(np.abs(new[:, 3:]).max()) / self.spin,
+                float(np.abs(new[:, 3:]).max()) / self.yaw_acceleration,
             )
-            hasty = self._hasty(flight, entry, times, forecast)
-            if excess <= 1.02 and not hasty.any():
+            too_fast = self._too_fast_nodes(samples, entry, times, forecast)
+            if excess <= 1.02 and not too_fast.any():
                 break
             if excess > 1.02:
                 share *= 0.98 / excess
-            if hasty.any():
-                max_speed_mps[hasty] = np.minimum(max_speed_mps[hasty], self.yaw_policy.blind_speed_mps)
-                self._cap(curve, band, entry, space, max_speed_mps, cap)
-        return flight
+            if too_fast.any():
+                max_speed_mps[too_fast] = np.minimum(max_speed_mps[too_fast], self.yaw_policy.blind_speed_mps)
+                self._limit_nodes(curve, band, entry, space, max_speed_mps, cap)
+        return samples
 
-    def _cap(
+    def _limit_nodes(
         self, curve: Curve, band: ElasticBand, entry: InitialState, space: ClearanceMap | None, max_speed_mps: FloatArray,
         cap: FloatArray,
     ) -> None:  # fmt: skip
@@ -198,7 +200,7 @@ class Pacer:
         )  # fmt: skip
         node_speed_limits(nodes, limits, entry.velocity, cap)
 
-    def _leaning(self, curve: Curve, entry: InitialState) -> FloatArray:
+    def _lean_limits_mps2(self, curve: Curve, entry: InitialState) -> FloatArray:
         """Return acceleration limits (M,) up to which the camera sees the path.
 
         There is no limit where the motion that is entered has to brake.
@@ -207,24 +209,26 @@ class Pacer:
         entry2 = float(np.sum(entry.velocity[:3] ** 2))
         return np.where(2.0 * BRAKING * self.acceleration * curve.along_m < entry2, np.inf, max_acceleration_mps2)
 
-    def _hasty(
-        self, flight: TrajectoryGenerator, entry: InitialState, times: FloatArray, forecast: SightForecast | None
+    def _too_fast_nodes(
+        self, samples: TrajectorySamples, entry: InitialState, times: FloatArray, forecast: SightForecast | None
     ) -> BoolArray:
         """Return a mask of the nodes (M,) that contribute to samples too fast for the camera.
 
         times: (M,) instants at which the nodes are reached.
         """
-        hasty = np.zeros(len(flight.rows), dtype=np.bool_)
-        hasty[entry.left + 1 : -1] = self.exceeds_limit(flight, entry, forecast)
-        around = np.convolve(hasty, np.ones(2 * self.box + 1), "same") > 0.0
+        too_fast = np.zeros(len(samples.rows), dtype=np.bool_)
+        too_fast[entry.left + 1 : -1] = self.exceeds_limit(samples, entry, forecast)
+        around = np.convolve(too_fast, np.ones(2 * self.box + 1), "same") > 0.0
         return np.asarray(around[np.minimum(np.rint(times / STEP_S).astype(np.int64) + len(entry.rows) - 1, len(around) - 1)])
 
-    def exceeds_limit(self, flight: TrajectoryGenerator, entry: InitialState, forecast: SightForecast | None) -> BoolArray:
-        """Return a mask of the new rows of a flight that are too fast for the camera.
+    def exceeds_limit(self, samples: TrajectorySamples, entry: InitialState, forecast: SightForecast | None) -> BoolArray:
+        """Return a mask of the new rows of a trajectory that are too fast for the camera.
 
         The first and the last are not judged.
         """
-        return self.yaw_policy.exceeds_limit(flight.rows[entry.left :], forecast, 0.0 if forecast is None else forecast.begin_s)
+        return self.yaw_policy.exceeds_limit(
+            samples.rows[entry.left :], forecast, 0.0 if forecast is None else forecast.begin_s
+        )
 
     def _speed_limits(
         self, curve: Curve, space: ClearanceMap | None, forecast: SightForecast | None, reached_s: FloatArray
@@ -271,7 +275,7 @@ class Pacer:
 
     def _smoothed(
         self, band: ElasticBand, entry: InitialState, curve: Curve, x: FloatArray, times: FloatArray, spacing_m: float
-    ) -> TrajectoryGenerator:
+    ) -> TrajectorySamples:
         """Add to the entry's continuation the smoothed difference of the path from it."""
         count, begin, half = int(np.ceil(times[-1] / STEP_S)) + 1, len(entry.rows) - 1, self.box - 1
         raw = np.empty((count, 5))
@@ -287,11 +291,11 @@ class Pacer:
         lead_s = (begin - 1) * STEP_S
         reached_s = times[band.view_node * PER_SPAN]
         if spacing_m == np.inf:
-            return TrajectoryGenerator(going_on + change, reached_s + lead_s)
+            return TrajectorySamples(going_on + change, reached_s + lead_s)
         ends_m = curve.along_m[band.view_node * PER_SPAN]
         on_the_way_m, begin_m = [], 0.0
         for end_m in ends_m:
             on_the_way_m += list(np.arange(begin_m + spacing_m, end_m - spacing_m / 2, spacing_m))
             begin_m = float(end_m)
         on_the_way_s = np.interp(on_the_way_m, curve.along_m, times)
-        return TrajectoryGenerator(going_on + change, np.sort(np.concatenate((on_the_way_s, reached_s))) + lead_s)
+        return TrajectorySamples(going_on + change, np.sort(np.concatenate((on_the_way_s, reached_s))) + lead_s)
