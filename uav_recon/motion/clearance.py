@@ -40,13 +40,13 @@ class ClearanceMap(NamedTuple):
 
     @staticmethod
     def of(voxels: VoxelMap, low_m: FloatArray, high_m: FloatArray, border_m: float) -> ClearanceMap:
-        """Return the space of a map inside a box (infinite corners: no box)."""
+        """Return the clearances of a map inside a box (infinite corners: no box)."""
         frame = np.array([*voxels.grid.origin_world_m, *low_m, *high_m, border_m], dtype=np.float64)
         return ClearanceMap(distance2=voxels.distance2, frame=frame, resolution_m=float(voxels.grid.resolution_m), root=ROOT)
 
 
 @kernel
-def clearance_at(space: ClearanceMap, x: float, y: float, z: float) -> float:
+def clearance_at(clearance_map: ClearanceMap, x: float, y: float, z: float) -> float:
     """Return the clearance of a point: metres to the nearest centre of a voxel not known free.
 
     It is 0 in such a voxel and outside the grid. Near a side of the box to stay in, it is at most the distance to that side
@@ -54,7 +54,7 @@ def clearance_at(space: ClearanceMap, x: float, y: float, z: float) -> float:
     The value is interpolated trilinearly between the eight voxel centres around the point. It is at least the value of the
     point's own voxel less half a voxel, so that every path through cells that the planner calls flyable remains flyable.
     """
-    distance2, frame, resolution_m, root = space
+    distance2, frame, resolution_m, root = clearance_map
     nx, ny, nz = distance2.shape
     u, v, w = (x - frame[0]) / resolution_m, (y - frame[1]) / resolution_m, (z - frame[2]) / resolution_m
     i, j, k = math.floor(u), math.floor(v), math.floor(w)
@@ -77,14 +77,14 @@ def clearance_at(space: ClearanceMap, x: float, y: float, z: float) -> float:
 
 
 @kernel
-def clearances_at(space: ClearanceMap, points: AnyArray, out: AnyArray) -> None:
+def clearances_at(clearance_map: ClearanceMap, points: AnyArray, out: AnyArray) -> None:
     """Fill ``out`` (N,) with clearance_at of each of the points (N, 3 or more)."""
     for n in range(len(points)):
-        out[n] = clearance_at(space, points[n, 0], points[n, 1], points[n, 2])
+        out[n] = clearance_at(clearance_map, points[n, 0], points[n, 1], points[n, 2])
 
 
 @kernel
-def free_distances(space: ClearanceMap, points: AnyArray, heading: AnyArray, min_m: float, way_m: AnyArray) -> None:
+def free_distances(clearance_map: ClearanceMap, points: AnyArray, heading: AnyArray, min_m: float, way_m: AnyArray) -> None:
     """Shorten ``way_m`` to where the clearance along each heading is no longer above ``min_m``.
 
     way_m: (N,) metres from each point (N, 3 or more) along its heading (N, 3). A heading of zero length leaves its entry
@@ -96,14 +96,14 @@ def free_distances(space: ClearanceMap, points: AnyArray, heading: AnyArray, min
         while flat > 1e-9 and went_m < way_m[n]:
             share = went_m / flat
             x, y, z = points[n, 0] + share * dx, points[n, 1] + share * dy, points[n, 2] + share * dz
-            left_m = clearance_at(space, x, y, z) - min_m
+            left_m = clearance_at(clearance_map, x, y, z) - min_m
             if left_m <= 0.0:
                 way_m[n] = went_m
-            went_m += max(left_m, 0.5 * space.resolution_m)
+            went_m += max(left_m, 0.5 * clearance_map.resolution_m)
 
 
 @kernel
-def _blocked(space: ClearanceMap, points: AnyArray, first: int, min_m: float, out: AnyArray) -> int:
+def _blocked(clearance_map: ClearanceMap, points: AnyArray, first: int, min_m: float, out: AnyArray) -> int:
     """Mark blocked samples in ``out`` (N,) and return the first one, or -1.
 
     Which samples are checked depends on the whole trajectory and not on ``first``: a trajectory that was clear as a whole is
@@ -124,19 +124,19 @@ def _blocked(space: ClearanceMap, points: AnyArray, first: int, min_m: float, ou
             since_m = 0.0
         if n < first or not looks:
             continue
-        room_m = clearance_at(space, points[n, 0], points[n, 1], points[n, 2])
-        begun_m = room_m if begun_m == np.inf else begun_m
-        enough = room_m >= min_m
+        here_m = clearance_at(clearance_map, points[n, 0], points[n, 1], points[n, 2])
+        begun_m = here_m if begun_m == np.inf else begun_m
+        enough = here_m >= min_m
         reached = reached or enough or travelled_m > MAX_ESCAPE_M
-        deeper = room_m < min(begun_m, min_m) - MAX_CLEARANCE_LOSS_M
-        if deeper or (travelled_m > EXIT_LENGTH_M and (room_m == 0.0 or (reached and not enough))):
+        deeper = here_m < min(begun_m, min_m) - MAX_CLEARANCE_LOSS_M
+        if deeper or (travelled_m > EXIT_LENGTH_M and (here_m == 0.0 or (reached and not enough))):
             out[n] = True
             if found < 0:
                 found = n
     return found
 
 
-def blocked(space: ClearanceMap, points_m: FloatArray, first: int, min_m: float) -> BoolArray:
+def blocked(clearance_map: ClearanceMap, points_m: FloatArray, first: int, min_m: float) -> BoolArray:
     """Return a mask (N,) of the blocked samples from ``first`` on.
 
     A sample is blocked if it is not known free, or has less clearance than ``min_m`` after an earlier sample had it, or has
@@ -144,10 +144,10 @@ def blocked(space: ClearanceMap, points_m: FloatArray, first: int, min_m: float)
     what a trajectory out of a tight spot may do.
     """
     out = np.zeros(len(points_m), dtype=np.bool_)
-    _blocked(space, points_m, first, min_m, out)
+    _blocked(clearance_map, points_m, first, min_m, out)
     return out
 
 
-def is_clear(space: ClearanceMap, points_m: FloatArray, first: int, min_m: float) -> bool:
+def is_clear(clearance_map: ClearanceMap, points_m: FloatArray, first: int, min_m: float) -> bool:
     """Return True if no sample from ``first`` on is blocked."""
-    return not blocked(space, points_m, first, min_m).any()
+    return not blocked(clearance_map, points_m, first, min_m).any()

@@ -13,7 +13,7 @@ STEP_M = 0.02
 ROUNDS = 10  # moves a point by at most two voxels
 
 
-def centred(band: ElasticBand, space: ClearanceMap, wanted_m: float) -> ElasticBand:
+def centred(band: ElasticBand, clearance_map: ClearanceMap, wanted_m: float) -> ElasticBand:
     """Return the band with its free control points moved towards more clearance.
 
     A point moves while its clearance is less than ``wanted_m``.
@@ -21,18 +21,18 @@ def centred(band: ElasticBand, space: ClearanceMap, wanted_m: float) -> ElasticB
     control, held = band.control.copy(), band.held.copy()
     for node in band.view_node:
         held[node : node + 3] = True  # all control points that determine where a view is passed
-    _centre(control, held, space, wanted_m)
+    _centre(control, held, clearance_map, wanted_m)
     return dataclasses.replace(band, control=control)
 
 
 @kernel
-def _centre(control: AnyArray, held: AnyArray, space: ClearanceMap, wanted_m: float) -> None:
+def _centre(control: AnyArray, held: AnyArray, clearance_map: ClearanceMap, wanted_m: float) -> None:
     for _ in range(ROUNDS):
         moved = False
         for i in range(2, len(control) - 2):
             if held[i]:
                 continue
-            max_m = min_clearance(control, i, space, 0.0)
+            max_m = min_clearance(control, i, clearance_map, 0.0)
             if max_m >= wanted_m:
                 continue
             axis, step_m = -1, 0.0
@@ -41,9 +41,9 @@ def _centre(control: AnyArray, held: AnyArray, space: ClearanceMap, wanted_m: fl
                 for side in (-STEP_M, STEP_M):
                     control[i, d] = at + side
                     mirror(control)
-                    room_m = min_clearance(control, i, space, 0.0)
-                    if room_m > max_m + 1e-6:
-                        max_m, axis, step_m = room_m, d, side
+                    min_clearance_m = min_clearance(control, i, clearance_map, 0.0)
+                    if min_clearance_m > max_m + 1e-6:
+                        max_m, axis, step_m = min_clearance_m, d, side
                 control[i, d] = at
             if axis >= 0:
                 control[i, axis] += step_m

@@ -126,7 +126,7 @@ class ElasticBand:
         return ElasticBand(control, node[course.view_vertex], held)
 
     def relaxed(
-        self, course: PathCourse, space: ClearanceMap, wanted_m: float, min_m: float, tolerance: tuple[float, float]
+        self, course: PathCourse, clearance_map: ClearanceMap, wanted_m: float, min_m: float, tolerance: tuple[float, float]
     ) -> ElasticBand:
         """Return the band smoothed by relaxation.
 
@@ -137,7 +137,7 @@ class ElasticBand:
         control = self.control.copy()
         view = np.full(len(control), -1, dtype=np.int64)
         view[self.view_node + 1] = course.view_vertex
-        _relax(control, self.held, view, course.vertex, tolerance[0], tolerance[1], space, wanted_m, min_m)
+        _relax(control, self.held, view, course.vertex, tolerance[0], tolerance[1], clearance_map, wanted_m, min_m)
         return ElasticBand(control, self.view_node, self.held)
 
 
@@ -154,7 +154,7 @@ def mirror(control: AnyArray) -> None:
 
 
 @kernel
-def min_clearance(control: AnyArray, i: int, space: ClearanceMap, enough_m: float) -> float:
+def min_clearance(control: AnyArray, i: int, clearance_map: ClearanceMap, enough_m: float) -> float:
     """Return the least clearance at the nodes and span middles that depend on control point i.
 
     Stops at the first value below ``enough_m`` and returns it.
@@ -165,14 +165,14 @@ def min_clearance(control: AnyArray, i: int, space: ClearanceMap, enough_m: floa
         x = (control[j - 1, 0] + 4 * control[j, 0] + control[j + 1, 0]) / 6
         y = (control[j - 1, 1] + 4 * control[j, 1] + control[j + 1, 1]) / 6
         z = (control[j - 1, 2] + 4 * control[j, 2] + control[j + 1, 2]) / 6
-        min_m = min(min_m, clearance_at(space, x, y, z))
+        min_m = min(min_m, clearance_at(clearance_map, x, y, z))
         if min_m < enough_m:
             return min_m
     for j in range(max(i - 2, 1), min(i + 1, last - 1) + 1):
         x = (control[j - 1, 0] + 23 * (control[j, 0] + control[j + 1, 0]) + control[j + 2, 0]) / 48
         y = (control[j - 1, 1] + 23 * (control[j, 1] + control[j + 1, 1]) + control[j + 2, 1]) / 48
         z = (control[j - 1, 2] + 23 * (control[j, 2] + control[j + 1, 2]) + control[j + 2, 2]) / 48
-        min_m = min(min_m, clearance_at(space, x, y, z))
+        min_m = min(min_m, clearance_at(clearance_map, x, y, z))
         if min_m < enough_m:
             return min_m
     return min_m
@@ -231,7 +231,7 @@ def _turn_within(control: AnyArray, view: AnyArray, vertex: AnyArray, i: int, to
 @kernel
 def _relax(  # noqa: C901, PLR0912
     control: AnyArray, held: AnyArray, view: AnyArray, vertex: AnyArray, tolerance_m: float, tolerance_rad: float,
-    space: ClearanceMap, wanted_m: float, min_m: float,
+    clearance_map: ClearanceMap, wanted_m: float, min_m: float,
 ) -> None:  # fmt: skip
     """Minimise the bending energy by Gauss-Seidel iteration.
 
@@ -261,16 +261,16 @@ def _relax(  # noqa: C901, PLR0912
                 sees = True
                 for j in range(i - 1, i + 2):
                     sees = sees and (view[j] < 0 or _off_view(control, j, vertex[view[j]]) <= tolerance_m)
-                if sees and min_clearance(control, i, space, wanted_m) >= wanted_m:
+                if sees and min_clearance(control, i, clearance_map, wanted_m) >= wanted_m:
                     break
-                has_m = min_clearance(control, i, space, 0.0) if sees else 0.0
+                has_m = min_clearance(control, i, clearance_map, 0.0) if sees else 0.0
                 for d in range(3):
                     control[i, d] = old[d]
                 mirror(control)
                 if not sees:
                     continue
                 if had_m < 0.0:
-                    had_m = min_clearance(control, i, space, 0.0)
+                    had_m = min_clearance(control, i, clearance_map, 0.0)
                 if had_m >= min_m and has_m >= had_m:
                     for d in range(3):
                         share = (1.0, 0.5, 0.25)[attempt] if attempt < 3 else (1.0 if d == attempt - 3 else 0.0)

@@ -94,10 +94,10 @@ class MotionPlanner:
         fault = _fault(path, voxels)
         if fault:
             return fault
-        entry, space = InitialState.resting(start, self._generator.box), self._space(voxels)
-        forecast = self._forecast(views, space, start_s)
+        entry, clearance_map = InitialState.resting(start, self._generator.box), self._clearance_map(voxels)
+        forecast = self._forecast(views, clearance_map, start_s)
         course = PathCourse.through(entry.place, path.waypoints_world, path.viewpoints, self._generator.yaw_policy, forecast)
-        samples = self._clear(course, None, entry, space, views_at_spacing_m, path.clearance_m, forecast)
+        samples = self._clear(course, None, entry, clearance_map, views_at_spacing_m, path.clearance_m, forecast)
         kept_m = self._asked_m(path.clearance_m)
         return samples if isinstance(samples, Reason) else samples.trajectory(start_s, path.map_epoch, identifier, kept_m)
 
@@ -117,19 +117,19 @@ class MotionPlanner:
             return fault
         at = max(int((leave_s - flying.start_s) / flying.step_s + 1e-6), 0)  # past its end it rests
         entry = InitialState.leaving(flying, at, self._generator.box, self._generator.max_acceleration())
-        space = self._space(voxels)
+        clearance_map = self._clearance_map(voxels)
         start_s, kept_m = flying.start_s + (at - entry.left + 1) * flying.step_s, self._asked_m(path.clearance_m)
-        forecast, yaw_policy = self._forecast(views, space, leave_s), self._generator.yaw_policy
+        forecast, yaw_policy = self._forecast(views, clearance_map, leave_s), self._generator.yaw_policy
         if not entry.is_moving:
             course = PathCourse.through(entry.place, _ahead(path, entry, entry.place), path.viewpoints, yaw_policy, forecast)
-            still = self._clear(course, None, entry, space, views_at_spacing_m, path.clearance_m, forecast)
+            still = self._clear(course, None, entry, clearance_map, views_at_spacing_m, path.clearance_m, forecast)
             return still if isinstance(still, Reason) else still.trajectory(start_s, path.map_epoch, identifier, kept_m)
         for overrun in OVERRUN_SHARES if _leads_on(path, entry) else OVERRUN_SHARES[-1:]:
             rolled, begin = self._generator.continued_positions(entry, overrun)
             course = PathCourse.through(begin, _ahead(path, entry, begin), path.viewpoints, yaw_policy, forecast)
             if overrun > 0.0:
                 course = course.after(rolled, overrun >= 1.0)
-            samples = self._clear(course, entry.place, entry, space, views_at_spacing_m, path.clearance_m, forecast)
+            samples = self._clear(course, entry.place, entry, clearance_map, views_at_spacing_m, path.clearance_m, forecast)
             if isinstance(samples, TrajectorySamples) and not self._generator.exceeds_limit(samples, entry, forecast).any():
                 return samples.trajectory(start_s, path.map_epoch, identifier, kept_m)
         return self._after_braking(path, voxels, flying, at, views_at_spacing_m, identifier, views)
@@ -170,7 +170,9 @@ class MotionPlanner:
         if trajectory.map_epoch != voxels.map_epoch:
             return False
         first = int(np.clip((now_s - trajectory.start_s) / trajectory.step_s, 0, len(trajectory.yaw_rad) - 1))
-        return is_clear(self._space(voxels), trajectory.position_m, first, self._asked_m(trajectory.clearance_m) - TOLERANCE_M)
+        return is_clear(
+            self._clearance_map(voxels), trajectory.position_m, first, self._asked_m(trajectory.clearance_m) - TOLERANCE_M
+        )
 
     def _braked(self, trajectory: Trajectory, now_s: float, identifier: int, braking_ratio: float) -> Trajectory:
         """Brake to rest along the same path.
@@ -188,11 +190,11 @@ class MotionPlanner:
     def _asked_m(self, clearance_m: float | None) -> float:
         return self._clearance_m if clearance_m is None else clearance_m
 
-    def _forecast(self, views: RecentViews | None, space: ClearanceMap, start_s: float) -> SightForecast | None:
+    def _forecast(self, views: RecentViews | None, clearance_map: ClearanceMap, start_s: float) -> SightForecast | None:
         newest_s = -np.inf if views is None else float(views.stamp_s[-1])
-        return self._generator.yaw_policy.forecast(views, space, max(start_s, newest_s + PLANNED_S))
+        return self._generator.yaw_policy.forecast(views, clearance_map, max(start_s, newest_s + PLANNED_S))
 
-    def _space(self, voxels: VoxelMap) -> ClearanceMap:
+    def _clearance_map(self, voxels: VoxelMap) -> ClearanceMap:
         return ClearanceMap.of(voxels, self._low_m, self._high_m, self._clearance_m)
 
     def warm_up(self) -> None:
@@ -218,7 +220,7 @@ class MotionPlanner:
         course: PathCourse,
         before: FloatArray | None,
         entry: InitialState,
-        space: ClearanceMap,
+        clearance_map: ClearanceMap,
         spacing_m: float,
         clearance_m: float | None,
         forecast: SightForecast | None,
@@ -229,20 +231,20 @@ class MotionPlanner:
         become stops and the band is not relaxed.
         """
         stop, min_m = course.stop.copy(), self._asked_m(clearance_m) - PLANNED_M
-        generator, room_m = self._generator, self._clearance_m
+        generator, wanted_m = self._generator, self._clearance_m
         if clearance_m is not None:
-            generator, room_m = self._narrow_generator, self._clearance_m + NARROW_EXTRA_CLEARANCE_M
+            generator, wanted_m = self._narrow_generator, self._clearance_m + NARROW_EXTRA_CLEARANCE_M
         for attempt in range(3):
             strung = course.with_stops(stop)
             band = ElasticBand.along(strung, self._generator.span_rad, before)
             if attempt < 2 and clearance_m is not None:
-                band = centred(band, space, room_m)
+                band = centred(band, clearance_map, wanted_m)
             if attempt < 2:
-                band = band.relaxed(strung, space, room_m, min_m, NEAR_VIEW)
-            samples = generator.generate(band, entry, space, spacing_m, forecast)
+                band = band.relaxed(strung, clearance_map, wanted_m, min_m, NEAR_VIEW)
+            samples = generator.generate(band, entry, clearance_map, spacing_m, forecast)
             if not samples.feasible:
                 return Reason(ReasonCode.PATH_ENTRY_TOO_FAST)
-            bad = blocked(space, samples.rows, entry.left, min_m)
+            bad = blocked(clearance_map, samples.rows, entry.left, min_m)
             if not bad.any():
                 return samples
             if attempt == 0:

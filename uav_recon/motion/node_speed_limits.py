@@ -18,13 +18,14 @@ ENTRY_SPANS = 2  # spans in which a motion entered above a limit, by the error o
 class CurveNodes(NamedTuple):
     """A curve at its M nodes.
 
-    slope: (M, 5) derivatives by span. along_m: (M,) length from the start. room_m: (M,) clearance. max_speed_mps: (M,) a
-    further speed limit. view_node: (K,) span at whose start each view is passed. per_span: nodes in each span.
+    slope: (M, 5) derivatives by span. along_m: (M,) length from the start. node_clearance_m: (M,) clearance.
+    max_speed_mps: (M,) a further speed limit. view_node: (K,) span at whose start each view is passed. per_span: nodes in each
+    span.
     """
 
     slope: FloatArray
     along_m: FloatArray
-    room_m: FloatArray
+    node_clearance_m: FloatArray
     max_speed_mps: FloatArray
     view_node: IntArray
     per_span: int
@@ -53,21 +54,21 @@ class NodeLimits(NamedTuple):
 
 
 @kernel
-def _room_speeds(nodes: CurveNodes, limits: NodeLimits, out: AnyArray) -> None:
+def _clearance_speeds(nodes: CurveNodes, limits: NodeLimits, out: AnyArray) -> None:
     """Fill ``out`` (M,) with the speed limit at each node from the clearance around it.
 
     Clearance beyond ``clearance_m`` raises the limit from the tight to the full speed.
     """
-    along_m, room_m = nodes.along_m, nodes.room_m
+    along_m, node_clearance_m = nodes.along_m, nodes.node_clearance_m
     speed, tight_speed, spread_m = limits.speed, limits.tight_speed, limits.spread_m
     first = 0
     for n in range(len(out)):
         while along_m[n] - along_m[first] > spread_m:
             first += 1
-        min_m = room_m[n]
+        min_m = node_clearance_m[n]
         j = first
         while j < len(out) and along_m[j] - along_m[n] <= spread_m:
-            min_m = min(min_m, room_m[j])
+            min_m = min(min_m, node_clearance_m[j])
             j += 1
         share = min(max((min_m - limits.clearance_m) / limits.open_m, 0.0), 1.0)
         out[n] = min(tight_speed, speed) + share * max(speed - tight_speed, 0.0)
@@ -81,7 +82,7 @@ def node_speed_limits(nodes: CurveNodes, limits: NodeLimits, entry: FloatArray, 
     ``entry`` (5,), faster than tight places or views after it allow, may brake down to those limits.
     """
     slope, per_span = nodes.slope, nodes.per_span
-    _room_speeds(nodes, limits, out)
+    _clearance_speeds(nodes, limits, out)
     for n in range(len(out)):
         flat = math.sqrt(slope[n, 0] ** 2 + slope[n, 1] ** 2 + slope[n, 2] ** 2)
         out[n] = min(out[n], nodes.max_speed_mps[n]) / max(flat, 1e-9)

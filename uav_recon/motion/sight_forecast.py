@@ -77,7 +77,7 @@ class SightForecast:
     """
 
     views: RecentViews
-    space: ClearanceMap
+    clearance_map: ClearanceMap
     limit: SightSpeedLimit
     hull: EnteredHull
     tangents: FloatArray
@@ -116,28 +116,28 @@ class SightForecast:
             place=np.vstack([self.place, place]), reached_s=np.concatenate([self.reached_s, reached_s]),
             tangents=self.tangents, radius_m=self.hull.radius_m, oldest_s=self.limit.blind_stale_s,
         )  # fmt: skip
-        _last_sights(points, nodes + len(self.place), path, RecentViewArrays.of(self.views), self.space, seen_s)
+        _last_sights(points, nodes + len(self.place), path, RecentViewArrays.of(self.views), self.clearance_map, seen_s)
         limit_mps[nodes] = self.limit.at(reached_s[nodes] - seen_s + OLDER_S)
         return limit_mps
 
 
 @kernel
-def _line_is_free(space: ClearanceMap, here: AnyArray, there: AnyArray, way_m: float) -> bool:
+def _line_is_free(clearance_map: ClearanceMap, here: AnyArray, there: AnyArray, way_m: float) -> bool:
     """Return True if a line of sight keeps clear of anything that may not be free."""
     went_m = 0.0
     while went_m < way_m:
         share = went_m / way_m
         x, y = here[0] + share * (there[0] - here[0]), here[1] + share * (there[1] - here[1])
         z = here[2] + share * (there[2] - here[2])
-        left_m = clearance_at(space, x, y, z) - LINE_M - LINE_SHARE * went_m
+        left_m = clearance_at(clearance_map, x, y, z) - LINE_M - LINE_SHARE * went_m
         if left_m <= 0.0:
             return False
-        went_m += max(left_m, 0.5 * space.resolution_m)
+        went_m += max(left_m, 0.5 * clearance_map.resolution_m)
     return True
 
 
 @kernel
-def _seen_on_the_way(point: AnyArray, n: int, path: HullPath, space: ClearanceMap) -> float:
+def _seen_on_the_way(point: AnyArray, n: int, path: HullPath, clearance_map: ClearanceMap) -> float:
     """Return the last instant before node n at which the motion sees a point or is there.
 
     It is -infinity if there is none.
@@ -161,7 +161,7 @@ def _seen_on_the_way(point: AnyArray, n: int, path: HullPath, space: ClearanceMa
         deep, below = cos * ahead - sin * dz, -sin * ahead - cos * dz
         if deep <= 0.0 or abs(aside) > tangents[0] * deep or abs(below) > tangents[1] * deep:
             continue
-        if _line_is_free(space, place[m], point, math.sqrt(way2)):
+        if _line_is_free(clearance_map, place[m], point, math.sqrt(way2)):
             return float(at_s)
     return -np.inf
 
@@ -195,7 +195,7 @@ def _seen_before(point: AnyArray, radius_m: float, views: RecentViewArrays) -> f
 
 @kernel
 def _last_sights(
-    points: FloatArray, nodes: IntArray, path: HullPath, views: RecentViewArrays, space: ClearanceMap, out: FloatArray
+    points: FloatArray, nodes: IntArray, path: HullPath, views: RecentViewArrays, clearance_map: ClearanceMap, out: FloatArray
 ) -> None:
     """Fill ``out`` (N,) with the last sight of each node: of the point not seen for longest.
 
@@ -204,7 +204,7 @@ def _last_sights(
     for i in range(len(points)):
         out[i] = np.inf
         for k in range(points.shape[1]):
-            seen_s = _seen_on_the_way(points[i, k], nodes[i], path, space)
+            seen_s = _seen_on_the_way(points[i, k], nodes[i], path, clearance_map)
             if seen_s == -np.inf:
                 seen_s = _seen_before(points[i, k], path.radius_m, views)
             out[i] = min(out[i], seen_s)
@@ -216,12 +216,12 @@ def warm_up() -> None:
     """Compile the kernels."""
     grid = GridSpec(np.zeros(3), 1.0, (3, 3, 3))
     voxels = VoxelMap.whole(grid, np.full(grid.shape, FREE, dtype=np.uint8), np.full(grid.shape, 81, dtype=np.uint8), 0)
-    space = ClearanceMap.of(voxels, np.full(3, -np.inf), np.full(3, np.inf), 0.3)
+    clearance_map = ClearanceMap.of(voxels, np.full(3, -np.inf), np.full(3, np.inf), 0.3)
     views = RecentViews(
         np.zeros(1), np.eye(3)[None], np.zeros((1, 3)), np.zeros((1, 3)), np.zeros((1, 2, 2), dtype=np.float32), np.ones(2)
     )
     limit = SightSpeedLimit(full_speed_mps=1.0, blind_speed_mps=0.3, blind_fresh_s=3.0, blind_stale_s=10.0, blind_memory_s=60.0)
     place = np.ones((2, 5))
-    SightForecast(views, space, limit, EnteredHull(0.2, 0.2), np.ones(2), 0.0).max_speed_mps(
+    SightForecast(views, clearance_map, limit, EnteredHull(0.2, 0.2), np.ones(2), 0.0).max_speed_mps(
         np.ones((2, 3)), place, np.array([1.0, 2.0]), np.ones(2, dtype=np.bool_)
     )

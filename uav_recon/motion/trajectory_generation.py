@@ -137,7 +137,7 @@ class TrajectoryGenerator:
         return rolled, rolled + entry.velocity * (0.5 * overrun * braking_s)
 
     def generate(
-        self, band: ElasticBand, entry: InitialState, space: ClearanceMap | None, spacing_m: float,
+        self, band: ElasticBand, entry: InitialState, clearance_map: ClearanceMap | None, spacing_m: float,
         forecast: SightForecast | None = None,
     ) -> TrajectorySamples:  # fmt: skip
         """Return the fastest trajectory along a band.
@@ -150,9 +150,9 @@ class TrajectoryGenerator:
         curve = Curve.of(band.control)
         first = self.entry_pace(entry) ** 2 if entry.is_moving else 0.0
         cap, x, times = np.empty(len(curve.along_m)), np.empty(len(curve.along_m)), np.empty(len(curve.along_m))
-        max_speed_mps = self._speed_limits(curve, space, forecast, self._estimated_times_s(curve, forecast))
+        max_speed_mps = self._speed_limits(curve, clearance_map, forecast, self._estimated_times_s(curve, forecast))
         leaning_mps2 = self._lean_limits_mps2(curve, entry)
-        self._limit_nodes(curve, band, entry, space, max_speed_mps, cap)
+        self._limit_nodes(curve, band, entry, clearance_map, max_speed_mps, cap)
         share = SHARE
         for attempt in range(TRIES if forecast is None else TRIES + 1):
             max_acceleration_mps2 = np.minimum(share * self.acceleration, leaning_mps2)
@@ -162,8 +162,8 @@ class TrajectoryGenerator:
                 return TrajectorySamples(entry.rows, np.zeros(0), feasible=False)
             node_times(x, times)
             if attempt == 0 and forecast is not None:
-                max_speed_mps = self._speed_limits(curve, space, forecast, forecast.begin_s + times)
-                self._limit_nodes(curve, band, entry, space, max_speed_mps, cap)
+                max_speed_mps = self._speed_limits(curve, clearance_map, forecast, forecast.begin_s + times)
+                self._limit_nodes(curve, band, entry, clearance_map, max_speed_mps, cap)
                 continue
             samples = self._smoothed(band, entry, curve, x, times, spacing_m)
             _, change = samples.rates()
@@ -179,19 +179,19 @@ class TrajectoryGenerator:
                 share *= 0.98 / excess
             if too_fast.any():
                 max_speed_mps[too_fast] = np.minimum(max_speed_mps[too_fast], self.yaw_policy.blind_speed_mps)
-                self._limit_nodes(curve, band, entry, space, max_speed_mps, cap)
+                self._limit_nodes(curve, band, entry, clearance_map, max_speed_mps, cap)
         return samples
 
     def _limit_nodes(
-        self, curve: Curve, band: ElasticBand, entry: InitialState, space: ClearanceMap | None, max_speed_mps: FloatArray,
-        cap: FloatArray,
+        self, curve: Curve, band: ElasticBand, entry: InitialState, clearance_map: ClearanceMap | None,
+        max_speed_mps: FloatArray, cap: FloatArray,
     ) -> None:  # fmt: skip
-        room_m = np.full(len(cap), np.inf)
-        if space is not None:
-            clearances_at(space, curve.place, room_m)
+        node_clearance_m = np.full(len(cap), np.inf)
+        if clearance_map is not None:
+            clearances_at(clearance_map, curve.place, node_clearance_m)
         nodes = CurveNodes(
-            slope=curve.slope, along_m=curve.along_m, room_m=room_m, max_speed_mps=max_speed_mps, view_node=band.view_node,
-            per_span=PER_SPAN,
+            slope=curve.slope, along_m=curve.along_m, node_clearance_m=node_clearance_m, max_speed_mps=max_speed_mps,
+            view_node=band.view_node, per_span=PER_SPAN,
         )  # fmt: skip
         limits = NodeLimits(
             clearance_m=self.clearance_m, open_m=OPEN_M, spread_m=SPREAD_M, speed=self.speed, tight_speed=self.tight_speed,
@@ -231,16 +231,16 @@ class TrajectoryGenerator:
         )
 
     def _speed_limits(
-        self, curve: Curve, space: ClearanceMap | None, forecast: SightForecast | None, reached_s: FloatArray
+        self, curve: Curve, clearance_map: ClearanceMap | None, forecast: SightForecast | None, reached_s: FloatArray
     ) -> FloatArray:
         """Return the speed limits (M,) from the view direction and from obstacles ahead.
 
         They are infinite without a map.
         """
-        if space is None:
+        if clearance_map is None:
             return np.full(len(curve.along_m), np.inf)
         seen_mps = self.yaw_policy.max_speed_mps(curve.slope, curve.place, forecast, reached_s)
-        return np.minimum(seen_mps, self._silence_speed_limits(curve, space))
+        return np.minimum(seen_mps, self._silence_speed_limits(curve, clearance_map))
 
     def _estimated_times_s(self, curve: Curve, forecast: SightForecast | None) -> FloatArray:
         """Return about the instants (M,) at which the nodes are reached."""
@@ -249,7 +249,7 @@ class TrajectoryGenerator:
         passed_s = np.cumsum(np.maximum(step_m / (USUAL_SHARE * self.speed), turned_rad / self.rate))
         return passed_s if forecast is None else forecast.begin_s + passed_s
 
-    def _silence_speed_limits(self, curve: Curve, space: ClearanceMap) -> FloatArray:
+    def _silence_speed_limits(self, curve: Curve, clearance_map: ClearanceMap) -> FloatArray:
         """Return speeds (M,) at which an autopilot without setpoints stops before any contact.
 
         It flies straight on, or deflected by the lateral acceleration that it keeps, taken at the greatest speed. The
@@ -264,11 +264,11 @@ class TrajectoryGenerator:
         fastest_x = np.minimum((self.speed / flat) ** 2, self.acceleration / most)
         bent = slope + FEEDFORWARD_OVERSHOOT_S * np.sqrt(fastest_x) * across
         far_m = (self.speed + FEEDFORWARD_OVERSHOOT_S * self.acceleration) * self.run_on_s
-        min_m = self.hull_m + 0.5 * space.resolution_m  # to the voxel's side
+        min_m = self.hull_m + 0.5 * clearance_map.resolution_m  # to the voxel's side
         max_speed_mps = np.full(len(slope), np.inf)
         for heading in (slope, bent):
             way_m = np.full(len(slope), far_m)
-            free_distances(space, curve.place, heading, min_m, way_m)
+            free_distances(clearance_map, curve.place, heading, min_m, way_m)
             faster = np.linalg.norm(heading, axis=1) / flat[:, 0]
             max_speed_mps = np.minimum(max_speed_mps, way_m / (self.run_on_s * np.maximum(faster, 1.0)))
         return np.asarray(np.maximum(max_speed_mps, RUN_ON_MPS))

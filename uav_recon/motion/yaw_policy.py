@@ -50,7 +50,7 @@ class YawPolicy(Protocol):
         """Speed limit where the camera does not look."""
         ...
 
-    def forecast(self, views: RecentViews | None, space: ClearanceMap, begin_s: float) -> SightForecast | None:
+    def forecast(self, views: RecentViews | None, clearance_map: ClearanceMap, begin_s: float) -> SightForecast | None:
         """Return the forecast of what the camera will have seen.
 
         None if the limits do not depend on it. views: of the last seconds. begin_s: instant at which the motion begins.
@@ -100,7 +100,7 @@ class YawAtViews:
 
     blind_speed_mps = math.inf
 
-    def forecast(self, views: RecentViews | None, space: ClearanceMap, begin_s: float) -> SightForecast | None:
+    def forecast(self, views: RecentViews | None, clearance_map: ClearanceMap, begin_s: float) -> SightForecast | None:
         """Return None: nothing depends on it."""
         return None
 
@@ -157,11 +157,11 @@ class YawAlongPath:
         """Tangent of half the vertical angle in which a path is seen."""
         return SHARE * self.half_tan[1]
 
-    def forecast(self, views: RecentViews | None, space: ClearanceMap, begin_s: float) -> SightForecast | None:
+    def forecast(self, views: RecentViews | None, clearance_map: ClearanceMap, begin_s: float) -> SightForecast | None:
         """Return the forecast, None if no view is known."""
         if views is None:
             return None
-        return SightForecast(views, space, self.limit, self.hull, SHARE * np.array(self.half_tan), begin_s)
+        return SightForecast(views, clearance_map, self.limit, self.hull, SHARE * np.array(self.half_tan), begin_s)
 
     def along(
         self, way: FloatArray, begin: FloatArray, goal: FloatArray, forecast: SightForecast | None
