@@ -35,7 +35,7 @@ def shown_share(view: CandidateView) -> float:
     yaw, pitch = view.task.viewpoint.yaw_rad, view.task.viewpoint.pitch_down_rad
     about_z = np.array([[math.cos(yaw), -math.sin(yaw), 0.0], [math.sin(yaw), math.cos(yaw), 0.0], [0.0, 0.0, 1.0]])
     about_y = np.array([[math.cos(pitch), 0.0, math.sin(pitch)], [0.0, 1.0, 0.0], [-math.sin(pitch), 0.0, math.cos(pitch)]])
-    cells = np.stack(np.unravel_index(view.promised, SHAPE), axis=1) + 0.5
+    cells = np.stack(np.unravel_index(view.expected_voxels, SHAPE), axis=1) + 0.5
     x, y, z = ((cells - PLACE - about_z @ (1.0, 0.0, 0.0)) @ about_z @ about_y).T
     return float(np.mean((np.abs(y) <= LENS[0] * x) & (np.abs(z) <= LENS[1] * x)))
 
@@ -71,4 +71,4 @@ def test_on_a_long_leg_the_nose_turns_to_the_path_and_a_later_view_begins_where_
     assert first.task.viewpoint.yaw_rad == pytest.approx(0.1 - OFF_RAD)
     assert second.task.viewpoint.yaw_rad == pytest.approx(first.task.viewpoint.yaw_rad)
     assert second.task.viewpoint.position_world is views[1].task.viewpoint.position_world
-    assert second.promised is views[1].promised
+    assert second.expected_voxels is views[1].expected_voxels

@@ -43,9 +43,9 @@ def with_an_accepted_path() -> tuple[BoxWorld, ViewPlanner, ViewPath]:
 
 
 def next_view(world: BoxWorld, planner: ViewPlanner, path: ViewPath) -> CandidateView:
-    promised = planner.view_history.next_promised(path.waypoints_world[0][0], world.yaw_rad)
-    assert promised is not None
-    return promised
+    following = planner.view_history.next_expected_view(path.waypoints_world[0][0], world.yaw_rad)
+    assert following is not None
+    return following
 
 
 def surface_of(solid: np.ndarray[tuple[int, ...], np.dtype[np.bool_]], per_face: int = 6) -> SurfaceElements:
@@ -416,17 +416,17 @@ def test_a_view_off_its_voxel_centre_is_kept_while_its_own_position_is_clear(
     beside: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     world, planner, path = with_an_accepted_path()
-    promised = next_view(world, planner, path)
-    centre = np.floor(promised.place) + 0.5
-    moved = dataclasses.replace(promised, place=centre + np.array([0.0, 0.0, 0.45]))
-    monkeypatch.setattr(planner.view_history, "next_promised", lambda *_: moved)
+    following = next_view(world, planner, path)
+    centre = np.floor(following.position_padded) + 0.5
+    moved = dataclasses.replace(following, position_padded=centre + np.array([0.0, 0.0, 0.45]))
+    monkeypatch.setattr(planner.view_history, "next_expected_view", lambda *_: moved)
     state = world.state.copy()
     if beside:  # an obstacle so near above that the voxel's centre is still flyable
-        state[tuple((np.floor(promised.place) - 1.0 + np.array([0.0, 0.0, 4.0])).astype(int))] = OCCUPIED
+        state[tuple((np.floor(following.position_padded) - 1.0 + np.array([0.0, 0.0, 4.0])).astype(int))] = OCCUPIED
     request = PlanRequest(voxel_map(state, 99), None, path.waypoints_world[0][0], world.yaw_rad, 50, np.array([0.3, 0.0, 0.0]))
     onward = planner.plan(request)
     assert isinstance(onward, ViewPath)
-    assert (onward.tasks[0] is promised.task) is not beside
+    assert (onward.tasks[0] is following.task) is not beside
 
 
 def test_a_view_without_remaining_gain_is_not_kept() -> None:
@@ -443,11 +443,11 @@ def test_a_view_without_remaining_gain_is_not_kept() -> None:
 
 def test_what_a_view_that_was_given_up_should_settle_is_not_planned_again() -> None:
     world, planner, path = with_an_accepted_path()
-    promised = next_view(world, planner, path)
+    following = next_view(world, planner, path)
     again = planner.plan(dataclasses.replace(world.request(), next_view=NextView.LEFT))
-    assert planner.view_history.exhausted.reshape(-1)[promised.promised].mean() > 0.9
+    assert planner.view_history.exhausted.reshape(-1)[following.expected_voxels].mean() > 0.9
     assert isinstance(again, ViewPath)
-    assert all(task is not promised.task for task in again.tasks)
+    assert all(task is not following.task for task in again.tasks)
 
 
 def test_flyable_components_of_the_test_rooms_are_one() -> None:

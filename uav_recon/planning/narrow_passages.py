@@ -156,7 +156,7 @@ class NarrowPassagePlanner:
         )
         views = FrontierViews(self._planner.config, self._planner.camera)
         found = views.update(voxels, beyond, frontiers, context.position_world).proposals
-        gains = frontiers.beyond(voxels, [one.promised for one in found])
+        gains = frontiers.unknown_beyond(voxels, [one.expected_voxels for one in found])
         return [one.with_gain(gain) for one, gain in zip(found, gains.tolist(), strict=True) if gain >= OPENING]
 
 

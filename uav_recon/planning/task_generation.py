@@ -130,7 +130,7 @@ class ClusterTasks:
         if not self._explores:
             return [], 0
         found = self._views.update(context.voxels, context.space, frontiers, context.position_world)
-        gains = frontiers.beyond(context.voxels, [one.promised for one in found.proposals])
+        gains = frontiers.unknown_beyond(context.voxels, [one.expected_voxels for one in found.proposals])
         with_gains = zip(found.proposals, gains.tolist(), strict=True)
         return [one.with_gain(gain) for one, gain in with_gains if gain >= self._min_unknown], found.openings_later
 
@@ -141,7 +141,7 @@ def _is_opening(proposal: CandidateView) -> bool:
 
 def view_positions(proposals: list[CandidateView]) -> FloatArray:
     """Return the positions (N, 3) of the candidate views, in padded voxel units."""
-    return np.array([proposal.place for proposal in proposals], dtype=np.float64).reshape(-1, 3)
+    return np.array([proposal.position_padded for proposal in proposals], dtype=np.float64).reshape(-1, 3)
 
 
 class GainField:

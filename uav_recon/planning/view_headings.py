@@ -16,7 +16,7 @@ from uav_recon.planning.candidate_view import CandidateView
 from uav_recon.planning.frontier.camera_aiming import count_in_frustum
 from uav_recon.types.frames import FloatArray
 
-KEPT_SHARE = 0.9  # of the promised cells in view; the rest is mostly seen on the way to the heading
+KEPT_SHARE = 0.9  # of the expected cells in view; the rest is mostly seen on the way to the heading
 STEP_RAD = math.radians(6.0)  # between headings that are tried ...
 MAX_STEPS = 7  # ... and their number on either side
 MAX_CELLS = 100  # examined of those that a view promises
@@ -57,7 +57,7 @@ def _range(view: CandidateView, lens: FloatArray, shape: tuple[int, int, int]) -
 
     Between them it shows KEPT_SHARE of what it shows there.
     """
-    some = view.promised[:: 1 + len(view.promised) // MAX_CELLS]
+    some = view.expected_voxels[:: 1 + len(view.expected_voxels) // MAX_CELLS]
     cells: FloatArray = np.stack(np.unravel_index(some, shape), axis=1).astype(np.float64) + 0.5
     shown = _shown(view, cells, lens, 0.0)
     least = KEPT_SHARE * shown
@@ -75,6 +75,6 @@ def _shown(view: CandidateView, cells: FloatArray, lens: FloatArray, off_rad: fl
     yaw_rad = best.yaw_rad + off_rad
     cos, sin = math.cos(yaw_rad), math.sin(yaw_rad)
     x, y, z = lens[CAM_X], lens[CAM_Y], lens[CAM_Z]
-    eye = view.place - 1.0 + np.array([cos * x - sin * y, sin * x + cos * y, z])
+    eye = view.position_padded - 1.0 + np.array([cos * x - sin * y, sin * x + cos * y, z])
     directions = np.ascontiguousarray((cells - eye).T, dtype=np.float32)
     return count_in_frustum(lens, directions, len(cells), yaw_rad, best.pitch_down_rad)

@@ -1,7 +1,7 @@
 """View history: outcomes of earlier views, so that no frontier or surface is viewed forever.
 
 Some frontiers cannot be settled by a camera (a ceiling corner, glass) and remain after the view that should have settled
-them. A voxel that was promised twice and is still a frontier is exhausted and generates no more tasks. For surface, the sum
+them. A voxel that was expected twice and is still a frontier is exhausted and generates no more tasks. For surface, the sum
 of the cosines of all views is kept: each view reduces the weight of the uncertainty, so that reconstruction ends too.
 """
 
@@ -16,10 +16,10 @@ from uav_recon.types.maps import FREE, UNKNOWN, VoxelMap
 from uav_recon.types.tasks import NextView, PlanRequest, TaskKind, ViewPath
 
 MAX_LOOKS = 2  # unsuccessful views after which a frontier voxel is exhausted
-HOPELESS_SHARE = 0.7  # if this share of the promised voxels is left after a view, another view will not settle them either
+HOPELESS_SHARE = 0.7  # if this share of the expected voxels is left after a view, another view will not settle them either
 ARRIVED_M = 0.35  # a view counts as flown within this distance ...
 ARRIVED_RAD = 0.4  # ... and this heading difference
-STILL_FRONTIER_SHARE = 0.3  # if a smaller share of the promised frontier voxels is left, the view is no longer flown to
+STILL_FRONTIER_SHARE = 0.3  # if a smaller share of the expected frontier voxels is left, the view is no longer flown to
 # consecutive plans at the same position: the first view was refused by motion planning, so it counts as flown
 STALLED_PLANS = 3
 GIVEN_UP_LOOKS = 3.0  # looks at a right angle for which a view of surface counts whose motion is refused again
@@ -62,12 +62,12 @@ class ViewHistory:
         given_up = None if request.next_view is NextView.KEPT else self._set_next_aside(request)
         for proposal in flown:
             if proposal.task.kind is TaskKind.EXPLORE:
-                self._waiting.append((voxels.revision, proposal.promised))
+                self._waiting.append((voxels.revision, proposal.expected_voxels))
             else:
-                self.surface_looks.reshape(-1)[proposal.promised] += proposal.view_cosine.astype(np.float32)
+                self.surface_looks.reshape(-1)[proposal.expected_voxels] += proposal.view_cosine.astype(np.float32)
         # a view is evaluated by a map newer than the arrival, because the image taken there may still be in processing
-        due = [promised for revision, promised in self._waiting if revision < voxels.revision]
-        self._waiting = [(revision, promised) for revision, promised in self._waiting if revision >= voxels.revision]
+        due = [expected for revision, expected in self._waiting if revision < voxels.revision]
+        self._waiting = [(revision, expected) for revision, expected in self._waiting if revision >= voxels.revision]
         self._position = np.array(request.position_world)
         newly: IntArray = np.concatenate([np.zeros(0, dtype=np.int64), *(self._in_vain(voxels, one) for one in due)])
         return newly if given_up is None else np.concatenate([newly, self._give_up(given_up)])
@@ -81,7 +81,7 @@ class ViewHistory:
 
         Returns it if it is given up: it was left, or a motion to about its position was refused before.
         """
-        following = self.next_promised(request.position_world, request.yaw_rad)
+        following = self.next_expected_view(request.position_world, request.yaw_rad)
         self._path = None
         if following is None:
             return None
@@ -96,18 +96,18 @@ class ViewHistory:
         Returns the flat indices (N,) of voxels that became exhausted.
         """
         if proposal.task.kind is not TaskKind.EXPLORE:
-            self.surface_looks.reshape(-1)[proposal.promised] += GIVEN_UP_LOOKS
+            self.surface_looks.reshape(-1)[proposal.expected_voxels] += GIVEN_UP_LOOKS
             return np.zeros(0, dtype=np.int64)
         exhausted = self.exhausted.reshape(-1)
-        newly: IntArray = np.unique(proposal.promised[exhausted[proposal.promised] == 0])
+        newly: IntArray = np.unique(proposal.expected_voxels[exhausted[proposal.expected_voxels] == 0])
         self.failed_views.reshape(-1)[newly] = MAX_LOOKS
         exhausted[newly] = 1
         return newly
 
-    def _in_vain(self, voxels: VoxelMap, promised: IntArray) -> IntArray:
-        still = promised[_still_frontier(voxels.state, promised)]
+    def _in_vain(self, voxels: VoxelMap, expected: IntArray) -> IntArray:
+        still = expected[_still_frontier(voxels.state, expected)]
         looks, exhausted = self.failed_views.reshape(-1), self.exhausted.reshape(-1)
-        hopeless = len(still) >= HOPELESS_SHARE * len(promised)
+        hopeless = len(still) >= HOPELESS_SHARE * len(expected)
         looks[still] = np.minimum(looks[still], 255 - MAX_LOOKS) + (MAX_LOOKS if hopeless else 1)
         newly: IntArray = still[(looks[still] >= MAX_LOOKS) & (exhausted[still] == 0)]
         exhausted[newly] = 1
@@ -118,8 +118,8 @@ class ViewHistory:
         self._path = path
         self._proposals = proposals
 
-    def next_promised(self, position_world: FloatArray, yaw_rad: float) -> CandidateView | None:
-        """Return the next view of the promised path, or None if there is none."""
+    def next_expected_view(self, position_world: FloatArray, yaw_rad: float) -> CandidateView | None:
+        """Return the next view of the accepted path, or None if there is none."""
         if self._path is None:
             return None
         passed = _views_passed(self._path, position_world, yaw_rad)
@@ -133,8 +133,8 @@ class ViewHistory:
         """
         if proposal.task.kind is not TaskKind.EXPLORE:
             return True
-        still = int(np.count_nonzero(_still_frontier(voxels.state, proposal.promised)))
-        return still >= STILL_FRONTIER_SHARE * len(proposal.promised)
+        still = int(np.count_nonzero(_still_frontier(voxels.state, proposal.expected_voxels)))
+        return still >= STILL_FRONTIER_SHARE * len(proposal.expected_voxels)
 
     def _keep_frame(self, request: PlanRequest) -> None:
         grid = request.voxels.grid

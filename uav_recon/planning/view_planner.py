@@ -202,13 +202,13 @@ class ViewPlanner:
 
     def next_view_has_gain(self, voxels: VoxelMap, position_world: FloatArray, yaw_rad: float) -> bool:
         """Return True if the next view of the accepted path still has a gain in a newer map."""
-        following = self.view_history.next_promised(position_world, yaw_rad)
+        following = self.view_history.next_expected_view(position_world, yaw_rad)
         return following is None or self.view_history.still_has_gain(voxels, following)
 
     def route(self, request: PlanRequest, goal: Viewpoint) -> ViewPath | NothingLeft:
         """Return the shortest path to a position. Its last waypoint is the nearest flyable voxel.
 
-        The result is not stored: no view is promised.
+        The result is not stored: no view is expected.
         """
         start_s = self._timer()
         context = self._look(dataclasses.replace(request, views_left=1))
@@ -246,11 +246,11 @@ class ViewPlanner:
 
         Thus the goal does not change in motion.
         """
-        following = self.view_history.next_promised(request.position_world, request.yaw_rad)
+        following = self.view_history.next_expected_view(request.position_world, request.yaw_rad)
         if (
             following is None
             or not request.velocity_world_mps.any()
-            or not context.holds(following.place)
+            or not context.is_clear(following.position_padded)
             or not self.view_history.still_has_gain(context.voxels, following)
         ):
             return []
@@ -363,14 +363,14 @@ def _drop_duplicate_tasks(committed: list[CandidateView], proposals: list[Candid
     """Return the committed views, then the tasks that these do not settle as well."""
     tasks = list(committed)
     for proposal in proposals:
-        if all(_share_in(proposal.promised, one.promised) < SAME_SHARE for one in committed):
+        if all(_share_in(proposal.expected_voxels, one.expected_voxels) < SAME_SHARE for one in committed):
             tasks.append(proposal)
     return tasks
 
 
-def _share_in(promised: IntArray, settled: IntArray) -> float:
+def _share_in(expected: IntArray, settled: IntArray) -> float:
     """Return the share of some voxels (N,) that are among others (M,)."""
-    return float(np.isin(promised, settled).mean()) if len(promised) else 0.0
+    return float(np.isin(expected, settled).mean()) if len(expected) else 0.0
 
 
 def warm_up_frontiers() -> None:

@@ -57,7 +57,7 @@ def test_an_accepted_position_has_at_least_the_clearance_of_a_voxel_centre(seed:
     for cell in rng.permutation(np.argwhere(reachable))[:400]:
         place = cell - 1.0 + rng.random(3)
         inside = bool(((place >= LOWEST + 0.5) & (place <= HIGHEST - 0.5)).all())
-        holds = context.holds(place + 1.0)
+        holds = context.is_clear(place + 1.0)
         assert holds == (inside and to_sides(closed, place) >= promised)
         held, refused = held + holds, refused + (not holds)
     assert held > 100
@@ -69,7 +69,7 @@ def test_reachable_voxel_centres_are_accepted_and_others_are_not() -> None:
     context, _ = cluttered(rng)
     reachable = context.space.reachable
     for cell in np.argwhere((reachable > 0) | (rng.random(reachable.shape) < 0.1)):
-        assert context.holds(cell + np.float64(0.5)) == bool(reachable[tuple(cell)])
+        assert context.is_clear(cell + np.float64(0.5)) == bool(reachable[tuple(cell)])
 
 
 @pytest.mark.parametrize("needed2", [1, 6, 9, 13, 16, 24, 57, 256])

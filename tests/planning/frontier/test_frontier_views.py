@@ -70,8 +70,8 @@ def described(found: FrontierProposals) -> list[tuple[object, ...]]:
             proposal.task.viewpoint.yaw_rad,
             proposal.task.viewpoint.pitch_down_rad,
             proposal.task.gain,
-            *proposal.place.tolist(),
-            tuple(proposal.promised.tolist()),
+            *proposal.position_padded.tolist(),
+            tuple(proposal.expected_voxels.tolist()),
         )
         for proposal in found.proposals
     ]
@@ -112,16 +112,16 @@ def test_a_view_is_reachable_and_shows_the_promised_cells(solid: Solid, camera: 
         kept, table = follower.row_of(int(row)), follower.views.table
         if kept < 0 or not table.rows.shown[kept]:
             continue
-        cells = np.stack(np.unravel_index(table.promised[kept], world.grid.shape), axis=-1)
+        cells = np.stack(np.unravel_index(table.shown_cells[kept], world.grid.shape), axis=-1)
         assert len(cells) == table.rows.shown[kept]
-        assert set(table.promised[kept]) <= set(follower.frontiers.flat(int(row)))
+        assert set(table.shown_cells[kept]) <= set(follower.frontiers.flat(int(row)))
         target = view_oracle.OracleFrontier(cells, follower.low, follower.high)
         assert view_oracle.cells_seen(voxels.state, lens, oracle_view(table.rows.pose[kept], camera), target) >= 0.98 * len(
             cells
         )
     context = PlanningContext(voxels, follower.space, np.zeros(0, dtype=np.int64), START)
     for proposal in found.proposals:
-        assert context.holds(proposal.place)
+        assert context.is_clear(proposal.position_padded)
         assert camera.pitch_min_rad <= proposal.task.viewpoint.pitch_down_rad <= camera.pitch_max_rad
 
 
@@ -171,7 +171,7 @@ def test_a_removed_obstacle_no_longer_hides_a_frontier() -> None:
         voxels = voxel_map(shown, revision)
         follower.frontiers.update(voxels, follower.low, follower.high, follower.ignored)
         found = follower.views.update(voxels, follower.space, follower.frontiers, START)
-        gains.append(sum(len(proposal.promised) for proposal in found.proposals))
+        gains.append(sum(len(proposal.expected_voxels) for proposal in found.proposals))
     assert gains[0] < 0.5 * gains[1]
 
 
@@ -222,8 +222,8 @@ def test_few_views_show_the_cells_of_all_clusters_and_each_promises_what_it_show
     found = follower.follow(voxels, START)
     rows, table = follower.rows(), follower.views.table
     assert len(found.proposals) < len(rows)
-    promised = np.concatenate([proposal.promised for proposal in found.proposals])
-    own = [set(table.promised[row].tolist()) for row in rows]
+    promised = np.concatenate([proposal.expected_voxels for proposal in found.proposals])
+    own = [set(table.shown_cells[row].tolist()) for row in rows]
     assert len(set(promised.tolist())) == len(promised)
     assert set(promised.tolist()) <= set().union(*own)
     for of_one in own:
@@ -232,7 +232,7 @@ def test_few_views_show_the_cells_of_all_clusters_and_each_promises_what_it_show
     for proposal in found.proposals:
         view = proposal.task.viewpoint
         place = np.array([*(view.position_world / 0.1 + 1.0), view.yaw_rad, view.pitch_down_rad])
-        shown = np.stack(np.unravel_index(proposal.promised, world.grid.shape), axis=-1)
+        shown = np.stack(np.unravel_index(proposal.expected_voxels, world.grid.shape), axis=-1)
         target = view_oracle.OracleFrontier(shown, follower.low, follower.high)
         assert view_oracle.cells_seen(voxels.state, lens, oracle_view(place, GIMBAL), target) >= 0.8 * len(shown)
 
@@ -289,7 +289,7 @@ def test_clusters_far_from_reachable_space_are_not_searched(monkeypatch: pytest.
 def test_on_the_stream_a_view_is_nearly_as_good_as_the_best_of_a_thousand(
     camera: CameraGeometry, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Every cell of the cluster counts, not only the promised ones.
+    """Every cell of the cluster counts, not only the expected ones.
 
     The thousand candidates may have any position and heading.
     """

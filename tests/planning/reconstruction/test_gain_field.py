@@ -46,14 +46,16 @@ def test_in_a_mostly_unknown_room_views_show_frontiers(camera: CameraGeometry) -
     cells = {int(c) for f in frontiers for c in np.ravel_multi_index(tuple(f.cells.T), context.voxels.grid.shape)}
     for proposal in proposals:
         assert proposal.task.kind is TaskKind.EXPLORE
-        assert len(proposal.promised) >= 4
-        assert {int(c) for c in proposal.promised} <= cells
-        assert proposal.task.gain >= UNKNOWN_WEIGHT * len(proposal.promised)
-        assert context.holds(proposal.place)
+        assert len(proposal.expected_voxels) >= 4
+        assert {int(c) for c in proposal.expected_voxels} <= cells
+        assert proposal.task.gain >= UNKNOWN_WEIGHT * len(proposal.expected_voxels)
+        assert context.is_clear(proposal.position_padded)
         view = proposal.task.viewpoint
         assert camera.pitch_min_rad <= view.pitch_down_rad <= camera.pitch_max_rad
         bearing = view.yaw_rad
-        ahead = context.voxels.grid.centre(np.stack(np.unravel_index(proposal.promised, context.voxels.grid.shape), axis=-1))
+        ahead = context.voxels.grid.centre(
+            np.stack(np.unravel_index(proposal.expected_voxels, context.voxels.grid.shape), axis=-1)
+        )
         forward = (ahead - view.position_world)[:, :2] @ np.array([np.cos(bearing), np.sin(bearing)])
         assert (forward > 0).mean() > 0.95
 
@@ -63,7 +65,7 @@ def test_the_order_of_the_frontiers_does_not_matter() -> None:
     surface = elements_of(MEETING_ROOM)
     one = FieldViews(CONFIG, GIMBAL).propose(context, frontiers, surface, looks_of(context))
     other = FieldViews(CONFIG, GIMBAL).propose(context, frontiers[::-1], surface, looks_of(context))
-    assert [p.place.tolist() for p in one] == [p.place.tolist() for p in other]
+    assert [p.position_padded.tolist() for p in one] == [p.position_padded.tolist() for p in other]
     assert [p.task.gain for p in one] == [p.task.gain for p in other]
 
 
@@ -77,7 +79,7 @@ def test_in_a_known_room_views_show_surface_until_it_was_looked_at() -> None:
         proposals = views.propose(context, [], surface, looks)
         if not proposals:
             break
-        looks.ravel()[proposals[0].promised] += proposals[0].view_cosine.astype(np.float32)
+        looks.ravel()[proposals[0].expected_voxels] += proposals[0].view_cosine.astype(np.float32)
     assert not proposals
 
 

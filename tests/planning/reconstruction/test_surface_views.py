@@ -70,9 +70,9 @@ def test_gains_equal_exact_rays_and_the_chosen_view_is_nearly_the_best(camera: C
         assert task.gain == pytest.approx(float(cosine @ weight), rel=1e-6)
         assert np.count_nonzero(cosine) >= CONFIG.min_visible
         promised = np.unique(elements.voxel[(cosine > 0) & (elements.voxel >= 0)])
-        np.testing.assert_array_equal(proposal.promised, promised)
+        np.testing.assert_array_equal(proposal.expected_voxels, promised)
         np.testing.assert_allclose(proposal.view_cosine[5], cosine[elements.voxel == promised[5]].max())
-        assert context.holds(proposal.place)
+        assert context.is_clear(proposal.position_padded)
         best = 0.0
         for place in np.unique(np.floor((task.centroid_world + 0.1) / 0.1 + offsets), axis=0) + 0.5:
             cell = place.astype(int) + 1
@@ -106,7 +106,7 @@ def test_surface_in_the_map_but_not_in_the_model_is_viewed_first() -> None:
     bare = (y < 0.1) & (x > 1.5) & (x < 4.5)  # most of a wall
     rest = SurfaceElements(surface.position_world[~bare], surface.normal_world[~bare], surface.uncertainty[~bare], 2)
     first = SurfaceViews(CONFIG, GIMBAL).propose(context, rest, looks, 1.0)[0]
-    i, j, _ = np.unravel_index(first.promised, voxels.grid.shape)
+    i, j, _ = np.unravel_index(first.expected_voxels, voxels.grid.shape)
     assert np.count_nonzero((j == 0) & (i > 16) & (i < 44)) > 100
     whole = SurfaceViews(CONFIG, GIMBAL).propose(context, surface, looks, 1.0)[0]
     assert whole.task.gain < 0.7 * first.task.gain
@@ -120,7 +120,7 @@ def test_a_fixed_mount_views_a_bare_ceiling_from_far_away() -> None:
     proposals = SurfaceViews(CONFIG, FIXED).propose(context, seen, looks, 3.0)
     assert len(proposals) >= 3
     for proposal in proposals:
-        assert np.count_nonzero(proposal.promised % voxels.grid.shape[2] >= 25) >= CONFIG.min_visible
+        assert np.count_nonzero(proposal.expected_voxels % voxels.grid.shape[2] >= 25) >= CONFIG.min_visible
 
 
 def test_tasks_run_out_as_they_are_viewed() -> None:
@@ -132,7 +132,7 @@ def test_tasks_run_out_as_they_are_viewed() -> None:
         proposals = views.propose(context, surface, looks, 3.0)
         gains.append(sum(proposal.task.gain for proposal in proposals))
         for proposal in proposals:
-            looks.ravel()[proposal.promised] += proposal.view_cosine
+            looks.ravel()[proposal.expected_voxels] += proposal.view_cosine
     assert gains[0] > 300
     assert gains[-1] == 0.0
 
@@ -150,7 +150,7 @@ def test_no_surface_makes_no_task_and_the_same_surface_the_same_tasks() -> None:
     fresh = SurfaceViews(CONFIG, FIXED).propose(context, surface, looks, 1.0)
     for one, other in ((first, again), (first, fresh)):
         assert [p.task.gain for p in one] == [p.task.gain for p in other]
-        assert [p.place.tolist() for p in one] == [p.place.tolist() for p in other]
+        assert [p.position_padded.tolist() for p in one] == [p.position_padded.tolist() for p in other]
     # another surface with arrays of the same size is not taken for the last one
     moved = SurfaceElements(surface.position_world, surface.normal_world, surface.uncertainty[::-1].copy(), 2)
     assert [p.task.gain for p in views.propose(context, moved, looks, 1.0)] != [p.task.gain for p in first]

@@ -188,7 +188,7 @@ class PlannerStages:
         if exit_cells is None:
             return BenchDecision(voxels, (), NOTHING)
         nearest = self._views.update(voxels, self._space, self._frontiers, place).proposals[:MAX_FRONTIERS]
-        gains = self._frontiers.beyond(voxels, [one.promised for one in nearest])
+        gains = self._frontiers.unknown_beyond(voxels, [one.expected_voxels for one in nearest])
         tasks = [one.with_gain(gain) for one, gain in zip(nearest, gains.tolist(), strict=True)]
         watch.lap("views")
         order = self._tour(exit_cells, posed, tasks, watch)

@@ -112,15 +112,15 @@ class Frontiers:
         start = self.table.rows.start[row]
         return self.table.rows.pool[start : start + self.table.rows.cells[row]].copy()
 
-    def beyond(self, voxels: VoxelMap, promised: Sequence[IntArray]) -> IntArray:
+    def unknown_beyond(self, voxels: VoxelMap, cell_sets: Sequence[IntArray]) -> IntArray:
         """Return the number of unknown voxels (N,) behind each of N sets of frontier cells.
 
         See unknown_volume.py.
 
-        promised: flat indices of the cells of each set.
+        cell_sets: flat indices of the cells of each set.
         """
-        ends = np.cumsum([0, *(len(cells) for cells in promised)])
-        cells = np.concatenate([np.zeros(0, dtype=np.int64), *promised])
+        ends = np.cumsum([0, *(len(cells) for cells in cell_sets)])
+        cells = np.concatenate([np.zeros(0, dtype=np.int64), *cell_sets])
         counts: IntArray = unknown_volume_of_each(voxels.state, self.faces, cells, ends, self._low, self._high)
         return counts
 

@@ -47,7 +47,7 @@ class ViewCache:
 
     row_of: row by the key of a cluster.
     rows: the results.
-    promised: by row, flat indices of the cells shown.
+    shown_cells: by row, flat indices of the cells shown.
     used: (R,) number of the plan that last used the row.
     """
 
@@ -55,7 +55,7 @@ class ViewCache:
         self.shell = shell
         self.row_of: dict[int, int] = {}
         self.key = [0] * ROWS
-        self.promised = [np.zeros(0, dtype=np.int64)] * ROWS
+        self.shown_cells = [np.zeros(0, dtype=np.int64)] * ROWS
         self.rows = ViewRows(
             shown=np.zeros(ROWS, dtype=np.int64),
             pose=np.zeros((ROWS, 5)),
@@ -95,7 +95,7 @@ class ViewCache:
         self._next = (self._next + 1) % ROWS
         if self.row_of.get(self.key[row]) == row:
             del self.row_of[self.key[row]]
-        self.promised[row] = _fill_row(row, scene, self.shell, faces, centre, flat, self.rows)
+        self.shown_cells[row] = _fill_row(row, scene, self.shell, faces, centre, flat, self.rows)
         self.rows.counts[row, 2:] = revisions
         self.key[row], self.row_of[key] = key, row
         return row
@@ -133,7 +133,7 @@ class ViewCache:
         owner = np.full((len(rows), max(1, int(samples.max()))), -1, dtype=np.int64)
         shows = _visibility(places, distance2.reshape(-1), shape, lens, self.rows, owner.shape[1])
         chosen = _greedy_cover(shows, samples, self.rows.shown[rows] / np.maximum(samples, 1), share, owner)
-        owners, cells = [], [self.promised[row] for row in rows]
+        owners, cells = [], [self.shown_cells[row] for row in rows]
         for n in range(len(rows)):
             ends = np.arange(samples[n] + 1) * len(cells[n]) // max(int(samples[n]), 1)
             # a sample stands for the cells up to the next
