@@ -50,7 +50,7 @@ def test_a_blocked_path_home_is_reported() -> None:
 def test_the_path_home_leaves_the_visited_surface_unchanged() -> None:
     the_planner = planner()
     the_planner.route(request(wall=False), Viewpoint(np.array([1.0, 1.5, 1.1]), 0.0, 0.26))
-    assert the_planner.view_history.surface_looks.sum() == 0.0
+    assert the_planner.view_history.surface_cosine_sums.sum() == 0.0
 
 
 def test_a_goal_outside_flyable_space_is_approached_and_a_far_one_refused() -> None:

@@ -25,7 +25,7 @@ class CameraGeometry:
 
     hfov_rad, vfov_rad: full angles of view.
     position_body_m: (3,) position of the imager.
-    pitch_min_rad, pitch_max_rad: range of the pitch, positive looks DOWN. A fixed mount has its tilt as both.
+    pitch_min_rad, pitch_max_rad: range of the pitch, positive cosine_sums DOWN. A fixed mount has its tilt as both.
     range_m: range up to which an unknown voxel is expected to become known.
     surface_range_m: range up to which a surface counts as well seen.
     near_m: returns closer than this are ignored.

@@ -46,7 +46,7 @@ class GeneratedTasks:
 class TaskQuery:
     """The inputs of a task source for one plan.
 
-    looks: (nx, ny, nz) sum of the cosines under which earlier views have seen the surface in a voxel.
+    cosine_sums: (nx, ny, nz) sum of the cosines under which earlier views have seen the surface in a voxel.
     views_left: remaining views in the budget.
     """
 
@@ -54,7 +54,7 @@ class TaskQuery:
     frontiers: Frontiers
     path_cache: PathCache
     surface: SurfaceElements | None
-    looks: Float32Array
+    cosine_sums: Float32Array
     views_left: int
 
 
@@ -111,7 +111,7 @@ class ClusterTasks:
         are if none is near.
         """
         for widening in (self._end_factor,) if ended else (1.0, self._end_factor) if only else (1.0,):
-            tasks = self._surfaces.propose(query.context, query.surface, query.looks, widening)
+            tasks = self._surfaces.propose(query.context, query.surface, query.cosine_sums, widening)
             if tasks:
                 break
         return tasks, widening
@@ -156,7 +156,7 @@ class GainField:
         frontiers = query.frontiers.clusters()
         return GeneratedTasks(
             PlanMode.MERGED,
-            self._views.propose(query.context, frontiers, query.surface, query.looks),
+            self._views.propose(query.context, frontiers, query.surface, query.cosine_sums),
             len(frontiers),
         )
 

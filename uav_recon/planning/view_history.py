@@ -15,14 +15,14 @@ from uav_recon.types.frames import BoolArray, ByteArray, Float32Array, FloatArra
 from uav_recon.types.maps import FREE, UNKNOWN, VoxelMap
 from uav_recon.types.tasks import NextView, PlanRequest, TaskKind, ViewPath
 
-MAX_LOOKS = 2  # unsuccessful views after which a frontier voxel is exhausted
+MAX_FAILED_VIEWS = 2  # unsuccessful views after which a frontier voxel is exhausted
 HOPELESS_SHARE = 0.7  # if this share of the expected voxels is left after a view, another view will not settle them either
 ARRIVED_M = 0.35  # a view counts as flown within this distance ...
 ARRIVED_RAD = 0.4  # ... and this heading difference
 STILL_FRONTIER_SHARE = 0.3  # if a smaller share of the expected frontier voxels is left, the view is no longer flown to
 # consecutive plans at the same position: the first view was refused by motion planning, so it counts as flown
 STALLED_PLANS = 3
-GIVEN_UP_LOOKS = 3.0  # looks at a right angle for which a view of surface counts whose motion is refused again
+GIVEN_UP_COSINE_SUM = 3.0  # sum of cosines for which a view of surface counts whose motion is refused again
 
 
 class ViewHistory:
@@ -34,12 +34,12 @@ class ViewHistory:
 
     failed_views: (nx, ny, nz) uint8, number of unsuccessful views of a frontier voxel.
     exhausted: (nx, ny, nz) uint8, 1 where that number has reached its limit.
-    surface_looks: (nx, ny, nz) float32, sum of the cosines under which tasks have seen the surface in a voxel.
+    surface_cosine_sums: (nx, ny, nz) float32, sum of the cosines under which tasks have seen the surface in a voxel.
     """
 
     failed_views: ByteArray
     exhausted: ByteArray
-    surface_looks: Float32Array
+    surface_cosine_sums: Float32Array
     _path: ViewPath | None
     _proposals: tuple[CandidateView, ...]
     _position: FloatArray
@@ -64,12 +64,12 @@ class ViewHistory:
             if proposal.task.kind is TaskKind.EXPLORE:
                 self._waiting.append((voxels.revision, proposal.expected_voxels))
             else:
-                self.surface_looks.reshape(-1)[proposal.expected_voxels] += proposal.view_cosine.astype(np.float32)
+                self.surface_cosine_sums.reshape(-1)[proposal.expected_voxels] += proposal.view_cosine.astype(np.float32)
         # a view is evaluated by a map newer than the arrival, because the image taken there may still be in processing
         due = [expected for revision, expected in self._waiting if revision < voxels.revision]
         self._waiting = [(revision, expected) for revision, expected in self._waiting if revision >= voxels.revision]
         self._position = np.array(request.position_world)
-        newly: IntArray = np.concatenate([np.zeros(0, dtype=np.int64), *(self._in_vain(voxels, one) for one in due)])
+        newly: IntArray = np.concatenate([np.zeros(0, dtype=np.int64), *(self._count_failed(voxels, one) for one in due)])
         return newly if given_up is None else np.concatenate([newly, self._give_up(given_up)])
 
     def is_set_aside(self, proposal: CandidateView) -> bool:
@@ -96,20 +96,20 @@ class ViewHistory:
         Returns the flat indices (N,) of voxels that became exhausted.
         """
         if proposal.task.kind is not TaskKind.EXPLORE:
-            self.surface_looks.reshape(-1)[proposal.expected_voxels] += GIVEN_UP_LOOKS
+            self.surface_cosine_sums.reshape(-1)[proposal.expected_voxels] += GIVEN_UP_COSINE_SUM
             return np.zeros(0, dtype=np.int64)
         exhausted = self.exhausted.reshape(-1)
         newly: IntArray = np.unique(proposal.expected_voxels[exhausted[proposal.expected_voxels] == 0])
-        self.failed_views.reshape(-1)[newly] = MAX_LOOKS
+        self.failed_views.reshape(-1)[newly] = MAX_FAILED_VIEWS
         exhausted[newly] = 1
         return newly
 
-    def _in_vain(self, voxels: VoxelMap, expected: IntArray) -> IntArray:
+    def _count_failed(self, voxels: VoxelMap, expected: IntArray) -> IntArray:
         still = expected[_still_frontier(voxels.state, expected)]
-        looks, exhausted = self.failed_views.reshape(-1), self.exhausted.reshape(-1)
+        failed_views, exhausted = self.failed_views.reshape(-1), self.exhausted.reshape(-1)
         hopeless = len(still) >= HOPELESS_SHARE * len(expected)
-        looks[still] = np.minimum(looks[still], 255 - MAX_LOOKS) + (MAX_LOOKS if hopeless else 1)
-        newly: IntArray = still[(looks[still] >= MAX_LOOKS) & (exhausted[still] == 0)]
+        failed_views[still] = np.minimum(failed_views[still], 255 - MAX_FAILED_VIEWS) + (MAX_FAILED_VIEWS if hopeless else 1)
+        newly: IntArray = still[(failed_views[still] >= MAX_FAILED_VIEWS) & (exhausted[still] == 0)]
         exhausted[newly] = 1
         return newly
 
@@ -146,7 +146,7 @@ class ViewHistory:
         self._frame = frame
         self.failed_views = np.zeros(shape, dtype=np.uint8)
         self.exhausted = np.zeros(shape, dtype=np.uint8)
-        self.surface_looks = np.zeros(shape, dtype=np.float32)
+        self.surface_cosine_sums = np.zeros(shape, dtype=np.float32)
         self._path = None
         self._proposals = ()
         self._position = np.zeros(3)

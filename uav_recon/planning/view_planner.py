@@ -163,7 +163,12 @@ class ViewPlanner:
         """Return the tour over the tasks of a source."""
         generated = source.propose(
             TaskQuery(
-                context, self.frontiers, self._path_cache, request.surface, self.view_history.surface_looks, request.views_left
+                context,
+                self.frontiers,
+                self._path_cache,
+                request.surface,
+                self.view_history.surface_cosine_sums,
+                request.views_left,
             )
         )
         committed = self._committed(context, request)

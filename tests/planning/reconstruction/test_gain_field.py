@@ -71,15 +71,15 @@ def test_the_order_of_the_frontiers_does_not_matter() -> None:
 
 def test_in_a_known_room_views_show_surface_until_it_was_looked_at() -> None:
     context = situation_in(seen_room(), HERE)
-    surface, views, looks = elements_of(MEETING_ROOM), FieldViews(CONFIG, GIMBAL), looks_of(context)
-    first = views.propose(context, [], surface, looks)
+    surface, views, cosine_sums = elements_of(MEETING_ROOM), FieldViews(CONFIG, GIMBAL), looks_of(context)
+    first = views.propose(context, [], surface, cosine_sums)
     assert first
     assert {p.task.kind for p in first} == {TaskKind.RECONSTRUCT}
     for _ in range(40):
-        proposals = views.propose(context, [], surface, looks)
+        proposals = views.propose(context, [], surface, cosine_sums)
         if not proposals:
             break
-        looks.ravel()[proposals[0].expected_voxels] += proposals[0].view_cosine.astype(np.float32)
+        cosine_sums.ravel()[proposals[0].expected_voxels] += proposals[0].view_cosine.astype(np.float32)
     assert not proposals
 
 

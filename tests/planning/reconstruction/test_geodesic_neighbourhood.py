@@ -5,7 +5,7 @@ import pytest
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
-from uav_recon.planning.reconstruction.geodesic_neighbourhood import STRIDE, seen_from_near, wave
+from uav_recon.planning.reconstruction.geodesic_neighbourhood import STRIDE, geodesic_distances, within_geodesic_radius
 from uav_recon.types.frames import ByteArray, FloatArray, IntArray
 from uav_recon.types.maps import FREE, OCCUPIED
 
@@ -35,7 +35,7 @@ def test_the_wave_finds_exact_distances(seed: int) -> None:
     start = rng.integers(0, state.shape)
     state[tuple(start)] = FREE
     limit = float(rng.uniform(4, 40))
-    reach, low = wave(state, start, limit)
+    reach, low = geodesic_distances(state, start, limit)
     wanted = _by_graph(state, start, limit)
     found = {tuple(int(x) for x in low + STRIDE * np.array(n)): d for n, d in np.ndenumerate(reach) if d < np.inf}
     assert found.keys() == wanted.keys()
@@ -53,8 +53,8 @@ def _room(gap: bool) -> ByteArray:
 
 
 def _near(state: ByteArray, start: tuple[int, int, int], limit: float, point: FloatArray, normal: FloatArray) -> bool:
-    reach, low = wave(state, np.array(start), limit)
-    return bool(seen_from_near(state, reach, low, limit, point[None], normal[None])[0])
+    reach, low = geodesic_distances(state, np.array(start), limit)
+    return bool(within_geodesic_radius(state, reach, low, limit, point[None], normal[None])[0])
 
 
 def test_surface_behind_a_wall_is_near_only_by_the_path_through_a_door() -> None:
@@ -74,6 +74,6 @@ def test_the_far_side_of_a_thin_wall_is_not_near() -> None:
 
 def test_the_computed_box_depends_on_the_limit_and_not_on_the_map() -> None:
     state = np.full((700, 700, 32), FREE, dtype=np.uint8)
-    reach, low = wave(state, np.array([350, 350, 16]), 20.0)
+    reach, low = geodesic_distances(state, np.array([350, 350, 16]), 20.0)
     assert reach.shape == (13, 13, 11)
     assert tuple(low) == (332, 332, 1)

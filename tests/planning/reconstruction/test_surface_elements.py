@@ -4,7 +4,7 @@ import numpy as np
 from box_world import MEETING_ROOM
 from uncertain_room import elements_of, seen_room
 
-from uav_recon.planning.reconstruction.surface_elements import CELL, Elements, weigh
+from uav_recon.planning.reconstruction.surface_elements import CELL, Elements, element_weights
 from uav_recon.types.maps import SurfaceElements
 
 
@@ -54,12 +54,12 @@ def test_elements_that_are_not_finite_or_far_from_the_map_are_left_out() -> None
 def test_looks_reduce_the_weight() -> None:
     grid = seen_room().grid
     elements = Elements.of(elements_of(MEETING_ROOM), grid, 5)
-    looks = np.zeros(grid.shape, dtype=np.float32)
-    looks.ravel()[elements.voxel[elements.cells[3, 0]]] = 2.0
-    weight = weigh(elements.cells[2:5], elements.sigma, elements.voxel, looks.ravel(), 0.5)
-    looked = looks.ravel()[elements.voxel] > 0
+    cosine_sums = np.zeros(grid.shape, dtype=np.float32)
+    cosine_sums.ravel()[elements.voxel[elements.cells[3, 0]]] = 2.0
+    weight = element_weights(elements.cells[2:5], elements.sigma, elements.voxel, cosine_sums.ravel(), 0.5)
+    cosine_sum = cosine_sums.ravel()[elements.voxel] > 0
     some = np.arange(len(weight))
     asked = (some >= elements.cells[2, 0]) & (some < elements.cells[4, 1])
     np.testing.assert_array_equal(weight[~asked], 0.0)
-    np.testing.assert_allclose(weight[asked & looked], elements.sigma[asked & looked] / 4)
-    np.testing.assert_allclose(weight[asked & ~looked], elements.sigma[asked & ~looked])
+    np.testing.assert_allclose(weight[asked & cosine_sum], elements.sigma[asked & cosine_sum] / 4)
+    np.testing.assert_allclose(weight[asked & ~cosine_sum], elements.sigma[asked & ~cosine_sum])

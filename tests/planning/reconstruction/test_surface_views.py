@@ -9,7 +9,7 @@ from uav_recon.config import PlannerConfig
 from uav_recon.geometry.traversal import visible_targets
 from uav_recon.planning.camera_frustum import CameraGeometry
 from uav_recon.planning.reconstruction.surface_elements import Elements
-from uav_recon.planning.reconstruction.surface_views import LOOK_DISCOUNT, SurfaceViews
+from uav_recon.planning.reconstruction.surface_views import VIEW_DISCOUNT, SurfaceViews
 from uav_recon.planning.reconstruction.view_gain import MIN_FACING
 from uav_recon.planning.view_sampling import shell
 from uav_recon.types.frames import FloatArray
@@ -81,7 +81,7 @@ def test_gains_equal_exact_rays_and_the_chosen_view_is_nearly_the_best(camera: C
             view = aimed(camera, (place - 1.0) * 0.1, task.centroid_world)
             best = max(best, float(cosines(voxels, elements, camera, view) @ weight))
         shares.append(task.gain / best)
-        weight *= LOOK_DISCOUNT**cosine
+        weight *= VIEW_DISCOUNT**cosine
     assert np.mean(shares) >= 0.99
     assert min(shares) >= 0.9
 
@@ -93,31 +93,31 @@ def test_surface_behind_a_wall_is_a_task_only_if_the_path_through_the_door_is_sh
     behind = (surface.position_world[:, 0] > 4.35) & (surface.position_world[:, 1] < 0.6)
     only = SurfaceElements(surface.position_world, surface.normal_world, np.where(behind, surface.uncertainty, 0.0), 1)
     views = SurfaceViews(CONFIG, GIMBAL)
-    looks = np.zeros(voxels.grid.shape, dtype=np.float32)
-    assert views.propose(situation_in(voxels, here), only, looks, 1.0) == []
-    assert views.propose(situation_in(voxels, here), only, looks, 3.0)
-    assert views.propose(situation_in(voxels, np.array([5.0, 0.8, 1.2])), only, looks, 1.0)
+    cosine_sums = np.zeros(voxels.grid.shape, dtype=np.float32)
+    assert views.propose(situation_in(voxels, here), only, cosine_sums, 1.0) == []
+    assert views.propose(situation_in(voxels, here), only, cosine_sums, 3.0)
+    assert views.propose(situation_in(voxels, np.array([5.0, 0.8, 1.2])), only, cosine_sums, 1.0)
 
 
 def test_surface_in_the_map_but_not_in_the_model_is_viewed_first() -> None:
     voxels, surface = seen_room(), elements_of(MEETING_ROOM)
-    context, looks = situation_in(voxels, HERE), np.zeros(voxels.grid.shape, dtype=np.float32)
+    context, cosine_sums = situation_in(voxels, HERE), np.zeros(voxels.grid.shape, dtype=np.float32)
     x, y = surface.position_world[:, 0], surface.position_world[:, 1]
     bare = (y < 0.1) & (x > 1.5) & (x < 4.5)  # most of a wall
     rest = SurfaceElements(surface.position_world[~bare], surface.normal_world[~bare], surface.uncertainty[~bare], 2)
-    first = SurfaceViews(CONFIG, GIMBAL).propose(context, rest, looks, 1.0)[0]
+    first = SurfaceViews(CONFIG, GIMBAL).propose(context, rest, cosine_sums, 1.0)[0]
     i, j, _ = np.unravel_index(first.expected_voxels, voxels.grid.shape)
     assert np.count_nonzero((j == 0) & (i > 16) & (i < 44)) > 100
-    whole = SurfaceViews(CONFIG, GIMBAL).propose(context, surface, looks, 1.0)[0]
+    whole = SurfaceViews(CONFIG, GIMBAL).propose(context, surface, cosine_sums, 1.0)[0]
     assert whole.task.gain < 0.7 * first.task.gain
 
 
 def test_a_fixed_mount_views_a_bare_ceiling_from_far_away() -> None:
     voxels, surface = seen_room(), elements_of(MEETING_ROOM)
-    context, looks = situation_in(voxels, HERE), np.zeros(voxels.grid.shape, dtype=np.float32)
+    context, cosine_sums = situation_in(voxels, HERE), np.zeros(voxels.grid.shape, dtype=np.float32)
     ceiling = surface.position_world[:, 2] > 2.35
     seen = SurfaceElements(surface.position_world[~ceiling], surface.normal_world[~ceiling], np.zeros(int((~ceiling).sum())), 1)
-    proposals = SurfaceViews(CONFIG, FIXED).propose(context, seen, looks, 3.0)
+    proposals = SurfaceViews(CONFIG, FIXED).propose(context, seen, cosine_sums, 3.0)
     assert len(proposals) >= 3
     for proposal in proposals:
         assert np.count_nonzero(proposal.expected_voxels % voxels.grid.shape[2] >= 25) >= CONFIG.min_visible
@@ -126,31 +126,33 @@ def test_a_fixed_mount_views_a_bare_ceiling_from_far_away() -> None:
 def test_tasks_run_out_as_they_are_viewed() -> None:
     voxels, surface = seen_room(), elements_of(MEETING_ROOM)
     context, views = situation_in(voxels, HERE), SurfaceViews(CONFIG, GIMBAL)
-    looks = np.zeros(voxels.grid.shape, dtype=np.float32)
+    cosine_sums = np.zeros(voxels.grid.shape, dtype=np.float32)
     gains = []
     for _ in range(12):
-        proposals = views.propose(context, surface, looks, 3.0)
+        proposals = views.propose(context, surface, cosine_sums, 3.0)
         gains.append(sum(proposal.task.gain for proposal in proposals))
         for proposal in proposals:
-            looks.ravel()[proposal.expected_voxels] += proposal.view_cosine
+            cosine_sums.ravel()[proposal.expected_voxels] += proposal.view_cosine
     assert gains[0] > 300
     assert gains[-1] == 0.0
 
 
 def test_no_surface_makes_no_task_and_the_same_surface_the_same_tasks() -> None:
     voxels = seen_room()
-    context, looks = situation_in(voxels, HERE), np.zeros(voxels.grid.shape, dtype=np.float32)
+    context, cosine_sums = situation_in(voxels, HERE), np.zeros(voxels.grid.shape, dtype=np.float32)
     nothing = SurfaceElements(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), 1)
     views = SurfaceViews(CONFIG, FIXED)
-    assert views.propose(context, None, looks, 1.0) == []
-    assert views.propose(context, nothing, looks, 1.0), "of a mapper that has learned nothing, all surface of the map is bare"
+    assert views.propose(context, None, cosine_sums, 1.0) == []
+    assert views.propose(context, nothing, cosine_sums, 1.0), (
+        "of a mapper that has learned nothing, all surface of the map is bare"
+    )
     surface = elements_of(MEETING_ROOM)
-    first = views.propose(context, surface, looks, 1.0)
-    again = views.propose(context, surface, looks, 1.0)
-    fresh = SurfaceViews(CONFIG, FIXED).propose(context, surface, looks, 1.0)
+    first = views.propose(context, surface, cosine_sums, 1.0)
+    again = views.propose(context, surface, cosine_sums, 1.0)
+    fresh = SurfaceViews(CONFIG, FIXED).propose(context, surface, cosine_sums, 1.0)
     for one, other in ((first, again), (first, fresh)):
         assert [p.task.gain for p in one] == [p.task.gain for p in other]
         assert [p.position_padded.tolist() for p in one] == [p.position_padded.tolist() for p in other]
     # another surface with arrays of the same size is not taken for the last one
     moved = SurfaceElements(surface.position_world, surface.normal_world, surface.uncertainty[::-1].copy(), 2)
-    assert [p.task.gain for p in views.propose(context, moved, looks, 1.0)] != [p.task.gain for p in first]
+    assert [p.task.gain for p in views.propose(context, moved, cosine_sums, 1.0)] != [p.task.gain for p in first]

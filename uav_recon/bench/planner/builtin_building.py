@@ -55,7 +55,7 @@ _WAY_M = np.array(
 def fly_through() -> RecordedStream:
     """Render all images of the flight. Takes about a second.
 
-    The camera looks up to 15° down, and left and right of the path.
+    The camera cosine_sums up to 15° down, and left and right of the path.
     """
     legs_m = np.linalg.norm(np.diff(_WAY_M, axis=0), axis=1)
     along_m = np.concatenate(([0.0], np.cumsum(legs_m)))

@@ -88,7 +88,7 @@ def _measure(flight: Path) -> tuple[dict[str, list[float]], dict[str, list[int]]
     planner = derived(config.planner, low, high, camera)
     space = FlyableSpace(voxels.grid, planner.clearance_m, *fence_box(voxels.grid, low, high))
     space.update(voxels)
-    views, looks = SurfaceViews(planner, camera), np.zeros(voxels.grid.shape, dtype=np.float32)
+    views, cosine_sums = SurfaceViews(planner, camera), np.zeros(voxels.grid.shape, dtype=np.float32)
     moments = list(_moments(flight))
     times: dict[str, list[float]] = {phase: [] for phase in PHASES}
     tasks: dict[str, list[int]] = {phase: [] for phase in PHASES}
@@ -102,7 +102,7 @@ def _measure(flight: Path) -> tuple[dict[str, list[float]], dict[str, list[int]]
             for phase, factor in zip(PHASES, (1.0, planner.end_factor), strict=True):
                 fresh = SurfaceElements(*surface, revision=(lap * len(moments) + n) * len(PHASES) + PHASES.index(phase))
                 watch = Stopwatch()
-                found = views.propose(context, fresh, looks, factor)
+                found = views.propose(context, fresh, cosine_sums, factor)
                 watch.lap(phase)
                 if lap:
                     times[phase].append(watch.cpu_ms[phase])

@@ -17,9 +17,16 @@ from uav_recon.geometry.traversal import is_visible
 from uav_recon.planning.camera_frustum import CAM_Z, NEAR, RANGE, CameraGeometry, LineOfSight, in_view, sight
 from uav_recon.planning.candidate_view import MIN_SEEN, CandidateView, PlanningContext
 from uav_recon.planning.frontier.frontiers import FACES, Frontier
-from uav_recon.planning.reconstruction.surface_elements import CELL, Elements, KeptElements, max_cosine_per_voxel, weigh, within
-from uav_recon.planning.reconstruction.surface_views import LOOK_DISCOUNT
-from uav_recon.planning.reconstruction.view_gain import TAIL, patches_near, seen
+from uav_recon.planning.reconstruction.surface_elements import (
+    CELL,
+    Elements,
+    ElementsCache,
+    element_weights,
+    max_cosine_per_voxel,
+    within,
+)
+from uav_recon.planning.reconstruction.surface_views import VIEW_DISCOUNT
+from uav_recon.planning.reconstruction.view_gain import TAIL, patches_near, visible_gain
 from uav_recon.types.frames import BoolArray, ByteArray, Float32Array, FloatArray, IntArray
 from uav_recon.types.maps import FREE, SurfaceElements
 from uav_recon.types.tasks import Task, TaskKind, Viewpoint
@@ -39,23 +46,27 @@ class FieldViews:
     def __init__(self, config: PlannerConfig, camera: CameraGeometry) -> None:
         self._config = config
         self._camera = camera
-        self._elements = KeptElements(config.downsample)
+        self._elements = ElementsCache(config.downsample)
 
     def propose(
-        self, context: PlanningContext, frontiers: Sequence[Frontier], surface: SurfaceElements | None, looks: Float32Array
+        self,
+        context: PlanningContext,
+        frontiers: Sequence[Frontier],
+        surface: SurfaceElements | None,
+        cosine_sums: Float32Array,
     ) -> list[CandidateView]:
         """Return the views (at most BEST_VIEWS) with the most gain per metre of distance.
 
         The order of ``frontiers`` does not matter.
 
-        looks: (nx, ny, nz) sum of the cosines under which views have seen the surface in a voxel.
+        cosine_sums: (nx, ny, nz) sum of the cosines under which views have seen the surface in a voxel.
 
         The kind of a view is the larger part of its gain: unknown space or surface.
         """
         grid = context.voxels.grid
         here = context.space.cell_centres(context.exit_cells[-1:])[0] - 1.0
         for radius_m in RADII_M:
-            proposals = self._within(context, frontiers, surface, looks, here, radius_m / grid.resolution_m)
+            proposals = self._within(context, frontiers, surface, cosine_sums, here, radius_m / grid.resolution_m)
             if proposals:
                 return proposals
         return []
@@ -65,7 +76,7 @@ class FieldViews:
         context: PlanningContext,
         frontiers: Sequence[Frontier],
         surface: SurfaceElements | None,
-        looks: Float32Array,
+        cosine_sums: Float32Array,
         here: FloatArray,
         radius: float,
     ) -> list[CandidateView]:
@@ -79,12 +90,12 @@ class FieldViews:
             elements = self._elements.of(surface, context.voxels.grid)
             reach = radius + self._camera.range_m / resolution_m
             around = within(elements, here, reach)
-            weight = weigh(around, elements.sigma, elements.voxel, looks.ravel(), LOOK_DISCOUNT)
+            weight = element_weights(around, elements.sigma, elements.voxel, cosine_sums.ravel(), VIEW_DISCOUNT)
             rows.append(patches_near(here, reach, elements.position, elements.normal, weight, around))
         pitches = np.linspace(self._camera.pitch_min_rad, self._camera.pitch_max_rad, PITCHES)
-        well = min(self._camera.surface_range_m, self._camera.range_m) / resolution_m
+        surface_range = min(self._camera.surface_range_m, self._camera.range_m) / resolution_m
         field = np.concatenate(rows)
-        gains, yaws, tilts = field_gains(context.voxels.state, lens, places, field, len(frontier_rows), well, pitches)
+        gains, yaws, tilts = field_gains(context.voxels.state, lens, places, field, len(frontier_rows), surface_range, pitches)
         away_m = np.sqrt(((places - here) ** 2).sum(axis=1)) * resolution_m
         proposals: list[CandidateView] = []
         for p in np.argsort(-gains / (1.0 + away_m), kind="stable"):
@@ -119,7 +130,9 @@ class FieldViews:
         surface_gain, cosine = 0.0, np.zeros(len(weight))
         if elements is not None:
             near = self._camera.lens(grid.resolution_m, min(self._camera.surface_range_m, self._camera.range_m))
-            surface_gain, count = seen(state, near, line, elements.position, elements.normal, weight, around, True, cosine)
+            surface_gain, count = visible_gain(
+                state, near, line, elements.position, elements.normal, weight, around, True, cosine
+            )
             surface_gain = surface_gain if count >= self._config.min_visible else 0.0
         if len(flat) >= MIN_SEEN and unknown_gain >= surface_gain:
             task = Task(TaskKind.EXPLORE, view.position_world, view, unknown_gain + surface_gain)
@@ -186,12 +199,18 @@ def _cosine(row: FloatArray, x: float, y: float, z: float) -> float:
 
 @kernel
 def field_gains(
-    state: ByteArray, lens: FloatArray, places: FloatArray, rows: FloatArray, unknown: int, well: float, pitches: FloatArray
+    state: ByteArray,
+    lens: FloatArray,
+    places: FloatArray,
+    rows: FloatArray,
+    unknown: int,
+    surface_range: float,
+    pitches: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the best gain, heading and pitch of each position (P, 3): three arrays (P,).
 
     rows: (M, 7) as in patches_near; the first ``unknown`` rows are frontier cells.
-    well: range in voxels up to which the other rows count.
+    surface_range: range in voxels up to which the other rows count.
     """
     best, yaws, tilts = np.zeros(len(places)), np.zeros(len(places)), np.zeros(len(places))
     visible = np.empty(len(rows), dtype=np.int64)
@@ -201,7 +220,7 @@ def field_gains(
         count = 0
         for m in range(len(rows)):
             away2 = (rows[m, 0] - x) ** 2 + (rows[m, 1] - y) ** 2 + (rows[m, 2] - z) ** 2
-            reach = lens[RANGE] if m < unknown else well
+            reach = lens[RANGE] if m < unknown else surface_range
             if away2 > reach * reach or away2 < lens[NEAR] * lens[NEAR]:
                 continue
             facing = _cosine(rows[m], x, y, z)
@@ -243,6 +262,6 @@ def warm_up() -> None:
     line = sight(lens, places[0], 0.0, 0.0)
     rows_in_view(state, lens, line, rows)
     cells, one = np.array([[0, 1, 0]]), np.ones(1)
-    seen(state, lens, line, rows[:, :3].copy(), rows[:, 3:6].copy(), one, cells, True, np.zeros(1))
-    weigh(cells, one, np.zeros(1, dtype=np.int64), np.zeros(64, dtype=np.float32), LOOK_DISCOUNT)
+    visible_gain(state, lens, line, rows[:, :3].copy(), rows[:, 3:6].copy(), one, cells, True, np.zeros(1))
+    element_weights(cells, one, np.zeros(1, dtype=np.int64), np.zeros(64, dtype=np.float32), VIEW_DISCOUNT)
     patches_near(places[0], 9.0, rows[:, :3].copy(), rows[:, 3:6].copy(), one, cells)

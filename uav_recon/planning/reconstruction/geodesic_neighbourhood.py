@@ -2,8 +2,8 @@
 
 Thus it does not extend through walls.
 
-A wave runs from the vehicle over every third voxel along each axis. A step is open if all voxels that it passes are known
-free. A wall of one voxel stops the wave; an opening wide enough for the vehicle never does. Few nodes are needed.
+The search runs from the vehicle over every third voxel along each axis. A step is open if all voxels that it passes are known
+free. A wall of one voxel stops it; an opening wide enough for the vehicle never does. Few nodes are needed.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from uav_recon.planning.reconstruction.view_gain import TAIL
 from uav_recon.types.frames import BoolArray, ByteArray, FloatArray, IntArray
 from uav_recon.types.maps import FREE
 
-STRIDE = 3  # voxels between nodes of the wave
+STRIDE = 3  # voxels between nodes of the search
 AROUND = 2  # nodes in each direction that are tested for a line of sight to an element
 
 
 @kernel
-def wave(state: ByteArray, start: IntArray, limit: float) -> tuple[FloatArray, IntArray]:  # noqa: C901
+def geodesic_distances(state: ByteArray, start: IntArray, limit: float) -> tuple[FloatArray, IntArray]:  # noqa: C901
     """Return path lengths in voxels from a voxel to nodes STRIDE apart, up to ``limit``.
 
     Returns (na, nb, nc) float64 for a box of nodes, inf = farther or no path, and the voxel (3,) of the first node: node
@@ -78,7 +78,7 @@ def wave(state: ByteArray, start: IntArray, limit: float) -> tuple[FloatArray, I
 
 
 @kernel
-def seen_from_near(
+def within_geodesic_radius(
     state: ByteArray, reach: FloatArray, low: IntArray, limit: float, position: FloatArray, normal: FloatArray
 ) -> BoolArray:
     """Return a mask (N,) of the surface points within ``limit``.

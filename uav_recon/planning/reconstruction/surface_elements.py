@@ -12,7 +12,7 @@ from uav_recon.types.frames import Float32Array, FloatArray, IntArray
 from uav_recon.types.maps import GridSpec, SurfaceElements
 
 CELL = 3.0  # voxels; elements in one cube of this edge with the same main normal direction form a cell
-BARE_SIGMA = 2.0  # uncertainty of surface that no keyframe shows
+UNMODELLED_SIGMA = 2.0  # uncertainty of surface that no keyframe shows
 RANKED_AT = 90  # percentile of the uncertainty that is scaled to 1
 _FAR = 1 << 17  # voxels from the map's corner; elements farther away are ignored, and the number of their cube would overflow
 
@@ -68,7 +68,7 @@ class Elements:
             _floors(np.ascontiguousarray(everywhere, dtype=np.float64)),
         )
 
-    def with_bare(self, position: FloatArray, normal: FloatArray, grid: GridSpec) -> Elements:
+    def with_unmodelled(self, position: FloatArray, normal: FloatArray, grid: GridSpec) -> Elements:
         """Add surface that the model does not contain, with the largest uncertainty.
 
         position, normal: (N, 3) positions and normals, in voxels.
@@ -80,14 +80,14 @@ class Elements:
         return Elements(
             np.concatenate([self.position, position]),
             np.concatenate([self.normal, normal]),
-            np.concatenate([self.sigma, np.full(len(position), BARE_SIGMA)]),
+            np.concatenate([self.sigma, np.full(len(position), UNMODELLED_SIGMA)]),
             np.concatenate([self.voxel, _voxel_of(position, np.array(grid.shape, dtype=np.int64))]),
             np.concatenate([self.cells, cells + len(self.position)]),
             self.modelled,
         )
 
 
-class KeptElements:
+class ElementsCache:
     """Caches the elements of the last surface, so that it is sorted once."""
 
     def __init__(self, every: int) -> None:
@@ -173,16 +173,18 @@ def _voxel_of(position: FloatArray, shape: IntArray) -> IntArray:
 
 
 @kernel
-def weigh(cells: IntArray, sigma: FloatArray, voxel: IntArray, looks: Float32Array, discount: float) -> FloatArray:
+def element_weights(
+    cells: IntArray, sigma: FloatArray, voxel: IntArray, cosine_sums: Float32Array, discount: float
+) -> FloatArray:
     """Return weights (N,) of the elements of some cells; 0 for other elements.
 
     A weight is sigma times ``discount`` to the power of the sum of cosines of earlier views.
 
-    looks: (voxels,) flat, the sum of the cosines under which the surface of a voxel was seen.
+    cosine_sums: (voxels,) flat, the sum of the cosines under which the surface of a voxel was seen.
     """
     out = np.zeros(len(sigma))
     for c in range(len(cells)):
         for n in range(cells[c, 0], cells[c, 1]):
-            looked = looks[voxel[n]] if voxel[n] >= 0 else 0.0
-            out[n] = sigma[n] * discount**looked if looked > 0.0 else sigma[n]
+            cosine_sum = cosine_sums[voxel[n]] if voxel[n] >= 0 else 0.0
+            out[n] = sigma[n] * discount**cosine_sum if cosine_sum > 0.0 else sigma[n]
     return out

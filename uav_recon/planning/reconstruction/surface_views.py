@@ -14,18 +14,24 @@ from uav_recon.config import PlannerConfig
 from uav_recon.geometry.jit import kernel
 from uav_recon.planning.camera_frustum import RANGE, CameraGeometry
 from uav_recon.planning.candidate_view import CandidateView, PlanningContext
-from uav_recon.planning.reconstruction.geodesic_neighbourhood import seen_from_near, wave
-from uav_recon.planning.reconstruction.surface_elements import Elements, KeptElements, max_cosine_per_voxel, weigh, within
+from uav_recon.planning.reconstruction.geodesic_neighbourhood import geodesic_distances, within_geodesic_radius
+from uav_recon.planning.reconstruction.surface_elements import (
+    Elements,
+    ElementsCache,
+    element_weights,
+    max_cosine_per_voxel,
+    within,
+)
 from uav_recon.planning.reconstruction.unmodelled_surface import unmodelled_surface
-from uav_recon.planning.reconstruction.view_gain import best_view, patches_near, promising
+from uav_recon.planning.reconstruction.view_gain import best_candidates, best_view, patches_near
 from uav_recon.planning.view_sampling import RANGE_MARGIN_M, edge_shell, shell
 from uav_recon.types.frames import Float32Array, FloatArray, IntArray
 from uav_recon.types.maps import SurfaceElements
 from uav_recon.types.tasks import Task, TaskKind, Viewpoint
 
-LOOK_DISCOUNT = 0.35  # factor on an element's uncertainty for each task that saw it at a right angle, so that tasks end
+VIEW_DISCOUNT = 0.35  # factor on an element's uncertainty for each task that saw it at a right angle, so that tasks end
 MIN_GAIN_SHARE = 1.0  # min. gain of a view as a share of min_visible; one most uncertain element has gain 1
-HOPEFUL_VIEWS = 12  # candidates per task evaluated by element ...
+CANDIDATE_VIEWS = 12  # candidates per task evaluated by element ...
 FULL_VIEWS = 3  # ... and of these, the number evaluated in full
 _TIGHT_RADII_M = (0.5, 0.65)  # for tight rooms
 _NEGLIGIBLE = 1e-6  # elements with less weight do not seed a cluster
@@ -46,15 +52,15 @@ class SurfaceViews:
         self._offsets_m = np.concatenate(
             [shell(camera, tuple(float(r) for r in radii_m), 1.0), edge_shell(camera, edge_m, 1.0)]
         )
-        self._elements = KeptElements(config.downsample)
+        self._elements = ElementsCache(config.downsample)
 
     def propose(
-        self, context: PlanningContext, surface: SurfaceElements | None, looks: Float32Array, factor: float
+        self, context: PlanningContext, surface: SurfaceElements | None, cosine_sums: Float32Array, factor: float
     ) -> list[CandidateView]:
         """Return at most N_rec tasks. Each gain is what the task adds to the ones before it.
 
         surface: None without a mapper; empty if the mapper has learned nothing, so that all surface is bare.
-        looks: (nx, ny, nz) sum of the cosines under which tasks have seen the surface in a voxel.
+        cosine_sums: (nx, ny, nz) sum of the cosines under which tasks have seen the surface in a voxel.
         factor: multiplies R_loc, R_clu and N_rec (alpha once no frontier is left).
         """
         if surface is None:
@@ -66,21 +72,21 @@ class SurfaceViews:
         radius = config.cluster_radius_m / resolution_m
         lens = self._camera.lens(resolution_m, min(self._camera.surface_range_m, self._camera.range_m))
         # a view is at most d_f from its cluster, and sees up to the range of the camera
-        elements = _and_bare(elements, context, start, limit + radius)
+        elements = _with_unmodelled(elements, context, start, limit + radius)
         around = within(elements, start + 0.5, limit + config.shell_max_m / resolution_m + lens[RANGE])
-        weight = weigh(around, elements.sigma, elements.voxel, looks.ravel(), LOOK_DISCOUNT)
-        near = local(elements, around, context, start, limit)
-        left = weighty(near, weight)
+        weight = element_weights(around, elements.sigma, elements.voxel, cosine_sums.ravel(), VIEW_DISCOUNT)
+        near = within_path_length(elements, around, context, start, limit)
+        left = with_weight(near, weight)
         proposals: list[CandidateView] = []
         for _ in range(round(config.max_reconstruct_tasks * factor)):
             if not len(left):
                 break
-            seed, aim = cluster(elements.position, weight, left, radius)
+            seed, aim = next_cluster(elements.position, weight, left, radius)
             found = self._propose_one(context, elements, around, weight, elements.position[aim], lens)
             if found is not None:
                 proposals.append(found)
             # if a cluster cannot be seen, surface beyond R_clu may still be visible
-            left = beyond(elements.position, left, seed, radius if found is None else radius * factor)
+            left = outside_radius(elements.position, left, seed, radius if found is None else radius * factor)
         return proposals
 
     def _propose_one(
@@ -100,20 +106,20 @@ class SurfaceViews:
         surface = (elements.position, elements.normal, weight, cells)
         places = np.floor(centre + self._offsets_m / context.voxels.grid.resolution_m) + 0.5
         patches = patches_near(centre, lens[RANGE], *surface)
-        hopeful = places[promising(state, context.space.reachable, lens, places, centre, patches, HOPEFUL_VIEWS)]
+        candidates = places[best_candidates(state, context.space.reachable, lens, places, centre, patches, CANDIDATE_VIEWS)]
         cosine = np.zeros(len(weight))
-        best, yaw, pitch, gain = best_view(state, lens, hopeful, centre, *surface, min_visible, FULL_VIEWS, cosine)
+        best, yaw, pitch, gain = best_view(state, lens, candidates, centre, *surface, min_visible, FULL_VIEWS, cosine)
         if best < 0 or gain < MIN_GAIN_SHARE * min_visible:
             return None
         seen = np.flatnonzero(cosine)
-        weight[seen] *= LOOK_DISCOUNT ** cosine[seen]
+        weight[seen] *= VIEW_DISCOUNT ** cosine[seen]
         grid = context.voxels.grid
-        viewpoint = Viewpoint(grid.origin_world_m + hopeful[best] * grid.resolution_m, yaw, pitch)
+        viewpoint = Viewpoint(grid.origin_world_m + candidates[best] * grid.resolution_m, yaw, pitch)
         task = Task(TaskKind.RECONSTRUCT, grid.origin_world_m + centre * grid.resolution_m, viewpoint, gain)
-        return CandidateView(task, hopeful[best] + 1.0, *max_cosine_per_voxel(elements.voxel[seen], cosine[seen]))
+        return CandidateView(task, candidates[best] + 1.0, *max_cosine_per_voxel(elements.voxel[seen], cosine[seen]))
 
 
-def _and_bare(elements: Elements, context: PlanningContext, start: IntArray, reach: float) -> Elements:
+def _with_unmodelled(elements: Elements, context: PlanningContext, start: IntArray, reach: float) -> Elements:
     """Add the surface that is only in the map.
 
     Only voxels within ``reach`` voxels of ``start`` (3,) along each axis are searched.
@@ -122,20 +128,22 @@ def _and_bare(elements: Elements, context: PlanningContext, start: IntArray, rea
     low = np.maximum(start - math.ceil(reach), 0)
     high = np.minimum(start + math.ceil(reach) + 1, np.array(voxels.grid.shape, dtype=np.int64))
     position, normal = unmodelled_surface(voxels.state, low, high, elements.modelled)
-    return elements.with_bare(position, normal, voxels.grid)
+    return elements.with_unmodelled(position, normal, voxels.grid)
 
 
-def local(elements: Elements, cells: IntArray, context: PlanningContext, start: IntArray, limit: float) -> IntArray:
+def within_path_length(
+    elements: Elements, cells: IntArray, context: PlanningContext, start: IntArray, limit: float
+) -> IntArray:
     """Return those of some cells (C, 3) within ``limit`` voxels of path through free space."""
     state = context.voxels.state
-    reach, low = wave(state, start, limit)
+    reach, low = geodesic_distances(state, start, limit)
     middle = cells[:, 2]
-    near: IntArray = cells[seen_from_near(state, reach, low, limit, elements.position[middle], elements.normal[middle])]
+    near: IntArray = cells[within_geodesic_radius(state, reach, low, limit, elements.position[middle], elements.normal[middle])]
     return near
 
 
 @kernel
-def weighty(cells: IntArray, weight: FloatArray) -> IntArray:
+def with_weight(cells: IntArray, weight: FloatArray) -> IntArray:
     """Return the elements (M,) of some cells (C, 3) with enough weight for a cluster."""
     out = np.empty(len(weight), dtype=np.int64)
     count = 0
@@ -148,7 +156,7 @@ def weighty(cells: IntArray, weight: FloatArray) -> IntArray:
 
 
 @kernel
-def cluster(position: FloatArray, weight: FloatArray, left: IntArray, radius: float) -> tuple[int, int]:
+def next_cluster(position: FloatArray, weight: FloatArray, left: IntArray, radius: float) -> tuple[int, int]:
     """Return the most uncertain of the elements ``left`` (M,), and the element to aim at.
 
     The element to aim at is the nearest to the weighted mean of those within ``radius`` voxels of the most uncertain one.
@@ -176,7 +184,7 @@ def cluster(position: FloatArray, weight: FloatArray, left: IntArray, radius: fl
 
 
 @kernel
-def beyond(position: FloatArray, left: IntArray, seed: int, radius: float) -> IntArray:
+def outside_radius(position: FloatArray, left: IntArray, seed: int, radius: float) -> IntArray:
     """Return those of ``left`` that are farther than ``radius`` voxels from an element."""
     out = np.empty(len(left), dtype=np.int64)
     count = 0

@@ -71,7 +71,7 @@ def patches_near(
 
 
 @kernel
-def promising(  # noqa: C901, PLR0912
+def best_candidates(  # noqa: C901, PLR0912
     state: ByteArray,
     reachable: ByteArray,
     lens: FloatArray,
@@ -135,7 +135,7 @@ def promising(  # noqa: C901, PLR0912
 
 
 @kernel
-def seen(
+def visible_gain(
     state: ByteArray,
     lens: FloatArray,
     line: LineOfSight,
@@ -201,23 +201,23 @@ def best_view(
 ) -> tuple[int, float, float, float]:
     """Return index, yaw, pitch and gain of the position (of P, 3) whose view gains most.
 
-    All views look at ``centre``. The index is -1 if there is none. Only the ``full`` most promising positions are evaluated
-    in full.
+    All views look at ``centre``. The index is -1 if there is none. Only the ``full`` positions with the largest estimated gain
+    are evaluated in full.
 
     cosine: (N,) output, n.v of the elements seen in the best view, 0 = not seen.
     """
-    hoped = np.zeros(len(places))
+    estimated_gain = np.zeros(len(places))
     for p in range(len(places)):
         yaw, pitch = aim(lens, places[p, 0], places[p, 1], places[p, 2], centre[0], centre[1], centre[2])
         line = sight(lens, places[p], yaw, pitch)
-        hoped[p] = seen(state, lens, line, position, normal, weight, cells, False, cosine)[0]
+        estimated_gain[p] = visible_gain(state, lens, line, position, normal, weight, cells, False, cosine)[0]
     best, best_yaw, best_pitch, best_gain = -1, 0.0, 0.0, 0.0
     trial = np.empty(len(cosine))
     cosine[:] = 0.0
-    for p in np.argsort(-hoped, kind="mergesort")[:full]:
+    for p in np.argsort(-estimated_gain, kind="mergesort")[:full]:
         yaw, pitch = aim(lens, places[p, 0], places[p, 1], places[p, 2], centre[0], centre[1], centre[2])
         line = sight(lens, places[p], yaw, pitch)
-        gain, count = seen(state, lens, line, position, normal, weight, cells, True, trial)
+        gain, count = visible_gain(state, lens, line, position, normal, weight, cells, True, trial)
         if count >= min_visible and gain > best_gain:
             best, best_yaw, best_pitch, best_gain = p, yaw, pitch, gain
             for n in range(len(cosine)):
