@@ -135,7 +135,7 @@ def travel_time_model(config: Config) -> TravelTimeModel:
 
     yaw_policy, pace = yaw_policy_of(config), (config.motion.speed_mps, math.radians(config.motion.yaw_rate_degps))
     if isinstance(yaw_policy, YawAlongPath):
-        return YawThenFly(*pace, yaw_policy.blind_speed_mps, yaw_policy.off_rad, yaw_policy.upright)
+        return YawThenFly(*pace, yaw_policy.blind_speed_mps, yaw_policy.max_offset_rad, yaw_policy.vertical_tangent)
     return YawWhileFlying(*pace)
 
 

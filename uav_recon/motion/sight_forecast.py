@@ -116,17 +116,17 @@ class SightForecast:
             place=np.vstack([self.place, place]), reached_s=np.concatenate([self.reached_s, reached_s]),
             tangents=self.tangents, radius_m=self.hull.radius_m, oldest_s=self.limit.blind_stale_s,
         )  # fmt: skip
-        _last_sights(points, nodes + len(self.place), path, RecentViewArrays.of(self.views), self.clearance_map, seen_s)
+        _last_seen_s(points, nodes + len(self.place), path, RecentViewArrays.of(self.views), self.clearance_map, seen_s)
         limit_mps[nodes] = self.limit.at(reached_s[nodes] - seen_s + OLDER_S)
         return limit_mps
 
 
 @kernel
-def _line_is_free(clearance_map: ClearanceMap, here: AnyArray, there: AnyArray, way_m: float) -> bool:
+def _line_is_free(clearance_map: ClearanceMap, here: AnyArray, there: AnyArray, length_m: float) -> bool:
     """Return True if a line of sight keeps clear of anything that may not be free."""
     went_m = 0.0
-    while went_m < way_m:
-        share = went_m / way_m
+    while went_m < length_m:
+        share = went_m / length_m
         x, y = here[0] + share * (there[0] - here[0]), here[1] + share * (there[1] - here[1])
         z = here[2] + share * (there[2] - here[2])
         left_m = clearance_at(clearance_map, x, y, z) - LINE_M - LINE_SHARE * went_m
@@ -137,7 +137,7 @@ def _line_is_free(clearance_map: ClearanceMap, here: AnyArray, there: AnyArray, 
 
 
 @kernel
-def _seen_on_the_way(point: AnyArray, n: int, path: HullPath, clearance_map: ClearanceMap) -> float:
+def _last_seen_on_path_s(point: AnyArray, n: int, path: HullPath, clearance_map: ClearanceMap) -> float:
     """Return the last instant before node n at which the motion sees a point or is there.
 
     It is -infinity if there is none.
@@ -152,8 +152,8 @@ def _seen_on_the_way(point: AnyArray, n: int, path: HullPath, clearance_map: Cle
             continue
         examined_s = at_s
         dx, dy, dz = point[0] - place[m, 0], point[1] - place[m, 1], point[2] - place[m, 2]
-        way2 = dx * dx + dy * dy + dz * dz
-        if way2 <= radius_m * radius_m:
+        distance2 = dx * dx + dy * dy + dz * dz
+        if distance2 <= radius_m * radius_m:
             return float(at_s)
         cos, sin = math.cos(place[m, 3]), math.sin(place[m, 3])
         ahead, aside = cos * dx + sin * dy, cos * dy - sin * dx
@@ -161,13 +161,13 @@ def _seen_on_the_way(point: AnyArray, n: int, path: HullPath, clearance_map: Cle
         deep, below = cos * ahead - sin * dz, -sin * ahead - cos * dz
         if deep <= 0.0 or abs(aside) > tangents[0] * deep or abs(below) > tangents[1] * deep:
             continue
-        if _line_is_free(clearance_map, place[m], point, math.sqrt(way2)):
+        if _line_is_free(clearance_map, place[m], point, math.sqrt(distance2)):
             return float(at_s)
     return -np.inf
 
 
 @kernel
-def _seen_before(point: AnyArray, radius_m: float, views: RecentViewArrays) -> float:
+def _last_seen_in_views_s(point: AnyArray, radius_m: float, views: RecentViewArrays) -> float:
     """Return the stamp of the newest view that saw past a point or took place there.
 
     It is -infinity if there is none.
@@ -194,7 +194,7 @@ def _seen_before(point: AnyArray, radius_m: float, views: RecentViewArrays) -> f
 
 
 @kernel
-def _last_sights(
+def _last_seen_s(
     points: FloatArray, nodes: IntArray, path: HullPath, views: RecentViewArrays, clearance_map: ClearanceMap, out: FloatArray
 ) -> None:
     """Fill ``out`` (N,) with the last sight of each node: of the point not seen for longest.
@@ -204,9 +204,9 @@ def _last_sights(
     for i in range(len(points)):
         out[i] = np.inf
         for k in range(points.shape[1]):
-            seen_s = _seen_on_the_way(points[i, k], nodes[i], path, clearance_map)
+            seen_s = _last_seen_on_path_s(points[i, k], nodes[i], path, clearance_map)
             if seen_s == -np.inf:
-                seen_s = _seen_before(points[i, k], path.radius_m, views)
+                seen_s = _last_seen_in_views_s(points[i, k], path.radius_m, views)
             out[i] = min(out[i], seen_s)
             if seen_s == -np.inf:
                 break

@@ -58,11 +58,11 @@ class YawPolicy(Protocol):
         ...
 
     def along(
-        self, way: FloatArray, begin: FloatArray, goal: FloatArray, forecast: SightForecast | None
+        self, leg: FloatArray, begin: FloatArray, goal: FloatArray, forecast: SightForecast | None
     ) -> tuple[FloatArray, SightForecast | None]:
         """Return the vertices (M, 5) of a leg after ``begin`` (5,), and the forecast after it.
 
-        It ends at ``goal`` (5,), whose yaw is kept except for whole turns. way: (N, 3) positions of the leg, from that of
+        It ends at ``goal`` (5,), whose yaw is kept except for whole turns. leg: (N, 3) positions of the leg, from that of
         ``begin`` on.
         """
         ...
@@ -105,10 +105,10 @@ class YawAtViews:
         return None
 
     def along(
-        self, way: FloatArray, begin: FloatArray, goal: FloatArray, forecast: SightForecast | None
+        self, leg: FloatArray, begin: FloatArray, goal: FloatArray, forecast: SightForecast | None
     ) -> tuple[FloatArray, SightForecast | None]:
         """Change each angle in proportion to the length."""
-        return _evenly(way, begin, goal), forecast
+        return _with_even_turn(leg, begin, goal), forecast
 
     def max_speed_mps(
         self, slope: FloatArray, place: FloatArray, forecast: SightForecast | None, reached_s: FloatArray
@@ -148,12 +148,12 @@ class YawAlongPath:
         return self.limit.blind_speed_mps
 
     @property
-    def off_rad(self) -> float:
+    def max_offset_rad(self) -> float:
         """Max. angle between the nose and the path."""
         return math.atan(SHARE * self.half_tan[0]) - INSIDE_RAD
 
     @property
-    def upright(self) -> float:
+    def vertical_tangent(self) -> float:
         """Tangent of half the vertical angle in which a path is seen."""
         return SHARE * self.half_tan[1]
 
@@ -164,19 +164,19 @@ class YawAlongPath:
         return SightForecast(views, clearance_map, self.limit, self.hull, SHARE * np.array(self.half_tan), begin_s)
 
     def along(
-        self, way: FloatArray, begin: FloatArray, goal: FloatArray, forecast: SightForecast | None
+        self, leg: FloatArray, begin: FloatArray, goal: FloatArray, forecast: SightForecast | None
     ) -> tuple[FloatArray, SightForecast | None]:
         """Return the vertices that take the least time.
 
         They turn evenly, or the nose is first and turns within one of TURNS_M.
         """
-        ways = [_evenly(way, begin, goal), *(self._ahead(way, begin, goal, *turns_m) for turns_m in TURNS_M)]
-        passes = [self._passed(np.vstack([begin, vertex]), forecast) for vertex in ways]
+        candidates = [_with_even_turn(leg, begin, goal), *(self._nose_first(leg, begin, goal, *turns_m) for turns_m in TURNS_M)]
+        passes = [self._estimated_pass(np.vstack([begin, vertex]), forecast) for vertex in candidates]
         # where space was not seen lately the guard may refuse a turn in flight, and the nose turns first
         fit = [n for n, one in enumerate(passes) if n <= 1 or not one.stale]
         best = min(fit, key=lambda n: passes[n].weighted_s)
         chosen = passes[best]
-        return ways[best], None if forecast is None else forecast.after(chosen.place, chosen.reached_s)
+        return candidates[best], None if forecast is None else forecast.after(chosen.place, chosen.reached_s)
 
     def max_speed_mps(
         self, slope: FloatArray, place: FloatArray, forecast: SightForecast | None, reached_s: FloatArray
@@ -203,7 +203,7 @@ class YawAlongPath:
         change = (rows[2:, :3] - 2 * rows[1:-1, :3] + rows[:-2, :3]) / STEP_S**2
         speed_mps = np.linalg.norm(rate, axis=1)
         fast: BoolArray = np.asarray(speed_mps > (1.0 + SLACK) * self.blind_speed_mps)
-        fast[fast] = ~self.sees(leaning(rate[fast], change[fast]), place[fast, 3], place[fast, 4], 1.0 - SLACK)
+        fast[fast] = ~self.sees(relative_to_leaning_body(rate[fast], change[fast]), place[fast, 3], place[fast, 4], 1.0 - SLACK)
         if forecast is not None and fast.any():
             reached_s = begin_s + np.arange(1, len(place) + 1, dtype=np.float64) * STEP_S
             some, asked = slice(None, None, SPARSE), np.logical_or.reduceat(fast, np.arange(0, len(fast), SPARSE))
@@ -211,50 +211,50 @@ class YawAlongPath:
             fast &= speed_mps > (1.0 + SLACK) * np.maximum(np.repeat(limit_mps, SPARSE)[: len(fast)], self.blind_speed_mps)
         return fast
 
-    def sees(self, way: FloatArray, yaw_rad: FloatArray, pitch_down_rad: FloatArray, share: float = SHARE) -> BoolArray:
+    def sees(self, direction: FloatArray, yaw_rad: FloatArray, pitch_down_rad: FloatArray, share: float = SHARE) -> BoolArray:
         """Return a mask (M,) of the world directions (M, 3) that a level body's camera sees.
 
         share: used share of the camera's tangents.
         """
-        ahead, aside, below = self._in_camera(way, yaw_rad, pitch_down_rad)
-        level, upright = share * self.half_tan[0], share * self.half_tan[1]
-        return np.asarray((np.abs(aside) <= level * ahead) & (np.abs(below) <= upright * ahead))
+        ahead, aside, below = self._in_camera(direction, yaw_rad, pitch_down_rad)
+        level, vertical = share * self.half_tan[0], share * self.half_tan[1]
+        return np.asarray((np.abs(aside) <= level * ahead) & (np.abs(below) <= vertical * ahead))
 
     @staticmethod
     def _in_camera(
-        way: FloatArray, yaw_rad: FloatArray, pitch_down_rad: FloatArray
+        direction: FloatArray, yaw_rad: FloatArray, pitch_down_rad: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the components (M,) along a level body's optical axis, to its side and below it."""
         cos, sin = np.cos(yaw_rad), np.sin(yaw_rad)
-        ahead, aside = cos * way[:, 0] + sin * way[:, 1], cos * way[:, 1] - sin * way[:, 0]
+        ahead, aside = cos * direction[:, 0] + sin * direction[:, 1], cos * direction[:, 1] - sin * direction[:, 0]
         cos, sin = np.cos(pitch_down_rad), np.sin(pitch_down_rad)
-        return cos * ahead - sin * way[:, 2], aside, -sin * ahead - cos * way[:, 2]
+        return cos * ahead - sin * direction[:, 2], aside, -sin * ahead - cos * direction[:, 2]
 
-    def _ahead(
-        self, way: FloatArray, begin: FloatArray, goal: FloatArray, turns_m: float, turns_to_view_m: float
+    def _nose_first(
+        self, leg: FloatArray, begin: FloatArray, goal: FloatArray, turns_m: float, turns_to_view_m: float
     ) -> FloatArray:
         """Return the vertices with the nose first.
 
         At the start of each edge, within turns_m, the nose turns no farther than it has to. Where the last edge ends, within
         turns_to_view_m, it turns to the view.
         """
-        off_rad = self.off_rad
-        yaw_rad, places, yaws = float(begin[3]), [way[0]], [float(begin[3])]
-        for here, there in itertools.pairwise(way):
+        max_offset_rad = self.max_offset_rad
+        yaw_rad, places, yaws = float(begin[3]), [leg[0]], [float(begin[3])]
+        for here, there in itertools.pairwise(leg):
             step = there - here
             if math.hypot(step[0], step[1]) >= SHORT_M:
                 off = math.remainder(math.atan2(step[1], step[0]) - yaw_rad, math.tau)
-                yaw_rad += math.copysign(max(abs(off) - off_rad, 0.0), off)
+                yaw_rad += math.copysign(max(abs(off) - max_offset_rad, 0.0), off)
             places += [here + step * _share(step, turns_m), there]
             yaws += [yaw_rad, yaw_rad]
-        end = places[-1] - way[-2]
+        end = places[-1] - leg[-2]
         places.insert(-1, places[-1] - end * _share(end, turns_to_view_m))
         yaws.append(yaw_rad + math.remainder(goal[3] - yaw_rad, math.tau))
         length_m = np.cumsum(np.linalg.norm(np.diff(places, axis=0), axis=1))
         pitch_rad = begin[4] + length_m / length_m[-1] * (goal[4] - begin[4])
         return np.column_stack([places[1:], yaws[1:], pitch_rad])
 
-    def _passed(self, vertex: FloatArray, forecast: SightForecast | None) -> PathPass:
+    def _estimated_pass(self, vertex: FloatArray, forecast: SightForecast | None) -> PathPass:
         """Estimate how a polyline (M, 5) is passed.
 
         Each piece takes the longer of its flying and its turning time, and speed changes with ACCELERATION_MPS2. The ages are
@@ -320,7 +320,7 @@ def yaw_policy_of(config: Config) -> YawPolicy:
     return YawAlongPath(half_tan, limit, hull, motion.speed_mps, math.radians(motion.yaw_rate_degps))
 
 
-def leaning(way: FloatArray, change_mps2: FloatArray) -> FloatArray:
+def relative_to_leaning_body(direction: FloatArray, change_mps2: FloatArray) -> FloatArray:
     """Return world directions (M, 3) relative to a leaning body, as if the body were level.
 
     The body leans to accelerate by change_mps2 (M, 3): its thrust, which also carries its weight, acts along its own upright
@@ -330,12 +330,12 @@ def leaning(way: FloatArray, change_mps2: FloatArray) -> FloatArray:
     up = thrust / np.linalg.norm(thrust, axis=1, keepdims=True)
     # the smallest rotation that brings up to the vertical: about their cross product
     x, y, z = up.T
-    across = (x * way[:, 0] + y * way[:, 1]) / (1.0 + z)
+    across = (x * direction[:, 0] + y * direction[:, 1]) / (1.0 + z)
     return np.column_stack(
         [
-            way[:, 0] - x * (way[:, 2] + across),
-            way[:, 1] - y * (way[:, 2] + across),
-            x * way[:, 0] + y * way[:, 1] + z * way[:, 2],
+            direction[:, 0] - x * (direction[:, 2] + across),
+            direction[:, 1] - y * (direction[:, 2] + across),
+            x * direction[:, 0] + y * direction[:, 1] + z * direction[:, 2],
         ]
     )
 
@@ -345,7 +345,7 @@ def _share(step: FloatArray, turns_m: float) -> float:
     return min(0.3 if turns_m <= TURNS_IN_M else 0.45, turns_m / length_m)
 
 
-def _evenly(way: FloatArray, begin: FloatArray, goal: FloatArray) -> FloatArray:
+def _with_even_turn(leg: FloatArray, begin: FloatArray, goal: FloatArray) -> FloatArray:
     """Return the vertices (M, 5) of a leg with each angle changed in proportion to the length."""
-    along_m = np.cumsum(np.sqrt(np.sum(np.diff(way, axis=0) ** 2, axis=1)))
-    return np.hstack([way[1:], begin[3:] + (along_m / along_m[-1])[:, None] * (goal[3:] - begin[3:])])
+    along_m = np.cumsum(np.sqrt(np.sum(np.diff(leg, axis=0) ** 2, axis=1)))
+    return np.hstack([leg[1:], begin[3:] + (along_m / along_m[-1])[:, None] * (goal[3:] - begin[3:])])

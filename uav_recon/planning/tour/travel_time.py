@@ -62,23 +62,23 @@ class YawThenFly:
     The faster of the two is used.
 
     blind_speed_mps: speed outside the camera's view.
-    off_rad: max. angle between heading and path.
-    upright: tangent of the used part of half the vertical angle of view.
+    max_offset_rad: max. angle between heading and path.
+    vertical_tangent: tangent of the used part of half the vertical angle of view.
     """
 
     speed_mps: float
     rate_radps: float
     blind_speed_mps: float
-    off_rad: float
-    upright: float
+    max_offset_rad: float
+    vertical_tangent: float
 
     def seconds(
         self, lengths_m: FloatArray, departures: FloatArray, yaw_rad: FloatArray, pitch_down_rad: FloatArray
     ) -> FloatArray:
         """See TravelTimeModel."""
         costs: FloatArray = yaw_then_fly(
-            lengths_m, departures, yaw_rad, pitch_down_rad, self.speed_mps, self.rate_radps, self.blind_speed_mps, self.off_rad,
-            self.upright,
+            lengths_m, departures, yaw_rad, pitch_down_rad, self.speed_mps, self.rate_radps, self.blind_speed_mps,
+            self.max_offset_rad, self.vertical_tangent,
         )  # fmt: skip
         return costs
 
@@ -131,7 +131,7 @@ def yaw_while_flying(
 @kernel
 def yaw_then_fly(
     lengths_m: FloatArray, departures: FloatArray, yaw_rad: FloatArray, pitch_down_rad: FloatArray, speed_mps: float,
-    rate_radps: float, blind_speed_mps: float, off_rad: float, upright: float,
+    rate_radps: float, blind_speed_mps: float, max_offset_rad: float, vertical_tangent: float,
 ) -> FloatArray:  # fmt: skip
     """Compute YawThenFly.seconds.
 
@@ -146,17 +146,20 @@ def yaw_then_fly(
             slowly = max(lengths_m[i, j] / blind_speed_mps, abs(_wrapped(yaw_rad[j] - yaw_rad[i])) / rate_radps)
             costs[i, j] = slowly
             first, last = departures[i, j], departures[j, i]  # the last direction points back
-            if not (_seen(first, 1.0, pitch_down_rad[j], upright) and _seen(last, -1.0, pitch_down_rad[j], upright)):
+            if not (
+                _seen(first, 1.0, pitch_down_rad[j], vertical_tangent)
+                and _seen(last, -1.0, pitch_down_rad[j], vertical_tangent)
+            ):
                 continue
-            there = _turned(yaw_rad[i], math.atan2(first[1], first[0]), off_rad)
-            arrived = _turned(there, math.atan2(-last[1], -last[0]), off_rad)
+            there = _turned(yaw_rad[i], math.atan2(first[1], first[0]), max_offset_rad)
+            arrived = _turned(there, math.atan2(-last[1], -last[0]), max_offset_rad)
             turn = abs(there - yaw_rad[i]) + abs(arrived - there) + abs(_wrapped(yaw_rad[j] - arrived))
             costs[i, j] = min(slowly, turn / rate_radps + lengths_m[i, j] / speed_mps)
     return costs
 
 
 @kernel
-def _seen(direction: FloatArray, sign: float, pitch_down_rad: float, upright: float) -> bool:
+def _seen(direction: FloatArray, sign: float, pitch_down_rad: float, vertical_tangent: float) -> bool:
     """Return True if the camera sees along a path direction (3,).
 
     The direction must have a heading and must not be too steep.
@@ -166,14 +169,14 @@ def _seen(direction: FloatArray, sign: float, pitch_down_rad: float, upright: fl
     ahead, up = math.sqrt(direction[0] ** 2 + direction[1] ** 2), sign * direction[2]
     depth = math.cos(pitch_down_rad) * ahead - math.sin(pitch_down_rad) * up
     below = -math.sin(pitch_down_rad) * ahead - math.cos(pitch_down_rad) * up
-    return bool(ahead > LEVEL and abs(below) <= upright * depth)
+    return bool(ahead > LEVEL and abs(below) <= vertical_tangent * depth)
 
 
 @kernel
-def _turned(yaw_rad: float, bearing_rad: float, off_rad: float) -> float:
-    """Return the heading after turning towards a bearing until it is within off_rad."""
+def _turned(yaw_rad: float, bearing_rad: float, max_offset_rad: float) -> float:
+    """Return the heading after turning towards a bearing until it is within max_offset_rad."""
     off = _wrapped(bearing_rad - yaw_rad)
-    return float(yaw_rad + math.copysign(max(abs(off) - off_rad, 0.0), off))
+    return float(yaw_rad + math.copysign(max(abs(off) - max_offset_rad, 0.0), off))
 
 
 @kernel
