@@ -70,7 +70,7 @@ class PathCourse:
             reached.append(len(vertices) - 1)
         return PathCourse(np.array(vertices), np.array(reached, dtype=np.int64), np.zeros(len(vertices), dtype=np.bool_))
 
-    def after(self, begin: FloatArray, stops: bool) -> PathCourse:
+    def with_start(self, begin: FloatArray, stops: bool) -> PathCourse:
         """Return the course with a start (5,) added before it.
 
         stops: True if the vehicle stops at the previous start.

@@ -27,13 +27,13 @@ class InitialState:
     left: int
 
     @staticmethod
-    def resting(start: Setpoint, lead: int) -> InitialState:
+    def at_rest(start: Setpoint, lead: int) -> InitialState:
         """Return a rest of ``lead`` steps, as far back as the smoothing of the new path reaches."""
         here = np.array([*start.position_m, start.yaw_rad, start.camera_pitch_down_rad])
         return InitialState(np.tile(here, (lead + 2, 1)), np.zeros(5), 1)
 
     @staticmethod
-    def leaving(flying: Trajectory, at: int, lead: int, most: FloatArray) -> InitialState:
+    def in_motion(flying: Trajectory, at: int, lead: int, most: FloatArray) -> InitialState:
         """Return the state that leaves a trajectory at its sample ``at``.
 
         The acceleration there decreases to zero: from ``most`` (5,) within the whole lead, from less sooner.

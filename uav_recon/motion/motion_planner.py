@@ -20,7 +20,7 @@ from uav_recon.motion.corridor_centring import centred
 from uav_recon.motion.elastic_band import ElasticBand, PathCourse
 from uav_recon.motion.initial_state import InitialState
 from uav_recon.motion.sight_forecast import SightForecast
-from uav_recon.motion.time_scaling import braking, joined, replayed
+from uav_recon.motion.time_scaling import braking, joined, rescaled
 from uav_recon.motion.trajectory_generation import TrajectoryGenerator, TrajectorySamples
 from uav_recon.motion.yaw_policy import AT_VIEWS, YawPolicy
 from uav_recon.types.frames import FloatArray
@@ -94,7 +94,7 @@ class MotionPlanner:
         fault = _fault(path, voxels)
         if fault:
             return fault
-        entry, clearance_map = InitialState.resting(start, self._generator.box), self._clearance_map(voxels)
+        entry, clearance_map = InitialState.at_rest(start, self._generator.box), self._clearance_map(voxels)
         forecast = self._forecast(views, clearance_map, start_s)
         course = PathCourse.through(entry.place, path.waypoints_world, path.viewpoints, self._generator.yaw_policy, forecast)
         samples = self._clear(course, None, entry, clearance_map, views_at_spacing_m, path.clearance_m, forecast)
@@ -116,7 +116,7 @@ class MotionPlanner:
         if fault:
             return fault
         at = max(int((leave_s - flying.start_s) / flying.step_s + 1e-6), 0)  # past its end it rests
-        entry = InitialState.leaving(flying, at, self._generator.box, self._generator.max_acceleration())
+        entry = InitialState.in_motion(flying, at, self._generator.box, self._generator.max_acceleration())
         clearance_map = self._clearance_map(voxels)
         start_s, kept_m = flying.start_s + (at - entry.left + 1) * flying.step_s, self._asked_m(path.clearance_m)
         forecast, yaw_policy = self._forecast(views, clearance_map, leave_s), self._generator.yaw_policy
@@ -128,7 +128,7 @@ class MotionPlanner:
             rolled, begin = self._generator.continued_positions(entry, overrun)
             course = PathCourse.through(begin, _ahead(path, entry, begin), path.viewpoints, yaw_policy, forecast)
             if overrun > 0.0:
-                course = course.after(rolled, overrun >= 1.0)
+                course = course.with_start(rolled, overrun >= 1.0)
             samples = self._clear(course, entry.place, entry, clearance_map, views_at_spacing_m, path.clearance_m, forecast)
             if isinstance(samples, TrajectorySamples) and not self._generator.exceeds_limit(samples, entry, forecast).any():
                 return samples.trajectory(start_s, path.map_epoch, identifier, kept_m)
@@ -139,7 +139,7 @@ class MotionPlanner:
 
         They are equally spaced in angle; the last is at the end.
         """
-        entry = InitialState.resting(start, self._generator.box)
+        entry = InitialState.at_rest(start, self._generator.box)
         vertex = np.tile(entry.place, (max(views, 1) + 1, 1))
         vertex[:, 3] += np.linspace(0.0, total_yaw_rad, len(vertex))
         course = PathCourse(vertex, np.arange(1, views + 1), np.zeros(len(vertex), dtype=np.bool_))
@@ -151,7 +151,7 @@ class MotionPlanner:
 
         The map is not checked.
         """
-        entry = InitialState.resting(start, self._generator.box)
+        entry = InitialState.at_rest(start, self._generator.box)
         goal = np.asarray(goal_m, dtype=np.float64)
         course = PathCourse.through(entry.place, [goal[None]], [Viewpoint(goal, yaw_rad, start.camera_pitch_down_rad)])
         band = ElasticBand.along(course, self._slow_generator.span_rad, None)
@@ -182,10 +182,10 @@ class MotionPlanner:
         into_s = now_s - trajectory.start_s
         if into_s <= 0.0 or into_s >= trajectory.duration_s:
             still = np.zeros(2)
-            return replayed(trajectory, min(max(into_s, 0.0), trajectory.duration_s), (still, still, still), now_s, identifier)
+            return rescaled(trajectory, min(max(into_s, 0.0), trajectory.duration_s), (still, still, still), now_s, identifier)
         share = BRAKE_SHARE * braking_ratio
         pace = braking(trajectory, into_s, share * self._generator.acceleration, share * self._generator.yaw_acceleration)
-        return replayed(trajectory, into_s, pace, now_s, identifier)
+        return rescaled(trajectory, into_s, pace, now_s, identifier)
 
     def _asked_m(self, clearance_m: float | None) -> float:
         return self._clearance_m if clearance_m is None else clearance_m

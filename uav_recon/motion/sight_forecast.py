@@ -90,7 +90,7 @@ class SightForecast:
         """Instant at which the chosen part ends."""
         return float(self.reached_s[-1]) if len(self.reached_s) else self.begin_s
 
-    def after(self, place: FloatArray, reached_s: FloatArray) -> SightForecast:
+    def extended(self, place: FloatArray, reached_s: FloatArray) -> SightForecast:
         """Return the forecast with more chosen positions (M, 5), reached at instants (M,)."""
         return dataclasses.replace(
             self, place=np.vstack([self.place, place]), reached_s=np.concatenate([self.reached_s, reached_s])

@@ -72,7 +72,7 @@ def braking(
     return played[:count, 0] - first_s, played[:count, 1], played[:count, 2]
 
 
-def replayed(trajectory: Trajectory, first_s: float, pace: Pace, start_s: float, identifier: int) -> Trajectory:
+def rescaled(trajectory: Trajectory, first_s: float, pace: Pace, start_s: float, identifier: int) -> Trajectory:
     """Return the trajectory from ``first_s`` on at another pace, without captures.
 
     first_s: seconds into the trajectory.

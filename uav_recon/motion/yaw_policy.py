@@ -176,7 +176,7 @@ class YawAlongPath:
         fit = [n for n, one in enumerate(passes) if n <= 1 or not one.stale]
         best = min(fit, key=lambda n: passes[n].weighted_s)
         chosen = passes[best]
-        return candidates[best], None if forecast is None else forecast.after(chosen.place, chosen.reached_s)
+        return candidates[best], None if forecast is None else forecast.extended(chosen.place, chosen.reached_s)
 
     def max_speed_mps(
         self, slope: FloatArray, place: FloatArray, forecast: SightForecast | None, reached_s: FloatArray
