@@ -56,8 +56,8 @@ class NarrowPassagePlanner:
         self._homeward_m = home_clearance_m
         self._inset_m = fence_inset_m
         self._timer = timer
-        self._offered: tuple[ViewPath, CandidateView] | None = None
-        self._squeezing = False
+        self._newest_path: tuple[ViewPath, CandidateView] | None = None
+        self._in_passage = False
 
     def plan(self, request: PlanRequest) -> ViewPath | NothingLeft:
         """Return the usual planner's result, or a narrow path to the nearest opening if it has none.
@@ -65,7 +65,7 @@ class NarrowPassagePlanner:
         If there is none either, views that show little are planned. Both only while the vehicle rests.
         """
         start_s, moving = self._timer(), bool(request.velocity_world_mps.any())
-        if moving and self._squeezing:
+        if moving and self._in_passage:
             return NothingLeft(ON_A_NARROW_WAY, 0.0, 0.0)
         answer = self._planner.plan(request)
         if isinstance(answer, ViewPath) or moving or request.views_left <= 0:
@@ -73,14 +73,14 @@ class NarrowPassagePlanner:
         found = self._nearest(request, self._openings, self._clearance_m, start_s) if self._planner.explores else None
         if found is None:
             return self._planner.plan_with_less_demand(request) or answer
-        self._offered = found
+        self._newest_path = found
         return found[0]
 
     def accept(self, path: ViewPath) -> None:
         """See interfaces.Planner."""
-        self._squeezing = self._offered is not None and self._offered[0] is path
-        if self._offered is not None and self._squeezing:
-            self._planner.view_history.set_expected_views(path, (self._offered[1],))
+        self._in_passage = self._newest_path is not None and self._newest_path[0] is path
+        if self._newest_path is not None and self._in_passage:
+            self._planner.view_history.set_expected_views(path, (self._newest_path[1],))
         else:
             self._planner.accept(path)
 

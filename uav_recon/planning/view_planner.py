@@ -96,7 +96,7 @@ class ViewPlanner:
         self._frame: tuple[object, ...] = ()
         self._low_demand: TaskSource | None = None  # made when first needed
         self._asked: tuple[PlanRequest, PlanningContext] | None = None
-        self._offered: tuple[ViewPath, tuple[CandidateView, ...]] | None = None
+        self._newest_path: tuple[ViewPath, tuple[CandidateView, ...]] | None = None
 
     @classmethod
     def for_box(
@@ -139,7 +139,7 @@ class ViewPlanner:
         Takes about a millisecond, more with surface tasks.
         """
         start_s = self._timer()
-        context = self._look(request)
+        context = self._update_maps(request)
         if isinstance(context, Reason):
             return self._nothing(context, start_s, start_s)
         self._asked = request, context
@@ -176,11 +176,11 @@ class ViewPlanner:
         tasks_made_s = self._timer()
         order, dropped = self._order(context, request, tasks, len(committed))
         if not order:
-            return self._nothing(self._why(context, dropped), start_s, tasks_made_s)
+            return self._nothing(self._nothing_reason(context, dropped), start_s, tasks_made_s)
         nodes = self._within_horizon(order, generated.widening)
         views = self._turned_to_path(request, [tasks[node - 1] for node in nodes], nodes, len(committed))
         path = self._path(request, generated, views, nodes, start_s, tasks_made_s)
-        self._offered = path, tuple(views)
+        self._newest_path = path, tuple(views)
         return path
 
     def _not_refused(self, proposals: list[CandidateView]) -> list[CandidateView]:
@@ -202,8 +202,8 @@ class ViewPlanner:
 
     def accept(self, path: ViewPath) -> None:
         """Store what the views of a path made by plan() should settle."""
-        if self._offered is not None and self._offered[0] is path:
-            self.view_history.set_expected_views(*self._offered)
+        if self._newest_path is not None and self._newest_path[0] is path:
+            self.view_history.set_expected_views(*self._newest_path)
 
     def next_view_has_gain(self, voxels: VoxelMap, position_world: FloatArray, yaw_rad: float) -> bool:
         """Return True if the next view of the accepted path still has a gain in a newer map."""
@@ -216,7 +216,7 @@ class ViewPlanner:
         The result is not stored: no view is expected.
         """
         start_s = self._timer()
-        context = self._look(dataclasses.replace(request, views_left=1))
+        context = self._update_maps(dataclasses.replace(request, views_left=1))
         if isinstance(context, Reason):
             return self._nothing(context, start_s, start_s)
         proposal = route_to(context, goal)
@@ -225,7 +225,7 @@ class ViewPlanner:
         self._path_cache.update(context.exit_cells, request.position_world, view_positions([proposal]))
         return self._path(request, GeneratedTasks(PlanMode.EXPLORE, [], 0), [proposal], [1], start_s, start_s)
 
-    def _look(self, request: PlanRequest) -> PlanningContext | Reason:
+    def _update_maps(self, request: PlanRequest) -> PlanningContext | Reason:
         """Update all caches with the map.
 
         Return the context, or the reason why no plan can start here.
@@ -236,7 +236,7 @@ class ViewPlanner:
             self._frame = frame
             self.space = FlyableSpace(voxels.grid, self.config.clearance_m, *self._box(voxels.grid, self._inset_m))
             self._path_cache = PathCache(self.space)
-        self.frontiers.touch(self.view_history.evaluate_flown_views(request))
+        self.frontiers.mark_changed(self.view_history.evaluate_flown_views(request))
         self.frontiers.update(voxels, *self._box(voxels.grid, 0.0), self.view_history.exhausted)
         if request.views_left <= 0:
             return Reason(ReasonCode.NO_VIEWS_LEFT)
@@ -325,7 +325,7 @@ class ViewPlanner:
             explored=generated.explored,
         )
 
-    def _why(self, context: PlanningContext, not_worth: int) -> Reason:
+    def _nothing_reason(self, context: PlanningContext, not_worth: int) -> Reason:
         """Return the reason for an empty plan.
 
         It counts the frontiers by reason, and the dropped surface tasks.
@@ -350,18 +350,18 @@ class ViewPlanner:
         return NothingLeft(reason, task_s=tasks_made_s - start_s, step_s=self._timer() - start_s)
 
 
-def _source(config: PlannerConfig, made_of: Variant, camera: CameraGeometry) -> TaskSource:
+def _source(config: PlannerConfig, planner_variant: Variant, camera: CameraGeometry) -> TaskSource:
     views = FrontierViews(config, camera)
-    if made_of.views == "field":
+    if planner_variant.views == "field":
         return GainField(FieldViews(config, camera), views)
-    return ClusterTasks(config, made_of, views, SurfaceViews(config, camera))
+    return ClusterTasks(config, planner_variant, views, SurfaceViews(config, camera))
 
 
-def _low_demand_source(config: PlannerConfig, made_of: Variant, camera: CameraGeometry) -> TaskSource:
+def _low_demand_source(config: PlannerConfig, planner_variant: Variant, camera: CameraGeometry) -> TaskSource:
     """Return the source of the tasks that are flown before the flight ends with views left."""
     less = config.model_copy(update={"min_visible": max(round(MIN_VISIBLE_SHARE * config.min_visible), 1)})
     views = FrontierViews(config, camera, LOW)
-    return ClusterTasks(less, made_of, views, SurfaceViews(less, camera), min_unknown=MIN_UNKNOWN_VOXELS)
+    return ClusterTasks(less, planner_variant, views, SurfaceViews(less, camera), min_unknown=MIN_UNKNOWN_VOXELS)
 
 
 def _drop_duplicate_tasks(committed: list[CandidateView], proposals: list[CandidateView]) -> list[CandidateView]:

@@ -101,7 +101,7 @@ def test_incremental_updates_equal_a_computation_from_scratch() -> None:
         if revision % 7 == 0:
             touched = rng.integers(0, state.size, 300)
             ignored.ravel()[touched] ^= 1
-            frontiers.touch(touched)
+            frontiers.mark_changed(touched)
         if revision % 3 == 0:
             continue  # this map is skipped
         frontiers.update(map_of(state, revision, tiles), low, high, ignored)

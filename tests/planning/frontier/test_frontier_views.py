@@ -55,12 +55,12 @@ class Follower:
 
     def row_of(self, cluster: int) -> int:
         """Return the cluster's row in the table of views, -1 for none."""
-        return self.views.table.row_of.get(int(self.frontiers.table.rows.key[cluster]), -1)
+        return self.views.view_cache.row_of.get(int(self.frontiers.table.rows.key[cluster]), -1)
 
     def rows(self) -> list[int]:
         """Return the rows in the table of views that hold a task."""
-        shown = self.views.table.rows.shown
-        return [row for row in self.views.table.row_of.values() if shown[row] >= MIN_SEEN]
+        shown = self.views.view_cache.rows.shown
+        return [row for row in self.views.view_cache.row_of.values() if shown[row] >= MIN_SEEN]
 
 
 def described(found: FrontierProposals) -> list[tuple[object, ...]]:
@@ -109,7 +109,7 @@ def test_a_view_is_reachable_and_shows_the_promised_cells(solid: Solid, camera: 
     assert len(found.proposals) >= 3
     lens = oracle_lens(camera)
     for row in follower.frontiers.table.nearest(START * 10 + 1, BATCH):
-        kept, table = follower.row_of(int(row)), follower.views.table
+        kept, table = follower.row_of(int(row)), follower.views.view_cache
         if kept < 0 or not table.rows.shown[kept]:
             continue
         cells = np.stack(np.unravel_index(table.shown_cells[kept], world.grid.shape), axis=-1)
@@ -142,14 +142,14 @@ def test_incremental_updates_equal_a_computation_from_scratch(monkeypatch: pytes
                 box = tuple(slice(int(a), int(a + s)) for a, s in zip(corner, size, strict=True))
                 world.state[box] = rng.choice([UNKNOWN, FREE, FREE, OCCUPIED])
             voxels = world.picture()
-            before = set(follower.views.table.row_of.items())
+            before = set(follower.views.view_cache.row_of.items())
             found = follower.follow(voxels, position)
             fresh = Follower(world.grid, camera)
             fresh_found = fresh.follow(voxels, position)
             np.testing.assert_array_equal(follower.space.reachable, fresh.space.reachable)
             assert described(found) == described(fresh_found)
             assert (found.without_view, found.later) == (fresh_found.without_view, fresh_found.later)
-            after = set(follower.views.table.row_of.items())
+            after = set(follower.views.view_cache.row_of.items())
             kept, searched = kept + len(after & before), searched + len(after - before)
     assert kept > 100
     assert searched > 100
@@ -182,7 +182,7 @@ def test_a_view_does_not_depend_on_the_position_of_the_vehicle() -> None:
     for position in (START, START + np.array([1.2, 0.8, 0.3])):
         follower = Follower(world.grid)
         follower.follow(voxels, position)
-        table = follower.views.table
+        table = follower.views.view_cache
         seen.append({key: (*table.rows.pose[row].tolist(), table.rows.shown[row]) for key, row in table.row_of.items()})
     common = seen[0].keys() & seen[1].keys()
     assert len(common) > 10
@@ -220,7 +220,7 @@ def test_few_views_show_the_cells_of_all_clusters_and_each_promises_what_it_show
     follower = Follower(world.grid)
     voxels = world.picture()
     found = follower.follow(voxels, START)
-    rows, table = follower.rows(), follower.views.table
+    rows, table = follower.rows(), follower.views.view_cache
     assert len(found.proposals) < len(rows)
     promised = np.concatenate([proposal.expected_voxels for proposal in found.proposals])
     own = [set(table.shown_cells[row].tolist()) for row in rows]
@@ -322,7 +322,7 @@ def test_on_the_stream_a_view_is_nearly_as_good_as_the_best_of_a_thousand(
                 best.append(most)
                 mine.append(
                     view_oracle.cells_seen(
-                        voxels.state, lens, oracle_view(follower.views.table.rows.pose[kept], camera), target
+                        voxels.state, lens, oracle_view(follower.views.view_cache.rows.pose[kept], camera), target
                     )
                 )
     share = np.array(mine) / np.array(best)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from uav_recon.geometry.jit import kernel
 from uav_recon.planning.frontier.cluster_rows import ClusterRows
 from uav_recon.planning.frontier.clustering import BLOCK, MIN_CELLS, cut, is_speck
-from uav_recon.planning.frontier.unknown_volume import weigh
+from uav_recon.planning.frontier.unknown_volume import fill_unknown_volumes
 from uav_recon.types.frames import ByteArray, FloatArray, IntArray
 
 _FIRST_ROWS = 256
@@ -47,7 +47,7 @@ class ClusterTable:
         self._more_rows()
         self._more_pool(0)
 
-    def cut_again(self, faces: ByteArray, ignored: ByteArray, blocks: IntArray, max_extent: float) -> None:
+    def cluster_again(self, faces: ByteArray, ignored: ByteArray, blocks: IntArray, max_extent: float) -> None:
         """Replace the clusters of ``blocks`` (N, 2)."""
         done = 0
         while True:
@@ -60,12 +60,14 @@ class ClusterTable:
                 self._more_pool(cells)
         _mark_specks(faces, ignored, blocks, self.rows)
 
-    def weigh(self, state: ByteArray, faces: ByteArray, low: IntArray, high: IntArray, asked: ByteArray) -> None:
+    def update_unknown_volumes(
+        self, state: ByteArray, faces: ByteArray, low: IntArray, high: IntArray, asked: ByteArray
+    ) -> None:
         """Update ``beyond`` for the clusters of the marked blocks; see unknown_volume.py.
 
         asked: (blocks) 1 = marked.
         """
-        weigh(state, faces, low, high, asked, self.rows)
+        fill_unknown_volumes(state, faces, low, high, asked, self.rows)
 
     def nearest(self, place: FloatArray, most: int, *, specks: bool = False) -> IntArray:
         """Return the rows of the ``most`` clusters nearest to a position (3,), voxels.

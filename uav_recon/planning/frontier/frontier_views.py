@@ -13,7 +13,7 @@ from uav_recon.planning.camera_frustum import CameraGeometry
 from uav_recon.planning.candidate_view import MIN_SEEN, CandidateView
 from uav_recon.planning.frontier.cluster_table import OPENING
 from uav_recon.planning.frontier.frontiers import Frontiers
-from uav_recon.planning.frontier.reachable_tiles import Reach, ReachableTiles
+from uav_recon.planning.frontier.reachable_tiles import ReachableInterface, ReachableTiles
 from uav_recon.planning.frontier.view_cache import ViewCache
 from uav_recon.planning.frontier.view_search import SearchScene
 from uav_recon.planning.view_sampling import explore_shell
@@ -28,7 +28,7 @@ MAX_MORE = 256  # ... by at most this number: the results of one round must fit 
 SEARCHES = 2  # searches per map revision since the last plan; if exceeded and a view exists, the rest is left for later plans
 
 
-class Flyable(Reach, Protocol):
+class FlyableInterface(ReachableInterface, Protocol):
     """The part of the flyable space used here; see FlyableSpace."""
 
     @property
@@ -72,7 +72,7 @@ class FrontierProposals:
 class FrontierViews:
     """Finds the best view of each cluster. A view does not depend on the vehicle's position."""
 
-    table: ViewCache
+    view_cache: ViewCache
     _revision: int
     _centre: FloatArray
 
@@ -84,7 +84,9 @@ class FrontierViews:
         self._tiles = ReachableTiles()
         self._start(np.zeros((0, 0, 0), dtype=np.uint8), 1.0)
 
-    def update(self, voxels: VoxelMap, space: Flyable, frontiers: Frontiers, position_world: FloatArray) -> FrontierProposals:
+    def update(
+        self, voxels: VoxelMap, space: FlyableInterface, frontiers: Frontiers, position_world: FloatArray
+    ) -> FrontierProposals:
         """Find views of the BATCH clusters nearest to a position, or of more while there is none.
 
         A cluster has no task of its own if the views of others cover it. ``frontiers`` must be up to date with ``voxels``. The
@@ -108,14 +110,14 @@ class FrontierViews:
                 near = self._tiles.near(frontiers.table.rows.centre[clusters], self._reach)
                 clusters, without = clusters[near], without + int(np.count_nonzero(~near))
             for cluster, held in zip(clusters.tolist(), self._cached_rows(voxels, space, frontiers, clusters), strict=True):
-                row = held if self.table.holds_cluster(held, int(frontiers.table.rows.key[cluster])) else -1
+                row = held if self.view_cache.holds_cluster(held, int(frontiers.table.rows.key[cluster])) else -1
                 if row < 0 and (searches > 0 or not found):
                     searches -= 1
                     row = self._search(voxels, space, space.reachable, frontiers, cluster, lens)
                 if row < 0:
                     later += 1
                 elif self._meets_demand(row):
-                    self.table.used[row] = self._plans
+                    self.view_cache.used[row] = self._plans
                     found.append(row)
                 else:
                     without += 1
@@ -128,7 +130,7 @@ class FrontierViews:
         proposals = self._proposals(voxels, found, lens)
         return FrontierProposals(proposals, without, total - asked + later, max(openings_later, 0))
 
-    def reasons(self, voxels: VoxelMap, space: Flyable, frontiers: Frontiers) -> Counter[ReasonCode]:
+    def reasons(self, voxels: VoxelMap, space: FlyableInterface, frontiers: Frontiers) -> Counter[ReasonCode]:
         """Count the clusters without a view, by reason.
 
         Evaluates every cluster again; meant for the end of a flight.
@@ -142,27 +144,33 @@ class FrontierViews:
                 counts[reason] += 1
         return counts
 
-    def _cached_rows(self, voxels: VoxelMap, space: Flyable, frontiers: Frontiers, clusters: IntArray) -> list[int]:
+    def _cached_rows(self, voxels: VoxelMap, space: FlyableInterface, frontiers: Frontiers, clusters: IntArray) -> list[int]:
         """Return the rows of the valid cached results of these clusters, -1 for none.
 
         Rows with a view are protected from replacement in this plan.
         """
         keys = frontiers.table.rows.key[clusters].tolist()
-        held = self.table.valid_rows(keys, voxels.distance2, space.reachable, frontiers.closed, space.reachable_revision)
-        self.table.used[[row for row in held if row >= 0 and self.table.rows.shown[row] >= self._demand.min_cells]] = (
-            self._plans
-        )
+        held = self.view_cache.valid_rows(keys, voxels.distance2, space.reachable, frontiers.closed, space.reachable_revision)
+        self.view_cache.used[
+            [row for row in held if row >= 0 and self.view_cache.rows.shown[row] >= self._demand.min_cells]
+        ] = self._plans
         return held
 
     def _search(
-        self, voxels: VoxelMap, space: Flyable, reachable: ByteArray, frontiers: Frontiers, cluster: int, lens: FloatArray
+        self,
+        voxels: VoxelMap,
+        space: FlyableInterface,
+        reachable: ByteArray,
+        frontiers: Frontiers,
+        cluster: int,
+        lens: FloatArray,
     ) -> int:
         clusters, revisions = frontiers.table.rows, (voxels.revision, space.revision)
         scene = SearchScene(
             distance2=voxels.distance2.reshape(-1), shape=voxels.grid.shape, reachable=reachable.reshape(-1),
             clearance_box=space.clearance_box, lens=lens,
         )  # fmt: skip
-        row = self.table.search(
+        row = self.view_cache.search(
             int(clusters.key[cluster]), scene, frontiers.faces, frontiers.flat(cluster), clusters.centre[cluster], revisions,
             self._plans,
         )  # fmt: skip
@@ -170,7 +178,7 @@ class FrontierViews:
         return row
 
     def _meets_demand(self, row: int) -> bool:
-        return bool(self.table.rows.shown[row] >= self._demand.min_cells)
+        return bool(self.view_cache.rows.shown[row] >= self._demand.min_cells)
 
     def _proposals(self, voxels: VoxelMap, found: list[int], lens: FloatArray) -> list[CandidateView]:
         """Return tasks for the views that together cover the clusters.
@@ -180,14 +188,14 @@ class FrontierViews:
         """
         if not found:
             return []
-        best_first = sorted(found, key=lambda row: (-int(self.table.rows.shown[row]), self.table.key[row]))
-        covering = self.table.covering_views(best_first, voxels.distance2, voxels.grid.shape, lens, COVERED_SHARE)
+        best_first = sorted(found, key=lambda row: (-int(self.view_cache.rows.shown[row]), self.view_cache.key[row]))
+        covering = self.view_cache.covering_views(best_first, voxels.distance2, voxels.grid.shape, lens, COVERED_SHARE)
         place = {row: n for n, row in enumerate(found)}
         covering.sort(key=lambda one: place[one[0]])
         return [self._proposal(voxels.grid, row, cells) for row, cells in covering if len(cells) >= self._demand.min_cells]
 
     def _proposal(self, grid: GridSpec, row: int, cells: IntArray) -> CandidateView:
-        x, y, z, yaw, pitch = self.table.rows.pose[row].tolist()
+        x, y, z, yaw, pitch = self.view_cache.rows.pose[row].tolist()
         place = np.array([x, y, z])
         viewpoint = Viewpoint(grid.origin_world_m + place * grid.resolution_m, yaw, pitch)
         centroid_world = grid.origin_world_m + self._centre[row] * grid.resolution_m
@@ -195,19 +203,19 @@ class FrontierViews:
         return CandidateView(task, place + 1.0, cells, np.ones(len(cells)))
 
     def _reason(
-        self, voxels: VoxelMap, space: Flyable, frontiers: Frontiers, cluster: int, lens: FloatArray
+        self, voxels: VoxelMap, space: FlyableInterface, frontiers: Frontiers, cluster: int, lens: FloatArray
     ) -> ReasonCode | None:
         row = self._search(voxels, space, space.reachable, frontiers, cluster, lens)
         if self._meets_demand(row):
             return None
-        tested = self.table.rows.tested_cells[row, : self.table.rows.counts[row, 0]]
+        tested = self.view_cache.rows.tested_cells[row, : self.view_cache.rows.counts[row, 0]]
         if not space.mask.reshape(-1)[np.where(tested >= 0, tested, ~tested)].any():
             return ReasonCode.FRONTIERS_TOO_NARROW
-        if self.table.rows.shown[row]:
+        if self.view_cache.rows.shown[row]:
             return ReasonCode.FRONTIERS_TOO_FEW_CELLS
         row = self._search(voxels, space, space.mask, frontiers, cluster, lens)
         beyond = self._meets_demand(row)
-        self.table.remove(row)
+        self.view_cache.remove(row)
         return ReasonCode.FRONTIERS_NOT_REACHABLE if beyond else ReasonCode.FRONTIERS_OUT_OF_VIEW
 
     def _keep_map(self, frontiers: Frontiers, resolution_m: float) -> None:
@@ -218,9 +226,11 @@ class FrontierViews:
         """Clear all caches for another map."""
         self._faces = faces
         self._revision = -BATCH  # the first plan may search a whole batch
-        self.table = ViewCache(explore_shell(self._config, self._camera, resolution_m))
-        self._reach = float(np.abs(self.table.shell.offsets).max(initial=0.0))  # of a place from its frontier, along an axis
-        self._centre = np.zeros((len(self.table.rows.shown), 3))  # cluster centres by row, voxels
+        self.view_cache = ViewCache(explore_shell(self._config, self._camera, resolution_m))
+        self._reach = float(
+            np.abs(self.view_cache.shell.offsets).max(initial=0.0)
+        )  # of a place from its frontier, along an axis
+        self._centre = np.zeros((len(self.view_cache.rows.shown), 3))  # cluster centres by row, voxels
 
 
 def warm_up(config: PlannerConfig, camera: CameraGeometry) -> None:

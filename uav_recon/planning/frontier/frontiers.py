@@ -74,10 +74,10 @@ class Frontiers:
         asked = around(self._dirty, tiles, BLOCK // TILE)
         if len(blocks):
             self._dirty[:] = 0
-            self.table.cut_again(self.faces, ignored, blocks, MAX_EXTENT_M / grid.resolution_m)
-        self.table.weigh(voxels.state, self.faces, self._low, self._high, asked)
+            self.table.cluster_again(self.faces, ignored, blocks, MAX_EXTENT_M / grid.resolution_m)
+        self.table.update_unknown_volumes(voxels.state, self.faces, self._low, self._high, asked)
 
-    def touch(self, flat: IntArray) -> None:
+    def mark_changed(self, flat: IntArray) -> None:
         """Report voxels (N,) of ``ignored`` that changed. They take effect in the next update."""
         _, ny, nz = self.faces.shape
         self._dirty[flat // (ny * nz) // BLOCK, flat // nz % ny // BLOCK] = 1

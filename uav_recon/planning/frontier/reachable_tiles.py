@@ -11,7 +11,7 @@ from uav_recon.types.frames import BoolArray, ByteArray, FloatArray, IntArray
 from uav_recon.types.maps import TILE
 
 
-class Reach(Protocol):
+class ReachableInterface(Protocol):
     """The part of the flyable space used here; see FlyableSpace."""
 
     @property
@@ -34,11 +34,11 @@ class ReachableTiles:
     """Tiles of columns that contain a reachable voxel, updated only where the space changed."""
 
     def __init__(self) -> None:
-        self._space: Reach | None = None
+        self._space: ReachableInterface | None = None
         self._seen = -1
         self._tiles: BoolArray = np.zeros((0, 0), dtype=np.bool_)
 
-    def update(self, space: Reach) -> None:
+    def update(self, space: ReachableInterface) -> None:
         """Update the tiles to a space; a different space is read from the beginning."""
         if space is not self._space or space.revision < self._seen:
             self._space = space

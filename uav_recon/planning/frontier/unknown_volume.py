@@ -73,7 +73,9 @@ def unknown_volume_of_each(
 
 
 @kernel
-def weigh(state: ByteArray, faces: ByteArray, low: IntArray, high: IntArray, asked: ByteArray, rows: ClusterRows) -> None:
+def fill_unknown_volumes(
+    state: ByteArray, faces: ByteArray, low: IntArray, high: IntArray, asked: ByteArray, rows: ClusterRows
+) -> None:
     """Compute unknown_volume() of the clusters in the marked blocks, into rows.beyond.
 
     asked: (blocks) 1 = marked.

@@ -12,7 +12,7 @@ from uav_recon.planning.free_space.flyable_space import FlyableSpace
 from uav_recon.planning.free_space.voxel_blocks import EDGE, VoxelBlocks, corner_of, part_at
 from uav_recon.planning.paths.segments import departure, distance, length_of, segment_is_open
 from uav_recon.planning.paths.string_pulling import pull_taut
-from uav_recon.planning.paths.theta_star import Memory, memory_for, search_polyline
+from uav_recon.planning.paths.theta_star import SearchMemory, make_search_memory, search_polyline
 from uav_recon.types.frames import BoolArray, ByteArray, FloatArray, IntArray
 from uav_recon.types.maps import TILE
 
@@ -65,7 +65,7 @@ class PathCache:
 
     def _start(self, places: int) -> None:
         self._reachable_space = self._space.reachable_space
-        self._memory = memory_for(self._reachable_space.blocks)
+        self._memory = make_search_memory(self._reachable_space.blocks)
         self._seen = self._space.revision
         self._buffer = np.empty((_ROOM, 3))
         self._known = CachedPaths(
@@ -225,7 +225,7 @@ def _assigned_slots(known: CachedPaths, places: FloatArray, plan: int) -> IntArr
 
 @kernel
 def _path_between(
-    blocks: VoxelBlocks, open_samples: ByteArray, memory: Memory, start: FloatArray, goal: FloatArray, points: FloatArray
+    blocks: VoxelBlocks, open_samples: ByteArray, memory: SearchMemory, start: FloatArray, goal: FloatArray, points: FloatArray
 ) -> tuple[int, float, float]:
     """Write the path into ``points``; return its number of points (0: none), length and span.
 
@@ -255,7 +255,7 @@ def _connect(  # noqa: C901
     known: CachedPaths,
     blocks: VoxelBlocks,
     open_samples: ByteArray,
-    memory: Memory,
+    memory: SearchMemory,
     slots: IntArray,
     head: FloatArray,
     points: FloatArray,

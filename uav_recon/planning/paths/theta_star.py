@@ -24,7 +24,7 @@ DETOUR = 6.0  # voxels; max. extra length of a bend between neighbouring parts w
 _PUSHES = 32  # heap capacity per block; a part is pushed again whenever a shorter path leads to it
 
 
-class Memory(NamedTuple):
+class SearchMemory(NamedTuple):
     """Work arrays of the search, reused between searches.
 
     Stamps mark entries of earlier searches.
@@ -44,10 +44,10 @@ class Memory(NamedTuple):
     heap_part: PartArray
 
 
-def memory_for(blocks: VoxelBlocks) -> Memory:
+def make_search_memory(blocks: VoxelBlocks) -> SearchMemory:
     """Return new work arrays; the system commits only the memory that searches touch."""
     number = len(blocks.counts)
-    return Memory(
+    return SearchMemory(
         now=np.zeros(1, dtype=np.int64),
         opened=np.zeros(MAX_PARTS * number, dtype=np.int32),
         closed=np.zeros(MAX_PARTS * number, dtype=np.int32),
@@ -100,7 +100,7 @@ def _pop(heap_cost: FloatArray, heap_part: PartArray, size: int) -> int:
 
 @kernel
 def _search(  # noqa: C901, PLR0912
-    blocks: VoxelBlocks, open_samples: ByteArray, memory: Memory, ends: IntArray, places: FloatArray
+    blocks: VoxelBlocks, open_samples: ByteArray, memory: SearchMemory, ends: IntArray, places: FloatArray
 ) -> tuple[bool, float]:
     """Search from start to goal; return whether there is a path, and the largest cost expanded.
 
@@ -237,7 +237,7 @@ def _voxel_by_voxel(blocks: VoxelBlocks, a: FloatArray, part_a: int, b: FloatArr
 
 @kernel
 def search_polyline(
-    blocks: VoxelBlocks, open_samples: ByteArray, memory: Memory, ends: IntArray, places: FloatArray, points: FloatArray
+    blocks: VoxelBlocks, open_samples: ByteArray, memory: SearchMemory, ends: IntArray, places: FloatArray, points: FloatArray
 ) -> tuple[int, float]:
     """Write an open polyline into ``points`` (M, 3); return its number of points and its span.
 
