@@ -21,7 +21,7 @@ if TYPE_CHECKING:  # each process imports only the stages that it runs
     from uav_recon.autopilot.parameters.preflight_check import ParameterCheck
     from uav_recon.autopilot.parameters.reader import ParameterEncoding
     from uav_recon.autopilot.pilot.pilot import HullGeometry, Pilot
-    from uav_recon.autopilot.pilot.upward_range_finder import RangeFinderModel
+    from uav_recon.autopilot.pilot.situation.upward_range_finder import RangeFinderModel
 
 
 def make_allow_list_filter(config: LinkConfig, clock: Clock) -> AllowListFilter:
@@ -55,7 +55,7 @@ def make_pilot(
     allow_list: the filter that its link already uses, if there is one.
     """
     from uav_recon.autopilot.pilot import pilot
-    from uav_recon.autopilot.pilot.preflight import Origin
+    from uav_recon.autopilot.pilot.sequence.preflight import Origin
     from uav_recon.safety.guard import Guard
 
     sight = safety_limits.recently_seen_space(config)
@@ -72,7 +72,7 @@ def make_pilot(
 
 def range_finder_model(config: Config) -> RangeFinderModel | None:
     """Return the upward range finder that the operator declares, None without one."""
-    from uav_recon.autopilot.pilot.upward_range_finder import RangeFinderModel
+    from uav_recon.autopilot.pilot.situation.upward_range_finder import RangeFinderModel
 
     up = config.range_up
     if up.fov_deg is None:

@@ -25,7 +25,7 @@ from uav_recon.autopilot.mavlink.allow_list import AllowListFilter
 from uav_recon.autopilot.mavlink.tlog import FrameLog
 from uav_recon.autopilot.parameters.preflight_check import ParameterCheck
 from uav_recon.autopilot.pilot.pilot import HullGeometry, Pilot, make_pilot
-from uav_recon.autopilot.pilot.preflight import Origin
+from uav_recon.autopilot.pilot.sequence.preflight import Origin
 from uav_recon.clock import ManualClock
 from uav_recon.interfaces import ByteLink
 from uav_recon.safety.envelope import Envelope, Fence

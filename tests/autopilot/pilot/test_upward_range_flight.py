@@ -14,7 +14,7 @@ from sitl.scene.scene import Scene, load_scene
 from sitl.world.range_finder import MOUNT_M, SimulatedUpwardRangeFinder
 from uav_recon.autopilot.mavlink.tlog import FrameLog
 from uav_recon.autopilot.pilot.pilot import Pilot, make_pilot
-from uav_recon.autopilot.pilot.upward_range_finder import RangeFinderModel
+from uav_recon.autopilot.pilot.situation.upward_range_finder import RangeFinderModel
 from uav_recon.mapping.occupancy.occupancy_map import DepthSensor, OccupancyMap
 from uav_recon.safety.free_cone_rule import points_in_cones
 from uav_recon.safety.guard import Guard

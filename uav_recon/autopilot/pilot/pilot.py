@@ -11,21 +11,21 @@ from uav_recon.autopilot.link.vehicle_link import VehicleLink
 from uav_recon.autopilot.mavlink.allow_list import AllowListFilter
 from uav_recon.autopilot.mavlink.tlog import FrameLog, NoLog
 from uav_recon.autopilot.parameters.preflight_check import NoParameterCheck, ParameterCheck
-from uav_recon.autopilot.pilot.control_authority import IN_THE_AIR, ControlAuthority, ControlLoss
-from uav_recon.autopilot.pilot.estimate_monitor import EstimateMonitor
-from uav_recon.autopilot.pilot.failsafe_monitor import FailsafeMonitor
-from uav_recon.autopilot.pilot.landing import Landing
-from uav_recon.autopilot.pilot.mission_input import MissionInput
 from uav_recon.autopilot.pilot.pilot_channels import PilotChannels
-from uav_recon.autopilot.pilot.pose_feed import PoseFeed
-from uav_recon.autopilot.pilot.preflight import Origin, PreflightSetup
-from uav_recon.autopilot.pilot.reduced_speed_reporter import ReducedSpeedReporter
-from uav_recon.autopilot.pilot.setpoint_selection import SetpointSelector
-from uav_recon.autopilot.pilot.situation import SituationBuilder
-from uav_recon.autopilot.pilot.statustext_reporter import StatusTextReporter
-from uav_recon.autopilot.pilot.surroundings import Surroundings
-from uav_recon.autopilot.pilot.takeoff_sequence import TakeoffSequence
-from uav_recon.autopilot.pilot.upward_range_finder import STREAM, NoRangeFinder, RangeFinderModel, UpwardRangeFinder
+from uav_recon.autopilot.pilot.reports.reduced_speed_reporter import ReducedSpeedReporter
+from uav_recon.autopilot.pilot.reports.statustext_reporter import StatusTextReporter
+from uav_recon.autopilot.pilot.sequence.control_authority import IN_THE_AIR, ControlAuthority, ControlLoss
+from uav_recon.autopilot.pilot.sequence.failsafe_monitor import FailsafeMonitor
+from uav_recon.autopilot.pilot.sequence.landing import Landing
+from uav_recon.autopilot.pilot.sequence.preflight import Origin, PreflightSetup
+from uav_recon.autopilot.pilot.sequence.takeoff_sequence import TakeoffSequence
+from uav_recon.autopilot.pilot.setpoints.setpoint_selection import SetpointSelector
+from uav_recon.autopilot.pilot.situation.estimate_monitor import EstimateMonitor
+from uav_recon.autopilot.pilot.situation.mission_input import MissionInput
+from uav_recon.autopilot.pilot.situation.pose_feed import PoseFeed
+from uav_recon.autopilot.pilot.situation.situation import SituationBuilder
+from uav_recon.autopilot.pilot.situation.surroundings import Surroundings
+from uav_recon.autopilot.pilot.situation.upward_range_finder import STREAM, NoRangeFinder, RangeFinderModel, UpwardRangeFinder
 from uav_recon.clock import RateKeeper
 from uav_recon.interfaces import ByteLink, Clock
 from uav_recon.safety.failsafe_precedence import FailsafeAction, FailsafeTimeouts

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from uav_recon.autopilot.pilot.pose_feed import PoseFeed
+from uav_recon.autopilot.pilot.situation.pose_feed import PoseFeed
 from uav_recon.channels import FileChannel, MemoryChannel, ReadOnlyFileChannel
 from uav_recon.safety.pose_gate import PoseGate
 from uav_recon.types.pose import Pose, PoseHealth, StampedPose

@@ -7,8 +7,8 @@ import math
 
 import numpy as np
 
-from uav_recon.autopilot.pilot.breadcrumb_retreat import flown
-from uav_recon.autopilot.pilot.sudden_obstacle import SuddenObstacle
+from uav_recon.autopilot.pilot.setpoints.breadcrumb_retreat import flown
+from uav_recon.autopilot.pilot.situation.sudden_obstacle import SuddenObstacle
 from uav_recon.safety.envelope import Vec3
 from uav_recon.safety.guard import Guard, GuardInputs
 from uav_recon.types.frames import FloatArray

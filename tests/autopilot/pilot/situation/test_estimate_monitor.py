@@ -15,7 +15,7 @@ from test_pilot_flight_ardupilot import CopterRig
 from uav_recon.autopilot.link.vehicle_link import VehicleLink
 from uav_recon.autopilot.mavlink.link_status import LinkStatus
 from uav_recon.autopilot.mavlink.telemetry import MotionEstimate, Telemetry
-from uav_recon.autopilot.pilot.estimate_monitor import EstimateMonitor
+from uav_recon.autopilot.pilot.situation.estimate_monitor import EstimateMonitor
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.pose import Pose, PoseHealth, StampedPose
 from uav_recon.types.reason import Reason

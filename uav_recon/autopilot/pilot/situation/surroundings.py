@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 
-from uav_recon.autopilot.pilot.message_validation import is_valid_free_space, is_valid_range_grid
-from uav_recon.autopilot.pilot.pose_feed import newest
-from uav_recon.autopilot.pilot.recent_poses import RecentPoses
-from uav_recon.autopilot.pilot.sudden_obstacle import SuddenObstacle, SuddenObstacleDetector
+from uav_recon.autopilot.pilot.situation.message_validation import is_valid_free_space, is_valid_range_grid
+from uav_recon.autopilot.pilot.situation.pose_feed import newest
+from uav_recon.autopilot.pilot.situation.recent_poses import RecentPoses
+from uav_recon.autopilot.pilot.situation.sudden_obstacle import SuddenObstacle, SuddenObstacleDetector
 from uav_recon.interfaces import Channel
 from uav_recon.safety.free_space_check import FreeSpaceCheck
 from uav_recon.safety.obstacle_speed_limit import ForwardDepth

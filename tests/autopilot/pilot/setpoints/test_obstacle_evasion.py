@@ -7,8 +7,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from uav_recon.autopilot.pilot.obstacle_evasion import IDENTIFIER, ObstacleEvasion
-from uav_recon.autopilot.pilot.sudden_obstacle import SuddenObstacle
+from uav_recon.autopilot.pilot.setpoints.obstacle_evasion import IDENTIFIER, ObstacleEvasion
+from uav_recon.autopilot.pilot.situation.sudden_obstacle import SuddenObstacle
 from uav_recon.safety.envelope import Envelope, Fence
 from uav_recon.safety.free_space_check import FreeSpaceCheck
 from uav_recon.safety.guard import Guard, GuardBounds, GuardInputs

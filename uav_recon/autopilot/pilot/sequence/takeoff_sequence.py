@@ -7,7 +7,7 @@ import math
 from uav_recon.autopilot.firmware.profile import ARM, ArmingOutcome, ArmingSequence
 from uav_recon.autopilot.firmware.takeoff_monitor import TakeoffMonitor
 from uav_recon.autopilot.link.vehicle_link import VehicleLink
-from uav_recon.autopilot.pilot.control_authority import ControlAuthority
+from uav_recon.autopilot.pilot.sequence.control_authority import ControlAuthority
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
 

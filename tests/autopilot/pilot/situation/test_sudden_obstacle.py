@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from uav_recon.autopilot.pilot.sudden_obstacle import SuddenObstacle, SuddenObstacleDetector
+from uav_recon.autopilot.pilot.situation.sudden_obstacle import SuddenObstacle, SuddenObstacleDetector
 from uav_recon.types.camera import body_from_camera
 from uav_recon.types.min_range_grid import MinRangeGrid
 from uav_recon.types.pose import Pose

@@ -6,7 +6,7 @@ import dataclasses
 
 from guard_rooms import TIMEOUTS
 
-from uav_recon.autopilot.pilot.failsafe_monitor import FailsafeMonitor
+from uav_recon.autopilot.pilot.sequence.failsafe_monitor import FailsafeMonitor
 from uav_recon.safety.failsafe_precedence import FailsafeAction, FailsafeInputs
 from uav_recon.safety.refusals import RefusalCounter
 from uav_recon.types.reason import Reason

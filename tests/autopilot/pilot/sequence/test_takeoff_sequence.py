@@ -13,7 +13,7 @@ from telemetry_values import changed
 from uav_recon.autopilot.firmware.profile import ARM, ArmingOutcome, Command
 from uav_recon.autopilot.mavlink.link_status import LinkStatus
 from uav_recon.autopilot.mavlink.telemetry import Telemetry
-from uav_recon.autopilot.pilot.takeoff_sequence import TakeoffSequence
+from uav_recon.autopilot.pilot.sequence.takeoff_sequence import TakeoffSequence
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
 

@@ -13,7 +13,7 @@ from uav_recon.autopilot.link.vehicle_link import VehicleLink
 from uav_recon.autopilot.mavlink.link_status import LinkStatus
 from uav_recon.autopilot.mavlink.messages import UpwardRange
 from uav_recon.autopilot.mavlink.telemetry import Telemetry, updated
-from uav_recon.autopilot.pilot.upward_range_finder import RangeFinderModel, UpwardRangeFinder
+from uav_recon.autopilot.pilot.situation.upward_range_finder import RangeFinderModel, UpwardRangeFinder
 from uav_recon.channels import MemoryChannel
 from uav_recon.safety.recently_seen_space import RecentlySeenSpace
 from uav_recon.types.frames import FloatArray

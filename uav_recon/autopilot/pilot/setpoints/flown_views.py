@@ -10,7 +10,7 @@ from collections import deque
 
 import numpy as np
 
-from uav_recon.autopilot.pilot.breadcrumb_retreat import IDENTIFIER, STEP_S, smoothed
+from uav_recon.autopilot.pilot.setpoints.breadcrumb_retreat import IDENTIFIER, STEP_S, smoothed
 from uav_recon.types.pose import Pose
 from uav_recon.types.trajectory import Setpoint, Trajectory
 

@@ -7,8 +7,8 @@ import math
 
 import numpy as np
 
-from uav_recon.autopilot.pilot.flown_views import FlownViews
-from uav_recon.autopilot.pilot.message_validation import trajectory_fault
+from uav_recon.autopilot.pilot.setpoints.flown_views import FlownViews
+from uav_recon.autopilot.pilot.situation.message_validation import trajectory_fault
 from uav_recon.types.pose import Pose
 from uav_recon.types.trajectory import Setpoint, Trajectory
 

@@ -10,7 +10,7 @@ import numpy as np
 from uav_recon.autopilot.link.vehicle_link import VehicleLink
 from uav_recon.autopilot.mavlink.messages import UpwardRange
 from uav_recon.autopilot.mavlink.telemetry import RangeReport
-from uav_recon.autopilot.pilot.recent_poses import RecentPoses
+from uav_recon.autopilot.pilot.situation.recent_poses import RecentPoses
 from uav_recon.interfaces import Channel
 from uav_recon.safety.recently_seen_space import RecentlySeenSpace
 from uav_recon.types.frames import FloatArray

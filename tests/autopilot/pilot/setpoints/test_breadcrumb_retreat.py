@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from uav_recon.autopilot.pilot.breadcrumb_retreat import Breadcrumbs
-from uav_recon.autopilot.pilot.message_validation import trajectory_fault
+from uav_recon.autopilot.pilot.setpoints.breadcrumb_retreat import Breadcrumbs
+from uav_recon.autopilot.pilot.situation.message_validation import trajectory_fault
 from uav_recon.config import SafetyConfig
 from uav_recon.types.pose import Pose
 from uav_recon.types.trajectory import Setpoint, Trajectory

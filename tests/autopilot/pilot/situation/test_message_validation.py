@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from uav_recon.autopilot.pilot.message_validation import is_valid_free_space, is_valid_range_grid, trajectory_fault
+from uav_recon.autopilot.pilot.situation.message_validation import is_valid_free_space, is_valid_range_grid, trajectory_fault
 from uav_recon.types.maps import FreeSpace, GridSpec
 from uav_recon.types.min_range_grid import MinRangeGrid
 from uav_recon.types.pose import Pose

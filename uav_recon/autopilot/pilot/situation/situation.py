@@ -8,11 +8,11 @@ import numpy as np
 
 from uav_recon.autopilot.link.vehicle_link import VehicleLink
 from uav_recon.autopilot.parameters.preflight_check import NoParameterCheck, ParameterCheck
-from uav_recon.autopilot.pilot.estimate_monitor import EstimateMonitor
-from uav_recon.autopilot.pilot.mission_input import MissionInput
-from uav_recon.autopilot.pilot.pose_feed import PoseFeed
-from uav_recon.autopilot.pilot.setpoint_selection import SetpointSelector
-from uav_recon.autopilot.pilot.surroundings import Surroundings
+from uav_recon.autopilot.pilot.setpoints.setpoint_selection import SetpointSelector
+from uav_recon.autopilot.pilot.situation.estimate_monitor import EstimateMonitor
+from uav_recon.autopilot.pilot.situation.mission_input import MissionInput
+from uav_recon.autopilot.pilot.situation.pose_feed import PoseFeed
+from uav_recon.autopilot.pilot.situation.surroundings import Surroundings
 from uav_recon.safety.envelope import Vec3
 from uav_recon.safety.failsafe_precedence import FailsafeInputs
 from uav_recon.safety.guard import Guard, GuardInputs

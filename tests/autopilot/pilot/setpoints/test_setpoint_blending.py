@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from uav_recon.autopilot.pilot.setpoint_blending import SetpointBlender
+from uav_recon.autopilot.pilot.setpoints.setpoint_blending import SetpointBlender
 from uav_recon.types.trajectory import Setpoint, Trajectory
 
 

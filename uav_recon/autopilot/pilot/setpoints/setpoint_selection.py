@@ -11,11 +11,11 @@ from collections import deque
 
 import numpy as np
 
-from uav_recon.autopilot.pilot.breadcrumb_retreat import Breadcrumbs
-from uav_recon.autopilot.pilot.flown_views import FlownViews
-from uav_recon.autopilot.pilot.mission_input import MissionInput
-from uav_recon.autopilot.pilot.obstacle_evasion import ObstacleEvasion
-from uav_recon.autopilot.pilot.setpoint_blending import SetpointBlender
+from uav_recon.autopilot.pilot.setpoints.breadcrumb_retreat import Breadcrumbs
+from uav_recon.autopilot.pilot.setpoints.flown_views import FlownViews
+from uav_recon.autopilot.pilot.setpoints.obstacle_evasion import ObstacleEvasion
+from uav_recon.autopilot.pilot.setpoints.setpoint_blending import SetpointBlender
+from uav_recon.autopilot.pilot.situation.mission_input import MissionInput
 from uav_recon.safety.failsafe_precedence import FailsafeAction
 from uav_recon.safety.guard import ClearedSetpoint, Guard, GuardInputs, SetpointProposal
 from uav_recon.types.pose import Pose

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable
 
-from uav_recon.autopilot.pilot.reduced_speed_reporter import ReducedSpeedReporter
+from uav_recon.autopilot.pilot.reports.reduced_speed_reporter import ReducedSpeedReporter
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
 

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from uav_recon.autopilot.pilot.surroundings import Surroundings
+from uav_recon.autopilot.pilot.situation.surroundings import Surroundings
 from uav_recon.channels import MemoryChannel
 from uav_recon.safety.recently_seen_space import RecentlySeenSpace
 from uav_recon.types.camera import body_from_camera

@@ -11,7 +11,7 @@ from uav_recon.autopilot.mavlink.allow_list import AllowListFilter
 from uav_recon.autopilot.mavlink.telemetry import Telemetry
 from uav_recon.autopilot.mavlink.tlog import NoLog
 from uav_recon.autopilot.parameters.preflight_check import NoParameterCheck
-from uav_recon.autopilot.pilot.preflight import PreflightSetup
+from uav_recon.autopilot.pilot.sequence.preflight import PreflightSetup
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from uav_recon.autopilot.pilot.message_validation import trajectory_fault
+from uav_recon.autopilot.pilot.situation.message_validation import trajectory_fault
 from uav_recon.interfaces import Channel
 from uav_recon.safety.refusals import RefusalCounter
 from uav_recon.types.reason import Reason

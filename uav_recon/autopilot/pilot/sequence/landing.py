@@ -11,7 +11,7 @@ import math
 from uav_recon.autopilot.firmware.profile import DISARM
 from uav_recon.autopilot.link.vehicle_link import VehicleLink
 from uav_recon.autopilot.mavlink.telemetry import Telemetry
-from uav_recon.autopilot.pilot.control_authority import ControlLoss, yielded
+from uav_recon.autopilot.pilot.sequence.control_authority import ControlLoss, yielded
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.vehicle import FlightPhase

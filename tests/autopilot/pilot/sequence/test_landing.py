@@ -12,7 +12,7 @@ import pytest
 from telemetry_values import changed
 
 from uav_recon.autopilot.mavlink.telemetry import ModeReport, MotionEstimate, Telemetry
-from uav_recon.autopilot.pilot.landing import Landing
+from uav_recon.autopilot.pilot.sequence.landing import Landing
 
 
 def _link(heartbeat_s: float, asked_s: list[float], lands: bool = False) -> Any:

@@ -1,0 +1,1 @@
+"""Reports: what the pilot tells people at a ground station, and the other processes."""

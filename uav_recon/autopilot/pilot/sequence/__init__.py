@@ -1,0 +1,1 @@
+"""Sequence: the phases of a flight, from the first connection to the motors' stop."""

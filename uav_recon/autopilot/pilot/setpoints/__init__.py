@@ -1,0 +1,1 @@
+"""Setpoints: the motion that is proposed to the guard."""

@@ -1,0 +1,1 @@
+"""Situation: poses, surroundings, estimate and intent, as the pilot knows them."""
