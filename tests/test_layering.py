@@ -6,6 +6,8 @@ import ast
 from functools import cache
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).parents[1]
 BASE = {"types", "interfaces", "config", "clock", "channels", "geometry", "json_codec", "atomic_file"}
 STAGES = ("sensors", "localization", "mapping", "planning", "motion", "recording")
@@ -36,6 +38,9 @@ ALLOWED = {
     "cli": {"app", "bench", "measurement", "operator", "errors"},
 }
 AUTOPILOT_ORDER = ("mavlink", "firmware", "link", "parameters", "pilot")  # each imports only those before it
+PILOT_ORDER = (  # the same, in its last room
+    "hull_geometry", "pilot_channels", "situation", "setpoints", "reports", "sequence", "setpoint_stream", "pilot", "assembly",
+)  # fmt: skip
 USES_SIMULATOR = {"cli"}  # the only package of the product that starts the simulator
 SIMULATOR_ROOTS = ("sitl/apps/", "sitl/bench/", "sitl/faults/flights/")  # composition roots: they join simulator and product
 HEAVY = {
@@ -101,15 +106,19 @@ def test_a_package_imports_only_what_its_rank_allows() -> None:
         assert all(name.startswith(("uav_recon.types", "uav_recon.mission")) for name in ours), ours
 
 
-def test_the_rooms_of_the_autopilot_import_only_those_before_them() -> None:
-    for module in modules("uav_recon/autopilot"):
-        if module == "uav_recon/autopilot/__init__.py":
+@pytest.mark.parametrize(
+    ("house", "order"), [("uav_recon/autopilot", AUTOPILOT_ORDER), ("uav_recon/autopilot/pilot", PILOT_ORDER)]
+)
+def test_the_rooms_of_the_autopilot_import_only_those_before_them(house: str, order: tuple[str, ...]) -> None:
+    for module in modules(house):
+        inside, dotted = module.removeprefix(f"{house}/"), f"{house.replace('/', '.')}."
+        if inside == "__init__.py":
             continue
-        rank = AUTOPILOT_ORDER.index(module.split("/")[2])
+        rank = order.index(inside.split("/")[0].removesuffix(".py"))
         for name in imports(module):
-            if name.startswith("uav_recon.autopilot."):
-                room = name.split(".")[2]
-                assert AUTOPILOT_ORDER.index(room) <= rank, f"{module} imports {name}"
+            if name.startswith(dotted):
+                room = name.removeprefix(dotted).split(".")[0]
+                assert order.index(room) <= rank, f"{module} imports {name}"
 
 
 def test_product_and_simulator_meet_only_in_composition_roots() -> None:

@@ -43,6 +43,7 @@ class Vehicle:
         self.progress.publish(MissionProgress(99.9, "survey", "explore", 31, 120, 42.7, 18.4, 5, 7, 40, 0.2, None, False))
         if mission:
             self.intent.publish(Intent(99.9, Goal.FLY))
+        self.operator = self
         self.handler = CommandHandler(self, channels, self.commands, self.clock)
 
     def request_land(self, why: Reason) -> None:

@@ -16,11 +16,13 @@ from uav_recon.interfaces import ByteLink, Clock
 if TYPE_CHECKING:  # each process imports only the stages that it runs
     from uav_recon.autopilot.firmware.profile import FirmwareProfile
     from uav_recon.autopilot.link.navigation import Navigation
+    from uav_recon.autopilot.link.vehicle_link import VehicleLink
     from uav_recon.autopilot.mavlink.allow_list import AllowListFilter
     from uav_recon.autopilot.mavlink.tlog import FrameLog
     from uav_recon.autopilot.parameters.preflight_check import ParameterCheck
     from uav_recon.autopilot.parameters.reader import ParameterEncoding
-    from uav_recon.autopilot.pilot.pilot import HullGeometry, Pilot
+    from uav_recon.autopilot.pilot.hull_geometry import HullGeometry
+    from uav_recon.autopilot.pilot.pilot import Pilot
     from uav_recon.autopilot.pilot.situation.upward_range_finder import RangeFinderModel
 
 
@@ -54,20 +56,34 @@ def make_pilot(
 
     allow_list: the filter that its link already uses, if there is one.
     """
-    from uav_recon.autopilot.pilot import pilot
+    from uav_recon.autopilot.pilot import assembly
     from uav_recon.autopilot.pilot.sequence.preflight import Origin
     from uav_recon.safety.guard import Guard
 
-    sight = safety_limits.recently_seen_space(config)
-    guard = Guard(safety_limits.envelope(config), safety_limits.guard_bounds(config), sight)
-    origin = Origin(config.link.origin_lat_deg, config.link.origin_lon_deg, config.link.origin_alt_m)
-    (profile, _), rate_hz = firmware(config.link.autopilot), config.link.setpoint_rate_hz
-    parameters = make_parameter_check(config)
-    return pilot.make_pilot(
-        link, profile, guard, sight, safety_limits.failsafe_timeouts(config), channels, clock, origin,
-        hull_geometry(config), rate_hz, log, parameters, allow_list or make_allow_list_filter(config.link, clock),
-        make_navigation(config), range_finder_model(config),
-    )  # fmt: skip
+    seen_space = safety_limits.recently_seen_space(config)
+    guard = Guard(safety_limits.envelope(config), safety_limits.guard_bounds(config), seen_space)
+    return assembly.make_pilot(
+        make_vehicle_link(config, link, log, clock, allow_list or make_allow_list_filter(config.link, clock)),
+        guard,
+        safety_limits.failsafe_timeouts(config),
+        channels,
+        clock,
+        Origin(config.link.origin_lat_deg, config.link.origin_lon_deg, config.link.origin_alt_m),
+        hull_geometry(config),
+        setpoint_rate_hz=config.link.setpoint_rate_hz,
+        parameters=make_parameter_check(config),
+        range_finder=range_finder_model(config),
+    )
+
+
+def make_vehicle_link(config: Config, link: ByteLink, log: FrameLog, clock: Clock, allow_list: AllowListFilter) -> VehicleLink:
+    """Build the link to the autopilot on a byte link."""
+    from uav_recon.autopilot.link.vehicle_link import VehicleLink
+    from uav_recon.autopilot.pilot.situation.upward_range_finder import STREAM
+
+    profile, _ = firmware(config.link.autopilot)
+    profile = profile if config.range_up.fov_deg is None else profile.with_stream(*STREAM)
+    return VehicleLink(link, log, clock.now_s(), profile, allow_list, navigation=make_navigation(config))
 
 
 def range_finder_model(config: Config) -> RangeFinderModel | None:
@@ -94,7 +110,7 @@ def make_navigation(config: Config) -> Navigation:
 
 def hull_geometry(config: Config) -> HullGeometry:
     """Return the hull and the hover height of the pilot."""
-    from uav_recon.autopilot.pilot.pilot import HullGeometry
+    from uav_recon.autopilot.pilot.hull_geometry import HullGeometry
 
     return HullGeometry(
         vehicle_radius_m=config.safety.vehicle_radius_m,

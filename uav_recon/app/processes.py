@@ -140,7 +140,7 @@ def pilot(config_path: Path, flight: Path | None) -> int:
     systemd_notify.ready()
     while not (stop.asked and not the_pilot.in_flight and phase_published(the_pilot.phase, channels.vehicle)):
         if stop.asked:
-            the_pilot.request_land()
+            the_pilot.operator.request_land()
         command_socket.poll()
         the_pilot.step()
         systemd_notify.watchdog()

@@ -21,13 +21,8 @@ _FUTURE_S = 0.1  #: refuse: the same if its stamp is later than the clock by thi
 _ON_THE_GROUND = (FlightPhase.CONNECTING, FlightPhase.READY, FlightPhase.LANDED)
 
 
-class PilotControls(Protocol):
-    """The pilot's interface for an operator. Nothing blocks."""
-
-    @property
-    def phase(self) -> FlightPhase:
-        """State of the pilot."""
-        ...
+class OperatorControls(Protocol):
+    """Requests that an operator may make to the pilot. Nothing blocks."""
 
     def request_land(self, why: Reason) -> None:
         """Land here and now, regardless of the mission."""
@@ -39,6 +34,20 @@ class PilotControls(Protocol):
 
     def hear_operator(self) -> None:
         """Record that the operator is present now."""
+        ...
+
+
+class PilotControls(Protocol):
+    """The pilot's interface for an operator."""
+
+    @property
+    def phase(self) -> FlightPhase:
+        """Phase of the flight."""
+        ...
+
+    @property
+    def operator(self) -> OperatorControls:
+        """The operator's requests."""
         ...
 
 
@@ -71,7 +80,7 @@ class CommandHandler:
             words = ", ".join((*(command.value for command in OperatorCommand), "status"))
             unknown = Reason(ReasonCode.UNKNOWN_COMMAND, (repr(word[:20]), words))
             return {"ok": False, "said": unknown.text(), "codes": list(unknown.codes())}
-        self._pilot.hear_operator()
+        self._pilot.operator.hear_operator()
         if command is None:
             return {"ok": True, "said": "", "status": self.status().as_json()}
         refused = self._refusal(command)
@@ -117,9 +126,9 @@ class CommandHandler:
 
     def _carry_out(self, command: OperatorCommand) -> str:
         if command is OperatorCommand.LAND:
-            self._pilot.request_land(Reason(ReasonCode.OPERATOR_LAND))
+            self._pilot.operator.request_land(Reason(ReasonCode.OPERATOR_LAND))
         else:
-            self._pilot.request_hold(command is OperatorCommand.HOLD)
+            self._pilot.operator.request_hold(command is OperatorCommand.HOLD)
         self._commands.publish(GivenCommand(self._clock.now_s(), command))
         grounded = self._pilot.phase in _ON_THE_GROUND
         going = "it takes off when the mission is ready" if grounded else "the mission continues"

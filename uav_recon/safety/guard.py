@@ -110,7 +110,7 @@ class Guard:
     def __init__(self, envelope: Envelope, bounds: GuardBounds, seen_space: RecentlySeenSpace) -> None:
         self.envelope = envelope
         self.bounds = bounds
-        self._seen_space = seen_space
+        self.seen_space = seen_space
         self._sight_limit = SightSpeedLimit(
             full_speed_mps=envelope.max_speed_mps,
             blind_speed_mps=bounds.blind_speed_mps,
@@ -142,7 +142,7 @@ class Guard:
         """Forget the last setpoint and what was seen after a jump of odom, and hold for ``rest_s``."""
         self._last = None
         self._rest_until_s = inputs.now_s + rest_s
-        self._seen_space.forget()
+        self.seen_space.forget()
 
     def takeoff_fault(self, inputs: GuardInputs, height_m: float) -> Reason | None:
         """Return why the vehicle may not climb, None if the column is confirmed free that high."""
@@ -247,14 +247,14 @@ class Guard:
 
         It is that of the space that the hull enters until it stands.
         """
-        place_m, reach_m = np.array(motion.position_m), self._seen_space.reach_m
+        place_m, reach_m = np.array(motion.position_m), self.seen_space.reach_m
         if speed_mps > self.bounds.blind_speed_mps + 1e-6:
             stopping_m = np.array([speed_mps**2 / (2.0 * self.envelope.max_acceleration_mps2)])
-            hull = entered_points(place_m[None], direction[None], stopping_m, self._seen_space.radius_m, reach_m)
-            limit_mps = self._sight_limit.at(self._seen_space.ages_s(hull[0], now_s)).min()
+            hull = entered_points(place_m[None], direction[None], stopping_m, self.seen_space.radius_m, reach_m)
+            limit_mps = self._sight_limit.at(self.seen_space.ages_s(hull[0], now_s)).min()
             return None if speed_mps <= limit_mps + 1e-6 else Reason(ReasonCode.SPEED_OUT_OF_VIEW, (speed_mps,))
         x, y, z = (place_m + direction * reach_m).tolist()
-        return None if self._seen_space.saw_free((x, y, z), now_s) else Reason(ReasonCode.NOT_SEEN_RECENTLY, (x, y, z))
+        return None if self.seen_space.saw_free((x, y, z), now_s) else Reason(ReasonCode.NOT_SEEN_RECENTLY, (x, y, z))
 
     def _brake(self, inputs: GuardInputs) -> Setpoint:
         """Slow down along the last cleared velocity within the acceleration limit, then hold."""

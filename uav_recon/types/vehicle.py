@@ -25,6 +25,9 @@ class FlightPhase(Enum):
     YIELDED = "yielded"  # no control (a human, another sender, an unresponsive autopilot): no setpoint, mode or arm command
 
 
+IN_THE_AIR = (FlightPhase.FLYING, FlightPhase.LANDING)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class VehicleState:
     """Telemetry in our frames; world = odom at epoch 0.

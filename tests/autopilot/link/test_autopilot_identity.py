@@ -83,7 +83,7 @@ def test_another_vehicle_in_flight_is_commanded_nothing(hovering: Rig) -> None:
     assert str(changed.values[1]).startswith("5349544c")
     quiet_s = hovering.clock.now_s()
     hovering.fly((1.0, 0.0, 1.1), identifier=9)
-    hovering.pilot.request_land()
+    hovering.pilot.operator.request_land()
     hovering.run(20.0)
     assert not any(hovering.tap.since(quiet_s)[order] for order in ORDERS)
     assert hovering.tap.since(quiet_s)["HEARTBEAT"] == 0, "the true one may hear us still, and is to land"
@@ -124,7 +124,7 @@ class OneVehicle(Rig):
 
     uid = PX4_UID
 
-    def gate(self) -> AllowListFilter:
+    def allow_list(self) -> AllowListFilter:
         return AllowListFilter(AllowList(uid=self.uid))
 
 

@@ -190,7 +190,7 @@ def test_a_forged_pilots_mode_leaves_no_vehicle_unattended(flying: tuple[Rig, Cr
 def test_nobody_is_talked_out_of_a_landing(flying: tuple[Rig, Crowd], mode: str, armed: bool) -> None:
     rig, crowd = flying
     speak_twice(rig, crowd, mode, 0.5, armed)
-    rig.pilot.request_land()
+    rig.pilot.operator.request_land()
     speak_twice(rig, crowd, mode, 12.0, armed)
     rig.run(20.0)
     assert not rig.autopilot.truth().armed

@@ -362,7 +362,7 @@ def test_a_link_that_breaks_is_a_reason_not_a_crash(pair: tuple[VehicleLink, Wir
 
 def test_the_pilots_imports_stay_small() -> None:
     heavy = {"torch", "open3d", "rerun", "cv2", "numba", "scipy", "pydantic"}
-    pilot = "uav_recon.autopilot.pilot.pilot, uav_recon.autopilot.mavlink.transport"
+    pilot = "uav_recon.autopilot.pilot.assembly, uav_recon.autopilot.mavlink.transport"
     code = f"import sys, {pilot}; print({heavy!r} & set(sys.modules))"
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
     assert out.stdout.strip() == "set()"

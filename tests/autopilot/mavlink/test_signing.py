@@ -171,7 +171,7 @@ class SignedRig(CopterRig):
         self._their_key = theirs
         super().__init__()
 
-    def gate(self) -> AllowListFilter:
+    def allow_list(self) -> AllowListFilter:
         return AllowListFilter(seal=signature(self._folder))
 
     def _make_autopilot(self, end: ByteEnd, seed: int) -> ArduCopter:
@@ -207,7 +207,7 @@ class WallRig(SignedRig):
         self.asked_s.append(self.wall_s)
         return self.wall_s
 
-    def gate(self) -> AllowListFilter:
+    def allow_list(self) -> AllowListFilter:
         return AllowListFilter(seal=open_signature(self._folder / "key", 1, self._folder / "stamps", self.clock, self.wall))
 
 

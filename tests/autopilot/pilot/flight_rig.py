@@ -21,10 +21,13 @@ from uav_recon.app.flight_channels import memory_channels
 from uav_recon.autopilot.firmware.profile import FirmwareProfile
 from uav_recon.autopilot.firmware.px4 import PX4
 from uav_recon.autopilot.link.navigation import Navigation
+from uav_recon.autopilot.link.vehicle_link import VehicleLink
 from uav_recon.autopilot.mavlink.allow_list import AllowListFilter
-from uav_recon.autopilot.mavlink.tlog import FrameLog
+from uav_recon.autopilot.mavlink.tlog import FrameLog, NoLog
 from uav_recon.autopilot.parameters.preflight_check import ParameterCheck
-from uav_recon.autopilot.pilot.pilot import HullGeometry, Pilot, make_pilot
+from uav_recon.autopilot.pilot.assembly import make_pilot
+from uav_recon.autopilot.pilot.hull_geometry import HullGeometry
+from uav_recon.autopilot.pilot.pilot import Pilot
 from uav_recon.autopilot.pilot.sequence.preflight import Origin
 from uav_recon.clock import ManualClock
 from uav_recon.interfaces import ByteLink
@@ -65,7 +68,7 @@ BOUNDS = GuardBounds(
     retreat_speed_mps=0.3,
     margins=Margins(stop_clearance_m=0.1, fast_clearance_m=0.4),
 )
-AIRFRAME = HullGeometry(vehicle_radius_m=0.2, vehicle_height_m=0.2, hover_height_m=1.1)
+HULL = HullGeometry(vehicle_radius_m=0.2, vehicle_height_m=0.2, hover_height_m=1.1)
 GRID = GridSpec(np.array([-4.0, -4.0, -1.0]), 0.1, (100, 80, 40))
 BODY_FROM_DEPTH = body_from_camera(np.array([0.1, 0.0, 0.0]), 0.26)
 ORIGIN = Origin(47.3977, 8.5456, 488.0)
@@ -147,7 +150,7 @@ class Rig:
         assert isinstance(self.autopilot, Px4)
         return self.autopilot
 
-    def gate(self) -> AllowListFilter:
+    def allow_list(self) -> AllowListFilter:
         """Whom the pilot hears."""
         return AllowListFilter()
 
@@ -157,12 +160,16 @@ class Rig:
 
     def new_pilot(self, log: FrameLog | None = None) -> Pilot:
         """As a process that starts now."""
-        sight = RecentlySeenSpace(blind_memory_s=10.0, vehicle_radius_m=AIRFRAME.vehicle_radius_m)
-        self.guard = Guard(ENVELOPE, BOUNDS, sight)
+        seen_space = RecentlySeenSpace(blind_memory_s=10.0, vehicle_radius_m=HULL.vehicle_radius_m)
+        self.guard = Guard(ENVELOPE, BOUNDS, seen_space)
         return make_pilot(
-            self.tap, self.firmware, self.guard, sight, TIMEOUTS, self.channels, self.clock, ORIGIN, AIRFRAME, log=log,
-            parameters=self.parameters, gate=self.gate(), navigation=self.navigation(),
-        )  # fmt: skip
+            self.vehicle_link(log), self.guard, TIMEOUTS, self.channels, self.clock, ORIGIN, HULL, parameters=self.parameters
+        )
+
+    def vehicle_link(self, log: FrameLog | None) -> VehicleLink:
+        """Return a new link of this flight's firmware, senders and navigation."""
+        start_s = self.clock.now_s()
+        return VehicleLink(self.tap, log or NoLog(), start_s, self.firmware, self.allow_list(), navigation=self.navigation())
 
     def publish_free(self) -> None:
         """What the mission says is known free."""

@@ -55,11 +55,11 @@ def fly_on(rig: Rig) -> None:
 
 
 def operator_holds(rig: Rig) -> None:
-    rig.pilot.request_hold(True)
+    rig.pilot.operator.request_hold(True)
 
 
 def operator_lands(rig: Rig) -> None:
-    rig.pilot.request_land(Reason(ReasonCode.OPERATOR_LAND))
+    rig.pilot.operator.request_land(Reason(ReasonCode.OPERATOR_LAND))
 
 
 def mission_lands(rig: Rig) -> None:

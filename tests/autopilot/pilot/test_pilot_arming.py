@@ -75,7 +75,7 @@ def test_a_pilot_told_to_end_waits_for_motors_that_may_still_start(arming: Rig, 
     while not arming.tap.since(0)[f"COMMAND_LONG {ARM}"]:
         arming.step()
     arming.tap.deaf = True
-    arming.pilot.request_land()
+    arming.pilot.operator.request_land()
     arming.run(1.0)
     assert arming.px4.truth().armed
     arming.tap.deaf = not heard
@@ -93,7 +93,7 @@ def test_a_pilot_whose_request_for_motors_came_to_nothing_ends(arming: Rig) -> N
     vars(arming.px4._state.commander)["request_arming"] = lambda *request: 1
     while not arming.tap.since(0)[f"COMMAND_LONG {ARM}"]:
         arming.step()
-    arming.pilot.request_land()
+    arming.pilot.operator.request_land()
     arming.run(4.8)
     assert arming.pilot.in_flight
     arming.run(0.4)

@@ -91,7 +91,7 @@ def test_a_pilot_who_takes_over_is_left_alone(hovering: Rig) -> None:
     assert not any(hovering.tap.since(yielded_s + TICK_S)[order] for order in ORDERS)
     assert hovering.tap.since(taken_s)[f"COMMAND_LONG {MODE}"] == 0
     hovering.intent = (Goal.LAND, None)
-    hovering.pilot.request_land()
+    hovering.pilot.operator.request_land()
     hovering.run(5.0)
     assert hovering.px4.truth().mode == "POSCTL"
     assert not any(hovering.tap.since(yielded_s + TICK_S)[order] for order in ORDERS)
@@ -102,7 +102,7 @@ def test_a_pilot_who_takes_over_is_left_alone(hovering: Rig) -> None:
 def test_a_pilot_who_takes_over_while_we_ask_to_land_keeps_the_vehicle(hovering: Rig, delay_ticks: int) -> None:
     """The race between our mode request and theirs: after their mode shows in HEARTBEAT nothing more is asked."""
     rig = hovering
-    rig.pilot.request_land()
+    rig.pilot.operator.request_land()
     rig.run(delay_ticks * TICK_S)
     rig.px4.pilot_takes_over("POSCTL")
     rig.run(1.1)
@@ -179,7 +179,7 @@ def test_a_mission_that_comes_back_does_not_stop_a_landing(hovering: Rig) -> Non
 
 
 def test_sigterm_lands_at_once(hovering: Rig) -> None:
-    hovering.pilot.request_land()
+    hovering.pilot.operator.request_land()
     begin = hovering.clock.now_s()
     hovering.run(0.1)
     assert hovering.tap.since(begin)[f"COMMAND_LONG {MODE}"] == 1
@@ -191,7 +191,7 @@ def test_sigterm_lands_at_once(hovering: Rig) -> None:
 def test_sigterm_on_the_ground_begins_no_flight() -> None:
     rig = Rig()
     rig.until(FlightPhase.READY, 20.0)
-    rig.pilot.request_land()
+    rig.pilot.operator.request_land()
     rig.intent = (Goal.FLY, None)
     rig.run(5.0)
     assert rig.pilot.phase is FlightPhase.READY

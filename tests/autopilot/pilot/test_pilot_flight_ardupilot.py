@@ -113,7 +113,7 @@ def test_a_pilot_who_takes_over_is_left_alone(hovering: CopterRig) -> None:
     hovering.until(FlightPhase.YIELDED, 1.2)
     yielded_s = hovering.clock.now_s()
     hovering.fly((1.0, 0.0, 1.1), identifier=9)
-    hovering.pilot.request_land()
+    hovering.pilot.operator.request_land()
     hovering.run(6.0)
     assert mode_of(hovering) == "LOITER"
     assert not any(hovering.tap.since(yielded_s + TICK_S)[order] for order in ORDERS)

@@ -59,7 +59,7 @@ def test_no_landing_is_sent_over_a_human_unseen(hovering: Rig, wish: str, deaf_s
     hovering.poses = wish != "the ladder's"
     hovering.run(0.3)
     if wish == "the operator's":
-        hovering.pilot.request_land()
+        hovering.pilot.operator.request_land()
     elif wish == "the mission's":
         hovering.intent = (Goal.LAND, None)
     hovering.run(deaf_s - 0.6)
@@ -71,7 +71,7 @@ def test_no_landing_is_sent_over_a_human_unseen(hovering: Rig, wish: str, deaf_s
 def test_a_landing_wished_for_while_deaf_is_asked_for_when_it_hears_again(hovering: Rig) -> None:
     hovering.tap.deaf = True
     hovering.run(0.7)
-    hovering.pilot.request_land()
+    hovering.pilot.operator.request_land()
     hovering.run(0.8)
     hovering.tap.deaf = False
     hovering.run(0.4)
@@ -82,7 +82,7 @@ def test_a_landing_wished_for_while_deaf_is_asked_for_when_it_hears_again(hoveri
 def test_a_landing_wished_for_while_deaf_for_good_is_the_firmwares(hovering: Rig) -> None:
     hovering.tap.deaf = True
     hovering.run(0.7)
-    hovering.pilot.request_land()
+    hovering.pilot.operator.request_land()
     hovering.until(FlightPhase.YIELDED, 2.5)
     hovering.run(1.5)
     assert hovering.px4.truth().mode == "LAND"

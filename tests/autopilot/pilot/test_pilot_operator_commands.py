@@ -29,7 +29,7 @@ def test_a_hold_is_on_the_wire_at_once_and_lasts(hovering: Rig, mission: str) ->
     if mission == "is dead":
         hovering.intent = None
     begin_s = hovering.clock.now_s()
-    hovering.pilot.request_hold(True)
+    hovering.pilot.operator.request_hold(True)
     hovering.run(1.5)
     assert braked_after_s(hovering, begin_s) <= 0.15
     here = hovering.track[-1][1]
@@ -39,11 +39,11 @@ def test_a_hold_is_on_the_wire_at_once_and_lasts(hovering: Rig, mission: str) ->
 
 
 def test_a_hold_is_ended_by_going_on(hovering: Rig) -> None:
-    hovering.pilot.request_hold(True)
+    hovering.pilot.operator.request_hold(True)
     hovering.fly((0.8, 0.0, 1.1))
     hovering.run(3.0)
     assert hovering.track[-1][1][0] < 0.1
-    hovering.pilot.request_hold(False)
+    hovering.pilot.operator.request_hold(False)
     way = hovering.fly((0.8, 0.0, 1.1), identifier=2)
     hovering.run(way.duration_s + 2.0)
     assert hovering.track[-1][1][0] == pytest.approx(0.8, abs=0.06)
@@ -53,7 +53,7 @@ def test_a_land_with_a_dead_mission_is_asked_for_at_once(hovering: Rig) -> None:
     hovering.intent = None
     hovering.run(1.0)
     begin_s = hovering.clock.now_s()
-    hovering.pilot.request_land(Reason(ReasonCode.OPERATOR_LAND))
+    hovering.pilot.operator.request_land(Reason(ReasonCode.OPERATOR_LAND))
     hovering.until(FlightPhase.LANDED, 20.0)
     commands = [at for at, m in hovering.tap.sent if Tap.name(m) == f"COMMAND_LONG {MODE}" and at >= begin_s]
     assert commands[0] - begin_s <= 0.30  # it waits for a heartbeat, lest a human took over unseen
@@ -61,13 +61,13 @@ def test_a_land_with_a_dead_mission_is_asked_for_at_once(hovering: Rig) -> None:
 
 
 def test_a_human_wins_over_a_hold(hovering: Rig) -> None:
-    hovering.pilot.request_hold(True)
+    hovering.pilot.operator.request_hold(True)
     hovering.run(0.5)
     hovering.px4.pilot_takes_over("POSCTL")
     hovering.until(FlightPhase.YIELDED, 1.5)
     begin_s = hovering.clock.now_s()
-    hovering.pilot.request_hold(False)
-    hovering.pilot.request_hold(True)
+    hovering.pilot.operator.request_hold(False)
+    hovering.pilot.operator.request_hold(True)
     hovering.run(3.0)
     sent = hovering.tap.since(begin_s)
     assert sent["SET_POSITION_TARGET_LOCAL_NED"] == sent[f"COMMAND_LONG {MODE}"] == sent[f"COMMAND_LONG {ARM}"] == 0
@@ -82,13 +82,13 @@ def test_forged_heartbeats_of_a_ground_station_are_no_operator(hovering: Rig) ->
         hovering.run(0.1)
     assert hovering.pilot.phase is FlightPhase.FLYING
     assert hovering.state.operator_received_s == -math.inf
-    hovering.pilot.hear_operator()
+    hovering.pilot.operator.hear_operator()
     hovering.run(0.1)
     assert hovering.state.operator_received_s == pytest.approx(hovering.clock.now_s() - 0.1, abs=0.02)
 
 
 def test_what_the_mission_has_to_tell_is_told_once_and_its_operators_hold_ends_with_him(hovering: Rig) -> None:
-    hovering.pilot.request_hold(True)
+    hovering.pilot.operator.request_hold(True)
     way = hovering.fly((0.8, 0.0, 1.1))
     hovering.said = Reason(ReasonCode.OPERATOR_SILENT, (5.0, 30.0))
     hovering.run(3.0)
@@ -104,7 +104,7 @@ def test_what_the_mission_has_to_tell_is_told_once_and_its_operators_hold_ends_w
     ]  # fmt: skip
     hovering.operator_lost = False
     hovering.run(0.1)
-    hovering.pilot.request_hold(True)
+    hovering.pilot.operator.request_hold(True)
     hovering.fly((0.0, 0.0, 1.1), identifier=3)
     hovering.run(3.0)
     assert hovering.track[-1][1][0] > 0.4, "who is back may hold it again"

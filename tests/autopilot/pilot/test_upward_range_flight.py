@@ -6,15 +6,16 @@ import math
 
 import numpy as np
 import pytest
-from flight_rig import AIRFRAME, BOUNDS, ENVELOPE, ORIGIN, Rig
+from flight_rig import BOUNDS, ENVELOPE, HULL, ORIGIN, Rig
 from guard_rooms import TIMEOUTS
 from test_pilot_flight_ardupilot import CopterRig
 
 from sitl.scene.scene import Scene, load_scene
 from sitl.world.range_finder import MOUNT_M, SimulatedUpwardRangeFinder
 from uav_recon.autopilot.mavlink.tlog import FrameLog
-from uav_recon.autopilot.pilot.pilot import Pilot, make_pilot
-from uav_recon.autopilot.pilot.situation.upward_range_finder import RangeFinderModel
+from uav_recon.autopilot.pilot.assembly import make_pilot
+from uav_recon.autopilot.pilot.pilot import Pilot
+from uav_recon.autopilot.pilot.situation.upward_range_finder import STREAM, RangeFinderModel
 from uav_recon.mapping.occupancy.occupancy_map import DepthSensor, OccupancyMap
 from uav_recon.safety.free_cone_rule import points_in_cones
 from uav_recon.safety.guard import Guard
@@ -34,12 +35,13 @@ class RangeRig(Rig):
     model: RangeFinderModel | None = MODEL
 
     def new_pilot(self, log: FrameLog | None = None) -> Pilot:
-        self.sight = RecentlySeenSpace(blind_memory_s=60.0, vehicle_radius_m=AIRFRAME.vehicle_radius_m)
-        self.guard = Guard(ENVELOPE, BOUNDS, self.sight)
+        seen_space = RecentlySeenSpace(blind_memory_s=60.0, vehicle_radius_m=HULL.vehicle_radius_m)
+        self.guard = Guard(ENVELOPE, BOUNDS, seen_space)
+        if self.model is not None:
+            self.firmware = self.firmware.with_stream(*STREAM)
         return make_pilot(
-            self.tap, self.firmware, self.guard, self.sight, TIMEOUTS, self.channels, self.clock, ORIGIN, AIRFRAME, log=log,
-            range_finder=self.model,
-        )  # fmt: skip
+            self.vehicle_link(log), self.guard, TIMEOUTS, self.channels, self.clock, ORIGIN, HULL, range_finder=self.model
+        )
 
 
 class CopterRangeRig(RangeRig, CopterRig):
@@ -90,7 +92,7 @@ def test_no_cone_and_no_voxel_that_it_frees_holds_a_true_surface(kind: type[Rang
     assert 1.6 < max(heights) < 1.8, "the lamp hangs over all of this flight"
     assert all(cone.half_angle_rad == pytest.approx(FOV_RAD / 2 - math.radians(2.0)) for cone in cones)
     where = cones[-1].apex_odom_m
-    assert rig.sight.saw_free((float(where[0]), float(where[1]), float(where[2]) + 0.2), rig.clock.now_s())
+    assert rig.guard.seen_space.saw_free((float(where[0]), float(where[1]), float(where[2]) + 0.2), rig.clock.now_s())
 
 
 @pytest.mark.parametrize(("kind", "asked"), [(RangeRig, True), (CopterRangeRig, True), (DeclaredWithout, False)])

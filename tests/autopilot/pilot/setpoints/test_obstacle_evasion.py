@@ -32,7 +32,7 @@ def _free(free: BoolArray | None = None) -> FreeSpaceCheck:
     return FreeSpaceCheck(FreeSpace(GRID, np.packbits(whole), 1), 0.2, 0.2)
 
 
-def _situation(now_s: float, free: FreeSpaceCheck | None = None) -> GuardInputs:
+def _inputs(now_s: float, free: FreeSpaceCheck | None = None) -> GuardInputs:
     return GuardInputs(now_s, (0.0, 0.0, 1.1), 0.0, np.eye(3), 0.03, 0.05, 0, free or _free(), None)
 
 
@@ -120,7 +120,7 @@ def test_it_steps_aside_only_from_what_several_frames_show(
     for stamp_s, away_m in ((1.0, 2.3), (1.1, 2.2)):
         evasion.update(_seen(stamp_s, away_m))
     evasion.update(_seen(1.2, 2.1, sights=sights, shown_s=shown_s))
-    assert (evasion.step_aside(REST, _situation(1.2)) is not None) is aside
+    assert (evasion.step_aside(REST, _inputs(1.2)) is not None) is aside
 
 
 @pytest.mark.parametrize(("away_m", "aside"), [((2.0, 1.9, 1.8), True), ((2.0, 1.7, 1.8), False), ((2.3, 1.9, 1.8), False)])
@@ -129,7 +129,7 @@ def test_what_does_not_come_on_steadily_is_not_stepped_aside_from(
 ) -> None:
     for n, range_m in enumerate(away_m):
         evasion.update(_seen(1.0 + 0.15 * n, range_m, sights=n + 1, shown_s=0.15 * n))
-    assert (evasion.step_aside(REST, _situation(1.3)) is not None) is aside
+    assert (evasion.step_aside(REST, _inputs(1.3)) is not None) is aside
 
 
 @pytest.mark.parametrize(("away_m", "stops"), [(1.6, True), (1.61, False)])
@@ -145,13 +145,13 @@ def test_what_comes_on_stops_from_farther_off(evasion: ObstacleEvasion, away_m: 
     evasion.update(_seen(1.0, away_m + 0.2 * mps))
     evasion.update(_seen(1.2, away_m))
     assert evasion.must_stop(1.2) is stops
-    assert (evasion.step_aside(REST, _situation(1.2)) is not None) is stops
+    assert (evasion.step_aside(REST, _inputs(1.2)) is not None) is stops
 
 
 def test_a_step_aside_leads_out_of_its_way(evasion: ObstacleEvasion) -> None:
     evasion.update(_seen(1.0, 2.2))
     evasion.update(_seen(1.2, 2.04))
-    way = evasion.step_aside(REST, _situation(1.2))
+    way = evasion.step_aside(REST, _inputs(1.2))
     assert isinstance(way, Trajectory)
     assert way.identifier == IDENTIFIER
     gone = way.position_m[-1] - HERE
@@ -167,12 +167,12 @@ def test_a_step_aside_goes_where_it_is_known_free_and_inside_the_fence(evasion: 
     evasion.update(_seen(1.2, 2.04))
     left = np.ones(GRID.shape, np.bool_)
     left[:, 50:] = False  # y from 1 m on
-    way = evasion.step_aside(REST, _situation(1.2, _free(left)))
+    way = evasion.step_aside(REST, _inputs(1.2, _free(left)))
     assert isinstance(way, Trajectory)
     assert way.position_m[-1][1] < -0.8
     nowhere = np.zeros(GRID.shape, np.bool_)
-    assert evasion.step_aside(REST, _situation(1.2, _free(nowhere))) == Reason(ReasonCode.NO_ROOM_TO_EVADE)
-    assert evasion.step_aside(REST, dataclasses.replace(_situation(1.2), free=None)) == Reason(ReasonCode.NO_ROOM_TO_EVADE)
+    assert evasion.step_aside(REST, _inputs(1.2, _free(nowhere))) == Reason(ReasonCode.NO_ROOM_TO_EVADE)
+    assert evasion.step_aside(REST, dataclasses.replace(_inputs(1.2), free=None)) == Reason(ReasonCode.NO_ROOM_TO_EVADE)
 
 
 def _cone(half_rad: float) -> BoolArray:
@@ -188,7 +188,7 @@ def test_a_step_aside_does_not_lead_into_what_comes_on(
 ) -> None:
     evasion.update(_seen(1.0, away_m + 0.16))
     evasion.update(_seen(1.2, away_m))
-    way = evasion.step_aside(REST, _situation(1.2, _free(_cone(np.radians(half_deg)))))
+    way = evasion.step_aside(REST, _inputs(1.2, _free(_cone(np.radians(half_deg)))))
     assert isinstance(way, Trajectory) if leads else way == Reason(ReasonCode.NO_ROOM_TO_EVADE)
 
 
@@ -197,7 +197,7 @@ def test_a_step_aside_reckons_with_all_that_is_seen_of_what_comes_on(evasion: Ob
     wide = HERE + np.column_stack([np.full(MANY, 2.4), left * np.linspace(0.0, 1.2, MANY), np.zeros(MANY)])
     for stamp_s, nearer_m in ((1.0, 0.0), (1.2, 0.16)):
         evasion.update(SuddenObstacle(stamp_s, wide - np.array([nearer_m, 0.0, 0.0]), 2.4 - nearer_m, 3, 0.3))
-    way = evasion.step_aside(REST, _situation(1.2, _free(_cone(np.radians(90.0)))))
+    way = evasion.step_aside(REST, _inputs(1.2, _free(_cone(np.radians(90.0)))))
     assert isinstance(way, Trajectory)
     assert left * way.position_m[-1][1] < -0.8, "its nearest corner is straight ahead, and the rest of it to one side"
 
@@ -207,7 +207,7 @@ def test_what_stands_is_not_given_way_to_while_the_vehicle_still_comes_nearer(ev
     evasion.update(SuddenObstacle(1.0, box, 1.1))  # seen from 0.2 m before the rest, then from 0.1 m
     evasion.update(SuddenObstacle(1.2, box, 1.0))
     assert evasion.must_stop(1.2)
-    assert evasion.step_aside(REST, _situation(1.2)) is None
+    assert evasion.step_aside(REST, _inputs(1.2)) is None
 
 
 @pytest.mark.parametrize(("radius_m", "stop_m"), [(0.10, 1.5), (0.20, 1.6), (0.35, 1.75), (0.60, 2.0)])
@@ -224,7 +224,7 @@ def test_a_wide_hull_does_not_pass_where_a_narrow_one_does(radius_m: float, lead
     evasion = _evasion(radius_m)
     evasion.update(_seen(1.0, 2.4))
     evasion.update(_seen(1.2, 2.24))
-    way = evasion.step_aside(REST, _situation(1.2, _free(_cone(np.radians(65.0)))))
+    way = evasion.step_aside(REST, _inputs(1.2, _free(_cone(np.radians(65.0)))))
     assert isinstance(way, Trajectory) if leads else way == Reason(ReasonCode.NO_ROOM_TO_EVADE)
 
 
@@ -241,7 +241,7 @@ def test_a_step_aside_keeps_the_room_of_planned_ways_where_there_is_any(
 ) -> None:
     evasion.update(_seen(1.0, 2.2))
     evasion.update(_seen(1.2, 2.04))
-    way = evasion.step_aside(REST, _situation(1.2, _free(_lane(half_m))))
+    way = evasion.step_aside(REST, _inputs(1.2, _free(_lane(half_m))))
     assert isinstance(way, Trajectory)
     assert abs(way.position_m[-1][1]) <= sideways_m + 1e-9
 
@@ -250,6 +250,6 @@ def test_a_step_aside_along_the_fence_keeps_inside_its_inset(evasion: ObstacleEv
     here = np.array([0.0, 2.2, 1.1])
     for stamp_s, away_m in ((1.0, 2.2), (1.2, 2.04)):
         evasion.update(SuddenObstacle(stamp_s, np.tile(here - np.array([0.0, away_m, 0.0]), (MANY, 1)), away_m, 3, 0.3))
-    way = evasion.step_aside(Setpoint.hold(here, 0.0), _situation(1.2))
+    way = evasion.step_aside(Setpoint.hold(here, 0.0), _inputs(1.2))
     assert isinstance(way, Trajectory)
     assert way.position_m[-1][1] <= 2.6 + 1e-9, "0.1 m inside the inset, which ends at 2.7"

@@ -29,9 +29,9 @@ class Finder:
 
     def __init__(self) -> None:
         self.link = SimpleNamespace(telemetry=Telemetry(), status=LinkStatus())
-        self.sight = RecentlySeenSpace(blind_memory_s=10.0, vehicle_radius_m=0.2)
+        self.seen_space = RecentlySeenSpace(blind_memory_s=10.0, vehicle_radius_m=0.2)
         self.channel = MemoryChannel(FreeCone)
-        self.finder = UpwardRangeFinder(MODEL, cast("VehicleLink", self.link), self.sight, self.channel)
+        self.finder = UpwardRangeFinder(MODEL, cast("VehicleLink", self.link), self.seen_space, self.channel)
         self._boot_ms = 5000
 
     def read(self, stamp_s: float, range_m: float = 2.0, **changes: Any) -> None:
@@ -68,8 +68,8 @@ def test_a_reading_is_a_cone_around_the_bodys_axis_with_margins() -> None:
     np.testing.assert_allclose(cone.axis_odom, [0.0, 0.0, 1.0])
     assert cone.half_angle_rad == pytest.approx(math.radians(10.0)), "two degrees less than the half angle"
     assert cone.reach_m == pytest.approx(1.88), "three sigmas less than the reading"
-    assert finder.sight.saw_free((1.1, 2.0, 2.9), 10.1)
-    assert not finder.sight.saw_free((1.1, 2.0, 3.1), 10.1)
+    assert finder.seen_space.saw_free((1.1, 2.0, 2.9), 10.1)
+    assert not finder.seen_space.saw_free((1.1, 2.0, 3.1), 10.1)
 
 
 @pytest.mark.parametrize(("fov_deg", "half_deg"), [(20.0, 8.0), (30.0, 10.0), (4.1, 0.05)])

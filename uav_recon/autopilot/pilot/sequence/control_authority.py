@@ -13,10 +13,9 @@ from uav_recon.autopilot.mavlink.link_status import LinkStatus
 from uav_recon.autopilot.mavlink.telemetry import ModeReport, Telemetry
 from uav_recon.types.reason import Reason, autopilot_text
 from uav_recon.types.reason_code import ReasonCode
-from uav_recon.types.vehicle import FlightPhase
+from uav_recon.types.vehicle import IN_THE_AIR, FlightPhase
 
 _IDLE = (FlightPhase.CONNECTING, FlightPhase.READY)
-IN_THE_AIR = (FlightPhase.FLYING, FlightPhase.LANDING)
 
 _LATE_ARM_S = 5.0  #: land: motors that start within this time after our request are ours, even if it was withdrawn
 _LINK_LOST_S = 3.0  #: release: autopilot silent for longer in flight; our heartbeats stop, and its failsafe lands

@@ -9,15 +9,21 @@ from uav_recon.types.reason import Reason
 
 
 class FailsafeMonitor:
-    """The failsafe of one flight.
+    """The failsafe of the present flight.
 
     counter: of refusals. ``refusals``: those of this flight. ``action``: the action in flight; FLY until the vehicle flies.
     ``reason``: why it is not FLY.
     """
 
     def __init__(self, timeouts: FailsafeTimeouts, counter: RefusalCounter) -> None:
-        self._failsafe = Failsafe(timeouts)
-        self.refusals = RefusalHistory(counter, quiet_s=timeouts.land_timeout_s)
+        self._timeouts = timeouts
+        self._counter = counter
+        self.begin_flight()
+
+    def begin_flight(self) -> None:
+        """Start a flight: nothing is remembered of the one before."""
+        self._failsafe = Failsafe(self._timeouts)
+        self.refusals = RefusalHistory(self._counter, quiet_s=self._timeouts.land_timeout_s)
         self.action = FailsafeAction.FLY
         self.reason: Reason | None = None
 

@@ -41,6 +41,11 @@ class PreflightSetup:
             self._ask(now_s)
         return (self._link.status.failure or missing) if missing else parameters  # a request may have failed just now
 
+    @property
+    def parameter_changed(self) -> Reason | None:
+        """Parameter that was changed since arming, None for none."""
+        return self._parameters.changed(self._link)
+
     def _ask(self, now_s: float) -> None:
         t, firmware = self._link.telemetry, self._link.firmware
         self._link.requests.request_streams(now_s, firmware.streams_hz)

@@ -74,7 +74,7 @@ class ObstacleEvasion:
         """Return the reason why the vehicle stops."""
         return Reason(ReasonCode.NEW_OBSTACLE, (self._heard[-1].away_m if self._heard else math.nan,))
 
-    def step_aside(self, rest: Setpoint, situation: GuardInputs) -> Trajectory | Reason | None:
+    def step_aside(self, rest: Setpoint, inputs: GuardInputs) -> Trajectory | Reason | None:
         """Return a trajectory from rest out of the path of an approaching obstacle.
 
         None if nothing approaches for sure, a reason if no end is known free. It approaches if its positions come nearer to the
@@ -90,9 +90,9 @@ class ObstacleEvasion:
         ends = _ways_aside(here, self._heard[-1].places_m, coming_mps, self._pass_m)
         for room_m, inside_m in _CLEARANCES_M:
             for end in ends:
-                if self._may(here, end, room_m, inside_m, situation):
+                if self._may(here, end, room_m, inside_m, inputs):
                     way = np.array([here, end])
-                    return flown(way, rest, situation.now_s, _STEP_MPS, situation.map_epoch, False, IDENTIFIER)
+                    return flown(way, rest, inputs.now_s, _STEP_MPS, inputs.map_epoch, False, IDENTIFIER)
         return Reason(ReasonCode.NO_ROOM_TO_EVADE)
 
     def over(self, way: Trajectory, now_s: float) -> bool:
@@ -134,9 +134,9 @@ class ObstacleEvasion:
         apart_s = self._heard[-1].stamp_s - self._heard[-2].stamp_s
         return (away_m[0] - away_m[1]) / apart_s if 0.0 < apart_s <= _FRESH_S else 0.0
 
-    def _may(self, here: FloatArray, end: FloatArray, room_m: float, inside_m: float, situation: GuardInputs) -> bool:
+    def _may(self, here: FloatArray, end: FloatArray, room_m: float, inside_m: float, inputs: GuardInputs) -> bool:
         """Return True if the paths to and around the end are known free and inside the fence."""
-        free, envelope, a = situation.free, self._guard.envelope, _floats(here)
+        free, envelope, a = inputs.free, self._guard.envelope, _floats(here)
         return free is not None and all(
             free.admits(a, _floats(end + room_m * out)) and envelope.admits(a, _floats(end + inside_m * out)) for out in _AROUND
         )

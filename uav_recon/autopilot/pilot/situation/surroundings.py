@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from uav_recon.autopilot.pilot.hull_geometry import HullGeometry
 from uav_recon.autopilot.pilot.situation.message_validation import is_valid_free_space, is_valid_range_grid
 from uav_recon.autopilot.pilot.situation.pose_feed import newest
 from uav_recon.autopilot.pilot.situation.recent_poses import RecentPoses
@@ -30,15 +31,13 @@ class Surroundings:
         self,
         free: Channel[FreeSpace],
         nearby: Channel[MinRangeGrid],
-        sight: RecentlySeenSpace,
-        hull_radius_m: float,
-        hull_height_m: float,
+        seen_space: RecentlySeenSpace,
+        hull: HullGeometry,
     ) -> None:
         self._free = free
         self._nearby = nearby
-        self._sight = sight
-        self._radius_m = hull_radius_m
-        self._height_m = hull_height_m
+        self._seen_space = seen_space
+        self._hull = hull
         self._free_received: FreeSpace | None = None
         self._min_ranges_received: MinRangeGrid | None = None
         self.known_free: FreeSpaceCheck | None = None
@@ -58,7 +57,7 @@ class Surroundings:
         if free is not None:
             self._free_received = free
             if is_valid_free_space(free):
-                self.known_free = FreeSpaceCheck(free, self._radius_m, self._height_m)
+                self.known_free = FreeSpaceCheck(free, self._hull.vehicle_radius_m, self._hull.vehicle_height_m)
         nearby = newest(self._nearby, self._min_ranges_received)
         self._min_ranges_received = nearby or self._min_ranges_received
         if (
@@ -68,11 +67,11 @@ class Surroundings:
         ):
             return
         if self.ahead is None or nearby.stamp_s > self.ahead.stamp_s:
-            self.ahead = ForwardDepth(nearby, self._radius_m)
+            self.ahead = ForwardDepth(nearby, self._hull.vehicle_radius_m)
             self._consistent_s = nearby.stamp_s if nearby.consistent else self._consistent_s
             then = self._past.at(nearby.stamp_s, _BESIDE_S)
             if then is not None and nearby.consistent:
-                self._sight.add(nearby, then.odom_from_body)
+                self._seen_space.add(nearby, then.odom_from_body)
                 self.sudden_obstacle = self._neighbourhood.look(nearby, then.odom_from_body)
 
     @property

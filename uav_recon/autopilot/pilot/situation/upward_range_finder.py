@@ -58,10 +58,12 @@ class UpwardRangeFinder:
     A reading waits for the first pose after it. It is used with the nearest one, if that is good and nearly level.
     """
 
-    def __init__(self, model: RangeFinderModel, link: VehicleLink, sight: RecentlySeenSpace, cones: Channel[FreeCone]) -> None:
+    def __init__(
+        self, model: RangeFinderModel, link: VehicleLink, seen_space: RecentlySeenSpace, cones: Channel[FreeCone]
+    ) -> None:
         self._model = model
         self._link = link
-        self._sight = sight
+        self._seen_space = seen_space
         self._cones = cones
         self._past = RecentPoses()
         self._newest: UpwardRange | None = None
@@ -80,7 +82,7 @@ class UpwardRangeFinder:
         self._waiting = None
         cone = self._cone(waiting) if now_s - waiting.measured_s <= _WAIT_S else None
         if cone is not None:
-            self._sight.add_cone(cone)
+            self._seen_space.add_cone(cone)
             self._cones.publish(cone)
 
     def forget(self) -> None:
