@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shutil
 import socket
-import sys
 import tempfile
 import time
 from contextlib import suppress
@@ -23,6 +22,7 @@ from sitl.apps.flight_folder import (
     make_own_folder,
 )
 from sitl.apps.kernel_compilation import compile_and_load, flight_jobs
+from sitl.apps.launched_process import WORLD, LaunchedProcess, flight_processes
 from sitl.apps.sim_options import AUTO, SimOptions
 from sitl.apps.sim_processes import SimProcesses
 from sitl.scene.scene import Scene, SceneError, load_scene, require_scene
@@ -148,10 +148,10 @@ def _fly_in_real_time(options: SimOptions, runtime: Path, console: Console) -> F
     """
     begun_s, jobs, logs = time.monotonic(), _jobs(options), options.folder / "logs"
     world_options(options, runtime).save(runtime / WORLD_OPTIONS)
-    with SimProcesses(_commands(options, runtime), logs, runtime, console, begun_s) as processes:
+    with SimProcesses(_launched(options, runtime), logs, runtime, console, begun_s) as processes:
         if are_compiled(jobs):
             make_folder(options.folder)
-            processes.start("world")
+            processes.start(WORLD)
         try:
             scene = compile_and_load(jobs, console, lambda: _scene(options, options.textured))
         except (UserError, KeyboardInterrupt):
@@ -206,13 +206,6 @@ def _claim_port(port: int) -> None:
             raise UserError(f"--port {port}: {reason}; is another simulation running? --port takes 1024 to 65535") from None
 
 
-def _commands(options: SimOptions, runtime: Path) -> dict[str, list[str]]:
-    """Return the command lines of simulator and unmodified product, in the order of their start."""
-    flight, config = ["--flight", str(options.folder)], ["--config", str(options.folder / "config.toml")]
-    product = [sys.executable, "-m", "uav_recon"]
-    return {
-        "world": [sys.executable, "-m", "sitl.apps.world_process", str(runtime / WORLD_OPTIONS)],
-        "pilot": [*product, "pilot", *config, *flight],
-        "perception": [*product, "perception", *config],
-        "mission": [*product, "mission", *config, *flight],
-    }
+def _launched(options: SimOptions, runtime: Path) -> list[LaunchedProcess]:
+    world = ["sitl.apps.world_process", str(runtime / WORLD_OPTIONS)]
+    return flight_processes(world, options.folder / "config.toml", options.folder)

@@ -2,28 +2,30 @@
 
 from __future__ import annotations
 
-import contextlib
+import math
 import os
 import shutil
 import signal
 import subprocess
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from rich.console import Console
 
+from sitl.apps.launched_process import WORLD, LaunchedProcess
 from sitl.apps.progress_display import ProgressDisplay
 from sitl.runtime.die_with_parent import die_with_parent_command
+from sitl.runtime.niceness import set_niceness
+from uav_recon.app import process_table
 from uav_recon.app.flight_channels import read_only_channels
 from uav_recon.errors import UserError
 from uav_recon.types.vehicle import FlightPhase
 
 READY_TIMEOUT_S = 240.0
-LANDING_S = 300.0  # from the first Ctrl-C to the end of the mission, with model and report; as in its systemd unit
-NICENESS = {"world": -5, "pilot": -10, "perception": -5, "mission": 0}
-GRACE_S = {"mission": 90.0, "pilot": 20.0, "perception": 5.0, "world": 20.0}  # time to land and to save; in this order
+MISSION = process_table.MISSION.name
+STOP_ORDER = (*(process.name for process in process_table.STOP_ORDER), WORLD)
 EXIT_INTERRUPTED = 130
 IDLE = "idle"  # the mission's phase until the vehicle and the mapper are ready
 NOT_FLOWN = "interrupted before take-off; nothing was flown"
@@ -32,9 +34,36 @@ _ON_THE_GROUND = (FlightPhase.CONNECTING, FlightPhase.READY)
 
 @dataclass
 class _Child:
-    name: str
+    launched: LaunchedProcess
     process: subprocess.Popen[bytes]
     log: Path
+    deadline_s: float = math.inf  # for its end, once it was requested
+
+    @property
+    def name(self) -> str:
+        return self.launched.name
+
+    @property
+    def runs(self) -> bool:
+        return self.process.poll() is None
+
+    @property
+    def overdue(self) -> bool:
+        return time.monotonic() > self.deadline_s
+
+    def request_end(self) -> None:
+        """Send SIGTERM, once. From then on the process has its stop timeout to end."""
+        if self.runs and math.isinf(self.deadline_s):
+            self.deadline_s = time.monotonic() + self.launched.stop_timeout_s
+            self.process.terminate()
+
+    def ends_in_time(self) -> bool:
+        """Wait for the end until the deadline, and return True if the process has ended by then."""
+        try:
+            self.process.wait(max(self.deadline_s - time.monotonic(), 0.0))
+        except subprocess.TimeoutExpired:
+            return False
+        return True
 
     def end_reason(self) -> str:
         """Return the reason for its end: the signal, or the last line on stderr."""
@@ -53,13 +82,14 @@ class SimProcesses:
     """
 
     def __init__(
-        self, commands: dict[str, list[str]], logs: Path, runtime: Path, console: Console, begun_s: float | None = None
+        self, launched: Sequence[LaunchedProcess], logs: Path, runtime: Path, console: Console, begun_s: float | None = None
     ) -> None:
         """Create the launcher; it starts nothing.
 
-        begun_s: when the program began, on the monotonic clock. The console shows how long it took to be ready.
+        launched: in the order of their start. begun_s: when the program began, on the monotonic clock. The console shows how
+        long it took to be ready.
         """
-        self._commands = commands
+        self._launched = {each.name: each for each in launched}
         self._logs = logs
         self._runtime = runtime
         self._console = console
@@ -68,7 +98,6 @@ class SimProcesses:
         self._children: list[_Child] = []
         self._interrupts = 0
         self._given_up = False
-        self._deadline_s = float("inf")  # deadline for the end of the mission after an interrupt
 
     def __enter__(self) -> SimProcesses:
         return self
@@ -85,7 +114,7 @@ class SimProcesses:
         """
         before = signal.signal(signal.SIGINT, self._interrupt), signal.signal(signal.SIGTERM, self._interrupt)
         try:
-            for name in self._commands:
+            for name in self._launched:
                 if name not in {child.name for child in self._children}:
                     self.start(name)
             while_starting()
@@ -99,35 +128,32 @@ class SimProcesses:
 
     def start(self, name: str) -> None:
         """Start one process before the others."""
-        log = self._logs / f"{name}.log"
+        log, launched = self._logs / f"{name}.log", self._launched[name]
         with log.open("wb") as out:
             process = subprocess.Popen(  # noqa: S603 - our own programs
-                die_with_parent_command(self._commands[name]),
+                die_with_parent_command(launched.command),
                 stdin=subprocess.DEVNULL,
                 stdout=out,
                 stderr=subprocess.STDOUT,
                 start_new_session=True,
             )
-        with contextlib.suppress(PermissionError):  # priorities as in the systemd units, if permitted
-            os.setpriority(os.PRIO_PROCESS, process.pid, NICENESS[name])
-        with contextlib.suppress(OSError):  # for kernels that schedule by session: sched(7), autogroup
-            Path(f"/proc/{process.pid}/autogroup").write_text(str(NICENESS[name]), encoding="ascii")
-        self._children.append(_Child(name, process, log))
+        set_niceness(process.pid, launched.niceness)
+        self._children.append(_Child(launched, process, log))
 
     def _watch(self) -> str | None:
         deadline_s = time.monotonic() + READY_TIMEOUT_S
         with ProgressDisplay(self._console, self._channels) as screen:
             while True:
-                mission = self._child("mission")
-                if mission.process.poll() is not None:
+                mission = self._child(MISSION)
+                if not mission.runs:
                     return None if mission.process.returncode == 0 else f"mission died: {mission.end_reason()}"
                 for child in self._children:
-                    if child.process.poll() is not None:
+                    if not child.runs:
                         return f"{child.name} died: {child.end_reason()}"
                 if self._given_up:
                     raise UserError(NOT_FLOWN, EXIT_INTERRUPTED)
-                if time.monotonic() > self._deadline_s:
-                    return f"the mission did not end within {LANDING_S:.0f} s after the interrupt"
+                if mission.overdue:
+                    return f"the mission did not end within {mission.launched.stop_timeout_s:.0f} s after the interrupt"
                 shown = screen.show()
                 self._say_ready()
                 if not shown and time.monotonic() > deadline_s:
@@ -158,22 +184,18 @@ class SimProcesses:
         if self._grounded():
             self._given_up = True
             return
-        self._deadline_s = time.monotonic() + LANDING_S
         for child in self._children:
-            if child.name == "mission" and child.process.poll() is None:
-                child.process.send_signal(signal.SIGTERM)
+            if child.name == MISSION:
+                child.request_end()
         self._console.print("[yellow]landing, then writing the report; press Ctrl-C again to end all processes at once[/]")
 
     def _land_remaining(self) -> None:
         """End the processes in order: the vehicle lands, the mission saves the model, then the rest."""
-        for name, grace_s in GRACE_S.items():
+        for name in STOP_ORDER:
             child = self._child(name)
-            if child.process.poll() is None:
-                child.process.terminate()
-            try:
-                child.process.wait(grace_s)
-            except subprocess.TimeoutExpired:
-                self._console.print(f"[red]{name} did not end within {grace_s:.0f} s and is killed[/]")
+            child.request_end()
+            if not child.ends_in_time():
+                self._console.print(f"[red]{name} did not end within {child.launched.stop_timeout_s:.0f} s and is killed[/]")
 
     def _end_all(self) -> None:
         self._kill_all()

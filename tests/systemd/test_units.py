@@ -8,11 +8,11 @@ from pathlib import Path
 
 import pytest
 
-from sitl.bench.setpoints import setpoint_bench
 from uav_recon import config
+from uav_recon.app.process_table import NO_RESTART_EXIT_CODES, SERVICES, STOP_ORDER, ServiceProcess
 
 FOLDER = Path(__file__).parents[2] / "systemd"
-SERVICES = ["pilot", "perception", "mission"]
+NAMES = [service.name for service in SERVICES]
 
 
 def _options(service: str) -> dict[str, list[str]]:
@@ -22,6 +22,12 @@ def _options(service: str) -> dict[str, list[str]]:
             key, value = line.split("=", 1)
             out.setdefault(key, []).append(value)
     return out
+
+
+def _seconds(values: list[str]) -> float:
+    """Return the only value of a key in seconds: `200ms`, or seconds without a unit."""
+    (value,) = values
+    return float(value.removesuffix("ms")) / 1000.0 if value.endswith("ms") else float(value)
 
 
 @pytest.fixture
@@ -61,13 +67,40 @@ def test_exposure_is_bounded(installed: list[Path], service: str, limit: int) ->
     assert answer.returncode == 0, answer.stdout[-300:]
 
 
-@pytest.mark.parametrize("service", SERVICES)
-def test_each_service_starts_its_own_command(service: str) -> None:
+@pytest.mark.parametrize("service", SERVICES, ids=NAMES)
+def test_each_unit_repeats_its_row_of_the_process_table(service: ServiceProcess) -> None:
+    options = _options(service.name)
+    arguments = " ".join(service.arguments(Path("/etc/uav_recon/config.toml")))
+    assert options["ExecStart"] == [f"/opt/uav_recon/bin/uav-recon {arguments}"]
+    assert options["Restart"] == [service.restart.value]
+    assert _seconds(options["RestartSec"]) == service.restart_delay_s
+    assert options["RestartPreventExitStatus"] == [" ".join(map(str, sorted(NO_RESTART_EXIT_CODES)))]
+    assert _seconds(options["WatchdogSec"]) == service.watchdog_s
+    assert _seconds(options["TimeoutStopSec"]) == service.stop_timeout_s
+    if service.fifo_priority is None:
+        assert options["Nice"] == [str(service.niceness)]
+        assert not {"CPUSchedulingPolicy", "CPUSchedulingPriority"} & set(options)
+    else:
+        assert options["CPUSchedulingPolicy"] == ["fifo"]
+        assert options["CPUSchedulingPriority"] == [str(service.fifo_priority)]
+        assert "Nice" not in options  # it has no effect beside a real-time priority
+
+
+def test_the_process_table_has_each_unit_in_the_order_of_the_target() -> None:
+    units = [f"uav-recon-{name}.service" for name in NAMES]
+    target = configparser.ConfigParser(interpolation=None)
+    target.optionxform = str  # type: ignore[assignment,method-assign]
+    target.read(FOLDER / "uav-recon.target")
+    assert target["Unit"]["Wants"].split() == units
+    assert sorted(path.name for path in FOLDER.glob("*.service")) == sorted(units)
+    assert set(STOP_ORDER) == set(SERVICES)
+
+
+@pytest.mark.parametrize("service", NAMES)
+def test_each_service_notifies_and_shares_the_runtime_folder(service: str) -> None:
     options = _options(service)
-    assert options["ExecStart"] == [f"/opt/uav_recon/bin/uav-recon {service} --config /etc/uav_recon/config.toml"]
     assert options["Type"] == ["notify"]
     assert options["RuntimeDirectory"] == ["uav_recon"]
-    assert options["RestartPreventExitStatus"] == ["75 78"]
     assert float(options["WatchdogSec"][0]) <= {"pilot": 1, "perception": 3, "mission": 5}[service]
 
 
@@ -89,7 +122,7 @@ def test_perception_and_mission_are_restarted_three_times() -> None:
 
 
 def test_no_service_stops_with_another() -> None:
-    for service in SERVICES:
+    for service in NAMES:
         assert not {"Requires", "BindsTo", "Requisite"} & set(_options(service))
 
 
@@ -98,7 +131,7 @@ def test_no_service_waits_for_another_at_boot() -> None:
 
     Perception is READY only once camera and poses are available.
     """
-    for service in SERVICES:
+    for service in NAMES:
         options = _options(service)
         assert options["After"] == ["local-fs.target"]
         assert not {"Wants", "Before", "Upholds"} & set(options)
@@ -144,21 +177,21 @@ def test_installation_names_every_unit_and_group() -> None:
     text = (FOLDER / "README.md").read_text()
     for unit in [*FOLDER.glob("*.service"), *FOLDER.glob("*.target")]:
         assert f"`{unit.name}`" in text
-    for service in SERVICES:
+    for service in NAMES:
         for group in _options(service).get("SupplementaryGroups", [""])[0].split():
             assert group in text
 
 
 def test_cpu_and_memory_priority_fall_from_pilot_to_perception_to_mission() -> None:
     """Each service is a separate control group, and nice values do not count between groups."""
-    weights = [int(_options(service)["CPUWeight"][0]) for service in SERVICES]
+    weights = [int(_options(service)["CPUWeight"][0]) for service in NAMES]
     assert weights == sorted(weights, reverse=True)
     assert weights[1] >= 10 * weights[2]
-    scores = [int(_options(service)["OOMScoreAdjust"][0]) for service in SERVICES]
+    scores = [int(_options(service)["OOMScoreAdjust"][0]) for service in NAMES]
     assert scores == sorted(scores)
 
 
-@pytest.mark.parametrize("service", SERVICES)
+@pytest.mark.parametrize("service", NAMES)
 def test_each_service_has_its_limits(service: str) -> None:
     options = _options(service)
     assert int(options["TasksMax"][0]) <= 512
@@ -178,8 +211,3 @@ def test_an_operator_of_the_group_reaches_the_pilots_socket() -> None:
     assert options.get("PrivateUsers", ["no"]) == ["no"]
     assert any("AF_UNIX" in value for value in options["RestrictAddressFamilies"])
     assert options["Group"] == ["uav"]
-
-
-def test_the_setpoint_bench_runs_the_pilot_with_the_priority_of_its_unit() -> None:
-    assert _options("pilot")["CPUSchedulingPriority"] == [str(setpoint_bench._PILOT_FIFO)]
-    assert _options("pilot")["CPUSchedulingPolicy"] == ["fifo"]

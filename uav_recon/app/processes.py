@@ -26,6 +26,7 @@ from uav_recon.app import (
     operator_factory,
     perception_factory,
     pilot_factory,
+    process_table,
     recorder_factory,
     systemd_notify,
 )
@@ -55,7 +56,6 @@ LOG = logging.getLogger(__name__)
 
 PERCEPTION_RATE_HZ = 100.0
 PILOT_SILENT_S = 1.0  # a VehicleState older than this counts as no pilot; longer than one lost turn
-STOP_AGAIN_S = 3.0  # extension of the stop timeout at each turn while perception may not end; its WatchdogSec
 MISSION_RATE_HZ = 30.0
 WRITER_PATIENCE_S = 1.0  # how long perception waits, as it ends, for the file of the camera's errors
 PLANNER_PATIENCE_S = 2.0  # how long a process that ends waits for a running planner call
@@ -200,7 +200,7 @@ def run_perception(step: Callable[[], None], vehicle: Channel[VehicleState], clo
             LOG.warning("%s: perception ends after the landing; the vehicle flies by its poses", why)
         said = why
         if asked():
-            systemd_notify.extend(STOP_AGAIN_S)
+            systemd_notify.extend(process_table.PERCEPTION.watchdog_s)  # each step, while it may not end
         try:
             step()
             gone = ""
@@ -337,8 +337,9 @@ def _write_report(config: Config, folder: Path, wall_s: float) -> None:
 
 
 def _start_recorder(config_path: Path, folder: Path) -> subprocess.Popen[bytes]:
-    command = [sys.executable, "-m", "uav_recon", "recorder", "--config", str(config_path), "--flight", str(folder)]
-    return subprocess.Popen(["nice", "-n", "10", *command], stdin=subprocess.PIPE)  # noqa: S603, S607 - our own program
+    lowered = ["nice", "-n", str(process_table.RECORDER.niceness)]
+    command = [*lowered, sys.executable, "-m", "uav_recon", *process_table.RECORDER.arguments(config_path, folder)]
+    return subprocess.Popen(command, stdin=subprocess.PIPE)  # noqa: S603 - our own program
 
 
 def _hung_up(pipe: int) -> bool:
@@ -354,7 +355,7 @@ def _hung_up(pipe: int) -> bool:
 def _stop_recorder(recorder: subprocess.Popen[bytes]) -> None:
     recorder.terminate()
     try:
-        recorder.wait(20.0)
+        recorder.wait(process_table.RECORDER.stop_timeout_s)
     except subprocess.TimeoutExpired:
         recorder.kill()
         recorder.wait()

@@ -21,10 +21,12 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
+from sitl.apps.launched_process import WORLD_NICENESS
 from sitl.bench.mapper.mapper_bench import PRINTED_WIDTH
 from sitl.bench.setpoints import load as setpoint_load
 from uav_recon import config as configuration
 from uav_recon.app.option_validation import UsageError, require_writable_file
+from uav_recon.app.process_table import PILOT, RECORDER
 from uav_recon.config import Config
 from uav_recon.errors import UserError
 from uav_recon.measurement import host_info, result_file
@@ -37,11 +39,6 @@ LIMITS_MS = {"p99": 50.0, "p99.9": 75.0, "max": 250.0}
 AUTOPILOTS = ("px4", "ardupilot")
 _LOADED_S = 300.0  # compiling may take long
 _MARGIN_S = 240.0  # added to the measured time: boot, parameters, take-off
-# as in the systemd units, if permitted
-_PILOT_NICE = -10
-_RECEIVER_NICE = -5
-_RECORDER_NICE = 10
-_PILOT_FIFO = 50  # CPUSchedulingPriority of its unit
 
 
 @dataclass(frozen=True)
@@ -108,17 +105,17 @@ def measure(seconds: float, negative: bool, autopilot: str, say: Callable[[str],
         config, path, log = _config(folder, autopilot), folder / "config.toml", folder / "log"
         configuration.save(config, path)
         out = folder / "arrivals.npz"
-        product, ours = ["uav_recon"], ["--config", str(path), "--flight", str(folder / "flight")]
+        flight = folder / "flight"
         load = ["sitl.bench.setpoints.load", str(path), str(folder), *(["pilot"] if negative else [])]
-        loader = ends.enter_context(_child(load, log, _PILOT_NICE if negative else 0))
+        loader = ends.enter_context(_child(load, log, PILOT.niceness if negative else 0))
         say("loading the machine")
         _await(folder / setpoint_load.LEARNING, loader, log)
-        ends.enter_context(_child([*product, "recorder", *ours], log, _RECORDER_NICE))
+        ends.enter_context(_child(["uav_recon", *RECORDER.arguments(path, flight)], log, RECORDER.niceness))
         if not negative:
-            ends.enter_context(_child([*product, "pilot", *ours], log, _PILOT_NICE, _PILOT_FIFO))
+            ends.enter_context(_child(["uav_recon", *PILOT.arguments(path, flight)], log, PILOT.niceness, PILOT.fifo_priority))
         say(f"flying for {seconds / 60.0:g} minutes")
         far = ["sitl.apps.setpoint_receiver", str(path), f"{seconds}", autopilot, str(out)]
-        receiver = ends.enter_context(_child(far, log, _RECEIVER_NICE))
+        receiver = ends.enter_context(_child(far, log, WORLD_NICENESS))
         try:
             flown = receiver.wait(seconds + _MARGIN_S) == 0
         except subprocess.TimeoutExpired:
@@ -155,24 +152,23 @@ def _config(folder: Path, autopilot: str) -> Config:
 
 
 @contextlib.contextmanager
-def _child(module: list[str], log: Path, niceness: int, fifo: int = 0) -> Iterator[subprocess.Popen[bytes]]:
-    """Run a Python module of this project with the scheduling of its systemd unit, if permitted.
+def _child(module: list[str], log: Path, niceness: int, fifo_priority: int | None = None) -> Iterator[subprocess.Popen[bytes]]:
+    """Run a Python module of this project with a priority, if permitted.
 
     The process ends with this process, for any reason, or with the block.
     """
     from sitl.runtime.die_with_parent import die_with_parent_command
+    from sitl.runtime.niceness import set_niceness
 
     command = die_with_parent_command([sys.executable, "-m", *module])
     with log.open("ab") as out:
         process = subprocess.Popen(  # noqa: S603 - our own programs
             command, stdin=subprocess.PIPE, stdout=out, stderr=out, start_new_session=True
         )
-    with contextlib.suppress(PermissionError):
-        os.setpriority(os.PRIO_PROCESS, process.pid, niceness)
-        if fifo:
-            os.sched_setscheduler(process.pid, os.SCHED_FIFO, os.sched_param(fifo))
-    with contextlib.suppress(OSError):  # for kernels that schedule by session instead of by process: sched(7), autogroup
-        Path(f"/proc/{process.pid}/autogroup").write_text(str(niceness), encoding="ascii")
+    set_niceness(process.pid, niceness)
+    if fifo_priority is not None:
+        with contextlib.suppress(PermissionError):
+            os.sched_setscheduler(process.pid, os.SCHED_FIFO, os.sched_param(fifo_priority))
     try:
         yield process
     finally:

@@ -7,13 +7,14 @@ from __future__ import annotations
 
 import pickle
 import socket
-import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 from rich.console import Console
 
 from sitl.apps.flight_config import flight_config, world_options
+from sitl.apps.launched_process import WORLD, LaunchedProcess, flight_processes
 from sitl.apps.sim_options import SimOptions
 from sitl.apps.sim_processes import SimProcesses
 from sitl.faults.flight_evidence import FlightEvidence
@@ -23,10 +24,9 @@ from sitl.faults.process_registry import Exit, ProcessRegistry
 from sitl.faults.table.arenas import arena
 from sitl.faults.table.scenario import Scenario
 from uav_recon import config as product_config
-from uav_recon.errors import EXIT_CONFIG, EXIT_SECOND_COPY, UserError
+from uav_recon.app.process_table import SERVICES
+from uav_recon.errors import UserError
 
-RESTART_S = {"pilot": 0.2, "perception": 0.5, "mission": 1.0}  # RestartSec of the systemd units
-NEVER_AGAIN = (EXIT_SECOND_COPY, EXIT_CONFIG)  # their RestartPreventExitStatus
 _LOOK_S = 0.02
 
 
@@ -36,8 +36,9 @@ class Supervised(SimProcesses):
     A process that ends earlier is restarted as its systemd unit restarts it.
     """
 
-    def __init__(self, commands: dict[str, list[str]], logs: Path, runtime: Path) -> None:
-        super().__init__(commands, logs, runtime, Console(quiet=True))
+    def __init__(self, launched: Sequence[LaunchedProcess], logs: Path, runtime: Path) -> None:
+        super().__init__(launched, logs, runtime, Console(quiet=True))
+        self._services = {service.name: service for service in SERVICES}
         self._registry = ProcessRegistry(runtime)
         self._exits = list[Exit]()
         self._pids: dict[str, int] = {}
@@ -46,28 +47,29 @@ class Supervised(SimProcesses):
     def watch(self) -> None:
         """Fly. Raises UserError if the world process fails."""
         try:
-            for name in self._commands:
+            for name in self._launched:
                 self.start(name)
                 self._pids[name] = self._child(name).process.pid
             self._registry.tell(self._pids, self._exits)
-            while self._child("world").process.poll() is None:
+            while self._child(WORLD).runs:
                 self._collect_exits()
                 self._restart_due()
                 time.sleep(_LOOK_S)
-            world = self._child("world")
+            world = self._child(WORLD)
             if world.process.returncode != 0:
                 raise UserError(f"world died: {world.end_reason()}")
         finally:
             self._end_all()
 
     def _collect_exits(self) -> None:
-        for child in [c for c in self._children if c.process.poll() is not None and c.name != "world"]:
+        for child in [c for c in self._children if not c.runs and c.name != WORLD]:
             code = int(child.process.returncode)
             self._children.remove(child)
             self._exits.append(Exit(child.name, code, time.monotonic()))
             self._pids.pop(child.name, None)
-            if code not in NEVER_AGAIN and (code != 0 or child.name == "pilot"):
-                self._due_s[child.name] = time.monotonic() + RESTART_S[child.name]
+            service = self._services[child.name]
+            if service.is_restarted(code):
+                self._due_s[child.name] = time.monotonic() + service.restart_delay_s
             self._registry.tell(self._pids, self._exits)
 
     def _restart_due(self) -> None:
@@ -99,15 +101,9 @@ def flight_in_real_time(
     WorldProcessOptions(
         str(runtime / "world.json"), scenario.id, number, str(options.folder / "config.toml"), binary, line
     ).save(order)
-    product, given = [sys.executable, "-m", "uav_recon"], ["--config", str(options.folder / "config.toml")]
-    flight = ["--flight", str(options.folder)]
-    commands = {
-        "world": [sys.executable, "-m", "sitl.faults.flights.scenario_world_process", str(order)],
-        "pilot": [*product, "pilot", *given, *flight],
-        "perception": [*product, "perception", *given],
-        "mission": [*product, "mission", *given, *flight],
-    }
-    Supervised(commands, options.folder / "logs", runtime).watch()
+    world = ["sitl.faults.flights.scenario_world_process", str(order)]
+    launched = flight_processes(world, options.folder / "config.toml", options.folder)
+    Supervised(launched, options.folder / "logs", runtime).watch()
     evidence: FlightEvidence = pickle.loads(order.with_suffix(".evidence").read_bytes())  # noqa: S301 - our own world wrote it
     return evidence
 

@@ -49,7 +49,8 @@ LAUNCHER = """
     import sys
     from pathlib import Path
     from rich.console import Console
-    from sitl.apps import sim_processes
+    from sitl.apps.launched_process import LaunchedProcess
+    from sitl.apps.sim_processes import SimProcesses
     from sitl.runtime.die_with_parent import die_with_parent_command
     from uav_recon.errors import UserError
 
@@ -57,11 +58,10 @@ LAUNCHER = """
         return ["/bin/sh", "-c", 'exec "$@" ' + sys.argv[2] + '> ' + sys.argv[3], "sh", *command, sys.argv[2]]
 
     folder, stubborn, orderly = Path(sys.argv[1]), sys.argv[4], sys.argv[5]
-    commands = {name: through([sys.executable, "-c", stubborn]) for name in ("world", "pilot", "perception")}
-    commands["mission"] = through([sys.executable, "-c", orderly])
-    sim_processes.GRACE_S = dict.fromkeys(sim_processes.GRACE_S, 0.2)
+    rows = [(name, stubborn, 0.2) for name in ("world", "pilot", "perception")] + [("mission", orderly, 30.0)]
+    launched = [LaunchedProcess(name, through([sys.executable, "-c", text]), 0, stop_s) for name, text, stop_s in rows]
     try:
-        fault = sim_processes.SimProcesses(commands, folder, folder, Console()).fly()
+        fault = SimProcesses(launched, folder, folder, Console()).fly()
     except UserError as failure:
         print(failure)
         sys.exit(failure.code)

@@ -15,6 +15,7 @@ from typing import Any
 
 import pytest
 
+from sitl.apps.launched_process import LaunchedProcess
 from sitl.faults.flights.fault_flight_real_time import Supervised
 from sitl.faults.injectors.base import InjectionContext
 from sitl.faults.injectors.process_signals import ProcessKilled, ProcessStopped, ProcessTerminated
@@ -120,13 +121,13 @@ def test_what_ends_is_started_again_as_the_units_have_it(tmp_path: Path) -> None
         f"runs = pathlib.Path({str(tmp_path / 'pilot')!r})\n"
         "while not (runs.exists() and len(runs.read_text()) >= 3): time.sleep(0.01)\n"
     )
-    commands = {
-        "world": [sys.executable, "-c", world],
-        "pilot": note("pilot", 0),  # always again
-        "perception": note("perception", 78),  # a config that is none stays none
-        "mission": note("mission", 0),  # it has done its work
-    }
-    Supervised(commands, tmp_path / "logs", tmp_path).watch()
+    launched = [
+        LaunchedProcess("world", [sys.executable, "-c", world], 0, 1.0),
+        LaunchedProcess("pilot", note("pilot", 0), 0, 1.0),  # always again
+        LaunchedProcess("perception", note("perception", 78), 0, 1.0),  # a config that is none stays none
+        LaunchedProcess("mission", note("mission", 0), 0, 1.0),  # it has done its work
+    ]
+    Supervised(launched, tmp_path / "logs", tmp_path).watch()
     assert len((tmp_path / "pilot").read_text()) >= 3
     assert len((tmp_path / "perception").read_text()) == 1
     assert len((tmp_path / "mission").read_text()) == 1
@@ -136,6 +137,6 @@ def test_what_ends_is_started_again_as_the_units_have_it(tmp_path: Path) -> None
 
 def test_a_world_that_dies_is_told(tmp_path: Path) -> None:
     (tmp_path / "logs").mkdir()
-    commands = {"world": [sys.executable, "-c", "import sys; sys.exit('no such arena')"]}
+    world = LaunchedProcess("world", [sys.executable, "-c", "import sys; sys.exit('no such arena')"], 0, 1.0)
     with pytest.raises(UserError, match="world died: no such arena"):
-        Supervised(commands, tmp_path / "logs", tmp_path).watch()
+        Supervised([world], tmp_path / "logs", tmp_path).watch()
