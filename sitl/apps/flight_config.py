@@ -7,12 +7,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import cast
 
-from sitl.apps.sim_options import AUTO, MAX_MPS, SimOptions
+from sitl.apps.sim_options import AUTO, SimOptions
 from sitl.apps.world_process import WorldOptions
 from sitl.camera.d435i import Model, Noise
 from sitl.scene.scene import HULL_HEIGHT_M, Scene, free_height_m
 from sitl.world.range_finder import MOUNT_M
 from uav_recon.app.option_validation import mount_pitch_deg
+from uav_recon.app.reference_safety import REFERENCE_SAFETY
 from uav_recon.app.room_check import advise
 from uav_recon.config import Config, ConfigError, parse
 from uav_recon.errors import EXIT_CONFIG, UserError
@@ -21,7 +22,6 @@ from uav_recon.planning.mount_visibility import USUAL_DEG
 # from hull, and from body centre, to space not known free, in a plan
 HULL_MARGIN_M = 0.20
 SMALLEST_CLEARANCE_M = 0.35
-BLIND_MEMORY_S = 60.0  # space above and below a fixed camera's view was mostly seen more than 10 s ago
 COLUMN_MARGIN_M = 0.10  # beyond the planning clearance, round the column above the pad that the operator sees to be free
 COLUMN_TOP_M = 0.05  # below the ceiling: half a voxel
 FENCE_MARGIN_M = 0.10  # between hull and fence, for position errors of the vehicle
@@ -30,21 +30,20 @@ NOISE_PX = {"d435i": 0.04, "paper": 0.004, "kinect": 0.02, "none": 0.001}  # rms
 
 @dataclass(frozen=True)
 class FlightLimits:
-    """Limits that a pose source needs.
+    """Limits of a pose source: keys of [safety], which replace the reference, and of [motion]."""
 
-    fresh_s, stale_s: outside the view, full speed up to the first age of the last free sight, blind_speed_mps from the second
-    on. max_yaw_rate_degps: of the guard. motion: of the config.
-    """
-
-    fresh_s: float = 3.0
-    stale_s: float = 10.0
-    max_yaw_rate_degps: float = 60.0
+    safety: dict[str, float] = field(default_factory=dict)
     motion: dict[str, float] = field(default_factory=dict)
 
 
 # the embedded SLAM needs a camera that looks ahead, and knows its place for a second past a bare wall: it turns past it in half
 # of that
-LIMITS_BY_SOURCE = {"slam": FlightLimits(0.0, 0.1, 100.0, {"yaw_rate_degps": 80.0, "yaw_acceleration_degps2": 200.0})}
+LIMITS_BY_SOURCE = {
+    "slam": FlightLimits(
+        safety={"blind_fresh_s": 0.0, "blind_stale_s": 0.1, "max_yaw_rate_degps": 100.0},
+        motion={"yaw_rate_degps": 80.0, "yaw_acceleration_degps2": 200.0},
+    )
+}
 
 
 def mount_pitch_down_deg(mount: str) -> float | None:
@@ -84,31 +83,14 @@ def flight_config(options: SimOptions, scene: Scene, runtime: Path) -> Config:
     limits = LIMITS_BY_SOURCE.get(options.pose, FlightLimits())
     tree = {
         "safety": {
+            **REFERENCE_SAFETY,
             "fence_min_m": [float(x) for x in scene.fence_min],
             "fence_max_m": [float(x) for x in scene.fence_max],
-            "fence_corners_m": [],
             "fence_inset_m": options.radius_m + FENCE_MARGIN_M,
-            "max_speed_mps": MAX_MPS,
-            "max_acceleration_mps2": 2.0,
-            "max_yaw_rate_degps": limits.max_yaw_rate_degps,
             "vehicle_radius_m": options.radius_m,
             "vehicle_height_m": HULL_HEIGHT_M,
-            "stop_clearance_m": 0.1,
-            "fast_clearance_m": 0.4,
             "blind_speed_mps": options.blind_speed_mps,
-            "blind_fresh_s": limits.fresh_s,
-            "blind_stale_s": limits.stale_s,
-            "blind_memory_s": BLIND_MEMORY_S,
-            "retreat_speed_mps": 0.3,
-            "silence_way_m": 0.45,
-            "intent_timeout_s": 0.5,
-            "retreat_timeout_s": 5.0,
-            "pose_timeout_s": 0.25,
-            "pose_land_s": 0.7,
-            "land_timeout_s": 20.0,
-            "depth_timeout_s": 0.3,
-            "depth_retreat_s": 3.0,
-            "depth_land_s": 10.0,
+            **limits.safety,
         },
         "link": {"autopilot": options.autopilot, "url": f"udp:127.0.0.1:{options.port}"},
         "camera": {

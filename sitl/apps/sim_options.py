@@ -13,6 +13,7 @@ from typing import Annotated
 from sitl.apps.command_option import CommandOption, check_fields
 from sitl.camera.camera_error_scale import scale_of
 from uav_recon.app.option_validation import UsageError, mount_pitch_deg
+from uav_recon.app.reference_safety import MAX_SPEED_MPS
 
 AUTOPILOTS = ("px4", "ardupilot")
 VARIANTS = ("adaptive", "merged", "reconstruct", "explore", "explore-yaw", "explore-then-refine", "evpp", "vpp")
@@ -25,7 +26,6 @@ MOUNTS = ("fixed:15", "fixed:0", "gimbal")
 AUTO = "auto"  # mount: fixed, with a tilt for the size of the room
 BUILT_IN_VIEWS = 60
 SCENE_VIEWS = 120
-MAX_MPS = 1.2
 JOB_GB = 0.8  # memory of a process that flies in lockstep
 # of --start and --fence
 MAX_COORDINATE_M = 1e5
@@ -131,7 +131,7 @@ class SimOptions:
             VEHICLE_PANEL,
             "M/S",
             flag="--blind-speed",
-            limits=(0.1, MAX_MPS),
+            limits=(0.1, MAX_SPEED_MPS),
             unit="m/s",
         ),
     ] = 0.3

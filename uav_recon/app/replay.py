@@ -23,6 +23,7 @@ from uav_recon.app import mapper_factory, mission_factory, pose_sources
 from uav_recon.app.flight_channels import FlightChannels, memory_channels
 from uav_recon.app.option_validation import OUTPUTS, UsageError, readable, remove_outputs, require_writable_folder
 from uav_recon.app.recording_survey import UPS, RecordingSurvey, survey_recording
+from uav_recon.app.reference_safety import REFERENCE_SAFETY
 from uav_recon.app.step_display import Report, StepDisplay
 from uav_recon.clock import ManualClock, RateKeeper
 from uav_recon.config import Config, ConfigError, parse
@@ -375,13 +376,9 @@ def replay_config(options: ReplayOptions, recording: Recording, survey: Recordin
     field_deg = [math.degrees(2 * math.atan(size / 2 / f)) for size, f in ((lens.width, lens.fx), (lens.height, lens.fy))]
     tree = {
         "safety": {
-            "fence_min_m": survey.box_min_m.tolist(), "fence_max_m": survey.box_max_m.tolist(), "fence_corners_m": [],
-            "fence_inset_m": 0.25, "max_speed_mps": 1.2, "max_acceleration_mps2": 2.0, "max_yaw_rate_degps": 60.0,
-            "vehicle_radius_m": 0.15, "vehicle_height_m": 0.2, "stop_clearance_m": 0.1, "fast_clearance_m": 0.4,
-            "blind_speed_mps": 0.3, "blind_fresh_s": 3.0, "blind_stale_s": 10.0, "blind_memory_s": 60.0,
-            "retreat_speed_mps": 0.3, "silence_way_m": 0.45,
-            "intent_timeout_s": 0.5, "retreat_timeout_s": 5.0, "pose_timeout_s": 0.25, "pose_land_s": 0.7,
-            "land_timeout_s": 20.0, "depth_timeout_s": 0.3, "depth_retreat_s": 3.0, "depth_land_s": 10.0,
+            **REFERENCE_SAFETY,
+            "fence_min_m": survey.box_min_m.tolist(), "fence_max_m": survey.box_max_m.tolist(), "fence_inset_m": 0.25,
+            "vehicle_radius_m": 0.15, "vehicle_height_m": 0.2, "blind_speed_mps": 0.3,
         },
         "camera": {
             "source": "recorded", "recording": str(options.source.absolute()), "mount": "fixed",

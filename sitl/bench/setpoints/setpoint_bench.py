@@ -27,6 +27,7 @@ from sitl.bench.setpoints import load as setpoint_load
 from uav_recon import config as configuration
 from uav_recon.app.option_validation import UsageError, require_writable_file
 from uav_recon.app.process_table import PILOT, RECORDER
+from uav_recon.app.reference_safety import REFERENCE_SAFETY
 from uav_recon.config import Config
 from uav_recon.errors import UserError
 from uav_recon.measurement import host_info, result_file
@@ -134,13 +135,9 @@ def _config(folder: Path, autopilot: str) -> Config:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
     safety = {
-        "fence_min_m": [-3.0, -3.0, -0.3], "fence_max_m": [3.0, 3.0, 2.5], "fence_corners_m": [], "fence_inset_m": 0.3,
-        "max_speed_mps": 1.0, "max_acceleration_mps2": 2.0, "max_yaw_rate_degps": 60.0, "vehicle_radius_m": 0.2,
-        "vehicle_height_m": 0.2, "stop_clearance_m": 0.1, "fast_clearance_m": 0.4, "blind_speed_mps": 1.0,
-        "blind_fresh_s": 3.0, "blind_stale_s": 10.0, "blind_memory_s": 10.0, "retreat_speed_mps": 0.3,
-        "silence_way_m": 0.45, "intent_timeout_s": 0.5,
-        "retreat_timeout_s": 5.0, "pose_timeout_s": 0.25, "pose_land_s": 0.7, "land_timeout_s": 20.0, "depth_timeout_s": 0.3,
-        "depth_retreat_s": 3.0, "depth_land_s": 10.0,
+        **REFERENCE_SAFETY,
+        "fence_min_m": [-3.0, -3.0, -0.3], "fence_max_m": [3.0, 3.0, 2.5], "fence_inset_m": 0.3, "max_speed_mps": 1.0,
+        "vehicle_radius_m": 0.2, "vehicle_height_m": 0.2, "blind_speed_mps": 1.0, "blind_memory_s": 10.0,
     }  # fmt: skip
     tree: dict[str, Any] = {
         "safety": safety,
