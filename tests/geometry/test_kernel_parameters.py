@@ -8,7 +8,7 @@ from pathlib import Path
 
 PACKAGE = Path(__file__).parents[2] / "uav_recon"
 DECORATORS = ("kernel", "fast_kernel")
-MAX_PARAMETERS = 14
+MAX_PARAMETERS = 11
 
 
 def kernels(path: Path) -> Iterator[ast.FunctionDef]:

@@ -13,9 +13,16 @@ from slam_flight import BODY_FROM_DEPTH, CABINET_M, LENS, RGB_LENS, ROOM_M, fram
 from textured_room import ranges_m
 
 from uav_recon.localization.slam.depth_points import add_depth_equations, depth_points
-from uav_recon.localization.slam.landmarks import SIZE, LandmarkTracker, add_landmark_equations, project
+from uav_recon.localization.slam.landmarks import (
+    SIZE,
+    LandmarkTracker,
+    MovingImager,
+    add_landmark_equations,
+    moving_imager,
+    project,
+)
 from uav_recon.localization.slam.prepared_view import PreparedView
-from uav_recon.localization.slam.tsdf_volume import TsdfVolume, sample
+from uav_recon.localization.slam.tsdf_volume import TsdfBlocks, TsdfVolume, sample
 from uav_recon.types.camera import Frame, Intrinsics
 from uav_recon.types.frames import BoolArray, FloatArray
 from uav_recon.types.pose import Pose
@@ -23,7 +30,7 @@ from uav_recon.types.pose import Pose
 CAMERA = RGB_LENS.pinhole_px()
 STEP = 1e-5
 CORNER = np.eye(2)
-EXACT = np.zeros((1024, 3)), np.zeros(3), np.inf  # surfaces without errors of place
+EXACT = np.zeros(3), np.inf  # nothing known better, and no surface is unknown
 # of a camera: rotation, eye, the depth imager's place beside it
 TURN = Pose.from_rotation_vector(np.array([0.4, -0.7, 0.2]), np.array([0.3, -0.2, 0.5]))
 EYE_M = TURN.translation_m + np.array([0.01, -0.02, 0.015])
@@ -42,7 +49,15 @@ def _pixels(places: FloatArray, moved: FloatArray, slow: FloatArray) -> FloatArr
     """Pixels (N, 2) after a change (6,) of the camera: rotation about the depth imager, and translation."""
     turn = Pose.from_rotation_vector(moved[:3], np.zeros(3)).rotation()
     eye_m = TURN.translation_m + moved[3:] + turn @ (EYE_M - TURN.translation_m)
-    out: FloatArray = project(places, CAMERA, turn @ TURN.rotation(), eye_m, TURN.translation_m + moved[3:], MOTION, slow)
+    return _projected(places, _imager(turn @ TURN.rotation(), eye_m, TURN.translation_m + moved[3:], slow))
+
+
+def _imager(rotation: FloatArray, eye_m: FloatArray, turn_m: FloatArray, slow: FloatArray) -> MovingImager:
+    return MovingImager(camera=CAMERA, rotation=rotation, eye_m=eye_m, turn_m=turn_m, motion=MOTION, slow=slow)
+
+
+def _projected(places: FloatArray, imager: MovingImager) -> FloatArray:
+    out: FloatArray = project(places, imager)
     return out
 
 
@@ -51,8 +66,8 @@ def _equations(
 ) -> tuple[FloatArray, FloatArray, int]:
     information, gradient = np.zeros((SIZE, SIZE)), np.zeros(SIZE)
     fitting = add_landmark_equations(
-        places, slope, texture, at_px.astype(np.float32), CAMERA, TURN.rotation(), EYE_M, TURN.translation_m, MOTION, slow,
-        change, information, gradient, np.zeros((3, 3)),
+        places, slope, texture, at_px.astype(np.float32), _imager(TURN.rotation(), EYE_M, TURN.translation_m, slow), change,
+        information, gradient, np.zeros((3, 3)),
     )  # fmt: skip
     return information, gradient, fitting
 
@@ -154,6 +169,11 @@ def _corner_volume() -> tuple[TsdfVolume, FloatArray, Pose]:
     return volume, points, camera
 
 
+def _exact(volume: TsdfVolume) -> TsdfBlocks:
+    """The surfaces of a volume, without errors of place."""
+    return volume.blocks._replace(variance=np.zeros((1024, 3)))
+
+
 def test_depth_points_lie_on_the_rays_of_their_pixels() -> None:
     depth = ranges_m(Pose.identity(), LENS, ROOM_M, ()).astype(np.float32)
     depth[:, :40] = np.nan
@@ -186,8 +206,8 @@ def test_the_gradient_of_depth_is_that_of_its_squared_residuals() -> None:
 
     information, gradient = np.zeros((SIZE, SIZE)), np.zeros(SIZE)
     known, inliers = add_depth_equations(
-        points, camera.rotation(), camera.translation_m, volume.index, volume.distance, volume.weight, *EXACT, 1.0, 1e6,
-        information, gradient, np.zeros((2, 3)),
+        points, camera.rotation(), camera.translation_m, _exact(volume), *EXACT, 1.0, 1e6, information, gradient,
+        np.zeros((2, 3)),
     )  # fmt: skip
     sigma = 0.012 + 0.004 * points[:, 2] ** 2
     off, valid = cost(np.zeros(6))
@@ -214,8 +234,8 @@ def test_depth_pulls_back_what_was_moved() -> None:
     for moved in (np.array([0.03, 0.0, 0.0]), np.array([0.0, -0.03, 0.0]), np.array([0.0, 0.0, 0.03])):
         information, gradient = np.zeros((SIZE, SIZE)), np.zeros(SIZE)
         add_depth_equations(
-            points, camera.rotation(), camera.translation_m + moved, volume.index, volume.distance, volume.weight, *EXACT,
-            1.0, 1.0, information, gradient, np.zeros((2, 3)),
+            points, camera.rotation(), camera.translation_m + moved, _exact(volume), *EXACT, 1.0, 1.0, information, gradient,
+            np.zeros((2, 3)),
         )  # fmt: skip
         step = np.linalg.solve(information[:6, :6], gradient[:6])
         np.testing.assert_allclose(step[3:], -moved, atol=0.012)
@@ -284,11 +304,12 @@ def test_corners_are_followed_to_where_the_room_shows_them() -> None:
     tracker.settle(first, poses[0], motion, slow, np.zeros(3))
     points = tracker.points
     assert len(points.place_m) > 25
-    expected = project(points.place_m, second.camera, *second.rgb_pose(poses[1]), poses[1].translation_m, motion, slow)
+    imager = moving_imager(second, poses[1], motion, slow)
+    expected = _projected(points.place_m, imager)
     # the prediction is off by two pixels; the images are not
     found = tracker.follow(second, expected + 2.0)
     assert len(found.place_m) > 0.6 * len(points.place_m)
-    shown = project(found.place_m, second.camera, *second.rgb_pose(poses[1]), poses[1].translation_m, motion, slow)
+    shown = _projected(found.place_m, imager)
     off = np.linalg.norm(found.at_px - shown, axis=1)
     assert np.median(off) < 0.5
     assert np.quantile(off, 0.9) < 1.5

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from slam_flight import BODY_FROM_DEPTH, LENS, RATE_HZ, RGB_LENS, frame, truth
 
-from uav_recon.localization.slam.landmarks import Landmarks, LandmarkTracker, project
+from uav_recon.localization.slam.landmarks import Landmarks, LandmarkTracker, moving_imager, project
 from uav_recon.localization.slam.prepared_view import PreparedView
 from uav_recon.localization.slam.rgbd_registration import MotionPrior, Registration, register, search
 from uav_recon.localization.slam.tsdf_volume import TsdfVolume
@@ -52,9 +52,7 @@ def _followed(pose: Pose) -> Landmarks:
     tracker.follow(view, np.empty((0, 2)))
     tracker.settle(view, truth((NUMBER - 1) / RATE_HZ) @ BODY_FROM_DEPTH, STILL, np.zeros(2), np.zeros(3))
     now = _map()[1]
-    predicted: FloatArray = project(
-        tracker.points.place_m, now.camera, *now.rgb_pose(pose), pose.translation_m, STILL, np.zeros(2)
-    )
+    predicted: FloatArray = project(tracker.points.place_m, moving_imager(now, pose, STILL, np.zeros(2)))
     return tracker.follow(now, predicted)
 
 
@@ -216,7 +214,7 @@ def test_landmarks_on_one_straight_edge_say_nothing_of_the_way_along_it() -> Non
     place_m = np.column_stack((np.linspace(-0.6, 0.6, count), np.full(count, 0.1), np.full(count, 1.5)))
     slope = np.array([math.sin(math.radians(3.0)), math.cos(math.radians(3.0))])
     moved = _off(pose, np.array([0.05, 0.0, 0.0]), np.zeros(3))
-    at_px: FloatArray = project(place_m, view.camera, *view.rgb_pose(pose), np.zeros(3), STILL, np.zeros(2))
+    at_px: FloatArray = project(place_m, moving_imager(view, pose, STILL, np.zeros(2)))
     at_px[:, 0] += 0.05 / 1.5 * view.camera[0]  # they follow the prediction
     at_px[:, 1] += 0.3 * random.standard_normal(count)
     edge = Landmarks(

@@ -26,8 +26,8 @@ def test_the_other_side_of_a_wall_is_unknown() -> None:
     for away_m, pose, seen in ((2.0, Pose.identity(), True), (1.9, BACK, False)):
         information, points = np.zeros((SIZE, SIZE)), depth_points(_frame(away_m).depth_m, LENS.pinhole_px())
         known, inliers = add_depth_equations(
-            points, pose.rotation(), pose.translation_m, volume.index, volume.distance, volume.weight,
-            volume.variance, np.zeros(3), np.inf, 1.0, 1.0, information, np.zeros(SIZE), np.zeros((2, 3)),
+            points, pose.rotation(), pose.translation_m, volume.blocks, np.zeros(3), np.inf, 1.0, 1.0, information,
+            np.zeros(SIZE), np.zeros((2, 3)),
         )  # fmt: skip
         assert (known > 800, inliers > 800) == (seen, seen)
         assert bool(information.any()) == seen

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from uav_recon.geometry.jit import kernel
-from uav_recon.localization.slam.tsdf_volume import REACH_M, TRUNCATION_M, sample
+from uav_recon.localization.slam.tsdf_volume import REACH_M, TRUNCATION_M, TsdfBlocks, sample
 from uav_recon.types.frames import AnyArray
 
 ROWS = 30
@@ -49,10 +49,7 @@ def add_depth_equations(
     points: AnyArray,
     rotation: AnyArray,
     place_m: AnyArray,
-    index: AnyArray,
-    distance: AnyArray,
-    weight: AnyArray,
-    variance: AnyArray,
+    blocks: TsdfBlocks,
     known_variance: AnyArray,
     most_variance: float,
     share: float,
@@ -63,16 +60,16 @@ def add_depth_equations(
 ) -> tuple[int, int]:
     """Add the normal equations of points (N, 3) against the field.
 
-    rotation (3, 3), place_m (3,): pose of the depth imager in odom. variance (blocks, 3): of TsdfVolume. known_variance (3,):
-    of what the camera is otherwise compared with; a surface whose place has a larger error counts less. most_variance: a block
-    with a larger one is unknown. errors (2, 3): sums of the variances of the surfaces, weighted by what they say along each
-    axis, and of these weights.
+    rotation (3, 3), place_m (3,): pose of the depth imager in odom. known_variance (3,): of what the camera is otherwise
+    compared with; a surface whose place has a larger error counts less. most_variance: a block with a larger one is unknown.
+    errors (2, 3): sums of the variances of the surfaces, weighted by what they say along each axis, and of these weights.
 
     information (>= 6, >= 6) and gradient (>= 6): of a small rotation in odom axes about the camera and of its translation, in
     units of standard deviations. share: weight of one point, since the errors of neighbours are alike. wider: factor on the
     scale of the robust weight.
     Returns the number of points in known space, and of those that lie on a known surface.
     """
+    index, distance, weight, variance = blocks.block_index, blocks.distance, blocks.weight, blocks.variance
     known, inliers = 0, 0
     point, found, row = np.empty(3), np.empty(5), np.empty(6)
     for n in range(points.shape[0]):

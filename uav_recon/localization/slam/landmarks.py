@@ -118,14 +118,14 @@ class LandmarkTracker:
     ) -> None:
         """Keep the landmarks that fit the pose of the image, refine their places, and add new ones.
 
-        motion (6,), slow (2,): as in project(). variance (3,): of the place of the camera, m² along the axes of odom.
+        motion (6,), slow (2,): as in MovingImager. variance (3,): of the place of the camera, m² along the axes of odom.
         """
         if view.grey is None:
             return
         eye = view.rgb_pose(odom_from_depth)
         place_m = self.points.place_m + self.points.slope @ (slow - self._slow)
         self._slow = slow
-        off_px = self.points.at_px - project(place_m, view.camera, *eye, odom_from_depth.translation_m, motion, slow)
+        off_px = self.points.at_px - project(place_m, moving_imager(view, odom_from_depth, motion, slow))
         fits = np.asarray(np.einsum("na,nab,nb->n", off_px, self.points.texture, off_px) < _FITS_PX**2)
         points = self.points._replace(place_m=place_m, off_px=off_px.astype(np.float32)).only(fits)
         places = view.places(points.at_px, odom_from_depth, motion, slow)
@@ -178,18 +178,38 @@ class LandmarkTracker:
         self.points = Landmarks(*(np.concatenate(both) for both in zip(self.points, new, strict=True)))
 
 
-@kernel
-def project(
-    place_m: AnyArray, camera: AnyArray, rotation: AnyArray, eye_m: AnyArray, turn_m: AnyArray, motion: AnyArray, slow: AnyArray
-) -> AnyArray:
-    """Return the pixels (N, 2) of places (N, 3) in odom; NaN behind the camera.
+class MovingImager(NamedTuple):
+    """Colour imager that moves while its image is late, for kernels.
 
-    rotation (3, 3), eye_m (3,): of the colour imager. turn_m (3,): of the depth imager, about which the camera turns. motion
-    (6,): turn rate and velocity in odom. slow (2,): delay (s) and share of width of the colour image.
+    camera (4,): fx, fy, cx, cy. rotation (3, 3), eye_m (3,): its pose in odom. turn_m (3,): place of the depth imager, about
+    which the camera turns. motion (6,): turn rate and velocity in odom. slow (2,): delay (s) and share of width of the image.
     """
+
+    camera: AnyArray
+    rotation: AnyArray
+    eye_m: AnyArray
+    turn_m: AnyArray
+    motion: AnyArray
+    slow: AnyArray
+
+
+def moving_imager(view: PreparedView, odom_from_depth: Pose, motion: FloatArray, slow: FloatArray) -> MovingImager:
+    """Return the colour imager of a view.
+
+    odom_from_depth: pose of the depth imager. motion (6,), slow (2,): as in MovingImager.
+    """
+    rotation, eye_m = view.rgb_pose(odom_from_depth)
+    return MovingImager(
+        camera=view.camera, rotation=rotation, eye_m=eye_m, turn_m=odom_from_depth.translation_m, motion=motion, slow=slow
+    )
+
+
+@kernel
+def project(place_m: AnyArray, imager: MovingImager) -> AnyArray:
+    """Return the pixels (N, 2) of places (N, 3) in odom; NaN behind the camera."""
     out, columns = np.empty((place_m.shape[0], 2)), np.empty((2, SIZE))
     for n in range(place_m.shape[0]):
-        deep = _row(place_m[n], camera, rotation, eye_m, turn_m, motion, slow, out[n], columns)
+        deep = _row(place_m[n], imager, out[n], columns)
         if deep < _NEAREST_M:
             out[n, 0] = out[n, 1] = np.nan
     return out
@@ -201,12 +221,7 @@ def add_landmark_equations(
     slope: AnyArray,
     texture: AnyArray,
     at_px: AnyArray,
-    camera: AnyArray,
-    rotation: AnyArray,
-    eye_m: AnyArray,
-    turn_m: AnyArray,
-    motion: AnyArray,
-    slow: AnyArray,
+    imager: MovingImager,
     change: AnyArray,
     information: AnyArray,
     gradient: AnyArray,
@@ -214,13 +229,13 @@ def add_landmark_equations(
 ) -> int:
     """Add the normal equations (SIZE) of landmarks that the image shows at at_px (N, 2).
 
-    Arguments as in project(). slope (N, 3, 2), texture (N, 2, 2): of Landmarks; change (2,): of ``slow`` since the places
-    were right. shown (3, 3): information on the translation that the landmarks would give if each were a perfect corner. The
-    first six elements are those of add_depth_equations. Returns the number of landmarks that fit.
+    place_m (N, 3), slope (N, 3, 2), texture (N, 2, 2): of Landmarks; change (2,): of ``slow`` since the places were right.
+    shown (3, 3): information on the translation that the landmarks would give if each were a perfect corner. The first six
+    elements are those of add_depth_equations. Returns the number of landmarks that fit.
     """
     fitting, expected, columns = 0, np.empty(2), np.empty((2, SIZE))
     for n in range(place_m.shape[0]):
-        deep = _row(place_m[n], camera, rotation, eye_m, turn_m, motion, slow, expected, columns)
+        deep = _row(place_m[n], imager, expected, columns)
         if deep < _NEAREST_M:
             continue
         for axis in range(2):  # a change of delay or width moves the place, too
@@ -249,21 +264,13 @@ def add_landmark_equations(
 
 
 @kernel
-def _row(
-    place: AnyArray,
-    camera: AnyArray,
-    rotation: AnyArray,
-    eye_m: AnyArray,
-    turn_m: AnyArray,
-    motion: AnyArray,
-    slow: AnyArray,
-    expected: AnyArray,
-    columns: AnyArray,
-) -> float:
+def _row(place: AnyArray, imager: MovingImager, expected: AnyArray, columns: AnyArray) -> float:
     """Write the pixel (2,) of a place and its derivatives (2, SIZE); return its depth (m).
 
     The derivatives are by a rotation of the camera in odom axes, its translation, and ``slow``.
     """
+    camera, rotation, eye_m, turn_m = imager.camera, imager.rotation, imager.eye_m, imager.turn_m
+    motion, slow = imager.motion, imager.slow
     x, y, z = place[0] - eye_m[0], place[1] - eye_m[1], place[2] - eye_m[2]
     p = rotation[0, 0] * x + rotation[1, 0] * y + rotation[2, 0] * z
     q = rotation[0, 1] * x + rotation[1, 1] * y + rotation[2, 1] * z

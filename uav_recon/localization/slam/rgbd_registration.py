@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from uav_recon.localization.slam.depth_points import add_depth_equations
-from uav_recon.localization.slam.landmarks import SIZE, Landmarks, add_landmark_equations
+from uav_recon.localization.slam.landmarks import SIZE, Landmarks, MovingImager, add_landmark_equations
 from uav_recon.localization.slam.prepared_view import PreparedView
 from uav_recon.localization.slam.tsdf_volume import TsdfVolume
 from uav_recon.types.frames import FloatArray
@@ -186,6 +186,7 @@ def _converge(
     predicted = np.linalg.inv(prior.covariance)
     slow_information = np.linalg.inv(prior.slow_covariance)
     motion = np.concatenate((prior.rate_radps, prior.velocity_mps))
+    blocks, depth_from_rgb = volume.blocks, view.depth_from_rgb.rotation()
     known = inliers = fitting = 0
     match, depth_sigma_m = 0.0, math.inf
     whole, track, surfaces = np.eye(_SHIFT.stop), prior.track_variance, prior.track_variance
@@ -194,19 +195,21 @@ def _converge(
         wide = _WIDER[0] if number < rounds - _ROUNDS else _WIDER[min(number - rounds + _ROUNDS, len(_WIDER) - 1)]
         information, gradient, errors = np.zeros((SIZE, SIZE)), np.zeros(SIZE), np.zeros((2, 3))
         known, inliers = add_depth_equations(
-            view.points, rotation, place_m, volume.index, volume.distance, volume.weight, volume.variance, track, most_variance,
-            _DEPTH_SHARE, wide, information, gradient, errors,
-        )  # fmt: skip
+            view.points, rotation, place_m, blocks, track, most_variance, _DEPTH_SHARE, wide, information, gradient, errors
+        )
         match = float(np.trace(information[_PLACE, _PLACE]))
         support = 1.0 if far and number < _FAR_ROUNDS else _support(known, inliers)
         information *= support
         gradient *= support
         depth_sigma_m = _leave_weak_directions(information, gradient, prior.turn_sigma_rad)
         tracked, pull, shown = np.zeros((SIZE, SIZE)), np.zeros(SIZE), np.zeros((3, 3))
-        eye = rotation @ view.depth_from_rgb.rotation(), rotation @ view.depth_from_rgb.translation_m + place_m
+        imager = MovingImager(
+            camera=view.camera, rotation=rotation @ depth_from_rgb,
+            eye_m=rotation @ view.depth_from_rgb.translation_m + place_m, turn_m=place_m, motion=motion, slow=slow,
+        )  # fmt: skip
         fitting = add_landmark_equations(
-            landmarks.place_m + shifted_m, landmarks.slope, landmarks.texture, landmarks.at_px, view.camera, *eye, place_m,
-            motion, slow, slow - prior.slow, tracked, pull, shown,
+            landmarks.place_m + shifted_m, landmarks.slope, landmarks.texture, landmarks.at_px, imager, slow - prior.slow,
+            tracked, pull, shown,
         )  # fmt: skip
         _leave_edges(tracked, pull, shown)
         track = _track_variance(np.diagonal(tracked)[_PLACE], landmarks, np.diagonal(predicted)[_PLACE], prior.track_variance)
@@ -272,8 +275,8 @@ def _against_track(covariance: FloatArray) -> FloatArray:
 def _inliers(view: PreparedView, volume: TsdfVolume, rotation: FloatArray, place_m: FloatArray, most_variance: float) -> int:
     """Return the number of depth points on a known surface from a pose."""
     unused = np.zeros((SIZE, SIZE)), np.zeros(SIZE), np.zeros((2, 3))
-    seen = view.points, rotation, place_m, volume.index, volume.distance, volume.weight, volume.variance, np.zeros(3)
-    return int(add_depth_equations(*seen, most_variance, _DEPTH_SHARE, _WIDER[0], *unused)[1])
+    seen = view.points, rotation, place_m, volume.blocks, np.zeros(3), most_variance
+    return int(add_depth_equations(*seen, _DEPTH_SHARE, _WIDER[0], *unused)[1])
 
 
 def _support(known: int, inliers: int) -> float:

@@ -17,7 +17,7 @@ import numpy as np
 from uav_recon.localization.slam.attitude_filter import AttitudeFilter, PredictedAttitude
 from uav_recon.localization.slam.floor_level import level_by_floor
 from uav_recon.localization.slam.gyro_alignment import JITTER_S, GyroAlignment
-from uav_recon.localization.slam.landmarks import Landmarks, LandmarkTracker, project
+from uav_recon.localization.slam.landmarks import Landmarks, LandmarkTracker, moving_imager, project
 from uav_recon.localization.slam.motion_filter import MeasuredStep, MotionFilter
 from uav_recon.localization.slam.prepared_view import PreparedView
 from uav_recon.localization.slam.rest_detection import RestDetector
@@ -322,11 +322,8 @@ class SlamTracker:
     def _projected(
         self, view: PreparedView, points: Landmarks, odom_from_depth: Pose, rate: FloatArray, velocity: FloatArray
     ) -> FloatArray:
-        rotation, eye_m = view.rgb_pose(odom_from_depth)
-        motion = np.concatenate((rate, velocity))
-        out: FloatArray = project(
-            points.place_m, view.camera, rotation, eye_m, odom_from_depth.translation_m, motion, self._slow
-        )
+        imager = moving_imager(view, odom_from_depth, np.concatenate((rate, velocity)), self._slow)
+        out: FloatArray = project(points.place_m, imager)
         return out
 
     def _settle(

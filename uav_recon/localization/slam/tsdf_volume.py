@@ -8,6 +8,8 @@ A block holds the error of its place, too: that of the camera when the block was
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from uav_recon.geometry.jit import kernel
@@ -42,12 +44,23 @@ _MAX_BEND_PER_M = 0.03
 _MAX_BEND_SHARE = 0.05
 
 
+class TsdfBlocks(NamedTuple):
+    """Arrays of a volume, for kernels.
+
+    block_index (BLOCKS): number of the block at a place, -1 for none. distance, weight (blocks, SIDE, SIDE, SIDE): in metres,
+    and in frames. variance (blocks, 3): of the place of a block, m² along the axes of odom.
+    """
+
+    block_index: AnyArray
+    distance: AnyArray
+    weight: AnyArray
+    variance: AnyArray
+
+
 class TsdfVolume:
     """The field in odom. Not thread-safe.
 
-    ``index`` (BLOCKS): number of the block at a place, -1 for none. ``distance`` and ``weight`` (blocks, SIDE, SIDE, SIDE): in
-    metres, and in frames. ``variance`` (blocks, 3): of the place of a block, m² along the axes of odom. ``count``: number of
-    blocks in use.
+    ``index``: block_index of TsdfBlocks. ``distance``, ``weight``, ``variance``: as there. ``count``: number of blocks in use.
     """
 
     def __init__(self) -> None:
@@ -59,6 +72,11 @@ class TsdfVolume:
         self._place = np.zeros((_FIRST_BLOCKS, 3), dtype=np.int32)
         self._touched = np.zeros(_FIRST_BLOCKS, dtype=np.int64)
         self._fusions = 0
+
+    @property
+    def blocks(self) -> TsdfBlocks:
+        """The arrays as they are now; the next image may replace them."""
+        return TsdfBlocks(block_index=self.index, distance=self.distance, weight=self.weight, variance=self.variance)
 
     def integrate(self, frame: Frame, odom_from_depth: Pose, variance: FloatArray) -> None:
         """Fuse a depth image; about 3 ms for 424x240.
