@@ -15,6 +15,7 @@ from rich.table import Table
 
 from uav_recon.app import config_file, pilot_factory
 from uav_recon.app.option_validation import readable
+from uav_recon.autopilot.link.frame_exchange import FrameExchange
 from uav_recon.autopilot.link.vehicle_link import VehicleLink
 from uav_recon.autopilot.mavlink.allow_list import AllowListFilter
 from uav_recon.autopilot.mavlink.messages import ParameterValue
@@ -104,7 +105,8 @@ class Vehicle:
         self._clock = clock
         self._options = options
         self._firmware, self._form = pilot_factory.firmware(options.autopilot)
-        self._link = VehicleLink(bytes_link, NoLog(), clock.now_s(), self._firmware, allow_list)
+        frames = FrameExchange(bytes_link, NoLog(), allow_list.seal)
+        self._link = VehicleLink(frames, allow_list, self._firmware, clock.now_s())
         self._await_heartbeat()
 
     def compare(self, wanted: tuple[RequiredParameter, ...]) -> list[Compared]:

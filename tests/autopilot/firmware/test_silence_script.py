@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import pytest
 from lupa.lua53 import LuaRuntime
 
-from uav_recon.autopilot.link.vehicle_link import COMPONENT, SYSTEM
+from uav_recon.autopilot.mavlink.address import COMPANION_ADDRESS
 from uav_recon.autopilot.mavlink.codec import Decoder, Encoder
 from uav_recon.autopilot.parameters.parameter_file import FOLDER, PARAMETER_FILES, load
 
@@ -49,7 +49,7 @@ function Parameter(name)
 end
 """
 # The type of our own heartbeat, as it stands on the wire.
-OURS = struct.unpack_from("<B", Encoder(SYSTEM, COMPONENT).heartbeat(), 10 + 4)[0]
+OURS = struct.unpack_from("<B", Encoder(*COMPANION_ADDRESS).heartbeat(), 10 + 4)[0]
 GCS, QUADROTOR = 6, 2
 
 
@@ -81,7 +81,7 @@ class Board:
 
     def boot(self) -> None:
         if self.system_name:
-            self.parameters[self.system_name] = float(SYSTEM)
+            self.parameters[self.system_name] = float(COMPANION_ADDRESS.system)
         lua = LuaRuntime()
         lua.globals().board = self
         lua.execute(BINDINGS)
@@ -91,7 +91,7 @@ class Board:
         """Let time pass while these send their heartbeats: system, component and type. heard: our own companion, too."""
         for _ in range(round(for_s * 20)):
             self.now_ms += 50
-            for sender in (*senders, *([(SYSTEM, COMPONENT, OURS)] if heard else [])):
+            for sender in (*senders, *([(*COMPANION_ADDRESS, OURS)] if heard else [])):
                 self.waiting.append(message_of(*sender, wide=self.wide))
             self._watch, every_ms = self._watch()
             assert every_ms == 50
@@ -150,10 +150,10 @@ def test_only_the_companion_itself_counts(wide: bool, name: str) -> None:
     """MAVSDK's default ids, our system id of another component, our ids of a ground station or of a vehicle."""
     others = [
         (245, 190, GCS),
-        (245, COMPONENT, OURS),
-        (SYSTEM, 190, OURS),
-        (SYSTEM, COMPONENT, GCS),
-        (SYSTEM, COMPONENT, QUADROTOR),
+        (245, COMPANION_ADDRESS.component, OURS),
+        (COMPANION_ADDRESS.system, 190, OURS),
+        (*COMPANION_ADDRESS, GCS),
+        (*COMPANION_ADDRESS, QUADROTOR),
     ]
     b = board(wide=wide, system_name=name)
     b.run(5.0, *others, heard=True)
@@ -171,13 +171,13 @@ def test_a_companion_is_heard_among_others_that_send_more_often() -> None:
 
 
 def test_our_heartbeat_is_the_one_that_the_script_asks_for() -> None:
-    received = Decoder().feed(Encoder(SYSTEM, COMPONENT).heartbeat())[0]
+    received = Decoder().feed(Encoder(*COMPANION_ADDRESS).heartbeat())[0]
     assert (received.system, received.component, OURS) == (233, 191, 18)
 
 
 def test_ids_that_programs_have_by_default_are_not_ours() -> None:
     """MAVSDK, ground stations, mavp2p, MAVROS and autopilots, OpenHD, SiK radios."""
-    assert SYSTEM not in (245, *range(250, 256), 125, *range(1, 60), 100, 101)
+    assert COMPANION_ADDRESS.system not in (245, *range(250, 256), 125, *range(1, 60), 100, 101)
 
 
 def test_what_it_gives_back_is_what_it_took_first() -> None:
@@ -225,9 +225,9 @@ def test_its_parameter_is_the_one_that_is_read_before_arming() -> None:
     wanted = {one.name: one for one in load(PARAMETER_FILES["ardupilot"])}
     assert b.parameters["UVR_SILENCE_S"] == wanted["UVR_SILENCE_S"].value
     assert wanted["UVR_SILENCE_S"].reason.refused
-    assert b.parameters["UVR_COMP_ID"] == wanted["UVR_COMP_ID"].value == COMPONENT
+    assert b.parameters["UVR_COMP_ID"] == wanted["UVR_COMP_ID"].value == COMPANION_ADDRESS.component
     assert wanted["UVR_COMP_ID"].reason.refused, "an older copy of the script does not ask for the component"
-    assert wanted["MAV_GCS_SYSID"].value == SYSTEM
+    assert wanted["MAV_GCS_SYSID"].value == COMPANION_ADDRESS.system
     assert wanted["SCR_ENABLE"].reason.refused
     b.parameters["UVR_SILENCE_S"] = 3.0
     b.run(0.1, heard=True)

@@ -16,12 +16,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from px4_link import px4_link
 from pymavlink.dialects.v20 import common as wire
 
-from uav_recon.autopilot.firmware.px4 import PX4
 from uav_recon.autopilot.link.vehicle_link import VehicleLink
-from uav_recon.autopilot.mavlink.allow_list import AllowListFilter
-from uav_recon.autopilot.mavlink.tlog import NoLog
 from uav_recon.measurement import result_file
 
 BURST = 1 << 15  # bytes: a thirtieth of a second of a megabyte a second
@@ -120,7 +118,7 @@ def held_true(link: VehicleLink) -> dict[str, str]:
 def flying() -> tuple[VehicleLink, Wire]:
     """A link whose autopilot has said that all is well, and whose clock is known."""
     far = Wire()
-    link = VehicleLink(far, NoLog(), 0.0, PX4, AllowListFilter())
+    link = px4_link(far)
     link.parameters.read(0.0, "COM_OF_LOSS_T")
     bit = wire.MAV_SYS_STATUS_PREARM_CHECK
     for well in (

@@ -39,7 +39,7 @@ def received(message: Any, sender: tuple[int, int], number: int) -> Received:
 @pytest.fixture
 def admission() -> FrameAdmission:
     """The admission of a link whose autopilot sent a heartbeat and a position, numbers 10 and 11."""
-    admission = FrameAdmission(AllowListFilter(), OWN)
+    admission = FrameAdmission(AllowListFilter())
     for number, message in ((10, BEAT), (11, PLACE)):
         assert admission.judge(received(message, AUTOPILOT, number), 0.0, False) is V.AUTOPILOT
     return admission
@@ -78,7 +78,7 @@ def test_each_frame_gets_one_verdict(
 
 
 def test_nothing_is_used_before_the_first_heartbeat() -> None:
-    admission = FrameAdmission(AllowListFilter(), OWN)
+    admission = FrameAdmission(AllowListFilter())
     early = [(PLACE, AUTOPILOT), (ANGLE, GIMBAL), (NO_PLACE, AUTOPILOT)]
     verdicts = [admission.judge(received(message, sender, n), 0.0, False) for n, (message, sender) in enumerate(early)]
     assert verdicts == [V.TOO_EARLY] * 3
@@ -101,11 +101,11 @@ def test_frame_numbers_begin_again_after_a_restart(admission: FrameAdmission) ->
 
 
 def test_new_frames_of_mavlink_1_are_counted_and_reported(caplog: pytest.LogCaptureFixture) -> None:
-    gate = AllowListFilter()
-    admission = FrameAdmission(gate, OWN)
+    allow_list = AllowListFilter()
+    admission = FrameAdmission(allow_list)
     for total in (0, 2, 2, 5):
         admission.update(0.0, total)
-    assert gate.refused == 5
+    assert allow_list.refused == 5
     assert [reason.code for reason in admission.alerts.news()] == [ReasonCode.INTRUDER_MAVLINK1]
     assert len(caplog.records) == 1
 

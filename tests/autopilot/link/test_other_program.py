@@ -7,15 +7,13 @@ from typing import Any
 
 import pytest
 from flight_rig import Rig
+from px4_link import px4_link
 from pymavlink.dialects.v20 import common as mavlink
 from test_link_alerts import Crowd, texts
 from test_pilot_flight_ardupilot import CopterRig
 from test_vehicle_link import Wire, heartbeat
 
-from uav_recon.autopilot.firmware.px4 import PX4
-from uav_recon.autopilot.link.vehicle_link import COMPONENT, SYSTEM, VehicleLink
-from uav_recon.autopilot.mavlink.allow_list import AllowListFilter
-from uav_recon.autopilot.mavlink.tlog import NoLog
+from uav_recon.autopilot.mavlink.address import COMPANION_ADDRESS
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.trajectory import Goal
@@ -40,7 +38,7 @@ class Two:
 
     def __init__(self) -> None:
         self.far = Wire()
-        self.link = VehicleLink(self.far, NoLog(), 0.0, PX4, AllowListFilter())
+        self.link = px4_link(self.far)
         self.voices = {name: mavlink.MAVLink(None, 1, 1) for name in ("autopilot", "other")}
         self.voices["other"].seq = 100
         self.now_s = 0.0
@@ -139,14 +137,14 @@ def test_a_heartbeat_of_the_autopilot_is_never_the_others() -> None:
 )
 def test_our_ids_forbid_arming_only_for_a_copy_of_us(message: Any, copy_of_us: bool) -> None:
     far = Wire()
-    link = VehicleLink(far, NoLog(), 0.0, PX4, AllowListFilter())
-    far.update(message, SYSTEM, COMPONENT)
+    link = px4_link(far)
+    far.update(message, *COMPANION_ADDRESS)
     link.receive(0.0)
     assert link.status.own_id_in_use is copy_of_us
     assert link.alerts.news() == [Reason(ReasonCode.INTRUDER_OWN_ID)]
 
 
-@pytest.mark.parametrize("ids", [(1, 1), (SYSTEM, COMPONENT)], ids=["the autopilot's ids", "our ids"])
+@pytest.mark.parametrize("ids", [(1, 1), COMPANION_ADDRESS], ids=["the autopilot's ids", "our ids"])
 @pytest.mark.parametrize("kind", [Rig, CopterRig], ids=["px4", "ardupilot"])
 def test_from_boot_on_they_keep_nobody_on_the_ground(kind: type[Rig], ids: tuple[int, int]) -> None:
     rig = kind()
@@ -164,7 +162,7 @@ def test_from_boot_on_they_keep_nobody_on_the_ground(kind: type[Rig], ids: tuple
     assert texts(rig, 0.0) == [said.short()]
 
 
-@pytest.mark.parametrize("ids", [(1, 1), (SYSTEM, COMPONENT)], ids=["the autopilot's ids", "our ids"])
+@pytest.mark.parametrize("ids", [(1, 1), COMPANION_ADDRESS], ids=["the autopilot's ids", "our ids"])
 @pytest.mark.parametrize("other", [(GCS, INVALID), (QUADROTOR, GENERIC)], ids=["invalid", "generic"])
 @pytest.mark.parametrize("name", ["px4", "ardupilot"])
 def test_in_the_air_the_flight_goes_on(

@@ -9,12 +9,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from px4_link import px4_link
 from pymavlink.dialects.v20 import common as wire
 
-from uav_recon.autopilot.firmware.px4 import PX4
 from uav_recon.autopilot.link.vehicle_link import VehicleLink
 from uav_recon.autopilot.mavlink.allow_list import AllowList, AllowListFilter
-from uav_recon.autopilot.mavlink.tlog import NoLog
 from uav_recon.types.pose import Pose, StampedPose
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
@@ -68,7 +67,7 @@ def far() -> Wire:
 
 @pytest.fixture
 def pair(far: Wire) -> tuple[VehicleLink, Wire]:
-    return VehicleLink(far, NoLog(), 0.0, PX4, AllowListFilter()), far
+    return px4_link(far), far
 
 
 def converge(link: VehicleLink, far: Wire, offset_s: float = 37.5) -> None:
@@ -82,8 +81,8 @@ def converge(link: VehicleLink, far: Wire, offset_s: float = 37.5) -> None:
 
 
 def test_only_the_allowed_autopilot_counts(far: Wire, caplog: pytest.LogCaptureFixture) -> None:
-    gate = AllowListFilter(AllowList(system=7, autopilot=1, gimbal=154))
-    link = VehicleLink(far, NoLog(), 0.0, PX4, gate)
+    allow_list = AllowListFilter(AllowList(system=7, autopilot=1, gimbal=154))
+    link = px4_link(far, allow_list)
     far.update(heartbeat(autopilot=8), 255, 190)  # a ground station
     far.update(heartbeat(mode=4 << 16, armed=True), 9, 1)  # another vehicle, and earlier than ours
     far.update(heartbeat(autopilot=8), 7, 154)  # a gimbal
@@ -100,7 +99,7 @@ def test_only_the_allowed_autopilot_counts(far: Wire, caplog: pytest.LogCaptureF
     far.update(wire.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3), 233, 191)
     link.receive(0.2)
     assert (twin_before, link.status.own_id_in_use) == (False, True)
-    assert gate.refused == 13
+    assert allow_list.refused == 13
     named = [record.getMessage() for record in caplog.records]
     assert [
         sum(f"system {one}" in text for text in named) for one in ("255, component 190", "9, component 1", "7, component 2")
@@ -109,23 +108,23 @@ def test_only_the_allowed_autopilot_counts(far: Wire, caplog: pytest.LogCaptureF
 
 
 def test_mavlink_1_is_counted_and_named_and_says_nothing(far: Wire, caplog: pytest.LogCaptureFixture) -> None:
-    gate = AllowListFilter()
-    link = VehicleLink(far, NoLog(), 0.0, PX4, gate)
+    allow_list = AllowListFilter()
+    link = px4_link(far, allow_list)
     for _ in range(3):
         far.inbox += bytes(heartbeat(armed=True).pack(wire.MAVLink(None, 1, 1), force_mavlink1=True))
     link.receive(0.0)
-    assert (link.telemetry.system, link.telemetry.mode.armed, gate.refused) == (0, False, 3)
+    assert (link.telemetry.system, link.telemetry.mode.armed, allow_list.refused) == (0, False, 3)
     assert [record.getMessage() for record in caplog.records] == ["link: MAVLink 1: not listened to"]
 
 
 def test_a_forger_with_a_thousand_names_fills_no_log(far: Wire, caplog: pytest.LogCaptureFixture) -> None:
-    gate = AllowListFilter()
-    link = VehicleLink(far, NoLog(), 0.0, PX4, gate)
+    allow_list = AllowListFilter()
+    link = px4_link(far, allow_list)
     for system in range(2, 245):
         for component in (1, 2, 3, 4):
             far.update(heartbeat(), system, component)
     link.receive(0.0)
-    assert gate.refused == 4 * 243
+    assert allow_list.refused == 4 * 243
     assert len(caplog.records) == 32
 
 

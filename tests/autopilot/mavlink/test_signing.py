@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 from flight_rig import ARM, MODE, Tap
 from hostile_traffic import Wire
+from px4_link import px4_link
 from pymavlink.dialects.v20 import ardupilotmega as wire
 from signed_vehicle import SignedEnd, signer
 from test_pilot_flight_ardupilot import CopterRig
@@ -19,13 +20,10 @@ from test_pilot_flight_ardupilot import CopterRig
 from sitl.autopilots.ardupilot.autopilot import ArduCopter
 from sitl.autopilots.ardupilot.parameters import ArduPilotParameters
 from sitl.autopilots.byte_links import ByteEnd
-from uav_recon.autopilot.firmware.px4 import PX4
-from uav_recon.autopilot.link.vehicle_link import VehicleLink
 from uav_recon.autopilot.mavlink.allow_list import AllowListFilter
 from uav_recon.autopilot.mavlink.codec import Decoder, Encoder
 from uav_recon.autopilot.mavlink.signing import KeyFileError, Signature, open_signature, read_key
 from uav_recon.autopilot.mavlink.signing_timestamps import UNITS_PER_S, SigningTimestamps
-from uav_recon.autopilot.mavlink.tlog import NoLog
 from uav_recon.clock import InlineExecutor, ManualClock
 from uav_recon.types.vehicle import FlightPhase
 
@@ -44,17 +42,17 @@ class Ear:
 
     def __init__(self, folder: Path, wall_s: float = NOW_S) -> None:
         self.far = Wire()
-        self.gate = AllowListFilter(seal=signature(folder, wall_s))
-        self.link = VehicleLink(self.far, NoLog(), 0.0, PX4, self.gate)
+        self.allow_list = AllowListFilter(seal=signature(folder, wall_s))
+        self.link = px4_link(self.far, self.allow_list)
 
     def believes(self, *frames: bytes) -> bool:
         """Whether these frames, all together, had an effect."""
-        before, refused = self.link.telemetry.received_s, self.gate.refused
+        before, refused = self.link.telemetry.received_s, self.allow_list.refused
         self.now_s = 0.0 if math.isinf(before) else before + 1.0
         self.far.inbox = b"".join(frames)
         self.link.receive(self.now_s)
         changed = self.link.telemetry.received_s != before
-        assert changed == (self.gate.refused - refused < len(frames))
+        assert changed == (self.allow_list.refused - refused < len(frames))
         return changed
 
 
@@ -124,11 +122,11 @@ def test_a_capture_is_not_believed_again(tmp_path: Path, late_s: int) -> None:
     captured = [frame_of(there) for _ in range(5)]
     assert ear.believes(*captured)
     assert not ear.believes(*captured)
-    ear.gate.close()
+    ear.allow_list.close()
     for wall_s in (NOW_S + late_s, NOW_S, NOW_S - 3600.0, 0.0):
         again = Ear(tmp_path, wall_s)
         assert not again.believes(*captured)
-        again.gate.close()
+        again.allow_list.close()
 
 
 def test_a_capture_of_another_link_is_a_minute_old_at_most(tmp_path: Path) -> None:
@@ -155,12 +153,12 @@ def test_our_own_frames_come_back_as_a_twin_and_nothing_else(tmp_path: Path) -> 
 
 
 def test_only_a_signed_heartbeat_greets(tmp_path: Path) -> None:
-    gate, there = AllowListFilter(seal=signature(tmp_path)), signer(KEY, NOW)
+    allow_list, there = AllowListFilter(seal=signature(tmp_path)), signer(KEY, NOW)
     signed = frame_of(there)
-    assert not gate.has_heartbeat(frame_of(wire.MAVLink(None, 1, 1)))
-    assert not gate.has_heartbeat(frame_of(signer(OTHER_KEY, NOW)))
-    assert gate.has_heartbeat(signed)
-    assert gate.has_heartbeat(signed), "to ask uses nothing up"
+    assert not allow_list.has_heartbeat(frame_of(wire.MAVLink(None, 1, 1)))
+    assert not allow_list.has_heartbeat(frame_of(signer(OTHER_KEY, NOW)))
+    assert allow_list.has_heartbeat(signed)
+    assert allow_list.has_heartbeat(signed), "to ask uses nothing up"
 
 
 class SignedRig(CopterRig):

@@ -53,13 +53,13 @@ class Peer:
 
 
 class Udp:
-    """A link, its gate, its clock, and its peers."""
+    """A link, its allow list, its clock, and its peers."""
 
     def __init__(self, peer_host: str | None = None) -> None:
         self.port = free_port()
-        self.gate = AllowListFilter()
+        self.allow_list = AllowListFilter()
         self.clock = ManualClock()
-        self.link = open_link(f"udp:127.0.0.1:{self.port}", self.gate, self.clock, peer_host)
+        self.link = open_link(f"udp:127.0.0.1:{self.port}", self.allow_list, self.clock, peer_host)
         self._peers: list[Peer] = []
 
     def peer(self, system: int = 1, component: int = 1, host: str = "127.0.0.1") -> Peer:
@@ -116,7 +116,7 @@ def test_a_forger_cannot_take_the_stream(udp: Udp, caplog: pytest.LogCaptureFixt
         assert link.read() == frame
         link.write(b"x")
         assert (vehicle.heard(), forger.heard()) == (b"x", b"")
-    assert udp.gate.refused == 999
+    assert udp.allow_list.refused == 999
     assert [record.getMessage().count("127.0.0.1:") for record in caplog.records] == [1], "named once"
 
 
@@ -143,7 +143,7 @@ def test_a_configured_host_alone_may_be_the_peer(host: str | None, heard: bool) 
     rig.peer(host="127.0.0.2").greet()
     rig.link.wait(2.0)
     assert bool(rig.link.read()) is heard
-    assert rig.gate.refused == (not heard)
+    assert rig.allow_list.refused == (not heard)
     rig.close()
 
 
@@ -160,7 +160,7 @@ def test_a_peer_that_ended_is_silence(udp: Udp) -> None:
 
 def test_a_port_in_use_is_named(udp: Udp) -> None:
     with pytest.raises(LinkError, match=rf"udp:127\.0\.0\.1:{udp.port}: Address already in use"):
-        open_link(f"udp:127.0.0.1:{udp.port}", udp.gate, udp.clock)
+        open_link(f"udp:127.0.0.1:{udp.port}", udp.allow_list, udp.clock)
 
 
 @pytest.mark.parametrize(

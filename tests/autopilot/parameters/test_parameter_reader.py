@@ -7,13 +7,11 @@ from collections import Counter
 from typing import Any
 
 import pytest
+from px4_link import px4_link
 from pymavlink.dialects.v20 import common as wire
 
-from uav_recon.autopilot.firmware.px4 import PX4
 from uav_recon.autopilot.link.vehicle_link import VehicleLink
-from uav_recon.autopilot.mavlink.allow_list import AllowListFilter
 from uav_recon.autopilot.mavlink.messages import ParameterValue
-from uav_recon.autopilot.mavlink.tlog import NoLog
 from uav_recon.autopilot.parameters.reader import BYTEWISE, NUMERIC, PATIENCE_S, TRIES, WINDOW, ParameterReader
 
 INT32, REAL32 = 6, 9
@@ -56,7 +54,7 @@ class Far:
 
 
 def linked(far: Far) -> VehicleLink:
-    link = VehicleLink(far, NoLog(), 0.0, PX4, AllowListFilter())
+    link = px4_link(far)
     link.receive(0.0)
     return link
 

@@ -20,6 +20,7 @@ from sitl.world.quadrotor import Quadrotor
 from uav_recon.app.flight_channels import memory_channels
 from uav_recon.autopilot.firmware.profile import FirmwareProfile
 from uav_recon.autopilot.firmware.px4 import PX4
+from uav_recon.autopilot.link.frame_exchange import FrameExchange
 from uav_recon.autopilot.link.navigation import Navigation
 from uav_recon.autopilot.link.vehicle_link import VehicleLink
 from uav_recon.autopilot.mavlink.allow_list import AllowListFilter
@@ -168,8 +169,9 @@ class Rig:
 
     def vehicle_link(self, log: FrameLog | None) -> VehicleLink:
         """Return a new link of this flight's firmware, senders and navigation."""
-        start_s = self.clock.now_s()
-        return VehicleLink(self.tap, log or NoLog(), start_s, self.firmware, self.allow_list(), navigation=self.navigation())
+        allow_list = self.allow_list()
+        frames = FrameExchange(self.tap, log or NoLog(), allow_list.seal)
+        return VehicleLink(frames, allow_list, self.firmware, self.clock.now_s(), self.navigation())
 
     def publish_free(self) -> None:
         """What the mission says is known free."""

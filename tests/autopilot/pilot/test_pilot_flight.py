@@ -10,7 +10,7 @@ from flight_rig import ARM, ENVELOPE, MODE, SETPOINT, TAKEOFF_LAG_S, TICK_S, Rig
 from guard_rooms import may_stand
 from pymavlink.dialects.v20 import common as mavlink
 
-from uav_recon.autopilot.link.vehicle_link import SYSTEM
+from uav_recon.autopilot.mavlink.address import COMPANION_ADDRESS
 from uav_recon.autopilot.mavlink.tlog import Tlog
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
@@ -58,7 +58,7 @@ def test_the_handshake_keeps_its_order_and_never_forces() -> None:
     for _, message in rig.tap.sent:
         if Tap.name(message) == f"COMMAND_LONG {ARM}":
             assert (message.param1, message.param2) == (1.0, 0.0)
-        assert message.get_srcSystem() == SYSTEM == 233
+        assert message.get_srcSystem() == COMPANION_ADDRESS.system == 233
         assert message.get_srcSystem() != 1
 
 

@@ -48,7 +48,7 @@ class DuplicateAutopilotDetector:
         self._seen_s = -math.inf
 
     def update(self, received: Received, now_s: float) -> None:
-        """Check one frame that the gate admitted."""
+        """Check one frame that the allow list admits."""
         if isinstance(received.message, Heartbeat):
             self._check_state(received.message, received.frame, now_s)
         elif kind_of(received.frame) in _STAMPED:

@@ -9,6 +9,7 @@ from uav_recon.autopilot.link.duplicate_autopilot import DuplicateAutopilotDetec
 from uav_recon.autopilot.link.link_alerts import LinkAlerts
 from uav_recon.autopilot.link.other_program import OtherProgramFilter
 from uav_recon.autopilot.link.stale_frame_filter import StaleFrameFilter
+from uav_recon.autopilot.mavlink.address import COMPANION_ADDRESS, MavlinkAddress
 from uav_recon.autopilot.mavlink.allow_list import AllowListFilter
 from uav_recon.autopilot.mavlink.framing import kind_of
 from uav_recon.autopilot.mavlink.link_status import DUPLICATE_AUTOPILOT
@@ -36,21 +37,21 @@ class FrameVerdict(Enum):
 class FrameAdmission:
     """Judges each frame once, in the order of arrival; counts and reports the others.
 
-    gate: the allow list. own: our system and component. ``alerts``: what people have to know of other senders. ``identity``:
+    address: our own. ``alerts``: what people have to know of other senders. ``identity``:
     the autopilot's uid. ``duplicate``: two autopilots used its ids at the newest reading. ``own_id_in_use``: a second copy of
     this program was received. ``stale_frames``: number of STALE.
     """
 
-    def __init__(self, gate: AllowListFilter, own: tuple[int, int]) -> None:
-        self._gate = gate
-        self._own = own
+    def __init__(self, allow_list: AllowListFilter, address: MavlinkAddress = COMPANION_ADDRESS) -> None:
+        self._allow_list = allow_list
+        self._address = address
         self._others = OtherProgramFilter()
         self._duplicates = DuplicateAutopilotDetector()
         self._stale_filter = StaleFrameFilter()
         self._received_heartbeat = False
         self._mavlink1_frames = 0
-        self.alerts = LinkAlerts(own)
-        self.identity = AutopilotIdentity(gate.uid)
+        self.alerts = LinkAlerts(address)
+        self.identity = AutopilotIdentity(allow_list.uid)
         self.duplicate = False
         self.own_id_in_use = False
         self.stale_frames = 0
@@ -60,12 +61,12 @@ class FrameAdmission:
 
         clock_lost: another autopilot may have replaced the one before.
         """
-        if (received.system, received.component) == self._own:
+        if (received.system, received.component) == self._address:
             return self._judge_own_ids(received)
-        if not self._gate.admits(received):
+        if not self._allow_list.admits(received):
             self.alerts.update(received)
             return FrameVerdict.STRANGER
-        from_autopilot = self._gate.is_autopilot(received)
+        from_autopilot = self._allow_list.is_autopilot(received)
         if from_autopilot and self._others.is_other(received):
             self._report_other_program(received)
             return FrameVerdict.OTHER_PROGRAM
@@ -89,7 +90,7 @@ class FrameAdmission:
         self._mavlink1_frames = mavlink1_frames
         if new_frames:
             self.alerts.note(Reason(ReasonCode.INTRUDER_MAVLINK1))
-            self._gate.refuse("MAVLink 1", new_frames)
+            self._allow_list.refuse("MAVLink 1", new_frames)
 
     def restart(self) -> None:
         """Start the numbers of frames again: the autopilot restarted."""
@@ -108,7 +109,7 @@ class FrameAdmission:
         message = received.message
         copy = (isinstance(message, Heartbeat) and message.from_companion) or kind_of(received.frame) in _FLYING_KINDS
         self.own_id_in_use = self.own_id_in_use or copy
-        self._gate.refuse(f"system {received.system}, component {received.component}, our own ids{_sender(message)}")
+        self._allow_list.refuse(f"system {received.system}, component {received.component}, our own ids{_sender(message)}")
         self.alerts.update(received)
         return FrameVerdict.OWN_COPY if copy else FrameVerdict.OWN_IDS
 
@@ -116,7 +117,7 @@ class FrameAdmission:
         """Report a program that sends with the autopilot's ids, once."""
         message = received.message
         if isinstance(message, Heartbeat):
-            self._gate.refuse(f"system {received.system}, component {received.component}{_sender(message)}")
+            self._allow_list.refuse(f"system {received.system}, component {received.component}{_sender(message)}")
             self.alerts.note(Reason(ReasonCode.INTRUDER_HEARTBEAT, (message.vehicle, message.autopilot)))
 
     def _judge_autopilot(self, received: Received, now_s: float, clock_lost: bool) -> FrameVerdict:

@@ -19,10 +19,10 @@ class FrameExchange:
     ``failure``: why the byte link failed last, None once it was read again.
     """
 
-    def __init__(self, bytes_link: ByteLink, log: FrameLog, seal: Signer) -> None:
+    def __init__(self, bytes_link: ByteLink, log: FrameLog, signer: Signer) -> None:
         self._bytes = bytes_link
         self._log = log
-        self._seal = seal
+        self._signer = signer
         self._decoder = Decoder()
         self.failure: Reason | None = None
 
@@ -43,7 +43,7 @@ class FrameExchange:
 
     def write(self, frame: bytes, now_s: float) -> None:
         """Sign, send and record a frame."""
-        frame = self._seal.put(frame, now_s)
+        frame = self._signer.put(frame, now_s)
         try:
             self._bytes.write(frame)
         except OSError as error:

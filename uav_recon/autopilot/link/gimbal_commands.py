@@ -20,8 +20,8 @@ class GimbalCommands:
 
     def claim(self, now_s: float) -> None:
         """Send DO_GIMBAL_MANAGER_CONFIGURE: we have primary control, secondary control is unused."""
-        system, component = self._sender.own
-        self._sender.command(now_s, _CONFIGURE, float(system), float(component), -1.0, -1.0)
+        address = self._sender.address
+        self._sender.command(now_s, _CONFIGURE, float(address.system), float(address.component), -1.0, -1.0)
 
     def turn(self, pitch_down_rad: float, now_s: float) -> None:
         """Send a camera pitch, at most ten times a second."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from uav_recon.autopilot.mavlink.address import MavlinkAddress
 from uav_recon.autopilot.mavlink.framing import MessageLayout, kind_of, wire
 from uav_recon.autopilot.mavlink.messages import (
     Attitude,
@@ -31,21 +32,21 @@ _COMMAND = {
 class LinkAlerts:
     """Collects alerts.
 
-    own: our system and component. Messages of a ground station, a camera or a radio about itself are no intrusion.
+    address: our own. Messages of a ground station, a camera or a radio about itself are no intrusion.
     """
 
-    def __init__(self, own: tuple[int, int]) -> None:
-        self._own = own
+    def __init__(self, address: MavlinkAddress) -> None:
+        self._address = address
         self._alarms: dict[ReasonCode, Reason] = {}  # the first of each code, until it is reported
         self._reported: set[ReasonCode] = set()
 
     def update(self, received: Received) -> None:
         """Check a frame that was not admitted."""
         who = (received.system, received.component)
-        if who == self._own:
+        if who == self._address:
             self.note(Reason(ReasonCode.INTRUDER_OWN_ID))
         elif kind_of(received.frame) in _COMMAND:
-            if _COMMAND[kind_of(received.frame)].read(received.frame)[0] in (0, self._own[0]):
+            if _COMMAND[kind_of(received.frame)].read(received.frame)[0] in (0, self._address.system):
                 self.note(Reason(ReasonCode.INTRUDER_COMMANDS, who))
         elif is_vehicle_state(received):
             self.note(Reason(ReasonCode.INTRUDER_STATE, who))

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 from uav_recon.autopilot.link.frame_exchange import FrameExchange
+from uav_recon.autopilot.mavlink.address import COMPANION_ADDRESS, MavlinkAddress
 from uav_recon.autopilot.mavlink.codec import Encoder
 
 
 class MessageSender:
     """Sends what its encoder builds.
 
-    own: our system and component. target: system of the vehicle; 0 before its first heartbeat.
+    address: our own. target: system of the vehicle; 0 before its first heartbeat.
     """
 
-    def __init__(self, frames: FrameExchange, own: tuple[int, int]) -> None:
+    def __init__(self, frames: FrameExchange, address: MavlinkAddress = COMPANION_ADDRESS) -> None:
         self._frames = frames
-        self.own = own
-        self.encoder = Encoder(*own)
+        self.address = address
+        self.encoder = Encoder(*address)
         self.target = 0
 
     def send(self, frame: bytes, now_s: float) -> None:

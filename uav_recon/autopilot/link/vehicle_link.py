@@ -35,14 +35,10 @@ from uav_recon.autopilot.mavlink.messages import (
     UpwardRange,
 )
 from uav_recon.autopilot.mavlink.telemetry import Telemetry, rebooted, updated
-from uav_recon.autopilot.mavlink.tlog import FrameLog
-from uav_recon.interfaces import ByteLink
 from uav_recon.safety.guard import ClearedSetpoint
 from uav_recon.types.pose import StampedPose
 from uav_recon.types.reason import Reason
 
-SYSTEM = 233  # our system id: no common program uses it by default; MAV_GCS_SYSID of ArduPilot has to name it
-COMPONENT = 191  # our component id: MAV_COMP_ID_ONBOARD_COMPUTER; the parameter UVR_COMP_ID of our script names it
 _AUTOPILOT_VERSION = 148
 _NS = 1_000_000_000
 
@@ -52,26 +48,24 @@ class VehicleLink:
 
     Methods never block and never raise on received data.
 
-    firmware: profile of the firmware on the other end. gate: filter for senders. navigation: who tells the autopilot where it
-    is. ``telemetry``: what the autopilot reported, its positions in odom if its local frame is known.
+    frames: signed with the key of the allow list. firmware: profile of the firmware on the other end. start_s: from which on
+    heartbeats, requests and clock count. navigation: who tells the autopilot where it is. ``telemetry``: what the autopilot
+    reported, its positions in odom if its local frame is known.
     """
 
     def __init__(
         self,
-        bytes_link: ByteLink,
-        log: FrameLog,
-        start_s: float,
+        frames: FrameExchange,
+        allow_list: AllowListFilter,
         firmware: FirmwareProfile,
-        gate: AllowListFilter,
-        system: int = SYSTEM,
-        component: int = COMPONENT,
+        start_s: float,
         navigation: Navigation | None = None,
     ) -> None:
         self.firmware = firmware
         self.telemetry = Telemetry()
-        self._frames = FrameExchange(bytes_link, log, gate.seal)
-        self._sender = MessageSender(self._frames, (system, component))
-        self._admission = FrameAdmission(gate, (system, component))
+        self._frames = frames
+        self._sender = MessageSender(frames)
+        self._admission = FrameAdmission(allow_list)
         self._clock = LinkClock(start_s)
         self._navigation = navigation or CompanionNavigation()
         self._pose_fed_s = -math.inf

@@ -24,35 +24,37 @@ class LinkError(Exception):
     """A link that cannot be opened; its text is one line that names the port."""
 
 
-def open_link(url: str, gate: AllowListFilter, clock: Clock, peer_host: str | None = None) -> ByteLink:
+def open_link(url: str, allow_list: AllowListFilter, clock: Clock, peer_host: str | None = None) -> ByteLink:
     """Open ``udp:HOST:PORT`` (listens there) or ``serial:DEVICE:BAUD``.
 
-    gate: its first valid heartbeat makes the sender the peer of a UDP link. peer_host: the only host that may become the peer;
-    None is this machine. A serial line has only one other end. Raises LinkError with one line.
+    allow_list: its first valid heartbeat makes the sender the peer of a UDP link. peer_host: the only host that may become the
+    peer; None is this machine. A serial line has only one other end. Raises LinkError with one line.
     """
     kind, _, rest = url.partition(":")
     place, _, number = rest.rpartition(":")
     if kind not in ("udp", "serial") or not place or not number.isdigit():
         raise LinkError(f"link {url!r}: write udp:HOST:PORT or serial:DEVICE:BAUD")
-    return SerialLink(place, int(number), clock) if kind == "serial" else UdpLink(place, int(number), gate, clock, peer_host)
+    if kind == "serial":
+        return SerialLink(place, int(number), clock)
+    return UdpLink(place, int(number), allow_list, clock, peer_host)
 
 
 class UdpLink:
     """Listens on one address and exchanges data with one peer.
 
-    The peer is the sender of the first datagram with a heartbeat that the gate accepts as the vehicle's. Another sender becomes
-    the peer only after the peer was silent for PEER_SILENT_S. Data of other senders is dropped and reported to the gate. Before
-    there is a peer, written data is discarded.
+    The peer is the sender of the first datagram with a heartbeat that the allow list accepts as the vehicle's. Another sender
+    becomes the peer only after the peer was silent for PEER_SILENT_S. Data of other senders is dropped and reported to the
+    allow list. Before there is a peer, written data is discarded.
     """
 
-    def __init__(self, host: str, port: int, gate: AllowListFilter, clock: Clock, peer_host: str | None = None) -> None:
+    def __init__(self, host: str, port: int, allow_list: AllowListFilter, clock: Clock, peer_host: str | None = None) -> None:
         if host in (*EVERYWHERE, ""):
             raise LinkError(f"link udp:{host}:{port}: name one address; listening on every network would let anybody fly")
         if not 0 < port < 65536:
             raise LinkError(f"link udp:{host}:{port}: a port is 1 to 65535")
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
-        self._gate = gate
+        self._allow_list = allow_list
         self._clock = clock
         self._peer_host = peer_host
         self._peer: Any = None
@@ -85,9 +87,9 @@ class UdpLink:
         if sender != self._peer:
             taken = self._peer is not None and now_s - self._spoke_s <= PEER_SILENT_S
             if taken or not self._may_be_peer(sender[0]):
-                self._gate.refuse(f"{sender[0]}:{sender[1]}")
+                self._allow_list.refuse(f"{sender[0]}:{sender[1]}")
                 return False
-            if not self._gate.has_heartbeat(data):  # the vehicle's other messages may come before its heartbeat
+            if not self._allow_list.has_heartbeat(data):  # the vehicle's other messages may come before its heartbeat
                 return False
             self._peer = sender
         self._spoke_s = now_s

@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import pytest
 from flight_rig import ORIGIN
+from px4_link import px4_link
 
-from uav_recon.autopilot.firmware.px4 import PX4
-from uav_recon.autopilot.link.vehicle_link import VehicleLink
-from uav_recon.autopilot.mavlink.allow_list import AllowListFilter
 from uav_recon.autopilot.mavlink.telemetry import Telemetry
-from uav_recon.autopilot.mavlink.tlog import NoLog
 from uav_recon.autopilot.parameters.preflight_check import NoParameterCheck
 from uav_recon.autopilot.pilot.sequence.preflight import PreflightSetup
 from uav_recon.types.reason import Reason
@@ -41,7 +38,7 @@ class Line:
 )
 def test_a_link_that_breaks_at_the_first_request_is_named_in_the_same_step(broken: bool, named: Reason) -> None:
     line = Line()
-    link = VehicleLink(line, NoLog(), 0.0, PX4, AllowListFilter())
+    link = px4_link(line)
     link.receive(0.0)
     link.telemetry = Telemetry(system=1)
     line.broken = broken
