@@ -7,12 +7,10 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Protocol
 
-from uav_recon.interfaces import Channel
 from uav_recon.mission.async_planning import AsyncPlanner
 from uav_recon.mission.battery_policy import BatteryPolicy
 from uav_recon.mission.flight_track import FlightTrack
 from uav_recon.mission.operator_watchdog import OperatorWatchdog
-from uav_recon.types.pose import MapCorrection
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.vehicle import FlightPhase, VehicleState
@@ -105,22 +103,3 @@ class LowBatteryDetector:
             yield MissionEvent(Response.LAND, why)
         elif flying and policy.left < policy.required_charge:
             yield MissionEvent(Response.NOTE_IN_HOLD, policy.why())
-
-
-class MapCorrectionDetector:
-    """Detects a new map epoch; a correction from before this mission is of another flight."""
-
-    def __init__(self, channel: Channel[MapCorrection]) -> None:
-        self._channel = channel
-        self._sequence = channel.sequence()
-        self._map_epoch = 0
-
-    def detect(self) -> MapCorrection | None:
-        """Return the correction to rebuild the map for, None for nothing."""
-        sequence = self._channel.sequence()
-        correction = self._channel.latest() if sequence != self._sequence else None
-        self._sequence = sequence
-        if correction is None or correction.map_epoch == self._map_epoch:
-            return None
-        self._map_epoch = correction.map_epoch
-        return correction

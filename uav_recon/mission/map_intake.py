@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from uav_recon.mission.detectors import MapCorrectionDetector
 from uav_recon.mission.flight_track import FlightTrack
+from uav_recon.mission.map_correction import MapCorrectionDetector
 from uav_recon.mission.mission_setup import MissionChannels, MissionParameters, MissionStages
 from uav_recon.types.camera import PosedFrame
 from uav_recon.types.maps import VoxelMap
