@@ -223,7 +223,7 @@ def mission(config_path: Path, flight: Path | None) -> int:
 
     Returns exit code 0 for any end of the flight.
     """
-    from uav_recon.mission.operator_commands import OperatorCommandReceiver
+    from uav_recon.mission.requests.operator_commands import OperatorCommandReceiver
     from uav_recon.recording.flight_log import FlightLog, outcome_text
     from uav_recon.recording.map_file import save_map
 

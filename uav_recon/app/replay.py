@@ -31,8 +31,8 @@ from uav_recon.errors import EXIT_CONFIG, UserError
 from uav_recon.interfaces import Mapper, PoseSource
 from uav_recon.localization.calibration.camera_mount import FixedMount
 from uav_recon.localization.perception.perception import Perception
-from uav_recon.mission.mission_log import MissionLog
-from uav_recon.mission.perception_log import PerceptionLog
+from uav_recon.mission.log.mission_log import MissionLog
+from uav_recon.mission.log.perception_log import PerceptionLog
 from uav_recon.mission.state_machine import Phase
 from uav_recon.recording.flight_log import FlightLog
 from uav_recon.sensors.recordings.bag_messages import BagTopics

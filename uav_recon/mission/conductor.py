@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from uav_recon.interfaces import Clock, Executor, Journal
-from uav_recon.mission.async_planning import AsyncPlanner
-from uav_recon.mission.battery_policy import BatteryPolicy
-from uav_recon.mission.detectors import (
+from uav_recon.mission.battery.battery_policy import BatteryPolicy
+from uav_recon.mission.detection.detectors import (
     DeadPlannerDetector,
     Detector,
     LowBatteryDetector,
@@ -14,22 +13,23 @@ from uav_recon.mission.detectors import (
     RefusedTrajectoryDetector,
     Response,
 )
-from uav_recon.mission.event_observation import EventObserver
+from uav_recon.mission.detection.event_observation import EventObserver
 from uav_recon.mission.flight_actions import FlightActions
-from uav_recon.mission.flight_track import FlightTrack
-from uav_recon.mission.keyframe_capture import KeyframeCapture
-from uav_recon.mission.map_intake import MapIntake
-from uav_recon.mission.mission_log import MissionLog
-from uav_recon.mission.mission_publisher import MissionPublisher
-from uav_recon.mission.mission_requests import MissionRequests
+from uav_recon.mission.intake.map_intake import MapIntake
+from uav_recon.mission.intake.vehicle_intake import VehicleIntake
+from uav_recon.mission.log.mission_log import MissionLog
+from uav_recon.mission.log.perception_log import PerceptionLog
 from uav_recon.mission.mission_setup import MissionChannels, MissionParameters, MissionStages
-from uav_recon.mission.operator_watchdog import OperatorWatchdog
-from uav_recon.mission.perception_log import PerceptionLog
+from uav_recon.mission.publication.mission_publisher import MissionPublisher
+from uav_recon.mission.requests.mission_requests import MissionRequests
+from uav_recon.mission.requests.operator_watchdog import OperatorWatchdog
 from uav_recon.mission.state_machine import Phase, advance
-from uav_recon.mission.survey_limits import SurveyLimits
-from uav_recon.mission.trajectory_execution import TrajectoryExecutor
-from uav_recon.mission.vehicle_intake import VehicleIntake
-from uav_recon.mission.view_schedule import ViewSchedule
+from uav_recon.mission.survey.keyframe_capture import KeyframeCapture
+from uav_recon.mission.survey.survey_limits import SurveyLimits
+from uav_recon.mission.trajectory.async_planning import AsyncPlanner
+from uav_recon.mission.trajectory.flight_track import FlightTrack
+from uav_recon.mission.trajectory.trajectory_execution import TrajectoryExecutor
+from uav_recon.mission.trajectory.view_schedule import ViewSchedule
 from uav_recon.types.maps import VoxelMap
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode

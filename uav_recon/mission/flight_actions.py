@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from uav_recon.mission.async_planning import AsyncPlanner
-from uav_recon.mission.landing_site import LandingSite
-from uav_recon.mission.mission_log import MissionLog
+from uav_recon.mission.log.mission_log import MissionLog
 from uav_recon.mission.mission_setup import MissionChannels, MissionParameters, MissionStages
-from uav_recon.mission.return_home import ReturnHome
+from uav_recon.mission.return_home.landing_site import LandingSite
+from uav_recon.mission.return_home.return_home import ReturnHome
 from uav_recon.mission.state_machine import Phase
-from uav_recon.mission.survey import Survey
+from uav_recon.mission.survey.survey import Survey
 from uav_recon.mission.takeoff import Takeoff
-from uav_recon.mission.trajectory_execution import TrajectoryExecutor
+from uav_recon.mission.trajectory.async_planning import AsyncPlanner
+from uav_recon.mission.trajectory.trajectory_execution import TrajectoryExecutor
 from uav_recon.types.maps import VoxelMap
 from uav_recon.types.reason import Reason
 from uav_recon.types.vehicle import VehicleState

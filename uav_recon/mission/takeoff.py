@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from uav_recon.interfaces import MotionPlannerInterface
-from uav_recon.mission.trajectory_execution import TrajectoryExecutor
+from uav_recon.mission.trajectory.trajectory_execution import TrajectoryExecutor
 from uav_recon.types.vehicle import FlightPhase, VehicleState
 
 LIFT_M = 0.3  #: plan: height of the first climb: the setpoint must not climb away from an autopilot that ramps up its thrust

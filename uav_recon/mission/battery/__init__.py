@@ -1,0 +1,1 @@
+"""Battery: gauge, reserve for the way home, and policy (hazard E5)."""

@@ -1,0 +1,1 @@
+"""Intake of frames, map corrections and vehicle states."""

@@ -1,0 +1,1 @@
+"""The mission's logs: phases and counts, perception, speed limits."""

@@ -1,0 +1,1 @@
+"""Publication of the intent, the maps and the progress."""

@@ -1,0 +1,51 @@
+"""Mission publisher: the message to the pilot, the maps, and the progress report."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from uav_recon.mission.log.mission_log import MissionLog
+from uav_recon.mission.mission_setup import MissionChannels, MissionStages
+from uav_recon.mission.publication.map_publisher import MapPublisher
+from uav_recon.mission.requests.operator_watchdog import OperatorWatchdog
+from uav_recon.mission.state_machine import Phase
+from uav_recon.mission.trajectory.flight_track import FlightTrack
+from uav_recon.types.maps import VoxelMap
+from uav_recon.types.trajectory import Goal, Intent
+
+PROGRESS_PERIOD_S = 0.2  #: internal: interval of the progress report
+_GROUNDED = (Phase.IDLE, Phase.READY, Phase.DONE, Phase.YIELDED)
+
+
+class MissionPublisher:
+    """Publishes the result of each step: the intent always, maps and progress when they are due."""
+
+    def __init__(
+        self, stages: MissionStages, channels: MissionChannels, track: FlightTrack, log: MissionLog, watchdog: OperatorWatchdog
+    ) -> None:
+        self._stages = stages
+        self._channels = channels
+        self._track = track
+        self._log = log
+        self._watchdog = watchdog
+        self._map_publisher = MapPublisher(channels)
+        self._reported_s = -np.inf
+
+    def publish(self, now_s: float, phase: Phase, voxels: VoxelMap | None) -> None:
+        """Publish the free space before the intent that was planned in it, then maps and progress."""
+        self._map_publisher.free(now_s, voxels, self._track.trajectory)
+        self._channels.intent.publish(self._intent(now_s, phase))
+        self._map_publisher.maps(now_s, voxels, self._stages.mapper, last=phase.finished)
+        if now_s - self._reported_s >= PROGRESS_PERIOD_S or phase.finished:
+            self._reported_s = now_s
+            self._report_progress(now_s, phase)
+
+    def _intent(self, now_s: float, phase: Phase) -> Intent:
+        goal = Goal.STANDBY if phase in _GROUNDED else Goal.LAND if phase is Phase.LANDING else Goal.FLY
+        note = self._log.aborted or self._watchdog.note
+        return Intent(now_s, goal, self._track.trajectory, note, bool(self._watchdog.lost))
+
+    def _report_progress(self, now_s: float, phase: Phase) -> None:
+        explored_m3, track = self._stages.voxels.explored_m3(), self._track
+        progress = self._log.progress(now_s, phase, explored_m3, track.path_length_m, track.position_world, phase.finished)
+        self._channels.progress.publish(progress)

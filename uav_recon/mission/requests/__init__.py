@@ -1,0 +1,1 @@
+"""Requests to the mission, the operator's commands, and the operator watchdog."""

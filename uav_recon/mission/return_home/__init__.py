@@ -1,0 +1,1 @@
+"""Return home: path to the pad, and the landing site."""

@@ -1,0 +1,1 @@
+"""Survey: views, their keyframes, and what ends the survey."""

@@ -1,0 +1,200 @@
+"""Survey: chooses views in flight.
+
+A plan is ready before the one before it ends, so that the vehicle does not stop for it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from uav_recon.interfaces import Pending
+from uav_recon.mission.log.mission_log import MissionLog
+from uav_recon.mission.mission_setup import MissionChannels, MissionParameters, MissionStages
+from uav_recon.mission.trajectory.async_planning import AsyncPlanner, PlanResult
+from uav_recon.mission.trajectory.flight_track import Departure
+from uav_recon.mission.trajectory.trajectory_execution import TrajectoryExecutor
+from uav_recon.types.maps import SurfaceElements, VoxelMap
+from uav_recon.types.reason import Reason
+from uav_recon.types.reason_code import ReasonCode
+from uav_recon.types.tasks import NextView, NothingLeft, PlanRequest
+from uav_recon.types.trajectory import Setpoint, Trajectory
+from uav_recon.types.vehicle import VehicleState
+
+RETHINK_S = 0.5  #: plan: pause after a plan that could not be flown, and at least between two in motion
+MAX_FAILED_PLANS = 5  #: return: after this many plans in a row that could not be flown
+SAME_PLACE_M = 0.05  #: plan: a motion that ends nearer to the present one's end is not worth leaving it
+AHEAD_S = 1.6  #: plan: a plan leaves its predecessor this long before that one's end, so that it does not brake in between
+STOPPED_AGAIN_S = 5.0  #: plan: two stops within this time: the space ahead was not seen lately, so the vehicle looks round
+LOOK_AFTER_STOPS = 3  #: plan: stops by space not seen lately, without a view in between, after which the vehicle looks round
+LEAD_S = 0.25  #: plan: from a plan's start to the instant at which it leaves the present motion, added to its declared cost
+
+# the guard's reasons for which another view is chosen
+NOT_SEEN = frozenset({ReasonCode.NOT_SEEN_RECENTLY.value, ReasonCode.SPEED_OUT_OF_VIEW.value})
+NOTHING_LEARNED = SurfaceElements(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), 0)
+
+
+class Survey:
+    """One look round, then views while the planner finds any."""
+
+    def __init__(
+        self,
+        stages: MissionStages,
+        channels: MissionChannels,
+        parameters: MissionParameters,
+        helm: TrajectoryExecutor,
+        decider: AsyncPlanner,
+        account: MissionLog,
+    ) -> None:
+        self._stages = stages
+        self._channels = channels
+        self._parameters = parameters
+        self._helm = helm
+        self._decider = decider
+        self._account = account
+        self._lead_s = LEAD_S + parameters.plan_cost_s
+        self._decision: Pending[PlanResult] | None = None
+        self._departure = Departure(Setpoint.hold(np.zeros(3), 0.0))
+        self._looked_round = self._settled = self._looks_again = False
+        self._next_view = NextView.KEPT
+        self._stopped_s = -np.inf
+        self._unseen_stops = self._stopped_with = 0  # stops by space not seen lately since the last view, views left then
+        self._asked_revision = -1
+        self.interrupt()
+
+    def interrupt(self) -> None:
+        """Drop the pending request, because the phase has changed."""
+        self._decision = None
+        self._resting_since_s = np.inf
+        self._think_again_s = -np.inf
+
+    def begin_again(self) -> None:
+        """Look round again before choosing views, because the map is new."""
+        self.interrupt()
+        self._looked_round = False
+        self._asked_revision = -1
+
+    def stopped(self, now_s: float, reason: Reason) -> None:
+        """Record that the guard has stopped the vehicle, or that the pilot goes back.
+
+        The pilot goes back where the place is uncertain. If it is, or if space was not seen lately, the next plan chooses
+        another view. Looking round would not help: it leads past the same bare wall, and a camera that looks ahead does not
+        see where a climb leads. Only if it is stopped by space not seen again and again, the vehicle looks round.
+        """
+        codes, again = set(reason.codes()), False
+        if ReasonCode.PLACE_UNSURE in codes:
+            self._next_view = NextView.LEFT
+        elif NOT_SEEN & codes:
+            self._next_view = NextView.REFUSED
+            self._unseen_stops = self._unseen_stops + 1 if self._account.views_left == self._stopped_with else 1
+            self._stopped_with = self._account.views_left
+            again = self._unseen_stops % LOOK_AFTER_STOPS == 0
+        else:
+            again = now_s - self._stopped_s < STOPPED_AGAIN_S
+            self._stopped_s = -np.inf if again else now_s
+        self._looks_again = self._looks_again or again
+        self._decision = None
+
+    def step(self, now_s: float, vehicle: VehicleState, voxels: VoxelMap) -> None:
+        """Check the path, plan in time, and fly the result."""
+        resting = self._helm.at_rest(now_s)
+        if resting:
+            self._resting_since_s = min(self._resting_since_s, now_s)
+        else:
+            self._helm.brake_if_blocked(now_s, voxels)
+        if self._decision is not None:
+            self._fly_decision(now_s)
+        elif resting and not self._looked_round:
+            self._look_round(now_s, vehicle, self._parameters.survey_views)
+        elif self._looks_again:
+            if resting:
+                self._look_round(now_s, vehicle, 0)
+        elif now_s >= self._think_again_s and (resting or self._should_turn_to_something_else(now_s, voxels)):
+            self._request_plan(now_s, vehicle, voxels)
+
+    def _look_round(self, now_s: float, vehicle: VehicleState, views: int) -> None:
+        self._looked_round = True
+        self._looks_again = False
+        self._think_again_s = now_s + self._helm.look_round(now_s, vehicle, views)  # when all of it is seen
+        self._resting_since_s = np.inf
+
+    def _should_turn_to_something_else(self, now_s: float, voxels: VoxelMap) -> bool:
+        """Return True if, in motion, the path ends soon or its next view was seen in passing."""
+        track = self._helm.track
+        if not self._looked_round or track.trajectory is None:
+            return False
+        if track.remaining_s(now_s) <= self._lead_s:
+            return False  # too late for that: the plan is made at rest
+        self._settled = False
+        if track.remaining_s(now_s) <= AHEAD_S + self._lead_s:
+            return True
+        if voxels.revision == self._asked_revision:
+            return False
+        self._asked_revision = voxels.revision
+        here = track.trajectory.setpoint_at(now_s)
+        self._settled = not self._stages.planner.next_view_has_gain(voxels, here.position_m, here.yaw_rad)
+        return self._settled
+
+    def _request_plan(self, now_s: float, vehicle: VehicleState, voxels: VoxelMap) -> None:
+        departure = self._helm.track.departure(now_s + self._lead_s, vehicle)
+        start, surface = departure.setpoint, self._surface()
+        request = PlanRequest(
+            voxels, surface, start.position_m, start.yaw_rad, self._account.views_left, start.velocity_mps, self._next_view
+        )
+        self._next_view = NextView.KEPT
+        self._departure = departure
+        self._decision = self._decider.next_views(request, departure, self._helm.track.next_identifier())
+
+    def _surface(self) -> SurfaceElements | None:
+        """Return the newest surface; an empty one if the mapper died before it gave one.
+
+        The map still shows which surface no view has seen.
+        """
+        mapper = self._stages.mapper
+        surface = mapper.surface()
+        return NOTHING_LEARNED if surface is None and not mapper.alive() else surface
+
+    def _fly_decision(self, now_s: float) -> None:
+        if self._decision is None or not self._decision.done():
+            return
+        decision = self._decision.result()
+        self._decision = None
+        flying, leave_s = self._departure.flying, self._departure.leave_s
+        if flying is not None:
+            if flying is not self._helm.track.trajectory or now_s > leave_s:
+                self._account.discarded_plan(now_s, decision.path)
+                return  # braked meanwhile, or too late to leave there: plan again
+            if isinstance(decision.motion, Reason) or self._ends_as_before(decision.motion, flying):
+                self._think_again_s = now_s + self._helm.track.remaining_s(now_s)  # plan again at rest
+                self._account.discarded_plan(now_s, decision.path)
+                return
+            self._think_again_s = now_s + RETHINK_S
+        self._account.plan(now_s, decision.path, 0.0 if flying is not None else now_s - self._resting_since_s)
+        if isinstance(decision.path, NothingLeft):
+            return
+        self._channels.plan.publish(decision.path)
+        self._stages.planner.accept(decision.path)
+        if isinstance(decision.motion, Reason):
+            self._give_up_plan(decision.motion, now_s)
+            return
+        self._account.failed_in_a_row = 0
+        self._resting_since_s = np.inf
+        if flying is None:
+            self._helm.fly(decision.motion, now_s)
+        else:
+            self._helm.follow(decision.motion, leave_s)
+
+    def _ends_as_before(self, motion: Trajectory, flying: Trajectory) -> bool:
+        """Return True if a motion leads only to where the present one leads.
+
+        Then there is no reason to leave the present one.
+        """
+        if len(motion.views_s) > 1 or self._settled:
+            return False
+        return float(np.linalg.norm(motion.position_m[-1] - flying.position_m[-1])) < SAME_PLACE_M
+
+    def _give_up_plan(self, reason: Reason, now_s: float) -> None:
+        self._account.failed_in_a_row += 1
+        self._account.refusal(now_s, Reason(ReasonCode.PLAN_NOT_FLYABLE, details=(reason,)))
+        self._think_again_s = now_s + RETHINK_S
+        if self._account.failed_in_a_row >= MAX_FAILED_PLANS:
+            self._account.stop_reason = Reason(ReasonCode.PLANS_FAILED, (MAX_FAILED_PLANS,), (reason,))

@@ -1,0 +1,1 @@
+"""The flown trajectory: its track, execution, pending views and planning."""
