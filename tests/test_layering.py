@@ -37,10 +37,17 @@ ALLOWED = {
     "bench": {*BASE, *STAGES, "evaluation", "app", "measurement", "errors"},
     "cli": {"app", "bench", "measurement", "operator", "errors"},
 }
-AUTOPILOT_ORDER = ("mavlink", "firmware", "link", "parameters", "pilot")  # each imports only those before it
-PILOT_ORDER = (  # the same, in its last room
-    "hull_geometry", "pilot_channels", "situation", "setpoints", "reports", "sequence", "setpoint_stream", "pilot", "assembly",
-)  # fmt: skip
+ROOMS = {  # rooms of a package, or modules beside them: each imports only those before it
+    "autopilot": ("mavlink", "firmware", "link", "parameters", "pilot"),
+    "autopilot/pilot": (
+        "hull_geometry", "pilot_channels", "situation", "setpoints", "reports", "sequence", "setpoint_stream", "pilot",
+        "assembly",
+    ),
+    "mission": (
+        "events", "state_machine", "mission_setup", "log", "trajectory", "battery", "requests", "takeoff", "survey",
+        "return_home", "intake", "flight_actions", "detection", "publication", "conductor",
+    ),
+}  # fmt: skip
 USES_SIMULATOR = {"cli"}  # the only package of the product that starts the simulator
 SIMULATOR_ROOTS = ("sitl/apps/", "sitl/bench/", "sitl/faults/flights/")  # composition roots: they join simulator and product
 HEAVY = {
@@ -106,19 +113,17 @@ def test_a_package_imports_only_what_its_rank_allows() -> None:
         assert all(name.startswith(("uav_recon.types", "uav_recon.mission")) for name in ours), ours
 
 
-@pytest.mark.parametrize(
-    ("house", "order"), [("uav_recon/autopilot", AUTOPILOT_ORDER), ("uav_recon/autopilot/pilot", PILOT_ORDER)]
-)
-def test_the_rooms_of_the_autopilot_import_only_those_before_them(house: str, order: tuple[str, ...]) -> None:
-    for module in modules(house):
-        inside, dotted = module.removeprefix(f"{house}/"), f"{house.replace('/', '.')}."
+@pytest.mark.parametrize("house", ROOMS)
+def test_a_room_imports_only_those_before_it(house: str) -> None:
+    order, dotted = ROOMS[house], f"uav_recon.{house.replace('/', '.')}."
+    for module in modules(f"uav_recon/{house}"):
+        inside = module.removeprefix(f"uav_recon/{house}/")
         if inside == "__init__.py":
             continue
         rank = order.index(inside.split("/")[0].removesuffix(".py"))
         for name in imports(module):
             if name.startswith(dotted):
-                room = name.removeprefix(dotted).split(".")[0]
-                assert order.index(room) <= rank, f"{module} imports {name}"
+                assert order.index(name.removeprefix(dotted).split(".")[0]) <= rank, f"{module} imports {name}"
 
 
 def test_product_and_simulator_meet_only_in_composition_roots() -> None:
