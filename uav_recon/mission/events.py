@@ -88,9 +88,8 @@ class Facts:
     max_flight_s: float
     arrived: bool  # at the end of a path home
     no_way_home: bool
-    charge: float  # certain remaining share of the battery; NaN: never reported
-    charge_needed: float  # share at which it has to turn back
-    charge_lost: bool
+    battery_low: bool  # the charge is needed for the way home
+    battery_lost: bool
     hold: bool = False  # the operator's hold is active
     go_home: bool = False
 
@@ -119,8 +118,8 @@ def observe(facts: Facts) -> frozenset[Event]:
         Event.NOTHING_LEFT: facts.nothing_left,
         Event.VIEWS_SPENT: facts.views_left <= 0 and facts.at_rest,
         Event.TIME_SPENT: facts.flight_s > facts.max_flight_s,
-        Event.BATTERY_LOW: facts.charge < facts.charge_needed,  # NaN compares false: if never reported, the autopilot decides
-        Event.BATTERY_LOST: facts.charge_lost,
+        Event.BATTERY_LOW: facts.battery_low,
+        Event.BATTERY_LOST: facts.battery_lost,
         Event.AT_HOME: facts.arrived,
         Event.NO_WAY_HOME: facts.no_way_home,
         Event.ABORTED: facts.abort,

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
-from conductor_fixture import Desk
+from conductor_fixture import Desk, vehicle_state
 
 from uav_recon.mission.battery.battery_policy import BatteryPolicy
+from uav_recon.mission.battery.battery_reserve import LOW_SHARE
+from uav_recon.mission.detection.detectors import LowBatteryDetector, Response
+from uav_recon.mission.events import Event
 from uav_recon.mission.state_machine import Phase
 from uav_recon.mission.trajectory.flight_track import FlightTrack
 from uav_recon.recording.flight_log import read_timeline
@@ -43,7 +47,7 @@ def turned_back_at(far_m: float, max_speed_mps: float = math.inf, per_s: float =
                                gauge, False, math.nan, 1, 0, None, max_speed_mps)  # fmt: skip
         track.follow(vehicle)
         policy.update(0.1 * k, vehicle, None)
-        if policy.left < policy.required_charge:
+        if policy.must_return:
             return 0.9 - per_s * 0.1 * k, policy.why()
     raise AssertionError("never wants home")
 
@@ -54,6 +58,33 @@ def test_the_farther_away_the_earlier_it_turns_back_and_says_with_what() -> None
     assert near + 0.05 < far
     assert why_near == Reason(ReasonCode.BATTERY_RETURN, (25.0, 2.0, 4.0))
     assert why_far == Reason(ReasonCode.BATTERY_RETURN, (33.0, 21.0, 10.0))
+
+
+def grounded_policy(battery_fraction: float) -> BatteryPolicy:
+    """Return a policy that read this share once: it has no consumption to estimate from and returns below LOW_SHARE."""
+    policy = BatteryPolicy(FlightTrack(0.0), HOME_M, 0.4)
+    vehicle = VehicleState(0.0, Pose.identity(), np.zeros(3), True, "OFFBOARD", FlightPhase.FLYING, battery_fraction, False,
+                           math.nan, 1, 0, None)  # fmt: skip
+    policy.update(0.0, vehicle, None)
+    return policy
+
+
+@pytest.mark.parametrize(("battery_fraction", "returns"), [(0.29, True), (LOW_SHARE, False), (0.31, False), (math.nan, False)])
+def test_the_battery_demands_the_return_below_the_required_charge(battery_fraction: float, returns: bool) -> None:
+    policy = grounded_policy(battery_fraction)
+    assert policy.required_charge == LOW_SHARE
+    assert policy.must_return is returns
+
+
+@pytest.mark.parametrize("battery_fraction", [0.25, 0.9, math.nan])
+def test_event_and_detector_ask_the_policy(desk: Desk, monkeypatch: pytest.MonkeyPatch, battery_fraction: float) -> None:
+    policy, observer = grounded_policy(battery_fraction), desk.conductor._observer
+    vehicle = dataclasses.replace(vehicle_state(0.0), phase=FlightPhase.FLYING)
+    for must_return in (False, True):
+        monkeypatch.setattr(BatteryPolicy, "must_return", must_return)
+        responses = [event.response for event in LowBatteryDetector(policy).detect(0.0, vehicle)]
+        assert (Response.NOTE_IN_HOLD in responses) is must_return
+        assert (Event.BATTERY_LOW in observer.events(0.0, vehicle)) is must_return
 
 
 def test_while_nothing_fast_is_let_pass_it_turns_back_earlier() -> None:

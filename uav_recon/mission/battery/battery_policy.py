@@ -79,6 +79,14 @@ class BatteryPolicy:
         need = min_charge_for(flight_s(self._way_m, self._pace_mps), self._burn.per_s(self._now_s))
         return need if self._burn.is_reliable(self._now_s) else max(need, LOW_SHARE)
 
+    @property
+    def must_return(self) -> bool:
+        """True if the charge is needed for the way home.
+
+        False for a gauge that never reported a value: the autopilot decides.
+        """
+        return self.left < self.required_charge  # NaN compares false
+
     def takeoff_refusal(self) -> Reason | None:
         """Return why no flight begins, None for nothing.
 

@@ -101,5 +101,5 @@ class LowBatteryDetector:
             yield MissionEvent(Response.REFUSE_TAKEOFF, refused)
         if flying and (why := policy.landing_reason()):
             yield MissionEvent(Response.LAND, why)
-        elif flying and policy.left < policy.required_charge:
+        elif flying and policy.must_return:
             yield MissionEvent(Response.NOTE_IN_HOLD, policy.why())

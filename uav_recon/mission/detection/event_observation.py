@@ -42,9 +42,8 @@ class EventObserver:
             max_flight_s=limits.max_flight_s,
             arrived=actions.return_home.has_arrived(now_s),
             no_way_home=actions.return_home.no_path,
-            charge=battery.left,
-            charge_needed=battery.required_charge,
-            charge_lost=battery.lost,
+            battery_low=battery.must_return,
+            battery_lost=battery.lost,
             hold=requests.held,
             go_home=bool(requests.return_reason),
         )
