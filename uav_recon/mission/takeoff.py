@@ -20,8 +20,8 @@ class Takeoff:
     height_m: over the pad's zero.
     """
 
-    def __init__(self, helm: TrajectoryExecutor, motion: MotionPlannerInterface, height_m: float) -> None:
-        self._helm = helm
+    def __init__(self, executor: TrajectoryExecutor, motion: MotionPlannerInterface, height_m: float) -> None:
+        self._executor = executor
         self._motion = motion
         self._height_m = height_m
         self.begun_s = np.inf
@@ -29,17 +29,17 @@ class Takeoff:
 
     def begin_again(self) -> None:
         """Restart from the present position."""
-        self._helm.track.trajectory = None
+        self._executor.track.trajectory = None
         self.risen = False
 
     def step(self, now_s: float, vehicle: VehicleState) -> None:
         """Command the next part of the climb at rest, once the vehicle flies."""
-        track = self._helm.track
-        resting = track.trajectory is None or self._helm.at_rest(now_s)
+        track = self._executor.track
+        resting = track.trajectory is None or self._executor.at_rest(now_s)
         if not resting or self.risen or vehicle.phase is not FlightPhase.FLYING:
             return
-        start = track.rest(vehicle)
+        start = track.end_setpoint(vehicle)
         self.risen = bool(start.position_m[2] >= LIFTED_M)
         goal = np.array([*start.position_m[:2], self._height_m if self.risen else LIFT_M])
         self.begun_s = min(self.begun_s, now_s)
-        self._helm.fly(self._motion.plan_line(start, goal, start.yaw_rad, now_s, track.next_identifier()), now_s)
+        self._executor.fly(self._motion.plan_line(start, goal, start.yaw_rad, now_s, track.next_identifier()), now_s)

@@ -48,7 +48,7 @@ def turned_back_at(far_m: float, max_speed_mps: float = math.inf, per_s: float =
         track.follow(vehicle)
         policy.update(0.1 * k, vehicle, None)
         if policy.must_return:
-            return 0.9 - per_s * 0.1 * k, policy.why()
+            return 0.9 - per_s * 0.1 * k, policy.return_reason()
     raise AssertionError("never wants home")
 
 

@@ -50,7 +50,7 @@ def test_then_the_flight_time_and_the_request(desk: Desk) -> None:
 def test_else_it_is_the_battery(desk: Desk) -> None:
     limits, _ = limits_of(desk, 4, np.inf)
     assert limits.flight_s(70.0) == -np.inf
-    assert limits.return_reason(70.0, None) == limits.battery.why()
+    assert limits.return_reason(70.0, None) == limits.battery.return_reason()
 
 
 def test_a_reason_to_stop_leaves_nothing(desk: Desk) -> None:

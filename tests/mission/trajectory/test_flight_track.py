@@ -20,9 +20,9 @@ def vehicle_at(x: float, y: float, z: float = 1.0, *, armed: bool = True, yaw_ra
 
 def test_a_hold_is_where_the_pilot_brings_it_to_rest() -> None:
     track, vehicle = FlightTrack(0.2), vehicle_at(1.0, 0.0)
-    assert track.place(vehicle).position_m.tolist() == [1.0, 0.0, 1.0]
+    assert track.hold_here(vehicle).position_m.tolist() == [1.0, 0.0, 1.0]
     stopped = dataclasses.replace(vehicle, world_from_rest=Pose.from_yaw(0.5, np.array([1.3, 0.1, 1.0])))
-    held = track.place(stopped)
+    held = track.hold_here(stopped)
     assert held.position_m.tolist() == [1.3, 0.1, 1.0]
     assert held.yaw_rad == pytest.approx(0.5)
     assert held.camera_pitch_down_rad == 0.2

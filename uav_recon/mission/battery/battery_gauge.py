@@ -19,7 +19,7 @@ class BatteryGaugeFilter:
     """
 
     def __init__(self) -> None:
-        self._heard: deque[tuple[float, float]] = deque()  # (start (s), share); the first is the value at the window's start
+        self._window: deque[tuple[float, float]] = deque()  # (start (s), share); the first is the value at the window's start
         self._received_s = -math.inf
         self.left = math.nan
 
@@ -28,18 +28,18 @@ class BatteryGaugeFilter:
 
         False for a battery that never reported a value.
         """
-        return bool(self._heard) and now_s - self._received_s > _LOST_S
+        return bool(self._window) and now_s - self._received_s > _LOST_S
 
     def update(self, now_s: float, share: float, flying: bool) -> None:
         """Add the gauge's value, NaN for none. On the ground the battery may have been changed."""
         if not flying:
-            self._heard.clear()
+            self._window.clear()
             self.left = math.nan
         if not 0.0 <= share <= 1.0 or share > self.left + _MAX_RISE_SHARE:  # NaN is rejected
             return
         self._received_s = now_s
-        if not self._heard or share != self._heard[-1][1]:
-            self._heard.append((now_s, share))
-        while len(self._heard) > 1 and self._heard[1][0] <= now_s - _LASTS_S:
-            self._heard.popleft()
-        self.left = max(share for _, share in self._heard)
+        if not self._window or share != self._window[-1][1]:
+            self._window.append((now_s, share))
+        while len(self._window) > 1 and self._window[1][0] <= now_s - _LASTS_S:
+            self._window.popleft()
+        self.left = max(share for _, share in self._window)

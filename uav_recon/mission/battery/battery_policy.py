@@ -39,36 +39,36 @@ class BatteryPolicy:
         self._track = track
         self._home_m = home_m
         self._clearance_m = clearance_m
-        self._charge = BatteryGaugeFilter()
-        self._burn = ConsumptionEstimator()
-        self._looked_s = -math.inf
-        self._way_m = 0.0
-        self._pace_mps = math.inf
+        self._gauge = BatteryGaugeFilter()
+        self._consumption = ConsumptionEstimator()
+        self._measured_s = -math.inf
+        self._return_distance_m = 0.0
+        self._expected_speed_mps = math.inf
         self._now_s = 0.0
-        self._quick_s = -math.inf  # when the guard last had no lower limit
+        self._unlimited_s = -math.inf  # when the guard last had no lower limit
 
     def update(self, now_s: float, vehicle: VehicleState, voxels: VoxelMap | None) -> None:
         """Read the gauge and the vehicle's position. Call it after FlightTrack.follow."""
         self._now_s = now_s
-        self._quick_s = now_s if vehicle.max_speed_mps == math.inf else self._quick_s
-        self._pace_mps = _SLOWER_SHARE * vehicle.max_speed_mps if now_s - self._quick_s >= _SLOW_S else math.inf
-        self._charge.update(now_s, vehicle.battery_fraction, flying=vehicle.armed)
-        self._burn.update(now_s, self._charge.left, flying=vehicle.armed)
-        if vehicle.armed and now_s - self._looked_s >= _LOOK_S:
-            self._looked_s = now_s
+        self._unlimited_s = now_s if vehicle.max_speed_mps == math.inf else self._unlimited_s
+        self._expected_speed_mps = _SLOWER_SHARE * vehicle.max_speed_mps if now_s - self._unlimited_s >= _SLOW_S else math.inf
+        self._gauge.update(now_s, vehicle.battery_fraction, flying=vehicle.armed)
+        self._consumption.update(now_s, self._gauge.left, flying=vehicle.armed)
+        if vehicle.armed and now_s - self._measured_s >= _LOOK_S:
+            self._measured_s = now_s
             track = self._track
             way = np.array([track.position_world, *track.way_back(self._home_m), self._home_m])
-            self._way_m = return_distance_m(way, voxels, self._clearance_m)
+            self._return_distance_m = return_distance_m(way, voxels, self._clearance_m)
 
     @property
     def left(self) -> float:
         """Certain remaining share; NaN before the first value."""
-        return self._charge.left
+        return self._gauge.left
 
     @property
     def lost(self) -> bool:
         """True if no plausible value was received for too long."""
-        return self._charge.lost(self._now_s)
+        return self._gauge.lost(self._now_s)
 
     @property
     def required_charge(self) -> float:
@@ -76,8 +76,8 @@ class BatteryPolicy:
 
         It covers the way home, and is at least LOW_SHARE while consumption cannot be estimated.
         """
-        need = min_charge_for(flight_s(self._way_m, self._pace_mps), self._burn.per_s(self._now_s))
-        return need if self._burn.is_reliable(self._now_s) else max(need, LOW_SHARE)
+        need = min_charge_for(flight_s(self._return_distance_m, self._expected_speed_mps), self._consumption.per_s(self._now_s))
+        return need if self._consumption.is_reliable(self._now_s) else max(need, LOW_SHARE)
 
     @property
     def must_return(self) -> bool:
@@ -100,11 +100,11 @@ class BatteryPolicy:
         """Return why a flight ends where it is, None for nothing."""
         return Reason(ReasonCode.BATTERY_LAND, (100.0 * self.left,)) if self.left <= LAND_AT_SHARE else None
 
-    def why(self) -> Reason:
+    def return_reason(self) -> Reason:
         """Return why the vehicle returns, as a reason with figures."""
         if self.lost:
             return Reason(ReasonCode.BATTERY_UNKNOWN)
-        per_s, home_s = self._burn.per_s(self._now_s), flight_s(self._way_m, self._pace_mps)
+        per_s, home_s = self._consumption.per_s(self._now_s), flight_s(self._return_distance_m, self._expected_speed_mps)
         if self.left >= min_charge_for(home_s, per_s):
             return Reason(ReasonCode.BATTERY_RATE_UNKNOWN, (100.0 * self.left,))
-        return Reason(ReasonCode.BATTERY_RETURN, (100.0 * self.left, self._way_m, 100.0 * home_s * per_s))
+        return Reason(ReasonCode.BATTERY_RETURN, (100.0 * self.left, self._return_distance_m, 100.0 * home_s * per_s))

@@ -99,7 +99,7 @@ class LowBatteryDetector:
         policy, flying = self._policy, vehicle.phase is FlightPhase.FLYING
         if refused := policy.takeoff_refusal():
             yield MissionEvent(Response.REFUSE_TAKEOFF, refused)
-        if flying and (why := policy.landing_reason()):
-            yield MissionEvent(Response.LAND, why)
+        if flying and (reason := policy.landing_reason()):
+            yield MissionEvent(Response.LAND, reason)
         elif flying and policy.must_return:
-            yield MissionEvent(Response.NOTE_IN_HOLD, policy.why())
+            yield MissionEvent(Response.NOTE_IN_HOLD, policy.return_reason())

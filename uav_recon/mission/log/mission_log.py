@@ -73,10 +73,10 @@ class MissionLog:
         self.note = reason
         self.journal.refusal(stamp_s, reason)
 
-    def stop(self, why: Reason) -> None:
+    def stop(self, reason: Reason) -> None:
         """Note why the survey ends, with the frontiers of the last plan."""
-        self.note = why
-        self.stop_reason = why.with_detail(Reason(ReasonCode.FRONTIERS_IN_LAST_PLAN, (self.frontiers,)))
+        self.note = reason
+        self.stop_reason = reason.with_detail(Reason(ReasonCode.FRONTIERS_IN_LAST_PLAN, (self.frontiers,)))
 
     def update(self, phase: Phase, vehicle: VehicleState, waits: Reason | None = None) -> None:
         """Update the note from the pilot's.

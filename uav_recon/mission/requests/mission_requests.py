@@ -44,9 +44,9 @@ class MissionRequests:
         """Hold position until resume() or return_home(); the mission's own events wait."""
         self.held = True
 
-    def return_home(self, why: Reason = _OPERATOR_RETURN) -> None:
+    def return_home(self, reason: Reason = _OPERATOR_RETURN) -> None:
         """Fly home and land; never taken back."""
-        self.return_reason = self.return_reason or why
+        self.return_reason = self.return_reason or reason
         self.resume()
 
     def resume(self) -> None:

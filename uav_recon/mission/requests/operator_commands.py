@@ -25,7 +25,7 @@ class OperatorCommandReceiver:
         given = self._newest()
         if given is not None and given.stamp_s > self._received_s:
             self._received_s = given.stamp_s
-            self._obey(given.order, requests)
+            self._apply(given.order, requests)
         if (self._start or autostart) and warm:
             requests.start()
 
@@ -35,7 +35,7 @@ class OperatorCommandReceiver:
         except ValueError:
             return None
 
-    def _obey(self, order: OperatorCommand, requests: MissionRequests) -> None:
+    def _apply(self, order: OperatorCommand, requests: MissionRequests) -> None:
         if order is OperatorCommand.START:
             self._start = True
             requests.resume()

@@ -22,20 +22,20 @@ _FLOOR_SHARE = 0.5  #: land: no site, other than home, with less of its floor se
 class LandingSite:
     """Finds a landing site.
 
-    height_m: of rest over the pad (odom's origin). ground_m: of its floor. room_m: clearance of a flight.
+    height_m: of rest over the pad (odom's origin). ground_m: of its floor. clearance_m: clearance of a flight.
     """
 
-    def __init__(self, height_m: float, ground_m: float, room_m: float) -> None:
+    def __init__(self, height_m: float, ground_m: float, clearance_m: float) -> None:
         self.home = np.array([0.0, 0.0, height_m])
         self._ground_m = ground_m
-        self._room_m = room_m
+        self._clearance_m = clearance_m
 
     def is_occupied(self, voxels: VoxelMap, place: FloatArray) -> bool:
         """Return True if something stands where the vehicle would land from a position (3,).
 
         Obstacles beside it are allowed: the pad was chosen like that.
         """
-        return _stands(self._above(voxels, place, self._room_m))
+        return _stands(self._above(voxels, place, self._clearance_m))
 
     def choose(self, voxels: VoxelMap, unwanted: tuple[FloatArray, ...] = ()) -> FloatArray:
         """Return the position (3,) over the landing site.
@@ -67,13 +67,13 @@ class LandingSite:
         The space in between must be known free.
         """
         place = np.array([*here[:2], self.home[2]])
-        return self._is_good(voxels, place) and bool((self._above(voxels, here, self._room_m) == FREE).all())
+        return self._is_good(voxels, place) and bool((self._above(voxels, here, self._clearance_m) == FREE).all())
 
     def _is_good(self, voxels: VoxelMap, place: FloatArray) -> bool:
-        patch, over = self._above(voxels, place, PATCH_M / 2), self._above(voxels, place, self._room_m)
+        patch, over = self._above(voxels, place, PATCH_M / 2), self._above(voxels, place, self._clearance_m)
         if over.size == 0 or not (over == FREE).all() or _stands(patch):
             return False
-        flyable = float(voxels.distance_m(voxels.grid.index(place))) >= self._room_m
+        flyable = float(voxels.distance_m(voxels.grid.index(place))) >= self._clearance_m
         return flyable and self._floor_share(voxels, place) >= _FLOOR_SHARE
 
     def _above(self, voxels: VoxelMap, place: FloatArray, half_m: float) -> IntArray:

@@ -38,14 +38,14 @@ class ReturnHome:
     nearest floor that is good to land on. lost: why it lands where it is, over such a floor or because there is none.
     """
 
-    def __init__(self, helm: TrajectoryExecutor, decider: AsyncPlanner, account: MissionLog, site: LandingSite) -> None:
-        self._helm = helm
-        self._decider = decider
-        self._account = account
+    def __init__(self, executor: TrajectoryExecutor, planner: AsyncPlanner, log: MissionLog, site: LandingSite) -> None:
+        self._executor = executor
+        self._planner = planner
+        self._log = log
         self._site = site
         self._place = site.home
         self._bad = tuple[FloatArray, ...]()
-        self._decision: Pending[PlanResult] | None = None
+        self._pending_plan: Pending[PlanResult] | None = None
         self._refused = 0
         self._nearest_m = math.inf  # distance from home when stops were first counted
         self._looks = False
@@ -58,11 +58,11 @@ class ReturnHome:
 
     def interrupt(self) -> None:
         """Drop the pending request, because the phase has changed."""
-        self._decision = None
+        self._pending_plan = None
 
     def begin_again(self) -> None:
         """Plan the path home again, because the map is new."""
-        self._decision = None
+        self._pending_plan = None
         self.en_route = False
         self.no_path = False
 
@@ -82,11 +82,11 @@ class ReturnHome:
 
     def has_arrived(self, now_s: float) -> bool:
         """Return True if it is over the landing position."""
-        return self.en_route and self._helm.track.has_arrived(now_s)
+        return self.en_route and self._executor.track.has_arrived(now_s)
 
     def step(self, now_s: float, vehicle: VehicleState, voxels: VoxelMap, along_breadcrumbs: bool) -> None:
         """Plan at rest, then fly; plan again if the landing position turns out to be occupied."""
-        track = self._helm.track
+        track = self._executor.track
         if self.en_route:
             self._watch(now_s, vehicle, voxels)
             return
@@ -96,28 +96,28 @@ class ReturnHome:
             self._give_up(Reason(ReasonCode.RETURN_STOPPED, (self._refused,)))
         if self._looks:
             self._looks = False
-            self._helm.look_round(now_s, vehicle, views=0)
+            self._executor.look_round(now_s, vehicle, views=0)
             return
-        if self._decision is None:
+        if self._pending_plan is None:
             self._planned_mps = vehicle.max_speed_mps
-            self._decision = self._request_plan(track.rest(vehicle), voxels, along_breadcrumbs)
-        if self._decision is None or not self._decision.done():
+            self._pending_plan = self._request_plan(track.end_setpoint(vehicle), voxels, along_breadcrumbs)
+        if self._pending_plan is None or not self._pending_plan.done():
             return
-        decision = self._decision.result()
-        self._decision = None
-        if isinstance(decision.motion, Trajectory):
+        plan = self._pending_plan.result()
+        self._pending_plan = None
+        if isinstance(plan.motion, Trajectory):
             self.en_route = True
-            self._helm.fly(dataclasses.replace(decision.motion, views_s=np.zeros(0)), now_s)  # no view is taken at home
+            self._executor.fly(dataclasses.replace(plan.motion, views_s=np.zeros(0)), now_s)  # no view is taken at home
             return
-        self._account.refusal(now_s, decision.motion)
+        self._log.refusal(now_s, plan.motion)
         if along_breadcrumbs or self._aside:
-            self._give_up(Reason(ReasonCode.NO_WAY_BACK, details=(decision.motion,)))
+            self._give_up(Reason(ReasonCode.NO_WAY_BACK, details=(plan.motion,)))
         else:
             self.no_path = True
 
     def _request_plan(self, rest: Setpoint, voxels: VoxelMap, along_breadcrumbs: bool) -> Pending[PlanResult] | None:
         """Start planning; None if nothing is left to try."""
-        track, here_m = self._helm.track, rest.position_m
+        track, here_m = self._executor.track, rest.position_m
         if self._aside:
             place = None if self._site.is_below(voxels, here_m) else self._site.near(voxels, here_m, self._bad)
         else:
@@ -130,46 +130,46 @@ class ReturnHome:
         goal = Viewpoint(place, rest.yaw_rad, rest.camera_pitch_down_rad)
         request, identifier = PlanRequest(voxels, None, here_m, rest.yaw_rad, 0), track.next_identifier()
         if along_breadcrumbs and not self._aside:
-            return self._decider.way_back(request, rest, track.way_back(goal.position_world), goal, identifier)
+            return self._planner.way_back(request, rest, track.way_back(goal.position_world), goal, identifier)
         level = np.array([*place[:2], min(place[2], here_m[2])])  # a climb would lead to where the camera did not look lately
-        return self._decider.way_home(request, rest, dataclasses.replace(goal, position_world=level), identifier)
+        return self._planner.way_home(request, rest, dataclasses.replace(goal, position_world=level), identifier)
 
-    def _give_up(self, why: Reason) -> None:
+    def _give_up(self, reason: Reason) -> None:
         """Give up home: go to another landing site, and after that nowhere else."""
         if self._aside:
             self.lost = self._aside
         else:
-            self._aside = why
+            self._aside = reason
             self._refused = _REFUSED
-            self._account.aborted = self._account.aborted or why
+            self._log.aborted = self._log.aborted or reason
 
     def _watch(self, now_s: float, vehicle: VehicleState, voxels: VoxelMap) -> None:
         """Brake and plan again if the path is blocked, or the landing position is occupied.
 
         The latter only while other positions are left to try.
         """
-        resting = self._helm.track.at_rest(now_s)
-        if not resting and self._helm.brake_if_blocked(now_s, voxels):
+        resting = self._executor.track.at_rest(now_s)
+        if not resting and self._executor.brake_if_blocked(now_s, voxels):
             self.replan(vehicle.world_from_body.translation_m)
         elif resting and not self.has_arrived(now_s):
-            self._account.refusal(now_s, Reason(ReasonCode.HELD_ON_WAY_HOME))
-            self._helm.hold(now_s, vehicle)
+            self._log.refusal(now_s, Reason(ReasonCode.HELD_ON_WAY_HOME))
+            self._executor.hold(now_s, vehicle)
             self.replan(vehicle.world_from_body.translation_m)
         elif len(self._bad) < _PLACES and self._is_near(self._place) and self._site.is_occupied(voxels, self._place):
             self._bad = (*self._bad, self._place)
             x, y, _ = self._place.tolist()
-            self._account.refusal(now_s, Reason(ReasonCode.LANDING_SITE_OCCUPIED, (x, y)))
+            self._log.refusal(now_s, Reason(ReasonCode.LANDING_SITE_OCCUPIED, (x, y)))
             self.en_route = False
-            self._helm.brake(now_s)
+            self._executor.brake(now_s)
         elif self._goes_faster(now_s, vehicle):
             self.en_route = False
-            self._helm.brake(now_s)
+            self._executor.brake(now_s)
 
     def _goes_faster(self, now_s: float, vehicle: VehicleState) -> bool:
         """Return True if a higher speed is allowed than at planning time, and much time is left."""
         self._slow_s = now_s if vehicle.max_speed_mps <= self._planned_mps else self._slow_s
-        return now_s - self._slow_s >= _QUICK_S and self._helm.track.remaining_s(now_s) >= _WORTH_S
+        return now_s - self._slow_s >= _QUICK_S and self._executor.track.remaining_s(now_s) >= _WORTH_S
 
     def _is_near(self, place: FloatArray) -> bool:
         """Return True if obstacles at a position can be recognised from here."""
-        return math.hypot(*(place - self._helm.track.position_world)[:2].tolist()) <= _JUDGED_M
+        return math.hypot(*(place - self._executor.track.position_world)[:2].tolist()) <= _JUDGED_M

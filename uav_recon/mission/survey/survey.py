@@ -41,20 +41,20 @@ class Survey:
         stages: MissionStages,
         channels: MissionChannels,
         parameters: MissionParameters,
-        helm: TrajectoryExecutor,
-        decider: AsyncPlanner,
-        account: MissionLog,
+        executor: TrajectoryExecutor,
+        planner: AsyncPlanner,
+        log: MissionLog,
     ) -> None:
         self._stages = stages
         self._channels = channels
         self._parameters = parameters
-        self._helm = helm
-        self._decider = decider
-        self._account = account
+        self._executor = executor
+        self._planner = planner
+        self._log = log
         self._lead_s = LEAD_S + parameters.plan_cost_s
-        self._decision: Pending[PlanResult] | None = None
+        self._pending_plan: Pending[PlanResult] | None = None
         self._departure = Departure(Setpoint.hold(np.zeros(3), 0.0))
-        self._looked_round = self._settled = self._looks_again = False
+        self._looked_round = self._settled = self._look_again = False
         self._next_view = NextView.KEPT
         self._stopped_s = -np.inf
         self._unseen_stops = self._stopped_with = 0  # stops by space not seen lately since the last view, views left then
@@ -63,9 +63,9 @@ class Survey:
 
     def interrupt(self) -> None:
         """Drop the pending request, because the phase has changed."""
-        self._decision = None
+        self._pending_plan = None
         self._resting_since_s = np.inf
-        self._think_again_s = -np.inf
+        self._replan_s = -np.inf
 
     def begin_again(self) -> None:
         """Look round again before choosing views, because the map is new."""
@@ -85,41 +85,41 @@ class Survey:
             self._next_view = NextView.LEFT
         elif NOT_SEEN & codes:
             self._next_view = NextView.REFUSED
-            self._unseen_stops = self._unseen_stops + 1 if self._account.views_left == self._stopped_with else 1
-            self._stopped_with = self._account.views_left
+            self._unseen_stops = self._unseen_stops + 1 if self._log.views_left == self._stopped_with else 1
+            self._stopped_with = self._log.views_left
             again = self._unseen_stops % LOOK_AFTER_STOPS == 0
         else:
             again = now_s - self._stopped_s < STOPPED_AGAIN_S
             self._stopped_s = -np.inf if again else now_s
-        self._looks_again = self._looks_again or again
-        self._decision = None
+        self._look_again = self._look_again or again
+        self._pending_plan = None
 
     def step(self, now_s: float, vehicle: VehicleState, voxels: VoxelMap) -> None:
         """Check the path, plan in time, and fly the result."""
-        resting = self._helm.at_rest(now_s)
+        resting = self._executor.at_rest(now_s)
         if resting:
             self._resting_since_s = min(self._resting_since_s, now_s)
         else:
-            self._helm.brake_if_blocked(now_s, voxels)
-        if self._decision is not None:
-            self._fly_decision(now_s)
+            self._executor.brake_if_blocked(now_s, voxels)
+        if self._pending_plan is not None:
+            self._fly_plan(now_s)
         elif resting and not self._looked_round:
             self._look_round(now_s, vehicle, self._parameters.survey_views)
-        elif self._looks_again:
+        elif self._look_again:
             if resting:
                 self._look_round(now_s, vehicle, 0)
-        elif now_s >= self._think_again_s and (resting or self._should_turn_to_something_else(now_s, voxels)):
+        elif now_s >= self._replan_s and (resting or self._should_replan_in_motion(now_s, voxels)):
             self._request_plan(now_s, vehicle, voxels)
 
     def _look_round(self, now_s: float, vehicle: VehicleState, views: int) -> None:
         self._looked_round = True
-        self._looks_again = False
-        self._think_again_s = now_s + self._helm.look_round(now_s, vehicle, views)  # when all of it is seen
+        self._look_again = False
+        self._replan_s = now_s + self._executor.look_round(now_s, vehicle, views)  # when all of it is seen
         self._resting_since_s = np.inf
 
-    def _should_turn_to_something_else(self, now_s: float, voxels: VoxelMap) -> bool:
+    def _should_replan_in_motion(self, now_s: float, voxels: VoxelMap) -> bool:
         """Return True if, in motion, the path ends soon or its next view was seen in passing."""
-        track = self._helm.track
+        track = self._executor.track
         if not self._looked_round or track.trajectory is None:
             return False
         if track.remaining_s(now_s) <= self._lead_s:
@@ -135,14 +135,14 @@ class Survey:
         return self._settled
 
     def _request_plan(self, now_s: float, vehicle: VehicleState, voxels: VoxelMap) -> None:
-        departure = self._helm.track.departure(now_s + self._lead_s, vehicle)
+        departure = self._executor.track.departure(now_s + self._lead_s, vehicle)
         start, surface = departure.setpoint, self._surface()
         request = PlanRequest(
-            voxels, surface, start.position_m, start.yaw_rad, self._account.views_left, start.velocity_mps, self._next_view
+            voxels, surface, start.position_m, start.yaw_rad, self._log.views_left, start.velocity_mps, self._next_view
         )
         self._next_view = NextView.KEPT
         self._departure = departure
-        self._decision = self._decider.next_views(request, departure, self._helm.track.next_identifier())
+        self._pending_plan = self._planner.next_views(request, departure, self._executor.track.next_identifier())
 
     def _surface(self) -> SurfaceElements | None:
         """Return the newest surface; an empty one if the mapper died before it gave one.
@@ -153,35 +153,35 @@ class Survey:
         surface = mapper.surface()
         return NOTHING_LEARNED if surface is None and not mapper.alive() else surface
 
-    def _fly_decision(self, now_s: float) -> None:
-        if self._decision is None or not self._decision.done():
+    def _fly_plan(self, now_s: float) -> None:
+        if self._pending_plan is None or not self._pending_plan.done():
             return
-        decision = self._decision.result()
-        self._decision = None
+        plan = self._pending_plan.result()
+        self._pending_plan = None
         flying, leave_s = self._departure.flying, self._departure.leave_s
         if flying is not None:
-            if flying is not self._helm.track.trajectory or now_s > leave_s:
-                self._account.discarded_plan(now_s, decision.path)
+            if flying is not self._executor.track.trajectory or now_s > leave_s:
+                self._log.discarded_plan(now_s, plan.path)
                 return  # braked meanwhile, or too late to leave there: plan again
-            if isinstance(decision.motion, Reason) or self._ends_as_before(decision.motion, flying):
-                self._think_again_s = now_s + self._helm.track.remaining_s(now_s)  # plan again at rest
-                self._account.discarded_plan(now_s, decision.path)
+            if isinstance(plan.motion, Reason) or self._ends_as_before(plan.motion, flying):
+                self._replan_s = now_s + self._executor.track.remaining_s(now_s)  # plan again at rest
+                self._log.discarded_plan(now_s, plan.path)
                 return
-            self._think_again_s = now_s + RETHINK_S
-        self._account.plan(now_s, decision.path, 0.0 if flying is not None else now_s - self._resting_since_s)
-        if isinstance(decision.path, NothingLeft):
+            self._replan_s = now_s + RETHINK_S
+        self._log.plan(now_s, plan.path, 0.0 if flying is not None else now_s - self._resting_since_s)
+        if isinstance(plan.path, NothingLeft):
             return
-        self._channels.plan.publish(decision.path)
-        self._stages.planner.accept(decision.path)
-        if isinstance(decision.motion, Reason):
-            self._give_up_plan(decision.motion, now_s)
+        self._channels.plan.publish(plan.path)
+        self._stages.planner.accept(plan.path)
+        if isinstance(plan.motion, Reason):
+            self._give_up_plan(plan.motion, now_s)
             return
-        self._account.failed_in_a_row = 0
+        self._log.failed_in_a_row = 0
         self._resting_since_s = np.inf
         if flying is None:
-            self._helm.fly(decision.motion, now_s)
+            self._executor.fly(plan.motion, now_s)
         else:
-            self._helm.follow(decision.motion, leave_s)
+            self._executor.follow(plan.motion, leave_s)
 
     def _ends_as_before(self, motion: Trajectory, flying: Trajectory) -> bool:
         """Return True if a motion leads only to where the present one leads.
@@ -193,8 +193,8 @@ class Survey:
         return float(np.linalg.norm(motion.position_m[-1] - flying.position_m[-1])) < SAME_PLACE_M
 
     def _give_up_plan(self, reason: Reason, now_s: float) -> None:
-        self._account.failed_in_a_row += 1
-        self._account.refusal(now_s, Reason(ReasonCode.PLAN_NOT_FLYABLE, details=(reason,)))
-        self._think_again_s = now_s + RETHINK_S
-        if self._account.failed_in_a_row >= MAX_FAILED_PLANS:
-            self._account.stop_reason = Reason(ReasonCode.PLANS_FAILED, (MAX_FAILED_PLANS,), (reason,))
+        self._log.failed_in_a_row += 1
+        self._log.refusal(now_s, Reason(ReasonCode.PLAN_NOT_FLYABLE, details=(reason,)))
+        self._replan_s = now_s + RETHINK_S
+        if self._log.failed_in_a_row >= MAX_FAILED_PLANS:
+            self._log.stop_reason = Reason(ReasonCode.PLANS_FAILED, (MAX_FAILED_PLANS,), (reason,))

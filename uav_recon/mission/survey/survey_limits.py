@@ -44,4 +44,4 @@ class SurveyLimits:
             return Reason(ReasonCode.VIEWS_SPENT, (self._parameters.views,))
         if self.flight_s(now_s) > self.max_flight_s:
             return Reason(ReasonCode.TIME_SPENT, (self.max_flight_s,))
-        return requested or self.battery.why()
+        return requested or self.battery.return_reason()

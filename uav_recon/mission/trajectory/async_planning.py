@@ -77,9 +77,9 @@ class AsyncPlanner:
         return self._submit(lambda: self._homed(path, request, rest, self._retreat, identifier))
 
     def _submit(self, work: Callable[[], PlanResult]) -> Pending[PlanResult]:
-        decision = self._executor.submit(work, self._plan_cost_s)
-        self._unanswered.append((math.inf, decision))
-        return decision
+        pending = self._executor.submit(work, self._plan_cost_s)
+        self._unanswered.append((math.inf, pending))
+        return pending
 
     def _onward(self, path: ViewPath | NothingLeft, request: PlanRequest, departure: Departure, identifier: int) -> PlanResult:
         if departure.flying is None:

@@ -100,20 +100,20 @@ class FlightTrack:
     def departure(self, leave_s: float, vehicle: VehicleState) -> Departure:
         """Return the trajectory's state at that instant, or rest if it will have ended by then."""
         if self.trajectory is None or self.remaining_s(leave_s) <= 0.0:
-            return Departure(self.rest(vehicle))
+            return Departure(self.end_setpoint(vehicle))
         return Departure(self.trajectory.setpoint_at(leave_s), self.trajectory, leave_s)
 
-    def rest(self, vehicle: VehicleState) -> Setpoint:
+    def end_setpoint(self, vehicle: VehicleState) -> Setpoint:
         """Return the setpoint held now: the end of the trajectory.
 
         Without a trajectory it is the position where the vehicle comes to rest.
         """
         if self.trajectory is None:
-            return self.place(vehicle)
+            return self.hold_here(vehicle)
         end = self.trajectory.setpoint_at(self.trajectory.start_s + self.trajectory.duration_s)
         return Setpoint.hold(end.position_m, end.yaw_rad, end.camera_pitch_down_rad)
 
-    def place(self, vehicle: VehicleState) -> Setpoint:
+    def hold_here(self, vehicle: VehicleState) -> Setpoint:
         """Return a hold where the pilot brings the vehicle to rest.
 
         A motion that begins there begins without a gap.

@@ -19,10 +19,10 @@ from uav_recon.types.vehicle import VehicleState
 class TrajectoryExecutor:
     """Changes the trajectory and, with it, the views to capture."""
 
-    def __init__(self, motion: MotionPlannerInterface, track: FlightTrack, captures: ViewSchedule, account: MissionLog) -> None:
+    def __init__(self, motion: MotionPlannerInterface, track: FlightTrack, schedule: ViewSchedule, log: MissionLog) -> None:
         self._motion = motion
-        self._captures = captures
-        self._account = account
+        self._schedule = schedule
+        self._log = log
         self.track = track
         self.map_epoch = 0  # map epoch of what is flown from now on
         self._braking: Trajectory | None = None
@@ -30,7 +30,7 @@ class TrajectoryExecutor:
 
     def at_rest(self, now_s: float) -> bool:
         """Return True if the trajectory is flown and its views are taken."""
-        return self.track.at_rest(now_s) and not self._captures.waiting(now_s)
+        return self.track.at_rest(now_s) and not self._schedule.waiting(now_s)
 
     def fly(self, trajectory: Trajectory, now_s: float) -> None:
         """Fly a trajectory from rest, from now on."""
@@ -40,16 +40,16 @@ class TrajectoryExecutor:
         """Fly a trajectory that follows the present motion until ``leave_s``."""
         self.track.trajectory = trajectory
         self._checked_revision = -1
-        self._captures.expect(trajectory, leave_s)
+        self._schedule.expect(trajectory, leave_s)
 
     def hold(self, now_s: float, vehicle: VehicleState) -> None:
         """Hold where the vehicle comes to rest: its pilot has stopped it there."""
-        here, identifier = self.track.place(vehicle), self.track.next_identifier()
+        here, identifier = self.track.hold_here(vehicle), self.track.next_identifier()
         self.fly(self._motion.plan_line(here, here.position_m, here.yaw_rad, now_s, identifier), now_s)
 
     def look_round(self, now_s: float, vehicle: VehicleState, views: int) -> float:
         """Turn once on the spot with a number of views; return the duration (s)."""
-        start, identifier = self.track.rest(vehicle), self.track.next_identifier()
+        start, identifier = self.track.end_setpoint(vehicle), self.track.next_identifier()
         turn = self._motion.plan_turn(start, now_s, math.tau, views, identifier)
         self.fly(turn, now_s)
         return turn.duration_s
@@ -61,7 +61,7 @@ class TrajectoryExecutor:
             return
         self._braking = self._motion.plan_stop(trajectory, now_s, self.track.next_identifier())
         self.track.trajectory = self._braking
-        self._captures.cancel_after(now_s)
+        self._schedule.cancel_after(now_s)
 
     def brake_if_blocked(self, now_s: float, voxels: VoxelMap) -> bool:
         """Check the rest of the path against a newer map, and brake if it is blocked.
@@ -74,6 +74,6 @@ class TrajectoryExecutor:
         self._checked_revision = voxels.revision
         if self._motion.is_still_clear(trajectory, now_s, voxels):
             return False
-        self._account.refusal(now_s, Reason(ReasonCode.MAP_BLOCKS_PATH))
+        self._log.refusal(now_s, Reason(ReasonCode.MAP_BLOCKS_PATH))
         self.brake(now_s)
         return True
