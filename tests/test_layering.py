@@ -44,7 +44,7 @@ ROOMS = {  # rooms of a package, or modules beside them: each imports only those
         "assembly",
     ),
     "mission": (
-        "events", "state_machine", "mission_setup", "log", "trajectory", "battery", "requests", "takeoff", "survey",
+        "events", "state_machine", "setup", "log", "trajectory", "battery", "requests", "takeoff", "survey",
         "return_home", "intake", "flight_actions", "detection", "publication", "conductor",
     ),
 }  # fmt: skip

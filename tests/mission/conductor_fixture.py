@@ -8,12 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
-from uav_recon.channels import MemoryChannel
+from uav_recon.app.flight_channels import memory_channels
 from uav_recon.clock import InlineExecutor, ManualClock
 from uav_recon.config import MotionConfig
 from uav_recon.mapping.recent_view_memory import RecentViewMemory
 from uav_recon.mission.conductor import Conductor
-from uav_recon.mission.mission_setup import MissionChannels, MissionParameters, MissionStages
+from uav_recon.mission.setup.mission_parameters import MissionParameters
+from uav_recon.mission.setup.mission_stages import MissionStages
 from uav_recon.mission.state_machine import Phase
 from uav_recon.motion import MotionPlanner
 from uav_recon.motion.speed_limited_planner import SpeedLimitedPlanner
@@ -21,8 +22,7 @@ from uav_recon.recording.flight_log import FlightLog
 from uav_recon.types.camera import Frame, Intrinsics, PosedFrame
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.free_cone import FreeCone
-from uav_recon.types.maps import FREE, OCCUPIED, FreeSpace, GridSpec, SurfaceElements, VoxelMap
-from uav_recon.types.perception_status import PerceptionStatus
+from uav_recon.types.maps import FREE, OCCUPIED, GridSpec, SurfaceElements, VoxelMap
 from uav_recon.types.pose import MapCorrection, Pose
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
@@ -182,11 +182,7 @@ class Desk:
 
     def __init__(self, folder: Path, views: int = 50, operator_timeout_s: float = math.inf, takeoff_top_m: float = 0.0) -> None:
         self.clock = ManualClock(100.0)
-        self.channels = MissionChannels(
-            MemoryChannel(PosedFrame), MemoryChannel(VehicleState), MemoryChannel(Intent), MemoryChannel(MissionProgress),
-            MemoryChannel(VoxelMap), MemoryChannel(SurfaceElements), MemoryChannel(ViewPath),
-            MemoryChannel(MapCorrection), MemoryChannel(FreeSpace), MemoryChannel(PerceptionStatus), MemoryChannel(FreeCone),
-        )  # fmt: skip
+        self.channels = memory_channels()
         self.voxels = OpenSpace()
         self.planner = ThreeViews()
         self.mapper = Sketchbook()

@@ -18,7 +18,7 @@ if TYPE_CHECKING:  # each process imports only the stages that it runs
     from uav_recon.mapping.occupancy.occupancy_map import OccupancyMap
     from uav_recon.mapping.recent_view_memory import RecentViewMemory
     from uav_recon.mission.conductor import Conductor
-    from uav_recon.mission.mission_setup import MissionParameters
+    from uav_recon.mission.setup.mission_parameters import MissionParameters
     from uav_recon.motion.speed_limited_planner import SpeedLimitedPlanner
     from uav_recon.planning.camera_frustum import CameraGeometry
     from uav_recon.planning.narrow_passages import NarrowPassagePlanner
@@ -44,32 +44,19 @@ def make_conductor(
 ) -> Conductor:
     """Return the mission with every stage warm."""
     from uav_recon.mission.conductor import Conductor
-    from uav_recon.mission.mission_setup import MissionChannels, MissionStages
+    from uav_recon.mission.setup.mission_stages import MissionStages
 
     config = with_preset(config)
     voxels, planner, parameters = make_occupancy_map(config), make_planner(config, timer), mission_parameters(config)
-    mission_channels = MissionChannels(
-        frames=channels.frames,
-        vehicle=channels.vehicle,
-        intent=channels.intent,
-        progress=channels.progress,
-        voxels=channels.voxels,
-        surface=channels.surface,
-        plan=channels.plan,
-        correction=channels.correction,
-        free=channels.free,
-        perception=channels.perception,
-        cones=channels.cones,
-    )
     motion, retreat = (make_motion(config, kept_m) for kept_m in (parameters.clearance_m, parameters.clear_radius_m))
     budget, sight = make_keyframe_selection(config, voxels), make_recent_view_memory(config)
     stages = MissionStages(voxels, budget, mapper, planner, motion, retreat, sight)
-    return Conductor(stages, mission_channels, parameters, executor, journal, clock)
+    return Conductor(stages, channels, parameters, executor, journal, clock)
 
 
 def mission_parameters(config: Config) -> MissionParameters:
     """Return the numbers of the mission; the config must have the values of its preset."""
-    from uav_recon.mission.mission_setup import MissionParameters
+    from uav_recon.mission.setup.mission_parameters import MissionParameters
 
     mission, clearance_m = config.mission, config.planner.clearance_m
     return MissionParameters(

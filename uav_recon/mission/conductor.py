@@ -19,10 +19,12 @@ from uav_recon.mission.intake.map_intake import MapIntake
 from uav_recon.mission.intake.vehicle_intake import VehicleIntake
 from uav_recon.mission.log.mission_log import MissionLog
 from uav_recon.mission.log.perception_log import PerceptionLog
-from uav_recon.mission.mission_setup import MissionChannels, MissionParameters, MissionStages
 from uav_recon.mission.publication.mission_publisher import MissionPublisher
 from uav_recon.mission.requests.mission_requests import MissionRequests
 from uav_recon.mission.requests.operator_watchdog import OperatorWatchdog
+from uav_recon.mission.setup.mission_channels import MissionChannels
+from uav_recon.mission.setup.mission_parameters import MissionParameters
+from uav_recon.mission.setup.mission_stages import MissionStages
 from uav_recon.mission.state_machine import Phase, advance
 from uav_recon.mission.survey.keyframe_capture import KeyframeCapture
 from uav_recon.mission.survey.survey_limits import SurveyLimits
@@ -59,8 +61,8 @@ class Conductor:
         planner = AsyncPlanner(
             stages.planner, stages.motion, stages.retreat, executor, parameters.plan_cost_s, parameters.view_spacing_m
         )
-        flown = TrajectoryExecutor(stages.motion, track, schedule, log)
-        self._actions = actions = FlightActions(stages, channels, parameters, flown, planner, log)
+        trajectory_executor = TrajectoryExecutor(stages.motion, track, schedule, log)
+        self._actions = actions = FlightActions(stages, channels, parameters, trajectory_executor, planner, log)
         battery = BatteryPolicy(track, actions.home_m, parameters.clearance_m)
         watchdog = OperatorWatchdog(parameters.operator_timeout_s)
         self._detectors: tuple[Detector, ...] = (

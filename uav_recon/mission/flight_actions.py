@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from uav_recon.mission.log.mission_log import MissionLog
-from uav_recon.mission.mission_setup import MissionChannels, MissionParameters, MissionStages
 from uav_recon.mission.return_home.landing_site import LandingSite
 from uav_recon.mission.return_home.return_home import ReturnHome
+from uav_recon.mission.setup.mission_channels import MissionChannels
+from uav_recon.mission.setup.mission_parameters import MissionParameters
+from uav_recon.mission.setup.mission_stages import MissionStages
 from uav_recon.mission.state_machine import Phase
 from uav_recon.mission.survey.survey import Survey
 from uav_recon.mission.takeoff import Takeoff

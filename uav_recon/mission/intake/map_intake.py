@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from uav_recon.mission.intake.map_correction import MapCorrectionDetector
-from uav_recon.mission.mission_setup import MissionChannels, MissionParameters, MissionStages
+from uav_recon.mission.setup.mission_channels import MissionChannels
+from uav_recon.mission.setup.mission_parameters import MissionParameters
+from uav_recon.mission.setup.mission_stages import MissionStages
 from uav_recon.mission.trajectory.flight_track import FlightTrack
 from uav_recon.types.camera import PosedFrame
 from uav_recon.types.maps import VoxelMap

@@ -5,7 +5,7 @@ from __future__ import annotations
 from uav_recon.interfaces import Journal
 from uav_recon.mission.battery.battery_policy import BatteryPolicy
 from uav_recon.mission.log.speed_limit_log import SpeedLimitLog
-from uav_recon.mission.mission_setup import MissionStages
+from uav_recon.mission.setup.mission_stages import MissionStages
 from uav_recon.mission.trajectory.flight_track import FlightTrack
 from uav_recon.types.maps import VoxelMap
 from uav_recon.types.vehicle import VehicleState

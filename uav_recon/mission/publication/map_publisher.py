@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from uav_recon.interfaces import Mapper
-from uav_recon.mission.mission_setup import MissionChannels
+from uav_recon.mission.setup.mission_channels import MissionChannels
 from uav_recon.types.maps import FreeSpace, VoxelMap
 from uav_recon.types.trajectory import Trajectory
 

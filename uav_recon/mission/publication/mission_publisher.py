@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from uav_recon.mission.log.mission_log import MissionLog
-from uav_recon.mission.mission_setup import MissionChannels, MissionStages
 from uav_recon.mission.publication.map_publisher import MapPublisher
 from uav_recon.mission.requests.operator_watchdog import OperatorWatchdog
+from uav_recon.mission.setup.mission_channels import MissionChannels
+from uav_recon.mission.setup.mission_stages import MissionStages
 from uav_recon.mission.state_machine import Phase
 from uav_recon.mission.trajectory.flight_track import FlightTrack
 from uav_recon.types.maps import VoxelMap

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from uav_recon.mission.log.mission_log import MissionLog
-from uav_recon.mission.mission_setup import MissionStages
+from uav_recon.mission.setup.mission_stages import MissionStages
 from uav_recon.mission.trajectory.flight_track import FlightTrack
 from uav_recon.mission.trajectory.view_schedule import ViewSchedule
 from uav_recon.types.camera import PosedFrame

@@ -9,7 +9,9 @@ import numpy as np
 
 from uav_recon.interfaces import Pending
 from uav_recon.mission.log.mission_log import MissionLog
-from uav_recon.mission.mission_setup import MissionChannels, MissionParameters, MissionStages
+from uav_recon.mission.setup.mission_channels import MissionChannels
+from uav_recon.mission.setup.mission_parameters import MissionParameters
+from uav_recon.mission.setup.mission_stages import MissionStages
 from uav_recon.mission.trajectory.async_planning import AsyncPlanner, PlanResult
 from uav_recon.mission.trajectory.flight_track import Departure
 from uav_recon.mission.trajectory.trajectory_execution import TrajectoryExecutor

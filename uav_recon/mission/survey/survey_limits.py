@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from uav_recon.mission.battery.battery_policy import BatteryPolicy
 from uav_recon.mission.log.mission_log import MissionLog
-from uav_recon.mission.mission_setup import MissionParameters
+from uav_recon.mission.setup.mission_parameters import MissionParameters
 from uav_recon.mission.takeoff import Takeoff
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode

@@ -1,0 +1,1 @@
+"""Set-up of a mission: its stages, channels and parameters."""

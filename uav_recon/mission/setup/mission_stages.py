@@ -1,0 +1,30 @@
+"""Stages of a mission, through their protocols."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from uav_recon.interfaces import (
+    Mapper,
+    OccupancyMapInterface,
+    Planner,
+    RecentViewMemoryInterface,
+    SpeedLimitedMotion,
+    ViewBudget,
+)
+
+
+@dataclass(frozen=True)
+class MissionStages:
+    """The stages, through their protocols.
+
+    retreat: motion along paths that were flown already, with less clearance.
+    """
+
+    voxels: OccupancyMapInterface
+    budget: ViewBudget
+    mapper: Mapper
+    planner: Planner
+    motion: SpeedLimitedMotion
+    retreat: SpeedLimitedMotion
+    recent_views: RecentViewMemoryInterface
