@@ -15,9 +15,9 @@ FRAME_TIMEOUT_S = 1.0  #: hold: no depth frame for longer: the map ahead is not 
 class EventObserver:
     """Observer of one mission; changes nothing."""
 
-    def __init__(self, requests: MissionRequests, maps: MapIntake, actions: FlightActions, limits: SurveyLimits) -> None:
+    def __init__(self, requests: MissionRequests, map_intake: MapIntake, actions: FlightActions, limits: SurveyLimits) -> None:
         self._requests = requests
-        self._maps = maps
+        self._map_intake = map_intake
         self._actions = actions
         self._limits = limits
 
@@ -30,11 +30,11 @@ class EventObserver:
         requests, actions, limits, battery = self._requests, self._actions, self._limits, self._limits.battery
         return Facts(
             vehicle=vehicle,
-            start=requests.startable and self._maps.map is not None,
+            start=requests.startable and self._map_intake.map is not None,
             abort=requests.aborted,
             at_rest=actions.at_rest(now_s),
             took_off=actions.takeoff.risen,
-            frame_age_s=now_s - self._maps.frame_s,
+            frame_age_s=now_s - self._map_intake.frame_s,
             frame_timeout_s=FRAME_TIMEOUT_S,
             nothing_left=limits.nothing_left,
             views_left=limits.views_left,

@@ -185,14 +185,14 @@ class Survey:
         else:
             self._executor.follow(plan.motion, leave_s)
 
-    def _ends_as_before(self, motion: Trajectory, flying: Trajectory) -> bool:
-        """Return True if a motion leads only to where the present one leads.
+    def _ends_as_before(self, trajectory: Trajectory, flying: Trajectory) -> bool:
+        """Return True if a trajectory leads only to where the present one leads.
 
         Then there is no reason to leave the present one.
         """
-        if len(motion.views_s) > 1 or self._settled:
+        if len(trajectory.views_s) > 1 or self._settled:
             return False
-        return float(np.linalg.norm(motion.position_m[-1] - flying.position_m[-1])) < SAME_PLACE_M
+        return float(np.linalg.norm(trajectory.position_m[-1] - flying.position_m[-1])) < SAME_PLACE_M
 
     def _give_up_plan(self, reason: Reason, now_s: float) -> None:
         self._log.failed_in_a_row += 1
