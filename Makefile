@@ -1,5 +1,6 @@
 PYTHON ?= .venv/bin/python
 WITHOUT_SHARED = $(if $(wildcard ../shared/scenes), , and not shared)# tests of the reference scenes and streams need ../shared
+unexport PYTHONDONTWRITEBYTECODE# without bytecode files each process of the tests compiles its sources again, one to two seconds
 
 .PHONY: install test nightly nightly-lockstep nightly-real-time lint safety hostile soak sim results measure measure-long clean
 

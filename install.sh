@@ -36,5 +36,8 @@ fi
 # shellcheck disable=SC2086
 .venv/bin/pip install $target
 
+# bytecode: a service that may not write here, or an environment with PYTHONDONTWRITEBYTECODE, would compile at each start
+.venv/bin/python -m compileall -q uav_recon sitl
+
 # numerical kernels, once; without this step the first flight compiles them
 .venv/bin/uav-recon compile
