@@ -10,10 +10,14 @@ from typing import Any
 import numpy as np
 import pytest
 
+from sitl.apps import sim
+from sitl.apps.flight_config import flight_config
 from sitl.apps.sim import simulate
 from sitl.apps.sim_options import SimOptions
 from sitl.camera.camera_errors import FILE_NAME, CameraErrors
+from sitl.scene.scene import Scene
 from uav_recon import config
+from uav_recon.config import Config
 from uav_recon.recording.flight_log import read_timeline
 from uav_recon.recording.report import Report
 from uav_recon.recording.review import check_recording
@@ -21,7 +25,9 @@ from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
 
 pytestmark = pytest.mark.slow
-VIEWS = 22
+VIEWS = 12
+FINAL_STEPS = 300  # of the training after the landing; the default, 1500, takes a quarter of the time of the whole flight
+QUICK_VIEWS = 22
 
 
 @dataclass
@@ -31,8 +37,15 @@ class Flight:
     truth: dict[str, Any]
 
 
+def short_training(options: SimOptions, scene: Scene, runtime: Path) -> Config:
+    whole = flight_config(options, scene, runtime)
+    return whole.model_copy(update={"mapper": whole.mapper.model_copy(update={"polish_steps": FINAL_STEPS})})
+
+
 def fly(folder: Path, seed: int) -> Flight:
-    assert simulate(SimOptions(views=VIEWS, seed=seed, lockstep=True, mount="fixed:15", out=folder)) == 0
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sim, "flight_config", short_training)
+        assert simulate(SimOptions(views=VIEWS, seed=seed, lockstep=True, mount="fixed:15", out=folder)) == 0
     with np.load(folder / "truth.npz") as truth:
         return Flight(folder, Report.load(folder / "report.json"), {name: truth[name] for name in truth.files})
 
@@ -114,7 +127,7 @@ def quick_flights(tmp_path_factory: pytest.TempPathFactory) -> list[Flight]:
         folder = tmp_path_factory.mktemp("quick") / "f"
         options = SimOptions(
             scene="random:7",
-            views=VIEWS,
+            views=QUICK_VIEWS,
             seed=seed,
             radius_m=0.15,
             mapper="depth-only",
@@ -134,7 +147,7 @@ def test_a_quick_flight_is_a_flight(quick_flights: list[Flight]) -> None:
     for flight in quick_flights:
         report = flight.report
         assert report.outcome == "completed"
-        assert 8 <= report.views <= VIEWS
+        assert 8 <= report.views <= QUICK_VIEWS
         assert report.safety.contacts == 0
         assert report.safety.failsafes == 0
         assert report.quality is None
@@ -181,7 +194,7 @@ def test_flights_with_camera_errors_repeat_byte_for_byte_and_keep_the_errors(tmp
 @pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
 def test_a_mission_by_the_autopilots_own_navigation_is_completed(tmp_path: Path, autopilot: str) -> None:
     options = SimOptions(
-        scene="random:7", views=VIEWS, seed=3, radius_m=0.15, mapper="depth-only", lockstep=True, mount="fixed:15",
+        scene="random:7", views=QUICK_VIEWS, seed=3, radius_m=0.15, mapper="depth-only", lockstep=True, mount="fixed:15",
         out=tmp_path / "f",
         autopilot=autopilot, pose="autopilot",
     )  # fmt: skip
