@@ -63,11 +63,12 @@ def _look(solid, state, eye, yaw, pitch, tan_h, tan_v, reach):  # type: ignore[n
         for u in range(-36, 37):
             left, up = tan_h * u / 36.0, tan_v * v / 24.0
             flat = cp + sp * up
-            d = np.array([cy * flat - sy * left, sy * flat + cy * left, -sp + cp * up])
-            d /= np.sqrt((d * d).sum())
+            x, y, z = cy * flat - sy * left, sy * flat + cy * left, -sp + cp * up
+            length = np.sqrt(x * x + y * y + z * z)
+            x, y, z = x / length, y / length, z / length  # numbers, because an array at each step is slow
             for step in range(int(reach * 6)):
-                p = eye + d * (step / 6.0)
-                i, j, k = int(p[0]), int(p[1]), int(p[2])
+                far = step / 6.0
+                i, j, k = int(eye[0] + x * far), int(eye[1] + y * far), int(eye[2] + z * far)
                 if solid[i, j, k]:
                     state[i, j, k] = OCCUPIED
                     break
