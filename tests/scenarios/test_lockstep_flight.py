@@ -9,15 +9,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from short_training import short_training
 
-from sitl.apps import sim
-from sitl.apps.flight_config import flight_config
 from sitl.apps.sim import simulate
 from sitl.apps.sim_options import SimOptions
 from sitl.camera.camera_errors import FILE_NAME, CameraErrors
-from sitl.scene.scene import Scene
 from uav_recon import config
-from uav_recon.config import Config
 from uav_recon.recording.flight_log import read_timeline
 from uav_recon.recording.report import Report
 from uav_recon.recording.review import check_recording
@@ -26,8 +23,7 @@ from uav_recon.types.reason_code import ReasonCode
 
 pytestmark = pytest.mark.slow
 VIEWS = 12
-FINAL_STEPS = 300  # of the training after the landing; the default, 1500, takes a quarter of the time of the whole flight
-QUICK_VIEWS = 22
+NIGHTLY_VIEWS = 22
 
 
 @dataclass
@@ -37,14 +33,8 @@ class Flight:
     truth: dict[str, Any]
 
 
-def short_training(options: SimOptions, scene: Scene, runtime: Path) -> Config:
-    whole = flight_config(options, scene, runtime)
-    return whole.model_copy(update={"mapper": whole.mapper.model_copy(update={"polish_steps": FINAL_STEPS})})
-
-
 def fly(folder: Path, seed: int) -> Flight:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sim, "flight_config", short_training)
+    with short_training():
         assert simulate(SimOptions(views=VIEWS, seed=seed, lockstep=True, mount="fixed:15", out=folder)) == 0
     with np.load(folder / "truth.npz") as truth:
         return Flight(folder, Report.load(folder / "report.json"), {name: truth[name] for name in truth.files})
@@ -81,6 +71,17 @@ def test_the_model_is_metric_where_it_was_seen(flights: list[Flight]) -> None:
         assert 0.1 < flight.report.quality.accuracy_cm < 3.5  # a short flight: the camera's errors are not known at once
         assert flight.report.explored_fraction is not None
         assert 0.3 < flight.report.explored_fraction < 1.0
+
+
+@pytest.mark.nightly
+def test_a_longer_flight_with_the_usual_training_is_as_accurate(tmp_path: Path) -> None:
+    assert simulate(SimOptions(views=NIGHTLY_VIEWS, seed=3, lockstep=True, mount="fixed:15", out=tmp_path / "f")) == 0
+    report = Report.load(tmp_path / "f" / "report.json")
+    assert report.views == NIGHTLY_VIEWS
+    assert report.safety.contacts == 0
+    assert report.quality is not None
+    assert report.quality.accuracy_cm is not None
+    assert 0.1 < report.quality.accuracy_cm < 3.5
 
 
 def test_the_drone_ends_on_its_pad_with_motors_off(flights: list[Flight]) -> None:
@@ -127,7 +128,7 @@ def quick_flights(tmp_path_factory: pytest.TempPathFactory) -> list[Flight]:
         folder = tmp_path_factory.mktemp("quick") / "f"
         options = SimOptions(
             scene="random:7",
-            views=QUICK_VIEWS,
+            views=NIGHTLY_VIEWS,
             seed=seed,
             radius_m=0.15,
             mapper="depth-only",
@@ -147,7 +148,7 @@ def test_a_quick_flight_is_a_flight(quick_flights: list[Flight]) -> None:
     for flight in quick_flights:
         report = flight.report
         assert report.outcome == "completed"
-        assert 8 <= report.views <= QUICK_VIEWS
+        assert 8 <= report.views <= NIGHTLY_VIEWS
         assert report.safety.contacts == 0
         assert report.safety.failsafes == 0
         assert report.quality is None
@@ -194,7 +195,7 @@ def test_flights_with_camera_errors_repeat_byte_for_byte_and_keep_the_errors(tmp
 @pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
 def test_a_mission_by_the_autopilots_own_navigation_is_completed(tmp_path: Path, autopilot: str) -> None:
     options = SimOptions(
-        scene="random:7", views=QUICK_VIEWS, seed=3, radius_m=0.15, mapper="depth-only", lockstep=True, mount="fixed:15",
+        scene="random:7", views=NIGHTLY_VIEWS, seed=3, radius_m=0.15, mapper="depth-only", lockstep=True, mount="fixed:15",
         out=tmp_path / "f",
         autopilot=autopilot, pose="autopilot",
     )  # fmt: skip

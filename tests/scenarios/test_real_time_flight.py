@@ -12,6 +12,7 @@ import time
 from pathlib import Path
 
 import pytest
+import short_training
 
 from uav_recon.recording.flight_log import outcome_text
 from uav_recon.recording.report import Report
@@ -55,9 +56,9 @@ def alive(pid: int) -> bool:
 class Sim:
     """`uav-recon sim` as a child, its output read line by line."""
 
-    def __init__(self, folder: Path, views: int) -> None:
+    def __init__(self, folder: Path, views: int, program: tuple[str, ...] = ("-m", "uav_recon")) -> None:
         self.folder = folder
-        command = [sys.executable, "-m", "uav_recon", "sim", "--views", str(views), "--out", str(folder)]
+        command = [sys.executable, *program, "sim", "--views", str(views), "--out", str(folder)]
         self.process = subprocess.Popen(
             [*command, "--port", str(free_port())], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
         )
@@ -87,7 +88,7 @@ def all_gone(pids: set[int], within_s: float) -> bool:
 
 def test_a_short_flight_is_completed(tmp_path: Path) -> None:
     """The gate's one real-time flight: it asserts no rate, because the machine may be busy."""
-    sim = Sim(tmp_path / "f", views=6)
+    sim = Sim(tmp_path / "f", views=6, program=(short_training.__file__,))
     said = sim.end(800.0)
     assert sim.process.returncode == 0, said
     assert "Traceback" not in said
