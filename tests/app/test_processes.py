@@ -11,12 +11,16 @@ import signal
 import socket
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
 
 from uav_recon import config as configuration
+from uav_recon.cli.main import app
 
 FLOWN = Path(__file__).parents[2] / "systemd" / "config.toml"
 
@@ -46,6 +50,7 @@ def pilot(config: Path, tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
     process = start("pilot", config)
     while not list((tmp_path / "flights").glob("*/flight.tlog")):  # the log is created last, just before the loop
         assert process.poll() is None, process.communicate()[1]
+        time.sleep(0.01)  # leaves the core to the process
     yield process
     process.kill()
     process.communicate()
@@ -96,7 +101,7 @@ def signed(config: Path, mode: int) -> tuple[int, str, Path]:
     configuration.save(configuration.parse(tree, "test"), config)
     process = start("pilot", config)
     while process.poll() is None and not list((config.parent / "flights").glob("*/flight.tlog")):
-        pass
+        time.sleep(0.01)
     process.terminate()
     said = process.communicate(timeout=30)[1]
     return process.returncode, said, stamps
@@ -300,14 +305,19 @@ def test_a_foreign_process_on_the_operator_socket_is_reported(word: str, answer:
     if word == "land" and "status" in answer:
         return  # the land command reads no status
     path = tmp_path / "socket"
-    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as desk:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as desk, ThreadPoolExecutor(1) as foreign:
         desk.bind(str(path))
         desk.listen(1)
-        command = [sys.executable, "-m", "uav_recon", word, "--socket", str(path)]
-        caller = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-        connection, _ = desk.accept()
-        with connection:
-            connection.recv(100)
-            connection.sendall(json.dumps(answer).encode() + b"\n")
-            said = caller.communicate(timeout=30)
-    assert (caller.returncode, *said) == (69, "", f"uav-recon: {path}: whoever answers there is not the pilot\n")
+        desk.settimeout(30.0)
+        answered = foreign.submit(answer_once, desk, answer)
+        done = CliRunner().invoke(app, [word, "--socket", str(path)])
+        answered.result()
+    said = f"uav-recon: {path}: whoever answers there is not the pilot\n"
+    assert (done.exit_code, done.stdout, done.stderr) == (69, "", said)
+
+
+def answer_once(desk: socket.socket, answer: dict[str, object]) -> None:
+    connection, _ = desk.accept()
+    with connection:
+        connection.recv(100)
+        connection.sendall(json.dumps(answer).encode() + b"\n")

@@ -99,6 +99,7 @@ def test_the_cache_is_used_and_a_damaged_one_is_recomputed(
     scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(visibility, "POSES", 8)
+    monkeypatch.setattr(visibility, "SAMPLES", 20_000)
     first = load_visible_truth(scene, "fixed:15", "d435i", tmp_path)
     (file,) = tmp_path.iterdir()
 
@@ -119,6 +120,7 @@ def test_the_cache_is_used_and_a_damaged_one_is_recomputed(
 
 def test_an_unwritable_cache_only_costs_time(scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(visibility, "POSES", 5)
+    monkeypatch.setattr(visibility, "SAMPLES", 20_000)
     (tmp_path / "taken").write_text("a file where the folder should be")
     assert len(load_visible_truth(scene, "fixed:15", "d435i", tmp_path / "taken").points) > 0
 
