@@ -7,12 +7,12 @@ Ctrl-C reaches the children of the tests.
 
 from __future__ import annotations
 
-import copy
 import os
 import signal
 from typing import TYPE_CHECKING
 
 import pytest
+from flight_copy import flight_copy
 
 from sitl.apps.sweep_case import one_thread
 
@@ -53,4 +53,4 @@ def both_flown_up() -> dict[str, Rig]:
 
 @pytest.fixture
 def hovering(flown_up: Rig) -> Rig:
-    return copy.deepcopy(flown_up)
+    return flight_copy(flown_up)

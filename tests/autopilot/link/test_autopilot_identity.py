@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Callable
 
 import pytest
+from flight_copy import flight_copy
 from flight_rig import ARM, MODE, SETPOINT, Rig
 from pymavlink.dialects.v20 import common as mavlink
 
@@ -55,7 +55,7 @@ def silence(rig: Rig, seconds: float) -> None:
 
 @pytest.fixture(params=["px4", "ardupilot"])
 def hovering(request: pytest.FixtureRequest, both_flown_up: dict[str, Rig]) -> Rig:
-    return copy.deepcopy(both_flown_up[request.param])
+    return flight_copy(both_flown_up[request.param])
 
 
 def test_after_a_silence_it_is_asked_who_it_is_and_the_flight_goes_on(hovering: Rig) -> None:

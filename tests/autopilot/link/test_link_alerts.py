@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import copy
 from typing import Any
 
 import pytest
+from flight_copy import flight_copy
 from flight_rig import ARM, MODE, Rig
 from pymavlink.dialects.v20 import common as mavlink
 from test_pilot_flight_ardupilot import CopterRig
@@ -44,7 +44,7 @@ class Crowd:
 
 @pytest.fixture(params=["px4", "ardupilot"])
 def flying(request: pytest.FixtureRequest, both_flown_up: dict[str, Rig]) -> tuple[Rig, Crowd]:
-    rig = copy.deepcopy(both_flown_up[request.param])
+    rig = flight_copy(both_flown_up[request.param])
     return rig, Crowd(rig)
 
 

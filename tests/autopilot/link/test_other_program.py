@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import copy
 from typing import Any
 
 import pytest
+from flight_copy import flight_copy
 from flight_rig import Rig
 from px4_link import px4_link
 from pymavlink.dialects.v20 import common as mavlink
@@ -168,7 +168,7 @@ def test_from_boot_on_they_keep_nobody_on_the_ground(kind: type[Rig], ids: tuple
 def test_in_the_air_the_flight_goes_on(
     name: str, other: tuple[int, int], ids: tuple[int, int], both_flown_up: dict[str, Rig]
 ) -> None:
-    rig = copy.deepcopy(both_flown_up[name])
+    rig = flight_copy(both_flown_up[name])
     crowd, begin_s = Crowd(rig), rig.clock.now_s()
     duration_s = rig.fly((2.0, 0.0, 1.1), identifier=2).duration_s
     for turn in range(round(100 * (duration_s + 2.0))):

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import copyreg
 import itertools
-import struct
 from collections import Counter
 from typing import Any
 
@@ -46,8 +44,6 @@ from uav_recon.types.reason import Reason, codes_in, codes_of
 from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.trajectory import Goal, Intent, Trajectory
 from uav_recon.types.vehicle import FlightPhase, VehicleState
-
-copyreg.pickle(struct.Struct, lambda layout: (struct.Struct, (layout.format,)))  # lets a flight be copied in mid-air
 
 TICK_S = 0.01
 POSES_DISAGREE = Reason(ReasonCode.POSES_DISAGREE, (0.3,))

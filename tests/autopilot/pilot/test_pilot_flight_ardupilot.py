@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import copy
-
 import numpy as np
 import pytest
+from flight_copy import flight_copy
 from flight_rig import ARM, MODE, TAKEOFF_LAG_S, TICK_S, Rig, Tap
 
 from sitl.autopilots.ardupilot.autopilot import ArduCopter
@@ -47,7 +46,7 @@ def flown_up() -> CopterRig:
 
 @pytest.fixture
 def hovering(flown_up: CopterRig) -> CopterRig:
-    return copy.deepcopy(flown_up)
+    return flight_copy(flown_up)
 
 
 def mode_of(rig: Rig) -> str:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import copy
 import math
 from dataclasses import dataclass, field
 from typing import cast
 
 import numpy as np
 import pytest
+from flight_copy import flight_copy
 from flight_rig import Rig
 from test_pilot_flight_ardupilot import CopterRig
 
@@ -243,7 +243,7 @@ def test_a_vehicle_behind_a_climb_or_descent_is_late(bench: Bench, height_m: flo
 
 @pytest.fixture(params=["px4", "ardupilot"])
 def flying(request: pytest.FixtureRequest, both_flown_up: dict[str, Rig]) -> Rig:
-    return copy.deepcopy(both_flown_up[request.param])
+    return flight_copy(both_flown_up[request.param])
 
 
 @pytest.mark.parametrize(
