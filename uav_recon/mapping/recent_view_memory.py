@@ -11,6 +11,7 @@ import numpy as np
 
 from uav_recon.geometry import min_range_binning
 from uav_recon.geometry.min_range_binning import nearest_in_cells
+from uav_recon.safety.obstacle_speed_limit import ForwardDepth
 from uav_recon.types.camera import PosedFrame
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.min_range_grid import MinRangeGrid
@@ -18,7 +19,6 @@ from uav_recon.types.pose import Pose
 from uav_recon.types.recent_views import RecentViews
 
 _SPACING_S = 0.35  # between stored views: the guard stores as many over a memory of 60 s
-_MIN_SHARE = 0.2  # a frame with returns in a smaller share of its pixels shows no free space
 
 
 class RecentViewMemory:
@@ -42,7 +42,7 @@ class RecentViewMemory:
         if self._views and stamp_s - self._views[-1][0].stamp_s < _SPACING_S:
             return None
         nearby = nearest_in_cells(posed.frame, Pose.identity())
-        if nearby.share < _MIN_SHARE:
+        if not ForwardDepth.has_enough_returns(nearby):
             return None
         if self._views and self._views[-1][0].range_m.shape != nearby.range_m.shape:
             self._views.clear()

@@ -1,4 +1,7 @@
-"""Pose gate: a jump, a turn or a stamp that no flight explains never reaches the autopilot."""
+"""Pose gate: a jump, a turn or a stamp that no flight explains never reaches the autopilot.
+
+The filter of localization has gates of its own. Neither relies on the other, so their limits are written twice on purpose.
+"""
 
 from __future__ import annotations
 

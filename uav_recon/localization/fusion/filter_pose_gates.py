@@ -105,7 +105,7 @@ class PoseGates:
     speed_mps: float = 2.0  #: reject: a pose that the previous one reaches only by a higher speed
 
     def leap(self, residual: FloatArray, spread: FloatArray) -> PoseRejection | None:
-        """Return the reason why a pose does not fit the track, '' if it fits.
+        """Return the reason why a pose does not fit the track, None if it fits.
 
         residual: (6,) position, rotation vector. spread: (6, 6), its covariance.
         """
@@ -120,7 +120,7 @@ class PoseGates:
         return None if may else PoseRejection.TURN
 
     def speed_fault(self, before: PoseMeasurement, after: PoseMeasurement) -> PoseRejection | None:
-        """Return 'speed' if two poses of the source, in either order, are too far apart, '' if not."""
+        """Return SPEED if two poses of the source, in either order, are too far apart, None if not."""
         way_m = math.dist(before.position_m, after.position_m)
         slow = way_m <= self.jump_m + self.speed_mps * abs(after.stamp_s - before.stamp_s)
         return None if slow else PoseRejection.SPEED
