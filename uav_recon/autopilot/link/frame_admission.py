@@ -8,16 +8,14 @@ from uav_recon.autopilot.link.autopilot_identity import AutopilotIdentity
 from uav_recon.autopilot.link.duplicate_autopilot import DuplicateAutopilotDetector
 from uav_recon.autopilot.link.link_alerts import LinkAlerts
 from uav_recon.autopilot.link.other_program import OtherProgramFilter
+from uav_recon.autopilot.link.second_copy import from_second_copy
 from uav_recon.autopilot.link.stale_frame_filter import StaleFrameFilter
 from uav_recon.autopilot.mavlink.address import COMPANION_ADDRESS, MavlinkAddress
 from uav_recon.autopilot.mavlink.allow_list import AllowListFilter
-from uav_recon.autopilot.mavlink.framing import kind_of
 from uav_recon.autopilot.mavlink.link_status import DUPLICATE_AUTOPILOT
 from uav_recon.autopilot.mavlink.messages import Heartbeat, Message, Received, TimesyncMessage
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
-
-_FLYING_KINDS = (84, 331)  #: refuse: SET_POSITION_TARGET_LOCAL_NED or ODOMETRY with our ids: another program flies with them
 
 
 class FrameVerdict(Enum):
@@ -104,12 +102,12 @@ class FrameAdmission:
         """Return the verdict of a frame with our ids.
 
         A second copy of this program forbids arming; any other program is only reported.
-        A copy is known by its heartbeat, which is that of a companion, and by its setpoints and poses.
         """
-        message = received.message
-        copy = (isinstance(message, Heartbeat) and message.from_companion) or kind_of(received.frame) in _FLYING_KINDS
+        copy = from_second_copy(received)
         self.own_id_in_use = self.own_id_in_use or copy
-        self._allow_list.refuse(f"system {received.system}, component {received.component}, our own ids{_sender(message)}")
+        self._allow_list.refuse(
+            f"system {received.system}, component {received.component}, our own ids{_sender(received.message)}"
+        )
         self.alerts.update(received)
         return FrameVerdict.OWN_COPY if copy else FrameVerdict.OWN_IDS
 
