@@ -262,7 +262,7 @@ class LockstepFlight:
                 self.conductor.requests.abort(Reason(ReasonCode.OPERATOR_LAND))
             if self._hook.holds():
                 self.conductor.requests.hold()
-            self.conductor.step()
+            self.conductor.step(now_s)
 
     def _step_pilot(self, now_s: float) -> None:
         if self._hook.restarts("pilot"):
@@ -277,7 +277,7 @@ class LockstepFlight:
 
     def _make_conductor(self) -> Conductor:
         return mission_factory.make_conductor(
-            self._config, self.channels, self._mapper, self._executor, self._journal, self._clock, time.perf_counter
+            self._config, self.channels, self._mapper, self._executor, self._journal, time.perf_counter
         )
 
 
@@ -295,7 +295,7 @@ def fly_in_lockstep(
     with ProgressDisplay(console, flight.channels) as screen:
         while not hook.over(flight.conductor.finished) and flight.simulated_s < LONGEST_S:
             flight.step(land, screen)
-        flight.conductor.close()
+        flight.conductor.close(START_S + flight.simulated_s)
     wall_s, processor_s = time.perf_counter() - started_s, time.process_time() - processor_s
     flight.save(console)
     ended = flight.conductor.finished

@@ -203,9 +203,7 @@ class Desk:
         )
         self.folder = folder
         self.journal = FlightLog(folder)
-        self.conductor = Conductor(
-            self.stages, self.channels, self.parameters, InlineExecutor(self.clock), self.journal, self.clock
-        )
+        self.conductor = Conductor(self.stages, self.channels, self.parameters, InlineExecutor(self.clock), self.journal)
         self.phase = FlightPhase.READY
         self.frames = True
         self.unsure = False
@@ -228,7 +226,7 @@ class Desk:
             self._vehicle()
             if self.frames and int(self.clock.now_s() * 30) % 3 == 0:
                 self._frame()
-            self.conductor.step()
+            self.conductor.step(self.clock.now_s())
             if not self.seen or self.seen[-1] is not self.conductor.phase:
                 self.seen.append(self.conductor.phase)
             if self.conductor.phase is until:

@@ -41,7 +41,7 @@ def test_a_flight_from_pad_to_pad(desk: Desk) -> None:
     desk.conductor.requests.start()
     desk.run(120.0, until=Phase.DONE)
     assert desk.seen == [Phase.READY, Phase.TAKEOFF, Phase.SURVEY, Phase.RETURN, Phase.LANDING, Phase.DONE]
-    assert desk.conductor.close() is None
+    assert desk.conductor.close(desk.clock.now_s()) is None
     assert len(desk.mapper.stamps) == 4 + 3  # the look round, and each task's own view
     timeline = read_timeline(desk.folder)
     assert timeline.outcomes[-1].stop_codes == TOO_NARROW.codes()
@@ -66,7 +66,7 @@ def test_the_view_budget_ends_the_survey(tmp_path: Path) -> None:
     desk.conductor.requests.start()
     desk.run(120.0, until=Phase.DONE)
     assert len(desk.mapper.stamps) == 5
-    assert desk.conductor.close() is None
+    assert desk.conductor.close(desk.clock.now_s()) is None
     desk.journal.close()
     assert read_timeline(tmp_path).outcomes[-1].stop_codes[0] == ReasonCode.VIEWS_SPENT
 
@@ -82,7 +82,7 @@ def test_frames_lost_holds_and_goes_on_when_they_are_back(desk: Desk) -> None:
     assert np.linalg.norm(here.setpoint_at(desk.clock.now_s()).velocity_mps) < 1e-9
     desk.frames = True
     desk.run(120.0, until=Phase.DONE)
-    assert desk.conductor.close() is None
+    assert desk.conductor.close(desk.clock.now_s()) is None
 
 
 def test_the_reason_for_a_reduced_speed_is_in_the_timeline_and_is_no_refusal(desk: Desk) -> None:
@@ -121,7 +121,7 @@ def test_a_battery_of_which_nothing_is_heard_any_more_brings_it_home(tmp_path: P
     assert desk.seen[-1] is (Phase.HOLD if without_frames else Phase.SURVEY)
     desk.run(0.5, until=Phase.RETURN)
     desk.run(120.0, until=Phase.DONE)
-    assert desk.conductor.close() is None
+    assert desk.conductor.close(desk.clock.now_s()) is None
     desk.journal.close()
     assert read_timeline(tmp_path).outcomes[-1].stop_codes[0] == ReasonCode.BATTERY_UNKNOWN
 
@@ -132,16 +132,16 @@ def test_an_abort_lands_at_once(desk: Desk) -> None:
     desk.conductor.requests.abort(Reason(ReasonCode.OPERATOR_LAND))
     desk.run(0.2, until=Phase.LANDING)
     desk.run(1.0, until=Phase.DONE)
-    assert desk.conductor.close() == Reason(ReasonCode.OPERATOR_LAND)
+    assert desk.conductor.close(desk.clock.now_s()) == Reason(ReasonCode.OPERATOR_LAND)
 
 
 def test_an_abort_ends_it_where_no_pilot_was_ever_heard(desk: Desk) -> None:
-    desk.conductor.step()
+    desk.conductor.step(desk.clock.now_s())
     assert desk.conductor.phase is Phase.IDLE
     desk.conductor.requests.abort(Reason(ReasonCode.OPERATOR_LAND))
-    desk.conductor.step()
+    desk.conductor.step(desk.clock.now_s())
     assert desk.conductor.finished
-    assert desk.conductor.close() == Reason(ReasonCode.OPERATOR_LAND)
+    assert desk.conductor.close(desk.clock.now_s()) == Reason(ReasonCode.OPERATOR_LAND)
 
 
 def test_the_setpoint_does_not_climb_away_from_a_vehicle_that_still_stands(desk: Desk) -> None:
@@ -169,7 +169,7 @@ def test_what_the_pilot_waits_for_and_why_it_lands_is_told(desk: Desk) -> None:
     desk.run(0.5, until=Phase.LANDING)
     desk.phase = FlightPhase.LANDED
     desk.run(1.0, until=Phase.DONE)
-    assert desk.conductor.close() == Reason(ReasonCode.NO_POSE, (0.7,))
+    assert desk.conductor.close(desk.clock.now_s()) == Reason(ReasonCode.NO_POSE, (0.7,))
 
 
 def test_home_is_clear_above_as_well_as_beside(desk: Desk) -> None:
@@ -226,7 +226,7 @@ def test_a_new_map_epoch_holds_maps_again_and_goes_on(desk: Desk) -> None:
     assert desk.intent.trajectory.map_epoch == 1
     assert desk.voxels.declared[0] == 0.3  # about the places where it flew
     desk.run(120.0, until=Phase.DONE)
-    assert desk.conductor.close() is None
+    assert desk.conductor.close(desk.clock.now_s()) is None
     assert len(desk.mapper.stamps) >= views + 4  # a look round, as at first
     assert {path.map_epoch for path in desk.planner.accepted[plans:]} == {1}
 
@@ -248,8 +248,8 @@ def test_frames_of_an_uncertain_place_are_not_mapped_and_do_not_hold_it(desk: De
 
 def test_a_correction_from_before_the_flight_is_ignored(tmp_path: Path, desk: Desk) -> None:
     desk.channels.correction.publish(MapCorrection(9, np.zeros(0), ()))
-    again = Conductor(desk.stages, desk.channels, desk.parameters, InlineExecutor(desk.clock), desk.journal, desk.clock)
-    again.step()
+    again = Conductor(desk.stages, desk.channels, desk.parameters, InlineExecutor(desk.clock), desk.journal)
+    again.step(desk.clock.now_s())
     assert not desk.mapper.corrections
 
 
@@ -361,7 +361,7 @@ def test_no_views_are_taken_while_its_pilot_holds_the_vehicle_elsewhere(desk: De
     desk.stands = False
     desk.run(120.0, until=Phase.DONE)
     assert len(desk.mapper.stamps) > taken
-    assert desk.conductor.close() is None
+    assert desk.conductor.close(desk.clock.now_s()) is None
 
 
 def test_where_nothing_fast_is_let_pass_nothing_fast_is_planned_until_it_is_again(desk: Desk) -> None:
@@ -442,7 +442,7 @@ def test_a_hold_stops_it_and_a_start_lets_it_go_on(desk: Desk) -> None:
     desk.conductor.requests.resume()
     desk.run(0.2, until=Phase.SURVEY)
     desk.run(120.0, until=Phase.DONE)
-    assert desk.conductor.close() is None
+    assert desk.conductor.close(desk.clock.now_s()) is None
 
 
 def test_a_hold_outlasts_the_end_of_the_flight_time_but_not_a_human(desk: Desk) -> None:

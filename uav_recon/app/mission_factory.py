@@ -10,7 +10,7 @@ import numpy as np
 
 from uav_recon.app.flight_channels import FlightChannels
 from uav_recon.config import Config
-from uav_recon.interfaces import Clock, Executor, Journal, Mapper
+from uav_recon.interfaces import Executor, Journal, Mapper
 from uav_recon.types.maps import GridSpec
 
 if TYPE_CHECKING:  # each process imports only the stages that it runs
@@ -39,7 +39,6 @@ def make_conductor(
     mapper: Mapper,
     executor: Executor,
     journal: Journal,
-    clock: Clock,
     timer: Callable[[], float],
 ) -> Conductor:
     """Return the mission with every stage warm."""
@@ -51,7 +50,7 @@ def make_conductor(
     motion, retreat = (make_motion(config, kept_m) for kept_m in (parameters.clearance_m, parameters.clear_radius_m))
     budget, sight = make_keyframe_selection(config, voxels), make_recent_view_memory(config)
     stages = MissionStages(voxels, budget, mapper, planner, motion, retreat, sight)
-    return Conductor(stages, channels, parameters, executor, journal, clock)
+    return Conductor(stages, channels, parameters, executor, journal)
 
 
 def mission_parameters(config: Config) -> MissionParameters:

@@ -239,7 +239,7 @@ def mission(config_path: Path, flight: Path | None) -> int:
     journal, executor = FlightLog(folder), ThreadExecutor("planner", PLANNER_PATIENCE_S)
     try:
         mission_factory.warm_up(config)
-        conductor = mission_factory.make_conductor(config, channels, mapper, executor, journal, clock, time.perf_counter)
+        conductor = mission_factory.make_conductor(config, channels, mapper, executor, journal, time.perf_counter)
         systemd_notify.ready()
         waiting = WaitNotice("mission", clock.now_s())
 
@@ -248,10 +248,10 @@ def mission(config_path: Path, flight: Path | None) -> int:
             if stop.asked:
                 conductor.requests.abort(Reason(ReasonCode.OPERATOR_LAND))
             orders.pass_on(conductor.requests, mapper.ready(), config.mission.autostart)
-            conductor.step()
+            conductor.step(clock.now_s())
 
         _loop(step, MISSION_RATE_HZ, clock, lambda: conductor.finished)
-        aborted = conductor.close()
+        aborted = conductor.close(clock.now_s())
         if conductor.map is not None:
             save_map(folder, conductor.map)
     finally:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from uav_recon.interfaces import Clock, Executor, Journal
+from uav_recon.interfaces import Executor, Journal
 from uav_recon.mission.battery.battery_policy import BatteryPolicy
 from uav_recon.mission.detection.detectors import (
     DeadPlannerDetector,
@@ -51,9 +51,7 @@ class Conductor:
         parameters: MissionParameters,
         executor: Executor,
         journal: Journal,
-        clock: Clock,
     ) -> None:
-        self._clock = clock
         self._vehicle = channels.vehicle
         self._log = log = MissionLog(journal, parameters.views)
         self._perception_log = PerceptionLog(channels.perception, journal)
@@ -90,9 +88,8 @@ class Conductor:
         """The newest map, None before the first depth frame."""
         return self._maps.map
 
-    def step(self) -> None:
+    def step(self, now_s: float) -> None:
         """Run one step: map, events, phase, motion, and the message to the pilot."""
-        now_s = self._clock.now_s()
         vehicle = self._vehicle.latest()
         self._rebuild_corrected_map(now_s, vehicle)
         self._map_newest_frame(now_s)
@@ -111,7 +108,7 @@ class Conductor:
         self._perception_log.step(now_s)
         self._publisher.publish(now_s, self.phase, self.map)
 
-    def close(self) -> Reason | None:
+    def close(self, now_s: float) -> Reason | None:
         """Write the last line of the journal; returns why the flight was aborted.
 
         It returns None for a completed flight.
@@ -120,7 +117,7 @@ class Conductor:
         why = self._log.aborted or self._log.note or Reason(ReasonCode.ENDED_IN_PHASE, (self.phase.value,))
         aborted = None if home else why
         self._perception_log.close()
-        self._log.close(self._clock.now_s(), aborted)
+        self._log.close(now_s, aborted)
         return aborted
 
     def _rebuild_corrected_map(self, now_s: float, vehicle: VehicleState | None) -> None:

@@ -117,7 +117,7 @@ def test_a_battery_that_fell_at_once_is_not_reckoned_with(desk: Desk) -> None:
     desk.battery = 0.29
     desk.run(3.5, until=Phase.RETURN)
     desk.run(120.0, until=Phase.DONE)
-    assert desk.conductor.close() is None
+    assert desk.conductor.close(desk.clock.now_s()) is None
     desk.journal.close()
     ended = read_timeline(desk.folder).outcomes[-1]
     assert ended.stop_codes[0] in RETURNS
@@ -131,7 +131,7 @@ def test_no_flight_is_begun_with_less_than_a_flight_needs(desk: Desk) -> None:
     desk.conductor.requests.start()
     desk.run(1.0, until=Phase.DONE)
     assert desk.seen == [Phase.READY, Phase.DONE]
-    assert desk.conductor.close() == Reason(ReasonCode.BATTERY_TAKEOFF, (35.0, 36.0))
+    assert desk.conductor.close(desk.clock.now_s()) == Reason(ReasonCode.BATTERY_TAKEOFF, (35.0, 36.0))
 
 
 @pytest.mark.parametrize("battery", [0.36, math.nan])
@@ -157,7 +157,7 @@ def test_at_a_fifth_it_lands_where_it_is_though_it_is_held(desk: Desk) -> None:
     assert desk.conductor.phase is Phase.HOLD
     desk.run(1.0, until=Phase.LANDING)
     desk.run(1.0, until=Phase.DONE)
-    assert desk.conductor.close() == Reason(ReasonCode.BATTERY_LAND, (20.0,))
+    assert desk.conductor.close(desk.clock.now_s()) == Reason(ReasonCode.BATTERY_LAND, (20.0,))
 
 
 def test_on_the_way_home_too(desk: Desk) -> None:

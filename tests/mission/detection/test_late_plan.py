@@ -52,7 +52,7 @@ class Sticky:
 def stuck(tmp_path: Path) -> Iterator[tuple[Desk, Sticky]]:
     desk = Desk(tmp_path)
     executor = Sticky(desk)
-    desk.conductor = Conductor(desk.stages, desk.channels, desk.parameters, executor, desk.journal, desk.clock)
+    desk.conductor = Conductor(desk.stages, desk.channels, desk.parameters, executor, desk.journal)
     desk.conductor.requests.start()
     desk.run(30.0, until=Phase.SURVEY)
     yield desk, executor
@@ -68,7 +68,7 @@ def test_a_planner_that_does_not_answer_is_waited_for_so_long_and_no_longer(stuc
     desk.run(22.0, until=Phase.LANDING)
     assert desk.clock.now_s() - begin_s > 5.0
     desk.run(2.0, until=Phase.DONE)
-    assert desk.conductor.close() == Reason(ReasonCode.PLANNER_SILENT, (20.0,))
+    assert desk.conductor.close(desk.clock.now_s()) == Reason(ReasonCode.PLANNER_SILENT, (20.0,))
 
 
 @pytest.mark.parametrize("seconds", [5.0, 18.0])
@@ -78,7 +78,7 @@ def test_a_planner_that_is_late_is_waited_for(stuck: tuple[Desk, Sticky], second
     desk.run(seconds)
     executor.stuck = False
     desk.run(120.0, until=Phase.DONE)
-    assert desk.conductor.close() is None
+    assert desk.conductor.close(desk.clock.now_s()) is None
 
 
 @pytest.mark.parametrize("phase", [Phase.RETURN, Phase.RETREAT])

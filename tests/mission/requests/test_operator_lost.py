@@ -60,7 +60,7 @@ def test_half_a_minute_of_silence_ends_a_flight_at_home_also_out_of_a_hold(desk:
     assert (desk.intent.note, desk.intent.operator_lost) == (RETURNS, True)
     desk.run(60.0, until=Phase.DONE)
     assert desk.distance_m() < 0.1
-    assert desk.conductor.close() is None
+    assert desk.conductor.close(desk.clock.now_s()) is None
     told = read_timeline(desk.folder)
     assert told.outcomes[-1].stop_codes[0] == ReasonCode.OPERATOR_LOST
     assert [record.codes for record in told.refusals] == [

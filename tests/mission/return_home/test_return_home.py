@@ -52,7 +52,7 @@ def test_no_way_home_retreats_along_the_breadcrumbs(desk: Desk) -> None:
     desk.run(120.0, until=Phase.DONE)
     assert Phase.RETREAT in desk.seen
     assert desk.retreat.ways == 1
-    assert desk.conductor.close() is None
+    assert desk.conductor.close(desk.clock.now_s()) is None
 
 
 def test_it_does_not_climb_on_its_way_home(desk: Desk) -> None:
@@ -68,7 +68,7 @@ def test_it_does_not_climb_on_its_way_home(desk: Desk) -> None:
         heights.append(float(desk._place_m[2]))
     assert max(heights) < 0.75
     assert desk.distance_m() < 0.1
-    assert desk.conductor.close() is None
+    assert desk.conductor.close(desk.clock.now_s()) is None
 
 
 def test_a_landing_of_the_autopilots_own_on_the_way_home_is_not_home(desk: Desk) -> None:
@@ -78,7 +78,7 @@ def test_a_landing_of_the_autopilots_own_on_the_way_home_is_not_home(desk: Desk)
     desk.phase, desk.note = FlightPhase.LANDING, Reason(ReasonCode.MODE_CHANGED, ("AUTO.LAND",))
     desk.run(10.0, until=Phase.DONE)
     assert desk.distance_m() > 0.3
-    assert desk.conductor.close() == Reason(ReasonCode.MODE_CHANGED, ("AUTO.LAND",))
+    assert desk.conductor.close(desk.clock.now_s()) == Reason(ReasonCode.MODE_CHANGED, ("AUTO.LAND",))
 
 
 @pytest.mark.parametrize(("times", "ends_at_home"), [(2, True), (4, False)])
@@ -88,7 +88,7 @@ def test_a_way_home_that_the_guard_stopped_is_begun_again_a_few_times(desk: Desk
         stop_on_the_way(desk)
     desk.run(60.0, until=Phase.DONE)
     assert (desk.distance_m() < 0.1) is ends_at_home
-    assert desk.conductor.close() == (None if ends_at_home else Reason(ReasonCode.RETURN_STOPPED, (4,)))
+    assert desk.conductor.close(desk.clock.now_s()) == (None if ends_at_home else Reason(ReasonCode.RETURN_STOPPED, (4,)))
 
 
 def test_stops_with_progress_between_them_are_not_counted_together(desk: Desk) -> None:
@@ -108,7 +108,7 @@ def test_stops_with_progress_between_them_are_not_counted_together(desk: Desk) -
         assert desk.conductor.phase is Phase.RETURN
     desk.run(120.0, until=Phase.DONE)
     assert desk.distance_m() < 0.1
-    assert desk.conductor.close() is None
+    assert desk.conductor.close(desk.clock.now_s()) is None
 
 
 def test_stopped_twice_on_the_way_home_it_looks_round(desk: Desk) -> None:
@@ -137,7 +137,7 @@ def test_what_is_stopped_too_often_lands_beside_the_table_that_it_hovers_over(de
     assert all(np.max(np.abs(place - middle)[:2]) < 0.8 for place in stopped), "over the table"
     desk.run(60.0, until=Phase.DONE)
     assert 0.45 < np.max(np.abs(desk._place_m - middle)[:2]) - 0.8 < 1.5, "beside it, on the floor"
-    assert desk.conductor.close() == Reason(ReasonCode.RETURN_STOPPED, (4,))
+    assert desk.conductor.close(desk.clock.now_s()) == Reason(ReasonCode.RETURN_STOPPED, (4,))
 
 
 @pytest.mark.parametrize("stays", [False, True])
@@ -175,7 +175,7 @@ def seconds_home(folder: Path, slow_s: float) -> float:
     desk.run(slow_s)
     desk.max_speed_mps = np.inf
     desk.run(60.0, until=Phase.DONE)
-    assert desk.conductor.close() is None
+    assert desk.conductor.close(desk.clock.now_s()) is None
     desk.journal.close()
     return desk.clock.now_s() - began_s
 
@@ -198,7 +198,7 @@ def test_a_way_home_that_the_map_closes_is_left_and_where_none_is_left_it_lands(
     assert desk.intent.trajectory.identifier != before.identifier
     desk.run(60.0, until=Phase.DONE)
     assert desk.distance_m() > away_m - 0.6, "where it came to rest"
-    assert desk.conductor.close() is not None
+    assert desk.conductor.close(desk.clock.now_s()) is not None
 
 
 def test_stopped_too_often_over_a_good_floor_it_lands_from_where_it_is(desk: Desk) -> None:
@@ -213,7 +213,7 @@ def test_stopped_too_often_over_a_good_floor_it_lands_from_where_it_is(desk: Des
     high_m = float(desk._place_m[2])
     desk.run(10.0, until=Phase.DONE)
     assert float(desk._place_m[2]) > high_m - 0.1 > 1.3
-    assert desk.conductor.close() == Reason(ReasonCode.RETURN_STOPPED, (4,))
+    assert desk.conductor.close(desk.clock.now_s()) == Reason(ReasonCode.RETURN_STOPPED, (4,))
 
 
 @pytest.mark.parametrize(("held_s", "ends_at_home"), [(20.0, True), (300.0, False)])
@@ -227,7 +227,7 @@ def test_what_its_pilot_holds_on_the_way_home_does_not_land_there(desk: Desk, he
     desk.run(60.0, until=Phase.DONE)
     assert away_m > 0.5
     assert (desk.distance_m() < 0.1) is ends_at_home
-    assert desk.conductor.close() == (None if ends_at_home else Reason(ReasonCode.RETURN_STOPPED, (4,)))
+    assert desk.conductor.close(desk.clock.now_s()) == (None if ends_at_home else Reason(ReasonCode.RETURN_STOPPED, (4,)))
 
 
 def test_a_hold_on_the_way_home_is_no_arrival(desk: Desk) -> None:
@@ -239,7 +239,7 @@ def test_a_hold_on_the_way_home_is_no_arrival(desk: Desk) -> None:
     assert desk.conductor.phase is Phase.HOLD
     desk.conductor.requests.resume()
     desk.run(60.0, until=Phase.DONE)
-    assert desk.conductor.close() is None
+    assert desk.conductor.close(desk.clock.now_s()) is None
 
 
 def test_the_operator_calls_it_home(desk: Desk) -> None:
@@ -250,5 +250,5 @@ def test_the_operator_calls_it_home(desk: Desk) -> None:
     desk.conductor.requests.return_home()
     desk.run(0.2, until=Phase.RETURN)
     desk.run(60.0, until=Phase.DONE)
-    assert desk.conductor.close() is None
+    assert desk.conductor.close(desk.clock.now_s()) is None
     assert read_timeline(desk.folder).outcomes[-1].stop_codes[0] == ReasonCode.OPERATOR_RETURN
