@@ -19,10 +19,11 @@ import uav_recon
 from uav_recon import Camera, Intrinsics, NeuralMapper, NothingLeft, OccupancyMapper, Pose, ViewPath, ViewPlanner
 from uav_recon.app import library, mission_factory
 from uav_recon.config import CameraConfig, Config, MotionConfig, PlannerConfig, VoxelConfig
+from uav_recon.planning.free_space.flyable_space import FlyableSpace
 from uav_recon.planning.tour.travel_time import YawWhileFlying
 from uav_recon.types.camera import PosedFrame
 from uav_recon.types.frames import ByteArray, FloatArray
-from uav_recon.types.maps import FREE, OCCUPIED, UNKNOWN
+from uav_recon.types.maps import FREE, OCCUPIED, UNKNOWN, GridSpec, VoxelMap
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
 
@@ -314,6 +315,18 @@ def test_on_a_terminal_warm_up_has_one_line(monkeypatch: pytest.MonkeyPatch, cap
 
 
 @pytest.mark.slow
+def enter_another_region() -> None:
+    """Move the vehicle from one of two separate regions of free space to the other."""
+    grid, state = GridSpec(np.zeros(3), 0.1, (30, 20, 20)), np.full((30, 20, 20), FREE, dtype=np.uint8)
+    state[15] = UNKNOWN
+    space = FlyableSpace(grid, 0.1, np.zeros(3, dtype=np.int64), np.array(grid.shape))
+    space.update(VoxelMap.whole(grid, state, np.where(state == FREE, 25, 0).astype(np.uint8), 0))
+    for x_m in (0.8, 2.2):
+        cells = space.locate_vehicle(np.array([x_m, 1.0, 1.0]))
+        assert cells is not None
+        assert space.reachable.reshape(-1)[cells[-1]]
+
+
 def test_after_warm_up_nothing_is_left_to_compile() -> None:
     code = """
 import sys
@@ -331,6 +344,7 @@ before = compiled()
 test_a_look_round_maps_the_room()
 test_the_planner_finds_views_until_the_room_is_known()
 test_the_neural_mapper_learns_the_room()
+enter_another_region()
 assert len(before) > 50
 print(sorted(compiled() - before))
 """
