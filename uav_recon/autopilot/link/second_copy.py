@@ -9,9 +9,10 @@ _FLYING_KINDS = (84, 331)  #: refuse: SET_POSITION_TARGET_LOCAL_NED or ODOMETRY 
 
 
 def from_second_copy(received: Received) -> bool:
-    """Return True if a frame with our own ids comes from a second copy, and not from any other program.
+    """Return True if a frame with our own ids comes from a second copy of this program.
 
-    A copy is known by its heartbeat, which is that of a companion, and by its setpoints and poses.
+    Any other program gives False. A copy is known by its heartbeat, which is that of a companion, and by its setpoints and
+    poses.
     """
     message = received.message
     return (isinstance(message, Heartbeat) and message.from_companion) or kind_of(received.frame) in _FLYING_KINDS
