@@ -242,5 +242,5 @@ def warm_up() -> None:
             space.locate_vehicle(np.full(3, position))
     state[6] = 0  # two regions: the vehicle changes from one to the other
     space.update(VoxelMap.whole(grid, state, np.where(state == FREE, 9, 0).astype(np.uint8), 3))
-    for position in ((0.35, 0.65, 0.65), (0.95, 0.65, 0.65)):
-        space.locate_vehicle(np.array(position))
+    for place in ((0.35, 0.65, 0.65), (0.95, 0.65, 0.65)):
+        space.locate_vehicle(np.array(place))
