@@ -312,7 +312,7 @@ def test_a_foreign_process_on_the_operator_socket_is_reported(word: str, answer:
         answered = foreign.submit(answer_once, desk, answer)
         done = CliRunner().invoke(app, [word, "--socket", str(path)])
         answered.result()
-    said = f"uav-recon: {path}: whoever answers there is not the pilot\n"
+    said = f"uav-recon: {path}: the process that answers there is not the pilot\n"
     assert (done.exit_code, done.stdout, done.stderr) == (69, "", said)
 
 

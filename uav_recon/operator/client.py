@@ -46,7 +46,7 @@ def send_command(path: Path, word: str) -> dict[str, Any]:
     except ValueError:
         raise CallError(f"{path}: the pilot hung up") from None
     if not _is_the_pilots(answer, word):
-        raise CallError(f"{path}: whoever answers there is not the pilot")
+        raise CallError(f"{path}: the process that answers there is not the pilot")
     return dict(answer)
 
 

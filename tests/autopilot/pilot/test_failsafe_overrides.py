@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import copy
 import dataclasses
 from collections.abc import Callable
 from typing import Any
 
 import pytest
+from flight_copy import flight_copy
 from flight_rig import Rig
 from guard_rooms import TIMEOUTS
 
@@ -78,7 +78,7 @@ COMMANDS: tuple[tuple[Callable[[Rig], None], Override | None], ...] = (
 @pytest.fixture(scope="module")
 def flown_out(flown_up: Rig) -> Rig:
     """Return a vehicle at rest away from the pad; tests copy it."""
-    rig = copy.deepcopy(flown_up)
+    rig = flight_copy(flown_up)
     rig.run(rig.fly((OUT_X_M, 0.0, 1.1), identifier=2).duration_s + 2.0)
     return rig
 
@@ -112,10 +112,10 @@ def test_each_cause_is_that_of_its_row() -> None:
 
 @pytest.mark.parametrize("row", range(len(CONDITIONS)))
 def test_only_the_commands_of_a_row_replace_its_action(flown_out: Rig, row: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    condition, caused = CONDITIONS[row], copy.deepcopy(flown_out)
+    condition, caused = CONDITIONS[row], flight_copy(flown_out)
     cause_from_now_on(caused, CAUSES[row], monkeypatch)
     for command, override in COMMANDS:
-        rig = copy.deepcopy(caused)
+        rig = flight_copy(caused)
         command(rig)
         done = action_of(rig, WATCHED_S[condition.action]) is condition.action
         assert done == (override not in condition.overrides), command.__name__
@@ -123,7 +123,7 @@ def test_only_the_commands_of_a_row_replace_its_action(flown_out: Rig, row: int,
 
 @pytest.mark.parametrize("row", range(len(CONDITIONS)))
 def test_a_human_with_the_sticks_overrides_every_row(flown_out: Rig, row: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    rig = copy.deepcopy(flown_out)
+    rig = flight_copy(flown_out)
     cause_from_now_on(rig, CAUSES[row], monkeypatch)
     rig.run(0.5)
     rig.px4.pilot_takes_over("POSCTL")
@@ -131,6 +131,6 @@ def test_a_human_with_the_sticks_overrides_every_row(flown_out: Rig, row: int, m
 
 
 def test_without_a_cause_a_trajectory_of_the_mission_is_flown(flown_out: Rig) -> None:
-    rig = copy.deepcopy(flown_out)
+    rig = flight_copy(flown_out)
     fly_on(rig)
     assert action_of(rig, 2.0) is FailsafeAction.FLY

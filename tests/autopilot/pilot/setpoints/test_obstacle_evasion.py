@@ -6,13 +6,13 @@ import dataclasses
 
 import numpy as np
 import pytest
+from flight_rig import BOUNDS
 
 from uav_recon.autopilot.pilot.setpoints.obstacle_evasion import IDENTIFIER, ObstacleEvasion
 from uav_recon.autopilot.pilot.situation.sudden_obstacle import SuddenObstacle
 from uav_recon.safety.envelope import Envelope, Fence
 from uav_recon.safety.free_space_check import FreeSpaceCheck
-from uav_recon.safety.guard import Guard, GuardBounds, GuardInputs
-from uav_recon.safety.obstacle_speed_limit import Margins
+from uav_recon.safety.guard import Guard, GuardInputs
 from uav_recon.safety.recently_seen_space import RecentlySeenSpace
 from uav_recon.types.frames import BoolArray
 from uav_recon.types.maps import FreeSpace, GridSpec
@@ -56,17 +56,7 @@ def _evasion(vehicle_radius_m: float) -> ObstacleEvasion:
     return ObstacleEvasion(
         Guard(
             envelope,
-            GuardBounds(
-                pose_timeout_s=0.2,
-                intent_timeout_s=0.5,
-                silence_way_m=0.45,
-                depth_timeout_s=0.3,
-                blind_speed_mps=0.3,
-                blind_fresh_s=3.0,
-                blind_stale_s=10.0,
-                retreat_speed_mps=0.3,
-                margins=Margins(stop_clearance_m=0.1, fast_clearance_m=0.4),
-            ),
+            BOUNDS,
             RecentlySeenSpace(blind_memory_s=10.0, vehicle_radius_m=vehicle_radius_m),
         ),
         vehicle_radius_m=vehicle_radius_m,

@@ -37,10 +37,10 @@ class FlightReporter:
             self.say(speed, now_s)
         if phase is FlightPhase.READY:
             return
-        airborne, mission_news = phase in IN_THE_AIR, self._situation.mission.news
-        news = [*self._link.alerts.news(), *([mission_news] if airborne and mission_news else [])]
+        in_the_air, mission_news = phase in IN_THE_AIR, self._situation.mission.news
+        news = [*self._link.alerts.news(), *([mission_news] if in_the_air and mission_news else [])]
         for reason in news:
             self.say(reason, now_s)
-        if airborne and news:
+        if in_the_air and news:
             self.note = news[-1]
         self._statustext.step(self.note, now_s)
