@@ -165,8 +165,8 @@ def _live(options: CalibrateOptions, config: Config, console: Console) -> Any:
     clock, mount = MonotonicClock(), FixedMount(camera_sources.tilted_camera(config))
     camera = camera_sources.open_camera(config, clock)
     context = pose_sources.SourceContext(config, read_only_channels(config.runtime.folder), clock, camera, mount)
-    camera, poses = pose_sources.open_poses(context)
-    calibrator = CameraCalibrator(camera, poses, mount, clock)
+    opened = pose_sources.open_poses(context)
+    calibrator = CameraCalibrator(opened.camera, opened.poses, mount, clock, opened.view)
     begin_s = said_s = clock.now_s()
     console.print("move the vehicle by hand; Ctrl-C ends")
     try:
@@ -184,7 +184,7 @@ def _live(options: CalibrateOptions, config: Config, console: Console) -> Any:
     except KeyboardInterrupt:
         console.print("ended")
     finally:
-        camera.close()
+        opened.camera.close()
     return calibrator
 
 

@@ -42,7 +42,8 @@ def make_perception(
         camera.lock_exposure(lambda: _flight_is_near(channels.vehicle.latest()))
     remarks = camera.remarks if isinstance(camera, CameraRemarks) else tuple
     compile_ahead()
-    camera, poses = pose_sources.open_poses(pose_sources.SourceContext(config, channels, clock, camera, mount))
+    opened = pose_sources.open_poses(pose_sources.SourceContext(config, channels, clock, camera, mount))
+    poses = opened.poses
     if config.localization.origin == "pad" and config.camera.source != "recorded":
         from uav_recon.localization.pad_origin import PadOrigin
 
@@ -51,7 +52,9 @@ def make_perception(
     from uav_recon.localization.perception.perception import Perception
 
     kept = _kept_calibration(config, writer or InlineExecutor(clock))
-    return Perception(config.localization, camera, poses, mount, channels, clock, kept=kept, remarks=remarks)
+    return Perception(
+        config.localization, opened.camera, poses, mount, channels, clock, view=opened.view, kept=kept, remarks=remarks
+    )
 
 
 def _mount(config: Config, channels: FlightChannels) -> Mount:

@@ -15,6 +15,20 @@ from uav_recon.sensors.stream_format import StreamError
 
 if TYPE_CHECKING:  # the pilot's process imports no stage of perception
     from uav_recon.localization.calibration.camera_mount import Mount
+    from uav_recon.localization.slam.view_odometry import ViewOdometry
+
+
+@dataclass(frozen=True)
+class OpenedPoses:
+    """An opened pose source.
+
+    camera: to read from now on; one that tracks the images shows its tracker each frame. poses: of the source. view: odometry
+    of the tracked images, None without a tracker.
+    """
+
+    camera: DepthCamera
+    poses: PoseSource
+    view: ViewOdometry | None = None
 
 
 @dataclass(frozen=True)
@@ -31,52 +45,49 @@ class SourceContext:
     mount: Mount
 
 
-def open_poses(context: SourceContext) -> tuple[DepthCamera, PoseSource]:
-    """Open the source of the poses. Returns the camera to read from now on, and the poses.
-
-    A source that tracks the images returns a camera that shows it each frame. Raises UserError (one line) if the source cannot
-    be opened.
-    """
+def open_poses(context: SourceContext) -> OpenedPoses:
+    """Open the source of the poses. Raises UserError (one line) if it cannot be opened."""
     try:
         return _OPENERS[context.config.localization.source](context)
     except StreamError as error:
         raise UserError(str(error)) from None
 
 
-def _open_stream_poses(context: SourceContext) -> tuple[DepthCamera, PoseSource]:
+def _open_stream_poses(context: SourceContext) -> OpenedPoses:
     config = context.config
     if config.camera.source == "recorded":
         from uav_recon.sensors.recorded_camera import RecordedPoses
 
         folder, tilted = camera_sources.recording_folder(config), camera_sources.tilted_camera(config)
-        return context.camera, RecordedPoses(folder, context.clock, tilted)
+        return OpenedPoses(context.camera, RecordedPoses(folder, context.clock, tilted))
     from uav_recon.sensors.stream_camera import StreamPoses
 
-    return context.camera, StreamPoses(camera_sources.stream_path(config))
+    return OpenedPoses(context.camera, StreamPoses(camera_sources.stream_path(config)))
 
 
-def _open_slam(context: SourceContext) -> tuple[DepthCamera, PoseSource]:
+def _open_slam(context: SourceContext) -> OpenedPoses:
     from uav_recon.localization.slam.slam_source import SlamSource
     from uav_recon.localization.slam.slam_tracker import SlamTracker, warm_up
+    from uav_recon.localization.slam.view_odometry import ViewOdometry
 
     warm_up()
-    source = SlamSource(context.camera, context.mount, SlamTracker(), now_s=context.clock.now_s)
-    return source, source
+    source = SlamSource(context.camera, context.mount, ViewOdometry(SlamTracker()), now_s=context.clock.now_s)
+    return OpenedPoses(source, source, source.odometry)
 
 
-def _open_ros2_poses(context: SourceContext) -> tuple[DepthCamera, PoseSource]:
+def _open_ros2_poses(context: SourceContext) -> OpenedPoses:
     from uav_recon.sensors.ros2 import Ros2Poses
 
-    return context.camera, Ros2Poses(context.config.ros2, context.clock)
+    return OpenedPoses(context.camera, Ros2Poses(context.config.ros2, context.clock))
 
 
-def _open_autopilot_poses(context: SourceContext) -> tuple[DepthCamera, PoseSource]:
+def _open_autopilot_poses(context: SourceContext) -> OpenedPoses:
     from uav_recon.sensors.autopilot_poses import AutopilotPoses
 
-    return context.camera, AutopilotPoses(context.channels.reported)
+    return OpenedPoses(context.camera, AutopilotPoses(context.channels.reported))
 
 
-_OPENERS: dict[str, Callable[[SourceContext], tuple[DepthCamera, PoseSource]]] = {
+_OPENERS: dict[str, Callable[[SourceContext], OpenedPoses]] = {
     "stream": _open_stream_poses,
     "slam": _open_slam,
     "ros2": _open_ros2_poses,

@@ -107,7 +107,7 @@ def _poses(config: Config, clock: Clock, camera: DepthCamera) -> PoseSource | No
     if config.localization.source == "slam":
         return None
     mount, channels = FixedMount(camera_sources.tilted_camera(config)), read_only_channels(config.runtime.folder)
-    return pose_sources.open_poses(pose_sources.SourceContext(config, channels, clock, camera, mount))[1]
+    return pose_sources.open_poses(pose_sources.SourceContext(config, channels, clock, camera, mount)).poses
 
 
 class SensorRecorder:

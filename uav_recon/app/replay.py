@@ -20,6 +20,7 @@ from rich.table import Table
 
 from uav_recon import config as configuration
 from uav_recon.app import mapper_factory, mission_factory, pose_sources
+from uav_recon.app.pose_sources import OpenedPoses
 from uav_recon.app.flight_channels import FlightChannels, memory_channels
 from uav_recon.app.option_validation import OUTPUTS, UsageError, readable, remove_outputs, require_writable_folder
 from uav_recon.app.recording_survey import UPS, RecordingSurvey, survey_recording
@@ -294,8 +295,11 @@ class _Replay:
         self._camera = PlaybackCamera(recording, self._clock)
         mount = FixedMount(recording.info.body_from_depth)
         context = pose_sources.SourceContext(config, self._channels, self._clock, self._camera, mount)
-        camera, poses = pose_sources.open_poses(context) if options.pose != FROM_RECORDING else (self._camera, self._poses())
-        self._perception = Perception(config.localization, camera, poses, mount, self._channels, self._clock)
+        recorded = options.pose == FROM_RECORDING
+        opened = OpenedPoses(self._camera, self._poses()) if recorded else pose_sources.open_poses(context)
+        self._perception = Perception(
+            config.localization, opened.camera, opened.poses, mount, self._channels, self._clock, view=opened.view
+        )
         self._journal = FlightLog(options.out)
         self._perception_log = PerceptionLog(self._channels.perception, self._journal)
         self._mapping, self._alarms = _Mapping(config, self._channels, mapper, self._journal), _Alarms(self._channels)

@@ -6,6 +6,8 @@ import math
 from collections import Counter
 from typing import NamedTuple
 
+import numpy as np
+
 from uav_recon.localization.fusion.filter_pose_gates import PoseRejection
 from uav_recon.localization.fusion.imu_integration import Vector
 from uav_recon.types.camera import ImuSample
@@ -17,6 +19,8 @@ _FUTURE_S = 0.01  #: reject: inertial samples stamped later than the clock by th
 #: reject: inertial values that repeat to the last bit for this time: noise changes each value of a working sensor
 _FROZEN_S = 0.1
 _WORKS_S = 1.0  #: reject: inertial values until they have changed for this time, after they were frozen
+
+_NO_FORCE = np.full(3, math.nan)
 
 
 class InertialReading(NamedTuple):
@@ -74,6 +78,14 @@ class ImuSampleGate:
             else:
                 self._rejected[reason] += 1
         return admitted
+
+    def valid(self, samples: list[ImuSample], now_s: float) -> list[ImuSample]:
+        """Return the samples that admit() accepts, with a specific force of NaN while it is not measured or repeats."""
+        readings = self.admit(samples, now_s)
+        return [
+            ImuSample(stamp_s, np.array(rate), _NO_FORCE if force is None or self.accelerometer_frozen else np.array(force))
+            for stamp_s, rate, force in readings
+        ]
 
     def _fault(self, reading: InertialReading, now_s: float) -> PoseRejection | None:
         stamp_s, rate, force = reading

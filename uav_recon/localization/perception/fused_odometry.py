@@ -10,33 +10,32 @@ from uav_recon.localization.calibration.camera_mount import Mount
 from uav_recon.localization.correction.odometry_correction import OdometryCorrection, correction_of
 from uav_recon.localization.fusion.filter_pose_gates import PoseRejection
 from uav_recon.localization.fusion.fusion_filter import FusionFilter
+from uav_recon.localization.odometry import Odometry
 from uav_recon.types.camera import Frame, ImuSample
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.pose import StampedPose
 from uav_recon.types.reason import Reason
 
-#: reject: after a longer silence, a pose of the embedded SLAM until more agree with it; a camera loses up to five frames, and
-#: two more must fit after a doubt
-_SLAM_BRIDGED_S = 1.0
-
 
 class FusedOdometry:
-    """Owns the fusion filter and the correction of its odometry.
+    """Owns the estimator and the correction of its odometry.
 
     Three odometries of an instant: fused() follows the pose source, corrected() is what is published and mapped with,
     registered() is in the map of the tracker beside the source. Without such a tracker they are equal.
     """
 
-    def __init__(self, fusion: FusionFilter, correction: OdometryCorrection, mount: Mount) -> None:
+    def __init__(self, fusion: Odometry, correction: OdometryCorrection, mount: Mount) -> None:
         self._fusion = fusion
         self._correction = correction
         self._mount = mount
 
     @classmethod
-    def of(cls, config: LocalizationConfig, mount: Mount) -> FusedOdometry:
-        """Return the odometry that a config describes, of a body with the camera on this mount."""
-        bridged_s = _SLAM_BRIDGED_S if config.source == "slam" else 0.0
-        fusion = FusionFilter(pose_lost_s=config.pose_lost_s, bridged_s=bridged_s)
+    def of(cls, config: LocalizationConfig, mount: Mount, view: Odometry | None = None) -> FusedOdometry:
+        """Return the odometry that a config describes, of a body with the camera on this mount.
+
+        view: odometry of the tracked images, if they are the source of the poses.
+        """
+        fusion = view or FusionFilter(pose_lost_s=config.pose_lost_s)
         return cls(fusion, correction_of(config, fusion.odom_at), mount)
 
     @property

@@ -16,6 +16,7 @@ from uav_recon.localization.consistency import axis_monitor, planar_patches
 from uav_recon.localization.consistency.depth_consistency import DepthConsistencyMonitor
 from uav_recon.localization.fusion import error_propagation
 from uav_recon.localization.fusion.inertial_selection import InertialSelection
+from uav_recon.localization.odometry import Odometry
 from uav_recon.localization.perception.frame_intake import FrameIntake
 from uav_recon.localization.perception.fused_odometry import FusedOdometry
 from uav_recon.localization.perception.odometry_publisher import OdometryPublisher
@@ -40,7 +41,7 @@ class Perception:
     passed. The minimum range grid of a frame is published with or without a pose, valid or not: at once, or with a gimbal once
     its angle at the stamp has been measured.
 
-    kept: keeps the camera's errors for the next flight. remarks: what the camera reports of itself. ``published_frames`` is a
+    view: odometry of the tracked images, if they are the source of the poses. kept: keeps the camera's errors for the next flight. remarks: what the camera reports of itself. ``published_frames`` is a
     counter.
     """
 
@@ -53,6 +54,7 @@ class Perception:
         channels: PerceptionChannels,
         clock: Clock,
         *,
+        view: Odometry | None = None,
         kept: KeptCalibration | NoKeptCalibration | None = None,
         remarks: Callable[[], tuple[Reason, ...]] = tuple,
     ) -> None:
@@ -64,7 +66,7 @@ class Perception:
         self._kept = kept or NoKeptCalibration()
         self._inertial = InertialSelection(camera.imu, channels.rates)
         self._intake = FrameIntake(camera, config.frame_wait_s)
-        self._odometry = FusedOdometry.of(config, mount)
+        self._odometry = FusedOdometry.of(config, mount, view)
         self._checks = SensorChecks(config)
         self._odometry_publisher = OdometryPublisher(channels.odom, RateKeeper(config.rate_hz, clock.now_s()))
         self._report = StatusReport(poses, self._intake, self._odometry, self._checks, self._kept, remarks)

@@ -45,6 +45,7 @@ class GyroAlignment:
     def __init__(self) -> None:
         self._track = InertialTrack(_GAP_S)
         self._gaps: deque[tuple[float, float]] = deque(maxlen=_MOST_GAPS)
+        self._forceless_s = -math.inf  # stamp of the newest sample without a specific force
         self._state = np.zeros(7)  # bias, delay, mount
         self._covariance = np.diag([_BIAS_RADPS**2] * 3 + [_DELAY_S**2] + [_MOUNT_RAD**2] * 3)
 
@@ -64,14 +65,19 @@ class GyroAlignment:
         return self._state[:3].copy()
 
     def add(self, samples: list[ImuSample]) -> None:
-        """Add inertial samples; those that are not newer or not finite are dropped."""
+        """Add inertial samples; those that are not newer or without a turn rate are dropped.
+
+        One whose specific force is not finite has none.
+        """
         for sample in samples:
             x, y, z = sample.gyro_radps.tolist()
             a, b, c = sample.specific_force_mps2.tolist()
-            if sample.stamp_s > self._track.newest_s and math.isfinite(sample.stamp_s + x + y + z + a + b + c):
+            if sample.stamp_s > self._track.newest_s and math.isfinite(sample.stamp_s + x + y + z):
                 if sample.stamp_s - self._track.newest_s > _GAP_S and len(self._track):
                     self._gaps.append((self._track.newest_s, sample.stamp_s))
-                self._track.push(sample.stamp_s, (x, y, z), (a, b, c))
+                measured = math.isfinite(a + b + c)
+                self._forceless_s = self._forceless_s if measured else sample.stamp_s
+                self._track.push(sample.stamp_s, (x, y, z), (a, b, c) if measured else None)
 
     def rest(self, rate_radps: FloatArray) -> None:
         """Take the mean turn rate (3,) of a rest as the bias."""
@@ -88,8 +94,15 @@ class GyroAlignment:
 
     def track(self, from_s: float, to_s: float) -> tuple[InertialState, InertialState] | None:
         """Return the inertial track at what two frames show; None if the samples do not cover it."""
-        a_s, b_s = from_s - self.delay_s, to_s - self.delay_s
-        return self._measured(a_s, b_s)
+        return self.between(from_s - self.delay_s, to_s - self.delay_s)
+
+    def between(self, from_s: float, to_s: float) -> tuple[InertialState, InertialState] | None:
+        """Return the inertial track at two instants; None if no samples with a specific force cover the time between."""
+        return self._measured(from_s, to_s) if from_s > self._forceless_s else None
+
+    def turned(self, from_s: float, to_s: float) -> FloatArray | None:
+        """Return the rotation vector (3,) in body axes between two instants; None if the gyro does not cover it."""
+        return self._turn(from_s, to_s)
 
     def rate(self, stamp_s: float) -> FloatArray | None:
         """Return the turn rate (3,) in body axes that a frame shows.

@@ -53,6 +53,12 @@ class PredictedMotion:
         """The velocity (3,)."""
         return self.state[VELOCITY]
 
+    def shifted(self, shift_m: FloatArray) -> PredictedMotion:
+        """Return the motion of a place farther by this shift (3,)."""
+        state = self.state.copy()
+        state[PLACE] += shift_m
+        return PredictedMotion(state, self.covariance)
+
     @property
     def place_covariance(self) -> FloatArray:
         """The covariance (3, 3) of the place."""
@@ -77,6 +83,11 @@ class MotionFilter:
         )
         self._mean_surprise = 0.0
         self._calm = _TRUSTED_AGAIN
+
+    @property
+    def now(self) -> PredictedMotion:
+        """The motion at the newest frame."""
+        return self._now
 
     @property
     def velocity_mps(self) -> FloatArray:
@@ -107,26 +118,7 @@ class MotionFilter:
         odom_from_body: attitude now. track: the inertial track now and then, None without an accelerometer. measured: the same
         step by another source; it is left out where the prediction contradicts it.
         """
-        state, transition = self._now.state.copy(), np.eye(9)
-        transition[PLACE, VELOCITY] = step_s * np.eye(3)
-        noise = np.zeros((9, 9))
-        if track is None or not self.accelerometer_used:
-            state[PLACE] += step_s * state[VELOCITY]
-            _add_white_acceleration(noise, _BLIND_MPS2**2 * step_s, step_s)
-        else:
-            a, b = track
-            odom_from_gyro = odom_from_body @ Pose(np.array(conjugate(a.gyro_from_body)), np.zeros(3))
-            turn, body = odom_from_gyro.rotation(), odom_from_body.rotation()
-            gained = turn @ (np.array(b.velocity_integral) - np.array(a.velocity_integral))
-            swept = turn @ (
-                np.array(b.position_integral) - np.array(a.position_integral) - np.array(a.velocity_integral) * step_s
-            )
-            off = body @ state[OFFSET]
-            state[PLACE] += step_s * state[VELOCITY] + swept + 0.5 * step_s**2 * (_GRAVITY - off)
-            state[VELOCITY] += gained + step_s * (_GRAVITY - off)
-            transition[PLACE, OFFSET] = -0.5 * step_s**2 * body
-            transition[VELOCITY, OFFSET] = -step_s * body
-            _add_white_acceleration(noise, _FORCE_DENSITY**2, step_s)
+        state, transition, noise = _propagated(self._now, step_s, odom_from_body, track if self.accelerometer_used else None)
         noise[PLACE, PLACE] += _STEP_M**2 * np.eye(3)
         noise[OFFSET, OFFSET] += _OFFSET_WALK**2 * step_s * np.eye(3)
         covariance = transition @ self._now.covariance @ transition.T + noise
@@ -143,9 +135,7 @@ class MotionFilter:
 
     def shift(self, shift_m: FloatArray) -> None:
         """Move the place by the error (3,) of the track that has been found."""
-        state = self._now.state.copy()
-        state[PLACE] += shift_m
-        self._now = PredictedMotion(state, self._now.covariance)
+        self._now = self._now.shifted(shift_m)
 
     def update(self, predicted: PredictedMotion, place_m: FloatArray, place_covariance: FloatArray) -> None:
         """Take the place (3,) of an accepted frame, with its covariance (3, 3).
@@ -166,6 +156,41 @@ class MotionFilter:
             self._calm, self._mean_surprise = 0, 0.0
         else:
             self._calm += 1
+
+
+def propagate(
+    motion: PredictedMotion, step_s: float, odom_from_body: Pose, track: tuple[InertialState, InertialState] | None
+) -> PredictedMotion:
+    """Return a motion step_s later by dead reckoning.
+
+    odom_from_body: attitude before. track: the inertial track now and then, None without an accelerometer.
+    """
+    state, transition, noise = _propagated(motion, step_s, odom_from_body, track)
+    return PredictedMotion(state, transition @ motion.covariance @ transition.T + noise)
+
+
+def _propagated(
+    motion: PredictedMotion, step_s: float, odom_from_body: Pose, track: tuple[InertialState, InertialState] | None
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the state (9,) step_s later, the transition (9, 9), and the covariance (9, 9) of the acceleration's noise."""
+    state, transition, noise = motion.state.copy(), np.eye(9), np.zeros((9, 9))
+    transition[PLACE, VELOCITY] = step_s * np.eye(3)
+    if track is None:
+        state[PLACE] += step_s * state[VELOCITY]
+        _add_white_acceleration(noise, _BLIND_MPS2**2 * step_s, step_s)
+        return state, transition, noise
+    a, b = track
+    odom_from_gyro = odom_from_body @ Pose(np.array(conjugate(a.gyro_from_body)), np.zeros(3))
+    turn, body = odom_from_gyro.rotation(), odom_from_body.rotation()
+    gained = turn @ (np.array(b.velocity_integral) - np.array(a.velocity_integral))
+    swept = turn @ (np.array(b.position_integral) - np.array(a.position_integral) - np.array(a.velocity_integral) * step_s)
+    off = body @ state[OFFSET]
+    state[PLACE] += step_s * state[VELOCITY] + swept + 0.5 * step_s**2 * (_GRAVITY - off)
+    state[VELOCITY] += gained + step_s * (_GRAVITY - off)
+    transition[PLACE, OFFSET] = -0.5 * step_s**2 * body
+    transition[VELOCITY, OFFSET] = -step_s * body
+    _add_white_acceleration(noise, _FORCE_DENSITY**2, step_s)
+    return state, transition, noise
 
 
 def _take_step(

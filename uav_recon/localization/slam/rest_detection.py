@@ -35,8 +35,8 @@ class RestDetector:
         self._force_mps2: FloatArray | None = None
 
     def add(self, samples: list[ImuSample]) -> None:
-        """Add inertial samples; the oldest are dropped."""
-        self._samples.extend(samples)
+        """Add inertial samples; the oldest are dropped, and those without a specific force."""
+        self._samples.extend(sample for sample in samples if np.isfinite(sample.specific_force_mps2).all())
         while self._samples and self._samples[-1].stamp_s - self._samples[0].stamp_s > _KEPT_S:
             self._samples.popleft()
 

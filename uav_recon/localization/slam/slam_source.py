@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from uav_recon.interfaces import DepthCamera
 from uav_recon.localization.calibration.camera_mount import Mount
-from uav_recon.localization.slam.slam_tracker import SlamTracker
+from uav_recon.localization.slam.view_odometry import ViewOdometry
 from uav_recon.types.camera import Frame, ImuSample
 from uav_recon.types.pose import StampedPose
 
@@ -24,11 +24,11 @@ class SlamSource:
     """
 
     def __init__(
-        self, camera: DepthCamera, mount: Mount, tracker: SlamTracker, *, now_s: Callable[[], float] = lambda: math.inf
+        self, camera: DepthCamera, mount: Mount, odometry: ViewOdometry, *, now_s: Callable[[], float] = lambda: math.inf
     ) -> None:
         self._camera = camera
         self._mount = mount
-        self._tracker = tracker
+        self.odometry = odometry
         self._now_s = now_s
         self._poses: list[StampedPose] = []
 
@@ -39,16 +39,18 @@ class SlamSource:
             return None
         if frame.stamp_s > self._now_s() + _FUTURE_S:  # perception rejects it; it must not move the track into the future
             return frame
-        body_from_depth = self._mount.body_from_depth(frame.stamp_s - self._tracker.delay_s)
-        if body_from_depth is not None and (pose := self._tracker.track(frame, body_from_depth)) is not None:
+        delay_s = self.odometry.tracker.delay_s
+        body_from_depth = self._mount.body_from_depth(frame.stamp_s - delay_s)
+        if body_from_depth is not None and (pose := self.odometry.track(frame, body_from_depth)) is not None:
             self._poses.append(pose)
-        return replace(frame, stamp_s=frame.stamp_s - self._tracker.delay_s)
+        return replace(frame, stamp_s=frame.stamp_s - self.odometry.tracker.delay_s)
 
     def imu(self) -> list[ImuSample]:
-        """Return the inertial samples since the last call."""
-        samples = self._camera.imu()
-        self._tracker.add_imu(samples)
-        return samples
+        """Return the inertial samples since the last call.
+
+        They do not reach the tracker here: perception gives it the samples of the sensors that work.
+        """
+        return self._camera.imu()
 
     def close(self) -> None:
         """Release the camera."""

@@ -18,7 +18,7 @@ from uav_recon.localization.slam.attitude_filter import AttitudeFilter, Predicte
 from uav_recon.localization.slam.floor_level import level_by_floor
 from uav_recon.localization.slam.gyro_alignment import JITTER_S, GyroAlignment
 from uav_recon.localization.slam.landmarks import Landmarks, LandmarkTracker, moving_imager, project
-from uav_recon.localization.slam.motion_filter import MeasuredStep, MotionFilter
+from uav_recon.localization.slam.motion_filter import MeasuredStep, MotionFilter, PredictedMotion
 from uav_recon.localization.slam.prepared_view import PreparedView
 from uav_recon.localization.slam.rest_detection import RestDetector
 from uav_recon.localization.slam.rgbd_registration import MotionPrior, Registration, register, search
@@ -95,6 +95,19 @@ class TrackedState:
     velocity_mps: FloatArray
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class TrackerState:
+    """The estimate at what the newest frame shows, accepted or not.
+
+    stamp_s: of what the frame shows. motion: in odom, with the found error that is not released yet. odom_from_body: attitude;
+    its translation has no meaning.
+    """
+
+    stamp_s: float
+    motion: PredictedMotion
+    odom_from_body: Pose
+
+
 class OutsideMotion(Protocol):
     """Motion of the body by another source.
 
@@ -168,6 +181,19 @@ class SlamTracker:
     def delay_s(self) -> float:
         """Time from what a frame shows to its stamp."""
         return self.gyro.delay_s
+
+    @property
+    def state(self) -> TrackerState | None:
+        """The estimate at the newest frame; None before the first."""
+        if self._state is None:
+            return None
+        motion = self._motion.now.shifted(self._unreleased_m)
+        return TrackerState(self._state.stamp_s - self.delay_s, motion, self._attitude.odom_from_body)
+
+    @property
+    def accelerometer_used(self) -> bool:
+        """True unless the images have contradicted the accelerometer."""
+        return self._motion.accelerometer_used
 
     def add_imu(self, samples: list[ImuSample]) -> None:
         """Add inertial samples, oldest first."""

@@ -1,0 +1,165 @@
+"""Odometry of the embedded SLAM: the tracker's own state, carried on by the inertial samples.
+
+No filter stands behind the tracker. Its state after each frame is a node; the present is the newest node propagated by the
+samples since, an earlier instant lies on the path between two nodes.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter, deque
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from uav_recon.localization.fusion.filter_pose_gates import PoseRejection
+from uav_recon.localization.fusion.imu_sample_gate import ImuSampleGate
+from uav_recon.localization.slam.motion_filter import PLACE, PredictedMotion, propagate
+from uav_recon.localization.slam.slam_tracker import SlamTracker
+from uav_recon.types.camera import Frame, ImuSample
+from uav_recon.types.frames import FloatArray
+from uav_recon.types.pose import Pose, PoseHealth, StampedPose
+from uav_recon.types.reason import Reason
+from uav_recon.types.reason_code import ReasonCode
+
+_KEPT_S = 2.0  #: reject: late frames are possible for this time
+_LATE_S = 0.25  #: brake: retreat_speed_mps while the newest accepted frame is older
+#: hold: the newest accepted frame is older: the place counts as lost, and pose_timeout_s and pose_land_s run
+_SILENT_S = 1.0
+_FADES_S = 0.5  #: hold: quality falls to zero within this time after the place is lost
+_RETURN_FRAMES = 8  #: reject: after the place was lost, until this many frames in a row are accepted
+_JUMP_M = 0.15  #: reject: a place farther from dead reckoning after a loss is a restart of odom
+_DEGRADED_QUALITY = 60  # quality that the autopilot gets at most, with a degraded pose
+#: reject: quality that the autopilot gets with a lost pose: it refuses below this (EKF2_EV_QMIN, VISO_QUAL_MIN)
+_LOST_QUALITY = 20
+_POSITION_SIGMA_M = 0.01
+_ROTATION_SIGMA_RAD = math.radians(0.3)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Node:
+    """The tracker's state at what a frame shows. accepted: the frame gave a pose."""
+
+    stamp_s: float
+    motion: PredictedMotion
+    odom_from_body: Pose
+    pose: StampedPose | None
+
+
+class ViewOdometry:
+    """Odometry of any recent instant from the tracked frames. Not thread-safe.
+
+    ``newest_pose_s``: stamp of the newest accepted frame; -inf before the first. ``rejected``: counts of inertial samples.
+    """
+
+    def __init__(self, tracker: SlamTracker) -> None:
+        self.tracker = tracker
+        self.rejected: Counter[PoseRejection] = Counter()
+        self._gate = ImuSampleGate(self.rejected)
+        self.newest_pose_s = -math.inf
+        self._world_from_tracker: Pose | None = None
+        self._nodes: deque[_Node] = deque()
+        self._newest_pose: StampedPose | None = None
+        self._reset_counter = 0
+        self._returning = 0  # frames that must still be accepted after a loss
+
+    def add_imu(self, samples: list[ImuSample], now_s: float = math.inf) -> None:
+        """Add inertial samples, oldest first; invalid ones are counted and dropped, those that repeat as well."""
+        self.tracker.add_imu(self._gate.valid(samples, now_s))
+
+    def track(self, frame: Frame, body_from_depth: Pose) -> StampedPose | None:
+        """Track a frame. Return the body's pose at what it shows, None if it is not known."""
+        pose = self.tracker.track(frame, body_from_depth)
+        state = self.tracker.state
+        if state is None:
+            return None
+        stamp_s = state.stamp_s
+        if self._nodes and stamp_s <= self._nodes[-1].stamp_s:
+            return None
+        if pose is not None:
+            self._accept(pose)
+        self._nodes.append(_Node(stamp_s, state.motion, state.odom_from_body, pose))
+        while stamp_s - self._nodes[0].stamp_s > _KEPT_S:
+            self._nodes.popleft()
+        return pose
+
+    def add_pose(self, pose: StampedPose, now_s: float) -> bool:
+        """Take a pose of track() in the world: odometry is in the world from then on. Return False for another pose."""
+        node = next((node for node in reversed(self._nodes) if node.pose is not None and node.pose.stamp_s == pose.stamp_s), None)
+        if node is not None and node.pose is not None:
+            self._world_from_tracker = pose.odom_from_body @ node.pose.odom_from_body.inverse()
+        return node is not None
+
+    def odom_at(self, stamp_s: float) -> StampedPose | None:
+        """Return the body's pose at an instant; None before the first pose in the world, and too long ago."""
+        world, newest = self._world_from_tracker, self._newest_pose
+        if world is None or newest is None or not self._nodes or stamp_s < self._nodes[0].stamp_s:
+            return None
+        k = next(n for n in range(len(self._nodes) - 1, -1, -1) if self._nodes[n].stamp_s <= stamp_s)
+        motion, attitude = self._propagated(self._nodes[k], stamp_s)
+        if k + 1 < len(self._nodes):
+            motion, attitude = self._towards(self._nodes[k], self._nodes[k + 1], motion, attitude, stamp_s)
+        age_s = stamp_s - self.newest_pose_s
+        health, reason = self._health(age_s, newest)
+        turn = world.rotation()
+        sigma2 = np.diag([_POSITION_SIGMA_M**2] * 3 + [_ROTATION_SIGMA_RAD**2] * 3)
+        sigma2[PLACE, PLACE] += turn @ motion.place_covariance @ turn.T
+        return StampedPose(
+            stamp_s,
+            world @ Pose(attitude.quat_wxyz, motion.place_m),
+            turn @ motion.velocity_mps,
+            sigma2,
+            self._quality(health, age_s, newest.quality),
+            self._reset_counter,
+            0,
+            health,
+            reason,
+        )
+
+    def _accept(self, pose: StampedPose) -> None:
+        """Take the pose of an accepted frame."""
+        lost = self._newest_pose is not None and pose.stamp_s - self.newest_pose_s > _SILENT_S
+        if lost:
+            self._returning = _RETURN_FRAMES
+            carried, _ = self._propagated(self._nodes[-1], pose.stamp_s)
+            if math.dist(carried.place_m.tolist(), pose.odom_from_body.translation_m.tolist()) > _JUMP_M:
+                self._reset_counter = (self._reset_counter + 1) % 256
+        self._returning = max(self._returning - 1, 0)
+        self._newest_pose, self.newest_pose_s = pose, pose.stamp_s
+
+    def _propagated(self, node: _Node, stamp_s: float) -> tuple[PredictedMotion, Pose]:
+        """Return motion and attitude at an instant after a node, by dead reckoning."""
+        step_s = stamp_s - node.stamp_s
+        track = self.tracker.gyro.between(node.stamp_s, stamp_s)
+        turned = self.tracker.gyro.turned(node.stamp_s, stamp_s)
+        attitude = node.odom_from_body
+        if turned is not None:
+            attitude = attitude @ Pose.from_rotation_vector(turned, np.zeros(3))
+        used = track if self.tracker.accelerometer_used else None
+        return propagate(node.motion, step_s, node.odom_from_body, used), attitude
+
+    def _towards(
+        self, node: _Node, after: _Node, motion: PredictedMotion, attitude: Pose, stamp_s: float
+    ) -> tuple[PredictedMotion, Pose]:
+        """Return motion and attitude between two nodes, corrected so that the path ends at the later one."""
+        share = (stamp_s - node.stamp_s) / (after.stamp_s - node.stamp_s)
+        end, end_attitude = self._propagated(node, after.stamp_s)
+        off = after.motion.state - end.state
+        turn = share * (after.odom_from_body @ end_attitude.inverse()).rotation_vector()
+        turned = Pose.from_rotation_vector(turn, np.zeros(3)) @ attitude
+        return replace(motion, state=motion.state + share * off), Pose(turned.quat_wxyz, np.zeros(3))
+
+    def _health(self, age_s: float, newest: StampedPose) -> tuple[PoseHealth, Reason | None]:
+        late = Reason(ReasonCode.NO_POSE, (max(age_s, 0.0),))
+        if age_s > _SILENT_S or self._returning:
+            return PoseHealth.LOST, late
+        if age_s > _LATE_S:
+            return PoseHealth.DEGRADED, late
+        if newest.health is not PoseHealth.GOOD:
+            return newest.health, newest.health_reason
+        return PoseHealth.GOOD, None
+
+    def _quality(self, health: PoseHealth, age_s: float, source: int) -> int:
+        most = {PoseHealth.GOOD: 100, PoseHealth.DEGRADED: _DEGRADED_QUALITY, PoseHealth.LOST: _LOST_QUALITY}[health]
+        share = min(1.0, max(0.0, (_SILENT_S + _FADES_S - age_s) / _FADES_S))
+        return min(most, math.ceil(source * share))
