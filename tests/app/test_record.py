@@ -213,7 +213,7 @@ def test_poses_of_the_embedded_slam_are_left_out(
 ) -> None:
     config, camera = flight_config(tmp_path, source), Camera((0,))
     monkeypatch.setattr(camera_sources, "open_camera", lambda *_: camera)
-    monkeypatch.setattr(pose_sources, "open_poses", lambda context: (context.camera, camera))
+    monkeypatch.setattr(pose_sources, "open_poses", lambda context: pose_sources.OpenedPoses(context.camera, camera))
     opened, header = recording.open_source(config, FastClock(50.0), lambda: False)
     writer = McapWriter(tmp_path / "r.mcap", header, MOUNT, 10**9)
     opened.copy_to(writer)

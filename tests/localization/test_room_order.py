@@ -13,8 +13,10 @@ LEVEL = {
     "fusion": 1,
     "pad_origin": 1,
     "slam": 2,
+    "odometry": 2,
     "consistency": 3,
     "correction": 3,
+    "exclusion": 3,
     "hand_calibration": 4,
     "perception": 4,
 }

@@ -42,7 +42,8 @@ def make_perception(
         camera.lock_exposure(lambda: _flight_is_near(channels.vehicle.latest()))
     remarks = camera.remarks if isinstance(camera, CameraRemarks) else tuple
     compile_ahead()
-    opened = pose_sources.open_poses(pose_sources.SourceContext(config, channels, clock, camera, mount))
+    context = pose_sources.SourceContext(config, channels, clock, camera, mount)
+    opened = pose_sources.with_view(pose_sources.open_poses(context), context)
     poses = opened.poses
     if config.localization.origin == "pad" and config.camera.source != "recorded":
         from uav_recon.localization.pad_origin import PadOrigin

@@ -12,6 +12,7 @@ from uav_recon.config import Config
 from uav_recon.errors import UserError
 from uav_recon.interfaces import Clock, DepthCamera, PoseSource
 from uav_recon.sensors.stream_format import StreamError
+from uav_recon.types.pose import Pose
 
 if TYPE_CHECKING:  # the pilot's process imports no stage of perception
     from uav_recon.localization.calibration.camera_mount import Mount
@@ -51,6 +52,19 @@ def open_poses(context: SourceContext) -> OpenedPoses:
         return _OPENERS[context.config.localization.source](context)
     except StreamError as error:
         raise UserError(str(error)) from None
+
+
+def with_view(opened: OpenedPoses, context: SourceContext) -> OpenedPoses:
+    """Return a source with a tracker of the images beside it, which checks its poses."""
+    if opened.view is not None:
+        return opened
+    from uav_recon.localization.slam.slam_source import TrackedCamera
+    from uav_recon.localization.slam.slam_tracker import SlamTracker, warm_up
+    from uav_recon.localization.slam.view_odometry import ViewOdometry
+
+    warm_up()
+    view = ViewOdometry(SlamTracker(), Pose.identity())
+    return OpenedPoses(TrackedCamera(opened.camera, context.mount, view, now_s=context.clock.now_s), opened.poses, view)
 
 
 def _open_stream_poses(context: SourceContext) -> OpenedPoses:

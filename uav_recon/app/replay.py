@@ -20,9 +20,9 @@ from rich.table import Table
 
 from uav_recon import config as configuration
 from uav_recon.app import mapper_factory, mission_factory, pose_sources
-from uav_recon.app.pose_sources import OpenedPoses
 from uav_recon.app.flight_channels import FlightChannels, memory_channels
 from uav_recon.app.option_validation import OUTPUTS, UsageError, readable, remove_outputs, require_writable_folder
+from uav_recon.app.pose_sources import OpenedPoses
 from uav_recon.app.recording_survey import UPS, RecordingSurvey, survey_recording
 from uav_recon.app.reference_safety import REFERENCE_SAFETY
 from uav_recon.app.step_display import Report, StepDisplay

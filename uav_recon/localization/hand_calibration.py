@@ -80,7 +80,7 @@ class CameraCalibrator:
         self._poses = poses
         self._mount = mount
         self._clock = clock
-        self._fusion = odometry or FusionFilter()
+        self._fusion: Odometry = odometry or FusionFilter()
         self._estimator = DriftRateEstimator(CalibrationFilter(_MEMORY_S))
         self._waiting: deque[Frame] = deque(maxlen=_WAITING)
         self._kept: list[_Kept] = []

@@ -11,15 +11,16 @@ from uav_recon.types.pose import StampedPose
 
 
 class Odometry(Protocol):
-    """Odometry of any recent instant.
-
-    ``newest_pose_s``: stamp of the newest fused pose; -inf before the first. ``rejected``: counts of rejected poses and inertial
-    samples.
-    """
+    """Odometry of any recent instant."""
 
     @property
     def newest_pose_s(self) -> float:
-        """Stamp of the newest fused pose."""
+        """Stamp of the newest fused pose; -inf before the first."""
+        ...
+
+    @property
+    def source_excluded(self) -> bool:
+        """True while the poses of the source are not used because the other sensors contradict them."""
         ...
 
     @property
@@ -33,6 +34,10 @@ class Odometry(Protocol):
 
     def add_pose(self, pose: StampedPose, now_s: float) -> bool:
         """Add a pose at its own stamp. Return False if it is not used."""
+        ...
+
+    def add_view(self, now_s: float) -> None:
+        """Take what the tracked images have shown since the last call."""
         ...
 
     def odom_at(self, stamp_s: float) -> StampedPose | None:

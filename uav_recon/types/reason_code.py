@@ -113,6 +113,10 @@ class ReasonCode(str, Enum):
     # --- odometry and depth ------------------------------------------------------------------------------------------
     POSES_DISAGREE = "poses-disagree", "poses disagree for {0:.1f} s", "", (123.4,)
     PLACE_UNSURE = "place-unsure", "place uncertain by {0:.2f} m", "the place is uncertain by {0:.2f} m", (1.23,)
+    SOURCE_EXCLUDED = (
+        "source-excluded", "pose source contradicts view, not used",
+        "the view and the inertial sensors contradict the pose source: it is not used",
+    )  # fmt: skip
     FEW_POSES = "few-poses", "{0:.0f} poses a second", "", (30.0,)
     NO_IMU = "no-imu", "no inertial samples"
     IMU_FROZEN = "imu-frozen", "IMU values repeat, not used", "the values of the IMU repeat: it is not used"

@@ -239,23 +239,26 @@ def test_a_short_gap_is_bridged_by_the_imu() -> None:
     assert np.linalg.norm(odom.odom_from_body.translation_m - MOTION.position(gap_end_s)) < 0.06
 
 
-@pytest.mark.parametrize(
-    ("bridged_s", "silent_s", "offset_m", "fused"),
-    [(1.0, 0.9, 0.0, True), (1.0, 0.9, 0.12, True), (1.0, 0.9, 0.4, False), (1.0, 1.1, 0.0, False), (0.0, 0.6, 0.0, False)],
-)
-def test_after_a_silence_that_is_bridged_a_pose_is_fused_if_it_fits_the_track(
-    bridged_s: float, silent_s: float, offset_m: float, fused: bool
-) -> None:
-    fusion, rng = FusionFilter(bridged_s=bridged_s), np.random.default_rng(1)
-    for n in range(int((5.0 + silent_s) * 200) + 1):
-        t = n / 200
-        fusion.add_imu([_hovering(t, rng)])
-        if n % 20 == 0 and t <= 5.0:
-            fusion.add_pose(StampedPose(t, Pose.from_yaw(0.0, rng.normal(0.0, 0.002, 3)), np.zeros(3)), t)
-    back_s = 5.0 + silent_s
-    assert (
-        fusion.add_pose(StampedPose(back_s, Pose.from_yaw(0.0, np.array([offset_m, 0.0, 0.0])), np.zeros(3)), back_s) is fused
-    )
+def test_a_source_that_rejoins_does_not_move_odometry() -> None:
+    fusion, rng = FusionFilter(), np.random.default_rng(1)
+    for n in range(801):
+        fusion.add_imu([_hovering(n / 200, rng)])
+        if n % 20 == 0 and n <= 400:
+            fusion.add_pose(StampedPose(n / 200, Pose.from_yaw(0.0, rng.normal(0.0, 0.002, 3)), np.zeros(3)), n / 200)
+    before = fusion.odom_at(2.0)
+    assert before is not None
+    elsewhere = Pose.from_yaw(1.0, np.array([3.0, -2.0, 0.5]))
+    odom = StampedPose(3.9, Pose.from_yaw(0.1, np.array([0.2, 0.0, 0.0])), np.array([0.1, 0.0, 0.0]))
+    assert fusion.rejoin(StampedPose(3.9, elsewhere, np.zeros(3)), odom)
+    after = fusion.odom_at(4.0)
+    assert after is not None
+    np.testing.assert_allclose(after.odom_from_body.translation_m, [0.21, 0.0, 0.0], atol=0.01)
+    assert after.reset_counter == before.reset_counter
+    assert after.correction.epoch == before.correction.epoch + 1
+    found = after.correction.world_from_odom @ odom.odom_from_body
+    np.testing.assert_allclose(found.translation_m, elsewhere.translation_m, atol=1e-9)
+    fusion.add_imu([_hovering(4.01, rng)])
+    assert fusion.add_pose(StampedPose(4.0, elsewhere @ Pose.from_yaw(0.0, np.array([0.01, 0.0, 0.0])), np.zeros(3)), 4.01)
 
 
 @pytest.mark.parametrize("offset_m", [0.0, 3.0])

@@ -12,6 +12,7 @@ from test_slam_source import Camera
 from uav_recon.localization.calibration.camera_mount import FixedMount
 from uav_recon.localization.slam.slam_source import SlamSource
 from uav_recon.localization.slam.slam_tracker import SlamTracker
+from uav_recon.localization.slam.view_odometry import ViewOdometry
 from uav_recon.localization.slam.tracking_monitor import TrackingFault
 from uav_recon.types.camera import Frame
 
@@ -38,7 +39,7 @@ def test_a_frame_from_the_future_is_not_tracked() -> None:
     flight = list(frames(REST_S + 4.0))
     now_s, tracker = [0.0], SlamTracker()
     camera = Camera([replace(f, stamp_s=f.stamp_s + 5.0 * (n == MOVING)) for n, f in enumerate(flight)])
-    source = SlamSource(camera, FixedMount(BODY_FROM_DEPTH), tracker, now_s=lambda: now_s[0])
+    source = SlamSource(camera, FixedMount(BODY_FROM_DEPTH), ViewOdometry(tracker), now_s=lambda: now_s[0])
     given: list[Frame] = []
     counts: list[int] = []
     for true in flight:

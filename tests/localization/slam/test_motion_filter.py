@@ -145,7 +145,7 @@ def _shifted(t: float, force: FloatArray) -> FloatArray:
 
 
 @pytest.mark.parametrize("lying", [_half, _shifted])
-def test_an_accelerometer_that_lies_is_left_out_and_used_again_later(lying: Sensor) -> None:
+def test_an_accelerometer_that_lies_is_left_out_until_it_is_told_to_be_right(lying: Sensor) -> None:
     flight = Flight(lying)
     flight.fly(5.0)
     assert all(flight.used)
@@ -154,6 +154,9 @@ def test_an_accelerometer_that_lies_is_left_out_and_used_again_later(lying: Sens
     assert flight.used.index(False) - 75 < 25  # frames
     flight.fly(9.0)
     assert flight.worst_m < 0.1
+    flight.fly(12.0)
+    assert not flight.used[-1]
+    flight.filter.accelerometer_used = True
     flight.fly(20.0)
     assert flight.used[-1]
     assert flight.error_mps() < 0.1

@@ -11,6 +11,7 @@ from slam_flight import BODY_FROM_DEPTH, RATE_HZ, covered, frame, imu, truth
 
 from uav_recon.localization.slam.slam_source import SlamSource
 from uav_recon.localization.slam.slam_tracker import SlamTracker
+from uav_recon.localization.slam.view_odometry import ViewOdometry
 from uav_recon.types.camera import Frame, ImuSample
 from uav_recon.types.pose import Pose
 
@@ -74,10 +75,11 @@ class Delayed(SlamTracker):
 
 def test_each_accepted_frame_has_one_pose_of_the_same_stamp() -> None:
     camera = Camera([frame(n) for n in range(60)])
-    source = SlamSource(camera, Mount(), SlamTracker())
+    source = SlamSource(camera, Mount(), ViewOdometry(SlamTracker()))
     posed = 0
     for n in range(60):
         samples = source.imu()
+        source.odometry.add_imu(samples)
         assert samples or n == 0
         seen = source.poll()
         assert seen is not None
@@ -94,7 +96,7 @@ def test_each_accepted_frame_has_one_pose_of_the_same_stamp() -> None:
 
 def test_the_inertial_samples_are_those_of_the_camera() -> None:
     camera, other = Camera([frame(n) for n in range(10)]), Camera([frame(n) for n in range(10)])
-    source = SlamSource(camera, Mount(), SlamTracker())
+    source = SlamSource(camera, Mount(), ViewOdometry(SlamTracker()))
     for _ in range(10):
         assert [sample.stamp_s for sample in source.imu()] == [sample.stamp_s for sample in other.imu()]
         source.poll()
@@ -103,9 +105,9 @@ def test_the_inertial_samples_are_those_of_the_camera() -> None:
 
 def test_a_frame_is_passed_on_unchanged_but_for_its_stamp() -> None:
     frames = [dataclasses.replace(frame(n), sequence=100 + n) for n in range(8)]
-    source = SlamSource(Camera(frames), Mount(), Delayed(0.025))
+    source = SlamSource(Camera(frames), Mount(), ViewOdometry(Delayed(0.025)))
     for true in frames:
-        source.imu()
+        source.odometry.add_imu(source.imu())
         seen = source.poll()
         assert seen is not None
         assert seen.stamp_s == true.stamp_s - 0.025
@@ -119,18 +121,18 @@ def test_a_frame_is_passed_on_unchanged_but_for_its_stamp() -> None:
 
 def test_the_mount_is_asked_for_the_instant_that_a_frame_shows() -> None:
     mount = Mount()
-    source = SlamSource(Camera([frame(n) for n in range(4)]), mount, Delayed(0.03))
+    source = SlamSource(Camera([frame(n) for n in range(4)]), mount, ViewOdometry(Delayed(0.03)))
     for _ in range(5):
-        source.imu()
+        source.odometry.add_imu(source.imu())
         source.poll()
     assert mount.asked == pytest.approx([n / RATE_HZ - 0.03 for n in range(4)])
 
 
 def test_a_frame_of_an_unknown_mount_has_no_pose_and_is_passed_on() -> None:
-    source = SlamSource(Camera([frame(n) for n in range(12)]), Mount(unknown=(0.45, 0.55)), SlamTracker())
+    source = SlamSource(Camera([frame(n) for n in range(12)]), Mount(unknown=(0.45, 0.55)), ViewOdometry(SlamTracker()))
     stamps = []
     for _ in range(12):
-        source.imu()
+        source.odometry.add_imu(source.imu())
         assert source.poll() is not None
         stamps += [pose.stamp_s for pose in source.poses()]
     assert len(stamps) >= 6
@@ -140,10 +142,10 @@ def test_a_frame_of_an_unknown_mount_has_no_pose_and_is_passed_on() -> None:
 
 def test_a_frame_that_is_not_accepted_has_no_pose_and_is_passed_on() -> None:
     frames = [covered(frame(n)) if 40 <= n < 44 else frame(n) for n in range(50)]
-    source = SlamSource(Camera(frames), Mount(), SlamTracker())
+    source = SlamSource(Camera(frames), Mount(), ViewOdometry(SlamTracker()))
     without = []
     for n in range(50):
-        source.imu()
+        source.odometry.add_imu(source.imu())
         assert source.poll() is not None
         if not source.poses():
             without.append(n)
@@ -153,5 +155,5 @@ def test_a_frame_that_is_not_accepted_has_no_pose_and_is_passed_on() -> None:
 
 def test_the_camera_is_closed_with_the_source() -> None:
     camera = Camera([])
-    SlamSource(camera, Mount(), SlamTracker()).close()
+    SlamSource(camera, Mount(), ViewOdometry(SlamTracker())).close()
     assert camera.closed

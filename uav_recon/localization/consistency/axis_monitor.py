@@ -117,6 +117,12 @@ class AxisMonitor:
             self._force.add(sample)
             self._gravity.add(sample)
 
+    def forget(self) -> None:
+        """Forget the newest poses; the evidence of those before them stays."""
+        self._poses.clear()
+        self._waiting.clear()
+        self._depth.forget()
+
     def add_pose(self, pose: StampedPose) -> None:
         """Compare a pose with the inertial samples, and the frames before it with earlier ones."""
         if pose.quality <= 0 or not math.isfinite(pose.stamp_s) or (self._poses and pose.stamp_s <= self._poses[-1].stamp_s):

@@ -41,6 +41,7 @@ class PoseRejection(str, Enum):
     SPEED = "speed"
     RESET = "reset"
     UNPROVEN = "unproven"  # the first after a loss
+    EXCLUDED = "excluded"  # of a source that view and inertial sensors contradict
     IMU_NOT_FINITE = "imu not finite"
     IMU_FORCE = "imu force"
     IMU_STAMP = "imu stamp"

@@ -53,17 +53,16 @@ class FusionFilter:
 
     Costs 0.03 ms per inertial sample, 0.4 ms per pose and 0.1 ms per answer on one core.
 
-    pose_lost_s: an answer later than this after the newest pose has quality 0. bridged_s: after a silence of up to this, a pose
-    that fits a credible inertial track is fused at once; 0: never. ``rejected`` counts rejected poses by reason:
+    pose_lost_s: an answer later than this after the newest pose has quality 0. ``rejected`` counts rejected poses by reason:
     not finite, out of range, stamp, duplicate, quality, jump, turn, speed, reset, unproven (the first after a loss), and "imu
     ..." for inertial samples.
     """
 
-    def __init__(self, pose_lost_s: float = 0.5, gates: PoseGates | None = None, bridged_s: float = 0.0) -> None:
+    def __init__(self, pose_lost_s: float = 0.5, gates: PoseGates | None = None) -> None:
         self.rejected: Counter[PoseRejection] = Counter()
         self.correction = WorldFromOdom.start()
+        self.source_excluded = False
         self._lost_s = pose_lost_s
-        self._bridged_s = bridged_s
         self._gates = gates or PoseGates()
         self._frozen = FrozenPoseGate()
         self._relocalization = RelocalizationCheck()
@@ -71,6 +70,7 @@ class FusionFilter:
         self._bank = PropagationBank(self.rejected)
         self._reset_counter = 0
         self._source_resets = 0
+        self._contradictions = 0  # poses in a row that contradicted the track
         self._contradicted = False  # poses since the newest fused one contradicted the track
 
     @property
@@ -115,10 +115,13 @@ class FusionFilter:
         before = self._bank.before(measurement.stamp_s)
         reason = self._continuity_fault(arrival, before)
         if reason in CONTRADICTIONS:
-            fitting = (other for other in self._bank.alternatives() if self._continuity_fault(other, before) is None)
+            self._contradictions += 1
+            fitting = (other for other in self._bank.alternatives(self._contradictions) if self._continuity_fault(other, before) is None)
             if (other := next(fitting, None)) is not None:
                 self._bank.switch_to(other)
                 arrival, reason = other, None
+        else:
+            self._contradictions = 0
         if reason is not None and not self._accept_run(arrival):
             self.rejected[reason] += 1
             self._contradicted |= reason in CONTRADICTIONS
@@ -126,6 +129,28 @@ class FusionFilter:
         if reason is None:
             self._settle(arrival)
         return True
+
+    def exclude_accelerometer(self, excluded: bool) -> None:
+        """Leave the accelerometer out, because another track of the body contradicts it, or let the poses decide again."""
+        self._bank.accelerometer_excluded = excluded
+
+    def rejoin(self, pose: StampedPose, odom: StampedPose) -> bool:
+        """Use the source again after another estimator has carried odom on; return False if that is not possible yet.
+
+        odom: at the stamp of the pose, which does not move it: world_from_odom takes what lies between.
+        """
+        if not self._bank.reaches(pose.stamp_s):
+            return False
+        position, attitude = odom.odom_from_body.translation_m.tolist(), _quaternion(odom.odom_from_body)
+        measurement = PoseMeasurement(pose.stamp_s, (position[0], position[1], position[2]), attitude, pose)
+        self._move_world(pose, measurement)
+        self._reset_counter = odom.reset_counter
+        vx, vy, vz = odom.velocity_odom_mps.tolist()
+        self._restart(measurement, PoseNoise.claimed(pose.covariance), (vx, vy, vz))
+        return True
+
+    def add_view(self, now_s: float) -> None:
+        """Do nothing: only the poses of the source count."""
 
     def odom_at(self, stamp_s: float) -> StampedPose | None:
         """Return the body's pose at an instant; smooth between poses.
@@ -159,19 +184,11 @@ class FusionFilter:
         measurement = arrival.measurement
         if measurement.source.reset_counter != self._source_resets:
             return PoseRejection.RESET
-        if measurement.stamp_s - before.stamp_s > self._lost_s and not self._bridges(arrival, before):
+        if measurement.stamp_s - before.stamp_s > self._lost_s:
             return PoseRejection.UNPROVEN
         return self._gates.leap(arrival.residual, arrival.covariance) or self._gates.speed_fault(
             before.measurement, measurement
         )
-
-    def _bridges(self, arrival: Arrival, before: FusedPose) -> bool:
-        """Return True if the inertial track is credible after a short silence.
-
-        The gates decide whether the pose fits it.
-        """
-        credible = arrival.carried.model.accelerometer and max(np.diagonal(arrival.carried.covariance)[:3]) <= _CREDIBLE_M**2
-        return bool(credible and arrival.measurement.stamp_s - before.stamp_s <= self._bridged_s)
 
     def _accept_run(self, arrival: Arrival) -> bool:
         """Return True if a doubtful pose completes an accepted run of such poses.
@@ -255,13 +272,17 @@ class FusionFilter:
             self._reset_counter = (self._reset_counter + 1) % 256
             again = measurement.source.reset_counter != self._source_resets
             self.correction = replace(self.correction, epoch=self.correction.epoch + again)
+        self._restart(measurement, noise, velocity_mps)
+        return True
+
+    def _restart(self, measurement: PoseMeasurement, noise: PoseNoise, velocity_mps: Vector) -> None:
+        """Forget the nodes and restart from this pose."""
         self._relocalization.clear()
         self._contradicted = False
         self._source_resets = measurement.source.reset_counter
         self._health_monitor.begin(measurement.stamp_s)
         self._bank.begin(measurement, noise, velocity_mps)
         self._health_monitor.fused(measurement.stamp_s, 0.0)
-        return True
 
     def _move_world(self, pose: StampedPose, track: PoseMeasurement) -> None:
         """Keep odom and move the world to where the source now reports it."""

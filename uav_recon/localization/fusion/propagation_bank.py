@@ -31,6 +31,7 @@ _SURPRISED_NIS = 15.0
 _COST_NIS = 2.0
 _UNLIKELY_NIS = 12.6  #: reject: ... and above this for each of the newest poses: 95 % of the innovations are below (chi-square)
 _SUSPECT_NIS = 9.0  #: reject: a sensor whose mean is above this loses to one pose that only fits without it
+_CONTRADICTIONS = 2  #: reject: ... or after this many poses in a row that contradict it
 _PROVEN_S = 3.0  #: reject: an inertial sensor that lied, until its innovations are the better ones for this time
 _LATE_S = 0.1  # age of the newest pose, over which the odometry is extrapolated
 _SWITCH_S = 0.5  # after this time the odometry's covariance no longer contains the step at a change of the filter
@@ -85,6 +86,7 @@ class PropagationBank:
     """
 
     def __init__(self, rejected: Counter[PoseRejection]) -> None:
+        self.accelerometer_excluded = False  # another track of the body contradicts the accelerometer, too
         self._gate = ImuSampleGate(rejected)
         self._histories = tuple(FusionHistory(model) for model in (INERTIAL, GYRO, KINEMATIC))
         self._records = [_Record() for _ in self._histories]
@@ -115,7 +117,7 @@ class PropagationBank:
 
     @property
     def _no_accelerometer(self) -> bool:
-        return self._gate.accelerometer_frozen or self._gate.without_accelerometer
+        return self.accelerometer_excluded or self._gate.accelerometer_frozen or self._gate.without_accelerometer
 
     def stamp_fault(self, stamp_s: float) -> PoseRejection | None:
         """Return the reason why a stamp cannot be inserted, None if it can."""
@@ -174,9 +176,12 @@ class PropagationBank:
                 history.begin(arrival.measurement, arrival.noise, newest.estimate.velocity_mps)
         self._compare(arrival)
 
-    def alternatives(self) -> list[Arrival]:
-        """Return the arrivals of filters with fewer sensors, if the chosen one is suspect."""
-        if self._records[self._chosen].nis <= _SUSPECT_NIS:
+    def alternatives(self, contradictions: int) -> list[Arrival]:
+        """Return the arrivals of filters with fewer sensors, if the chosen one is suspect.
+
+        contradictions: number of poses in a row that contradict the chosen one, whether they were fused or not.
+        """
+        if self._records[self._chosen].nis <= _SUSPECT_NIS and contradictions < _CONTRADICTIONS:
             return []
         fewer = zip(self._arrivals, self._records, strict=True)
         return [

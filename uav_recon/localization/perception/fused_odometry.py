@@ -8,9 +8,11 @@ from uav_recon.config import LocalizationConfig
 from uav_recon.localization.calibration.camera_motion import MOMENT_S, CameraMotion
 from uav_recon.localization.calibration.camera_mount import Mount
 from uav_recon.localization.correction.odometry_correction import OdometryCorrection, correction_of
+from uav_recon.localization.exclusion.checked_odometry import CheckedOdometry
 from uav_recon.localization.fusion.filter_pose_gates import PoseRejection
 from uav_recon.localization.fusion.fusion_filter import FusionFilter
 from uav_recon.localization.odometry import Odometry
+from uav_recon.localization.slam.view_odometry import ViewOdometry
 from uav_recon.types.camera import Frame, ImuSample
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.pose import StampedPose
@@ -30,18 +32,25 @@ class FusedOdometry:
         self._mount = mount
 
     @classmethod
-    def of(cls, config: LocalizationConfig, mount: Mount, view: Odometry | None = None) -> FusedOdometry:
+    def of(cls, config: LocalizationConfig, mount: Mount, view: ViewOdometry | None = None) -> FusedOdometry:
         """Return the odometry that a config describes, of a body with the camera on this mount.
 
-        view: odometry of the tracked images, if they are the source of the poses.
+        view: odometry of the tracked images; None without a tracker.
         """
-        fusion = view or FusionFilter(pose_lost_s=config.pose_lost_s)
+        fusion: Odometry = FusionFilter(pose_lost_s=config.pose_lost_s)
+        if view is not None:
+            fusion = view if config.source == "slam" else CheckedOdometry(FusionFilter(pose_lost_s=config.pose_lost_s), view)
         return cls(fusion, correction_of(config, fusion.odom_at), mount)
 
     @property
     def newest_pose_s(self) -> float:
         """Stamp of the newest fused pose; -inf before the first."""
         return self._fusion.newest_pose_s
+
+    @property
+    def source_excluded(self) -> bool:
+        """True while the poses of the source are not used because the other sensors contradict them."""
+        return self._fusion.source_excluded
 
     @property
     def rejected(self) -> Mapping[PoseRejection, int]:
@@ -67,6 +76,10 @@ class FusedOdometry:
         body_from_depth = self._mount.body_from_depth(frame.stamp_s)
         if body_from_depth is not None:
             self._correction.add_frame(frame, body_from_depth)
+
+    def add_view(self, now_s: float) -> None:
+        """Compare what the view has shown since the last call with the pose source."""
+        self._fusion.add_view(now_s)
 
     def advance(self, now_s: float, confirms: Callable[[FloatArray], bool]) -> None:
         """Move the correction; called every step.

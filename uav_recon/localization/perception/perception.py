@@ -16,13 +16,13 @@ from uav_recon.localization.consistency import axis_monitor, planar_patches
 from uav_recon.localization.consistency.depth_consistency import DepthConsistencyMonitor
 from uav_recon.localization.fusion import error_propagation
 from uav_recon.localization.fusion.inertial_selection import InertialSelection
-from uav_recon.localization.odometry import Odometry
 from uav_recon.localization.perception.frame_intake import FrameIntake
 from uav_recon.localization.perception.fused_odometry import FusedOdometry
 from uav_recon.localization.perception.odometry_publisher import OdometryPublisher
 from uav_recon.localization.perception.perception_channels import PerceptionChannels
 from uav_recon.localization.perception.sensor_checks import SensorChecks
 from uav_recon.localization.perception.status_report import StatusReport
+from uav_recon.localization.slam.view_odometry import ViewOdometry
 from uav_recon.types.camera import Frame, PosedFrame
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
@@ -41,8 +41,8 @@ class Perception:
     passed. The minimum range grid of a frame is published with or without a pose, valid or not: at once, or with a gimbal once
     its angle at the stamp has been measured.
 
-    view: odometry of the tracked images, if they are the source of the poses. kept: keeps the camera's errors for the next flight. remarks: what the camera reports of itself. ``published_frames`` is a
-    counter.
+    view: odometry of the tracked images, None without a tracker. kept: keeps the camera's errors for the next
+    flight. remarks: what the camera reports of itself. ``published_frames`` is a counter.
     """
 
     def __init__(
@@ -54,7 +54,7 @@ class Perception:
         channels: PerceptionChannels,
         clock: Clock,
         *,
-        view: Odometry | None = None,
+        view: ViewOdometry | None = None,
         kept: KeptCalibration | NoKeptCalibration | None = None,
         remarks: Callable[[], tuple[Reason, ...]] = tuple,
     ) -> None:
@@ -78,6 +78,7 @@ class Perception:
         now_s = self._clock.now_s()
         self._mount.observe()
         self._add_motion(now_s)
+        self._odometry.add_view(now_s)
         self._odometry.advance(now_s, self._checks.confirms)
         self._odometry_publisher.step(now_s, self._odometry, self._checks)
         if self._status_rate.due(now_s):
@@ -108,7 +109,10 @@ class Perception:
         self._checks.add_imu(samples)
         for pose in self._poses.poses():
             self._odometry.add_pose(pose, now_s)
-            self._checks.add_pose(pose)
+            if self._odometry.source_excluded:
+                self._checks.forget_poses()
+            else:
+                self._checks.add_pose(pose)
 
     def _keep_calibration(self, now_s: float) -> None:
         wrong = self._checks.fault(now_s) is not None

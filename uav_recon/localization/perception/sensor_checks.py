@@ -33,6 +33,10 @@ class SensorChecks:
         """Add a pose of the source."""
         self._axes.add_pose(pose)
 
+    def forget_poses(self) -> None:
+        """Forget the poses of the source: they were wrong."""
+        self._axes.forget()
+
     def fault(self, now_s: float) -> Reason | None:
         """Return why nobody may fly by the odometry, None for nothing."""
         return self._axes.reason or self._consistency.drift(now_s)

@@ -46,6 +46,7 @@ class GyroAlignment:
         self._track = InertialTrack(_GAP_S)
         self._gaps: deque[tuple[float, float]] = deque(maxlen=_MOST_GAPS)
         self._forceless_s = -math.inf  # stamp of the newest sample without a specific force
+        self.used = True  # False: the images have contradicted the gyro
         self._state = np.zeros(7)  # bias, delay, mount
         self._covariance = np.diag([_BIAS_RADPS**2] * 3 + [_DELAY_S**2] + [_MOUNT_RAD**2] * 3)
 
@@ -65,17 +66,18 @@ class GyroAlignment:
         return self._state[:3].copy()
 
     def add(self, samples: list[ImuSample]) -> None:
-        """Add inertial samples; those that are not newer or without a turn rate are dropped.
+        """Add inertial samples; those that are not newer or not finite are dropped.
 
-        One whose specific force is not finite has none.
+        A specific force of NaN was not measured.
         """
         for sample in samples:
             x, y, z = sample.gyro_radps.tolist()
             a, b, c = sample.specific_force_mps2.tolist()
-            if sample.stamp_s > self._track.newest_s and math.isfinite(sample.stamp_s + x + y + z):
+            measured = not all(map(math.isnan, (a, b, c)))
+            finite = math.isfinite(sample.stamp_s + x + y + z + (a + b + c if measured else 0.0))
+            if sample.stamp_s > self._track.newest_s and finite:
                 if sample.stamp_s - self._track.newest_s > _GAP_S and len(self._track):
                     self._gaps.append((self._track.newest_s, sample.stamp_s))
-                measured = math.isfinite(a + b + c)
                 self._forceless_s = self._forceless_s if measured else sample.stamp_s
                 self._track.push(sample.stamp_s, (x, y, z), (a, b, c) if measured else None)
 
@@ -151,8 +153,12 @@ class GyroAlignment:
             return None
         return None if any(a_s < end_s and b_s > begin_s for begin_s, end_s in self._gaps) else (first, last)
 
+    def at(self, stamp_s: float) -> InertialState | None:
+        """Return the inertial track at an instant, whether it is used or not; None if no samples cover it."""
+        return self._track.at(stamp_s) if self._track.newest_s + _GAP_S >= stamp_s > self._forceless_s else None
+
     def _turn(self, a_s: float, b_s: float) -> FloatArray | None:
-        ends = self._measured(a_s, b_s)
+        ends = self._measured(a_s, b_s) if self.used else None
         if ends is None:
             return None
         between = multiply(conjugate(ends[0].gyro_from_body), ends[1].gyro_from_body)

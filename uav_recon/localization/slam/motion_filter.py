@@ -29,7 +29,6 @@ _SURPRISE = 25.0  # squared innovation of a place, in standard deviations; a lar
 _STEP_SURPRISE = 25.0  # squared innovation of a measured step, in standard deviations, beyond which it is not used
 _MEAN_SURPRISE = 5.0  # mean over _MEAN_FRAMES that contradicts the accelerometer: after four large ones, or more small ones
 _MEAN_FRAMES = 15
-_TRUSTED_AGAIN = 45  # frames without a surprise until it is used again
 _GRAVITY = np.array([0.0, 0.0, -GRAVITY_MPS2])
 
 
@@ -74,7 +73,11 @@ class MeasuredStep:
 
 
 class MotionFilter:
-    """State (9,): place (m), velocity (m/s), offset (m/s², body axes). Not thread-safe."""
+    """State (9,): place (m), velocity (m/s), offset (m/s², body axes). Not thread-safe.
+
+    ``accelerometer_used``: False once the images have contradicted the accelerometer; a comparison over a longer
+    time sets it again.
+    """
 
     def __init__(self, place_m: FloatArray, offset_mps2: FloatArray) -> None:
         self._now = PredictedMotion(
@@ -82,7 +85,7 @@ class MotionFilter:
             np.diag([_PLACE_M**2] * 3 + [_VELOCITY_MPS**2] * 3 + [_OFFSET_MPS2**2] * 3),
         )
         self._mean_surprise = 0.0
-        self._calm = _TRUSTED_AGAIN
+        self.accelerometer_used = True
 
     @property
     def now(self) -> PredictedMotion:
@@ -93,11 +96,6 @@ class MotionFilter:
     def velocity_mps(self) -> FloatArray:
         """Velocity (3,) in odom."""
         return self._now.velocity_mps
-
-    @property
-    def accelerometer_used(self) -> bool:
-        """True unless the images have contradicted the accelerometer."""
-        return self._calm >= _TRUSTED_AGAIN
 
     def rest(self) -> None:
         """Set the velocity to zero: the body rests."""
@@ -150,12 +148,10 @@ class MotionFilter:
         self._judge(float(shift @ np.linalg.solve(before, shift)))
 
     def _judge(self, surprise: float) -> None:
-        """Leave the accelerometer out after surprises; use it again after a while without."""
+        """Leave the accelerometer out after surprises."""
         self._mean_surprise += (min(surprise, _SURPRISE) - self._mean_surprise) / _MEAN_FRAMES
         if self._mean_surprise > _MEAN_SURPRISE:
-            self._calm, self._mean_surprise = 0, 0.0
-        else:
-            self._calm += 1
+            self.accelerometer_used, self._mean_surprise = False, 0.0
 
 
 def propagate(

@@ -146,6 +146,7 @@ class SlamTracker:
 
     outside: another source of the body's motion, which the track follows where the view does not determine it.
     ``determined`` (3, 3): share of the newest place, in odom axes, that the view has determined and not the prediction.
+    ``step_sigma_m``: standard deviation of the newest place against the track, in its worst direction.
     """
 
     def __init__(self, outside: OutsideMotion | None = None) -> None:
@@ -154,6 +155,7 @@ class SlamTracker:
         self.gyro = GyroAlignment()
         self.fault: TrackingFault | None = None
         self.determined = np.eye(3)
+        self.step_sigma_m = 0.0
         self._rest = RestDetector()
         self._landmarks = LandmarkTracker()
         self._monitor = TrackingMonitor()
@@ -195,6 +197,10 @@ class SlamTracker:
         """True unless the images have contradicted the accelerometer."""
         return self._motion.accelerometer_used
 
+    @accelerometer_used.setter
+    def accelerometer_used(self, used: bool) -> None:
+        self._motion.accelerometer_used = used
+
     def add_imu(self, samples: list[ImuSample]) -> None:
         """Add inertial samples, oldest first."""
         self.gyro.add(samples)
@@ -215,6 +221,8 @@ class SlamTracker:
         if self._rests(frame.stamp_s, found, prior):
             return self._stay(view, self._state, body_from_depth)
         self.fault = TrackingFault.FROZEN if repeats else self._monitor.fault(found, prior)
+        if self.fault in _SEARCHED and self.accelerometer_used:
+            found, prior = self._without_accelerometer(view, self._state, landmarks, found, prior, body_from_depth)
         if self.fault in _SEARCHED or (self._unproven and not repeats):
             found = self._search(view, found, prior)
             self.fault = self._monitor.fault(found, prior)
@@ -226,6 +234,31 @@ class SlamTracker:
         found = self._search_map(view, found, prior)
         self._settle(view, found, prior, self._state, body_from_depth)
         return self._pose(frame.stamp_s, found)
+
+    def _without_accelerometer(
+        self,
+        view: PreparedView,
+        state: TrackedState,
+        landmarks: Landmarks,
+        registration: Registration,
+        prior: MotionPrior,
+        body_from_depth: Pose,
+    ) -> tuple[Registration, MotionPrior]:
+        """Register a frame that contradicts the predicted motion again, without the accelerometer.
+
+        If it fits then, the accelerometer is what is wrong, and is left out. Sets ``fault``.
+        """
+        predicted, turned = self._predicted, self._turned
+        self.accelerometer_used = False
+        without = self._predict(state, view.frame.stamp_s, body_from_depth)
+        found = register(view, self.volume, landmarks, without)
+        fault = self._monitor.fault(found, without)
+        if fault is None:
+            self.fault = None
+            return found, without
+        self.accelerometer_used = True
+        self._predicted, self._turned = predicted, turned
+        return registration, prior
 
     def _search(self, view: PreparedView, registration: Registration, prior: MotionPrior) -> Registration:
         """Return the best registration from places around the predicted one, by depth alone."""
@@ -405,6 +438,7 @@ class SlamTracker:
 
     def _pose(self, stamp_s: float, registration: Registration) -> StampedPose | None:
         """Return the pose of a frame; None while it is not sure, or not yet again."""
+        self.step_sigma_m = registration.sigma_against_track_m
         sigma_m, limit = registration.sigma_m, _SURE_AGAIN_SHARE if self._unsure else 1.0
         self._drifted_m = min(self._drifted_m + _DRIFT_MPS * max(stamp_s - self._judged_s, 0.0), sigma_m)
         self._judged_s = stamp_s

@@ -12,8 +12,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from uav_recon.localization.fusion.error_release import ErrorRelease
 from uav_recon.localization.fusion.filter_pose_gates import PoseRejection
 from uav_recon.localization.fusion.imu_sample_gate import ImuSampleGate
+from uav_recon.localization.fusion.inertial_check import InertialCheck
 from uav_recon.localization.slam.motion_filter import PLACE, PredictedMotion, propagate
 from uav_recon.localization.slam.slam_tracker import SlamTracker
 from uav_recon.types.camera import Frame, ImuSample
@@ -25,10 +27,15 @@ from uav_recon.types.reason_code import ReasonCode
 _KEPT_S = 2.0  #: reject: late frames are possible for this time
 _LATE_S = 0.25  #: brake: retreat_speed_mps while the newest accepted frame is older
 #: hold: the newest accepted frame is older: the place counts as lost, and pose_timeout_s and pose_land_s run
-_SILENT_S = 1.0
+_SILENT_S = 1.5
+_SILENT_BLIND_S = 1.0  #: hold: the same without an accelerometer
+_UNSURE_S = 1.5  #: hold: the place has been uncertain for longer: it counts as lost
+_SURE_FRAMES = 3  #: hold: number of sure frames in a row that end this time: one alone may fit by chance before a bare wall
 _FADES_S = 0.5  #: hold: quality falls to zero within this time after the place is lost
-_RETURN_FRAMES = 8  #: reject: after the place was lost, until this many frames in a row are accepted
-_JUMP_M = 0.15  #: reject: a place farther from dead reckoning after a loss is a restart of odom
+#: reject: after a loss, a place that does not fit dead reckoning until this many frames are accepted
+_RETURN_FRAMES = 8
+_JUMP_M = 0.15  #: reject: such a place is farther from dead reckoning than this, and odom restarts there
+_LEFT_M = 0.05  #: retreat: while more than this of an error found after a gap is not yet in odometry
 _DEGRADED_QUALITY = 60  # quality that the autopilot gets at most, with a degraded pose
 #: reject: quality that the autopilot gets with a lost pose: it refuses below this (EKF2_EV_QMIN, VISO_QUAL_MIN)
 _LOST_QUALITY = 20
@@ -49,18 +56,26 @@ class _Node:
 class ViewOdometry:
     """Odometry of any recent instant from the tracked frames. Not thread-safe.
 
-    ``newest_pose_s``: stamp of the newest accepted frame; -inf before the first. ``rejected``: counts of inertial samples.
+    world_from_tracker: None: known with the first add_pose(). ``newest_pose``: of the newest accepted frame, in the tracker's
+    frame; ``newest_pose_s``: its stamp, -inf before the first. ``shown`` (3, 3): share of its place that the view has
+    determined, in the tracker's axes. ``rejected``: counts of inertial samples. ``check``: of the inertial sensors.
     """
 
-    def __init__(self, tracker: SlamTracker) -> None:
+    def __init__(self, tracker: SlamTracker, world_from_tracker: Pose | None = None) -> None:
         self.tracker = tracker
         self.rejected: Counter[PoseRejection] = Counter()
+        self.check = InertialCheck(tracker.gyro.at)
         self._gate = ImuSampleGate(self.rejected)
+        self.source_excluded = False
         self.newest_pose_s = -math.inf
-        self._world_from_tracker: Pose | None = None
+        self._world_from_tracker = world_from_tracker
         self._nodes: deque[_Node] = deque()
-        self._newest_pose: StampedPose | None = None
+        self.newest_pose: StampedPose | None = None
+        self.shown: FloatArray = np.eye(3)
+        self._release = ErrorRelease()
         self._reset_counter = 0
+        self._sure_s = -math.inf  # stamp of the newest frame in a row of sure ones
+        self._sure_frames = _SURE_FRAMES
         self._returning = 0  # frames that must still be accepted after a loss
 
     def add_imu(self, samples: list[ImuSample], now_s: float = math.inf) -> None:
@@ -77,7 +92,11 @@ class ViewOdometry:
         if self._nodes and stamp_s <= self._nodes[-1].stamp_s:
             return None
         if pose is not None:
+            before = self.odom_at(stamp_s) if stamp_s - self.newest_pose_s > _LATE_S else None
             self._accept(pose)
+            self._continue(before, pose)
+            self.shown = self.tracker.determined
+            self._check_inertial(pose)
         self._nodes.append(_Node(stamp_s, state.motion, state.odom_from_body, pose))
         while stamp_s - self._nodes[0].stamp_s > _KEPT_S:
             self._nodes.popleft()
@@ -85,14 +104,18 @@ class ViewOdometry:
 
     def add_pose(self, pose: StampedPose, now_s: float) -> bool:
         """Take a pose of track() in the world: odometry is in the world from then on. Return False for another pose."""
-        node = next((node for node in reversed(self._nodes) if node.pose is not None and node.pose.stamp_s == pose.stamp_s), None)
-        if node is not None and node.pose is not None:
-            self._world_from_tracker = pose.odom_from_body @ node.pose.odom_from_body.inverse()
-        return node is not None
+        tracked = (node.pose for node in reversed(self._nodes) if node.pose is not None)
+        same = next((own for own in tracked if own.stamp_s == pose.stamp_s), None)
+        if same is not None:
+            self._world_from_tracker = pose.odom_from_body @ same.odom_from_body.inverse()
+        return same is not None
+
+    def add_view(self, now_s: float) -> None:
+        """Do nothing: each frame was taken when it was tracked."""
 
     def odom_at(self, stamp_s: float) -> StampedPose | None:
         """Return the body's pose at an instant; None before the first pose in the world, and too long ago."""
-        world, newest = self._world_from_tracker, self._newest_pose
+        world, newest = self._world_from_tracker, self.newest_pose
         if world is None or newest is None or not self._nodes or stamp_s < self._nodes[0].stamp_s:
             return None
         k = next(n for n in range(len(self._nodes) - 1, -1, -1) if self._nodes[n].stamp_s <= stamp_s)
@@ -100,13 +123,14 @@ class ViewOdometry:
         if k + 1 < len(self._nodes):
             motion, attitude = self._towards(self._nodes[k], self._nodes[k + 1], motion, attitude, stamp_s)
         age_s = stamp_s - self.newest_pose_s
-        health, reason = self._health(age_s, newest)
-        turn = world.rotation()
+        left_m = self._release.left_m(stamp_s)
+        health, reason = self._health(stamp_s, newest, float(np.linalg.norm(left_m)))
+        pose, turn = world @ Pose(attitude.quat_wxyz, motion.place_m), world.rotation()
         sigma2 = np.diag([_POSITION_SIGMA_M**2] * 3 + [_ROTATION_SIGMA_RAD**2] * 3)
         sigma2[PLACE, PLACE] += turn @ motion.place_covariance @ turn.T
         return StampedPose(
             stamp_s,
-            world @ Pose(attitude.quat_wxyz, motion.place_m),
+            Pose(pose.quat_wxyz, pose.translation_m + left_m),
             turn @ motion.velocity_mps,
             sigma2,
             self._quality(health, age_s, newest.quality),
@@ -118,14 +142,34 @@ class ViewOdometry:
 
     def _accept(self, pose: StampedPose) -> None:
         """Take the pose of an accepted frame."""
-        lost = self._newest_pose is not None and pose.stamp_s - self.newest_pose_s > _SILENT_S
-        if lost:
-            self._returning = _RETURN_FRAMES
+        if self.newest_pose is not None and pose.stamp_s - self.newest_pose_s > self._silent_s:
             carried, _ = self._propagated(self._nodes[-1], pose.stamp_s)
             if math.dist(carried.place_m.tolist(), pose.odom_from_body.translation_m.tolist()) > _JUMP_M:
+                self._returning = _RETURN_FRAMES
                 self._reset_counter = (self._reset_counter + 1) % 256
         self._returning = max(self._returning - 1, 0)
-        self._newest_pose, self.newest_pose_s = pose, pose.stamp_s
+        self._sure_frames = self._sure_frames + 1 if pose.health is PoseHealth.GOOD else 0
+        if self._sure_frames >= _SURE_FRAMES or math.isinf(self._sure_s):
+            self._sure_s = pose.stamp_s
+        self.newest_pose, self.newest_pose_s = pose, pose.stamp_s
+
+    def _check_inertial(self, pose: StampedPose) -> None:
+        """Compare the inertial sensors with the track, and leave out those that it contradicts."""
+        self.check.update(pose.stamp_s, pose.odom_from_body, self.tracker.determined, self.tracker.step_sigma_m)
+        accelerometer, gyro = self.check.accelerometer, self.check.gyro
+        if accelerometer.fault or accelerometer.right(pose.stamp_s):
+            self.tracker.accelerometer_used = not accelerometer.fault
+        self.tracker.gyro.used = not gyro.fault
+
+    def _continue(self, before: StampedPose | None, pose: StampedPose) -> None:
+        """Let odometry go on from where dead reckoning was after a gap.
+
+        before: odometry without the pose; None without a gap.
+        """
+        if before is None or self._world_from_tracker is None or before.reset_counter != self._reset_counter:
+            return
+        found = self._world_from_tracker @ pose.odom_from_body
+        self._release.begin(pose.stamp_s, before.odom_from_body.translation_m - found.translation_m)
 
     def _propagated(self, node: _Node, stamp_s: float) -> tuple[PredictedMotion, Pose]:
         """Return motion and attitude at an instant after a node, by dead reckoning."""
@@ -149,17 +193,39 @@ class ViewOdometry:
         turned = Pose.from_rotation_vector(turn, np.zeros(3)) @ attitude
         return replace(motion, state=motion.state + share * off), Pose(turned.quat_wxyz, np.zeros(3))
 
-    def _health(self, age_s: float, newest: StampedPose) -> tuple[PoseHealth, Reason | None]:
+    def _health(self, stamp_s: float, newest: StampedPose, left_m: float) -> tuple[PoseHealth, Reason | None]:
+        age_s = stamp_s - self.newest_pose_s
         late = Reason(ReasonCode.NO_POSE, (max(age_s, 0.0),))
-        if age_s > _SILENT_S or self._returning:
+        if age_s > self._silent_s or self._returning:
             return PoseHealth.LOST, late
+        if self._sure_frames < _SURE_FRAMES and stamp_s - self._sure_s > _UNSURE_S:
+            return PoseHealth.LOST, newest.health_reason or late
         if age_s > _LATE_S:
             return PoseHealth.DEGRADED, late
         if newest.health is not PoseHealth.GOOD:
             return newest.health, newest.health_reason
-        return PoseHealth.GOOD, None
+        if left_m > _LEFT_M:
+            return PoseHealth.DEGRADED, Reason(ReasonCode.PLACE_UNSURE, (left_m,))
+        fault = self._sensor_fault()
+        return (PoseHealth.GOOD, None) if fault is None else (PoseHealth.DEGRADED, fault)
+
+    def _sensor_fault(self) -> Reason | None:
+        """Return the reason why not all inertial sensors are used, None if they are."""
+        if self._gate.gyro_frozen:
+            return Reason(ReasonCode.IMU_FROZEN)
+        if self.tracker.gyro.at(self._nodes[-1].stamp_s) is None:
+            return Reason(ReasonCode.AUTOPILOT_GYRO if self._gate.without_accelerometer else ReasonCode.NO_IMU)
+        if not self.tracker.gyro.used:
+            return Reason(ReasonCode.GYRO_REJECTED)
+        if self._gate.accelerometer_frozen:
+            return Reason(ReasonCode.ACCELEROMETER_FROZEN)
+        return None if self.tracker.accelerometer_used else Reason(ReasonCode.ACCELEROMETER_REJECTED)
+
+    @property
+    def _silent_s(self) -> float:
+        return _SILENT_S if self.tracker.accelerometer_used else _SILENT_BLIND_S
 
     def _quality(self, health: PoseHealth, age_s: float, source: int) -> int:
         most = {PoseHealth.GOOD: 100, PoseHealth.DEGRADED: _DEGRADED_QUALITY, PoseHealth.LOST: _LOST_QUALITY}[health]
-        share = min(1.0, max(0.0, (_SILENT_S + _FADES_S - age_s) / _FADES_S))
+        share = min(1.0, max(0.0, (self._silent_s + _FADES_S - age_s) / _FADES_S))
         return min(most, math.ceil(source * share))

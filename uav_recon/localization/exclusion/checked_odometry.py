@@ -1,0 +1,178 @@
+"""Odometry of a pose source that the view and the inertial sensors check: fault detection, isolation and exclusion.
+
+Three measurements of the motion: the poses of the source, the tracked images, the inertial samples. If source and view moved
+differently, the one that the inertial samples contradict is left out; the view, which many points support, is kept where they
+contradict neither. While the source is excluded, the view carries odometry on from before the fault. The source is used again
+once it has moved as the view for a while; what lies between then goes into world_from_odom.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from uav_recon.localization.exclusion.motion_comparison import MotionComparison
+from uav_recon.localization.fusion.error_release import ErrorRelease
+from uav_recon.localization.fusion.eskf import PoseNoise
+from uav_recon.localization.fusion.filter_pose_gates import PoseRejection, pose_fault
+from uav_recon.localization.fusion.fusion_filter import FusionFilter
+from uav_recon.localization.fusion.inertial_check import InertialCheck
+from uav_recon.localization.slam.view_odometry import ViewOdometry
+from uav_recon.types.camera import ImuSample
+from uav_recon.types.frames import FloatArray
+from uav_recon.types.pose import Pose, PoseHealth, StampedPose
+from uav_recon.types.reason import Reason
+from uav_recon.types.reason_code import ReasonCode
+
+_IN_A_ROW = 2  #: reject: number of comparisons in a row that must show a fault of the source
+_RIGHT_EXCESS = 0.6  #: reject: an excluded source until its ways differ by less, as a share of the limit ...
+_RIGHT_S = 3.0  #: reject: ... for this time
+#: reject: the view, if the inertial samples contradict it by this share of the limit, and ...
+_VIEW_EXCESS = 0.4
+_VIEW_MORE = 2.0  #: reject: ... by this factor more than the source
+_ONSET_S = 0.6  #: internal: time before its detection at which a fault had not begun
+_EVERYTHING: FloatArray = np.eye(3)
+
+
+class CheckedOdometry:
+    """Estimator with a pose source, and with the view in its place while the source is excluded. Not thread-safe.
+
+    view: in its tracker's frame.
+    """
+
+    def __init__(self, source: FusionFilter, view: ViewOdometry) -> None:
+        self._source = source
+        self._view = view
+        self._comparison = MotionComparison()
+        self._check = InertialCheck(view.tracker.gyro.at)
+        self._source_resets = 0
+        self._row = 0
+        self._excluded = self._view_at_fault = False
+        self._view_right_since_s = math.inf
+        self._right_since_s = math.inf
+        self._switched_s = math.inf
+        self._odom_from_tracker = Pose.identity()
+        self._release = ErrorRelease()
+        self._resets = 0  # added to the counter of the view, while it is used
+        self._last: StampedPose | None = None  # the newest pose of the source
+
+    @property
+    def newest_pose_s(self) -> float:
+        """Stamp of the newest pose that is used; -inf before the first."""
+        return self._view.newest_pose_s if self._excluded else self._source.newest_pose_s
+
+    @property
+    def source_excluded(self) -> bool:
+        """True while the view is used in place of the source."""
+        return self._excluded
+
+    @property
+    def rejected(self) -> Mapping[PoseRejection, int]:
+        """Counts of rejected poses and inertial samples."""
+        return self._source.rejected
+
+    def add_imu(self, samples: list[ImuSample], now_s: float) -> None:
+        """Add inertial samples, oldest first."""
+        self._source.add_imu(samples, now_s)
+        self._view.add_imu(samples, now_s)
+
+    def add_pose(self, pose: StampedPose, now_s: float) -> bool:
+        """Fuse a pose of the source at its own stamp. Return False if it is rejected, or the source excluded."""
+        if pose_fault(pose, now_s) is None:
+            self._compare_source(pose, now_s)
+        if not self._excluded:
+            return self._source.add_pose(pose, now_s)
+        self._source.rejected[PoseRejection.EXCLUDED] += 1
+        return False
+
+    def add_view(self, now_s: float) -> None:
+        """Compare what the view has shown since the last call."""
+        pose = self._view.newest_pose
+        if pose is not None and self._comparison.add_second(pose.stamp_s, pose.odom_from_body, self._view.shown):
+            self._judge(now_s)
+
+    def odom_at(self, stamp_s: float) -> StampedPose | None:
+        """Return the body's pose at an instant, None if it is not known."""
+        if not self._excluded or stamp_s < self._switched_s:
+            return self._source.odom_at(stamp_s)
+        seen = self._view.odom_at(stamp_s)
+        if seen is None:
+            return None
+        pose = self._odom_from_tracker @ seen.odom_from_body
+        turn = self._odom_from_tracker.rotation()
+        both = np.kron(np.eye(2), turn)
+        good = seen.health is PoseHealth.GOOD
+        return replace(
+            seen,
+            odom_from_body=Pose(pose.quat_wxyz, pose.translation_m + self._release.left_m(stamp_s)),
+            velocity_odom_mps=turn @ seen.velocity_odom_mps,
+            covariance=both @ seen.covariance @ both.T,
+            reset_counter=(seen.reset_counter + self._resets) % 256,
+            map_epoch=0 if self._last is None else self._last.map_epoch,
+            health=PoseHealth.DEGRADED if good else seen.health,
+            health_reason=Reason(ReasonCode.SOURCE_EXCLUDED) if good else seen.health_reason,
+            correction=self._source.correction,
+        )
+
+    def _compare_source(self, pose: StampedPose, now_s: float) -> None:
+        if pose.reset_counter != self._source_resets:  # the source says that it starts again
+            self._source_resets = pose.reset_counter
+            self._comparison.forget()
+            self._check.forget()
+            self._row = 0
+        self._last = pose
+        noise_m = math.sqrt(PoseNoise.claimed(pose.covariance).position_m2)
+        self._check.update(pose.stamp_s, pose.odom_from_body, _EVERYTHING, noise_m)
+        if self._comparison.add_first(pose.stamp_s, pose.odom_from_body):
+            self._judge(now_s)
+
+    def _judge(self, now_s: float) -> None:
+        """Exclude the source, or use it again, after a comparison."""
+        excess = self._comparison.excess
+        self._source.exclude_accelerometer(self._accelerometer_at_fault and excess <= 1.0)
+        if self._excluded:
+            self._right_since_s = min(self._right_since_s, self._comparison.compared_s) if excess < _RIGHT_EXCESS else math.inf
+            if self._comparison.compared_s - self._right_since_s >= _RIGHT_S:
+                self._include(now_s)
+            return
+        self._judge_view(excess)
+        self._row = self._row + 1 if excess > 1.0 and not self._view_at_fault else 0
+        if self._row >= _IN_A_ROW:
+            self._exclude(now_s)
+
+    @property
+    def _accelerometer_at_fault(self) -> bool:
+        return self._view.check.accelerometer.fault or self._check.accelerometer.fault
+
+    def _judge_view(self, excess: float) -> None:
+        """Find that the inertial samples contradict the view, or that it has been right again for a while."""
+        seen, said = self._view.check.accelerometer.excess, self._check.accelerometer.excess
+        compared_s = self._comparison.compared_s
+        self._view_at_fault |= excess > 1.0 and seen > max(_VIEW_EXCESS, _VIEW_MORE * said)
+        self._view_right_since_s = min(self._view_right_since_s, compared_s) if excess < _RIGHT_EXCESS else math.inf
+        self._view_at_fault &= compared_s - self._view_right_since_s < _RIGHT_S
+
+    def _exclude(self, now_s: float) -> None:
+        """Go on by the view, from where both were before the fault."""
+        onset_s = self._comparison.compared_s - _ONSET_S
+        before, there = self._source.odom_at(onset_s), self._view.odom_at(onset_s)
+        shown, seen = self._source.odom_at(now_s), self._view.odom_at(now_s)
+        if before is None or there is None or shown is None or seen is None:
+            return
+        self._odom_from_tracker = before.odom_from_body @ there.odom_from_body.inverse()
+        here = self._odom_from_tracker @ seen.odom_from_body
+        self._release.begin(now_s, shown.odom_from_body.translation_m - here.translation_m)
+        self._resets = (shown.reset_counter - seen.reset_counter) % 256
+        self._switched_s = now_s
+        self._excluded, self._right_since_s, self._row = True, math.inf, 0
+
+    def _include(self, now_s: float) -> None:
+        """Use the source again, from where odometry is by the view."""
+        pose = self._last
+        odom = None if pose is None else self.odom_at(pose.stamp_s)
+        if pose is None or odom is None or not self._source.rejoin(pose, odom):
+            return
+        self._excluded, self._row = False, 0
