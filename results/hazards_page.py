@@ -70,7 +70,7 @@ def hazards_page(results: Mapping[str, Tree], root: Path = ROOT) -> str:
 
 def _hazard_of(scenario: str) -> str:
     """Return 'B1' for B1 and B1s, 'G9' for G9-2h."""
-    found = re.match(r"[A-G]\d+", scenario)
+    found = re.match(r"[A-H]\d+", scenario)
     if found is None:
         raise ClaimError(f"sitl/faults/table: scenario {scenario} belongs to no hazard")
     return found.group()

@@ -61,13 +61,15 @@ class FaultDirector:
     flight is the one with that fault; if not, the flight continues with the remaining faults. The last remaining fault is flown
     without a split.
     max_onset_wait_s: the flight ends after this time if no fault has begun.
+    conditions: injectors that act on the streams from boot on, before those of the fault; they are not begun or ended.
     """
 
     def __init__(
         self, faults: Sequence[Fault], seed: int, max_onset_wait_s: float = MAX_ONSET_WAIT_S,
-        split: Callable[[str], bool] = never_split,
+        split: Callable[[str], bool] = never_split, conditions: Sequence[Injector] = (),
     ) -> None:  # fmt: skip
         self._faults = list(faults)
+        self._conditions = conditions
         self._split = split
         self._injectors: Sequence[Injector] = ()
         self._longest_s = math.inf
@@ -221,9 +223,11 @@ class FaultDirector:
 
         Delays add up. kind: name of the injector method, such as "pose", "depth" or "imu".
         """
-        since_s = self.context.now_s - self.onset_s
+        now_s = self.context.now_s
+        acting = [(injector, now_s - self._begun_s) for injector in self._conditions]
+        acting += [(injector, now_s - self.onset_s) for injector in self._injectors]
         late: DelayedItems[T] = [(0.0, item)]
-        for injector in self._injectors:
+        for injector, since_s in acting:
             make: Callable[[float, T], DelayedItems[T]] = getattr(injector, kind)
             late = [(wait + more, changed) for wait, each in late for more, changed in make(since_s, each)]
         return late

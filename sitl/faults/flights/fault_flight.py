@@ -21,7 +21,7 @@ from sitl.faults.injectors.operator_silence import TIMEOUT_S
 from sitl.faults.judges.invariants import violations
 from sitl.faults.table.all_scenarios import SCENARIOS
 from sitl.faults.table.arenas import arena
-from sitl.faults.table.scenario import Arena, Scenario, ScenarioVerdict, judge
+from sitl.faults.table.scenario import Arena, Scenario, ScenarioVerdict, judge, standing_conditions
 from sitl.runtime.process_fork import FlightFork
 from sitl.scene.scene import HULL_RADIUS_M
 
@@ -47,6 +47,7 @@ class Stage:
     camera: Model = "fast"
     camera_errors: float = DEFAULT_SCALE
     poses: str = "stream"
+    claimed_m: float | None = None
 
 
 @dataclass(frozen=True)
@@ -90,6 +91,7 @@ class FaultCase:
             scenario.camera,
             self.camera_errors,
             scenario.poses,
+            scenario.claimed_m,
         )
 
 
@@ -225,7 +227,7 @@ def flight(
         )
         for scenario in scenarios
     ]
-    director = FaultDirector(faults, stage.number, split=split)
+    director = FaultDirector(faults, stage.number, split=split, conditions=standing_conditions(stage.claimed_m))
     fly_in_lockstep(options, config, scene, Console(quiet=True), director.lands, timelapse=False, hook=director)
     return evidence_of(director, config, options.folder / "truth.npz", options.radius_m)
 

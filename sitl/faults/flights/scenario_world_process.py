@@ -22,6 +22,7 @@ from sitl.faults.mavlink_proxy import MavlinkProxy
 from sitl.faults.process_registry import ProcessRegistry
 from sitl.faults.table.all_scenarios import SCENARIOS
 from sitl.faults.table.arenas import arena
+from sitl.faults.table.scenario import standing_conditions
 from sitl.outside_world import OutsideWorld
 from sitl.real_firmware.process import FirmwareError
 from sitl.real_firmware.relay import Relay
@@ -69,7 +70,8 @@ def fly(order: WorldProcessOptions) -> FlightEvidence:
         scenario.observe_s,
         scenario.observe_after_disarm_s,
     )
-    director = FaultDirector([fault], order.number, LONGEST_WAIT_S)
+    conditions = standing_conditions(scenario.claimed_m)
+    director = FaultDirector([fault], order.number, LONGEST_WAIT_S, conditions=conditions)
     with contextlib.ExitStack() as ends:
         line = None if order.line is None else SerialLine(Path(order.line))
         end = ends.enter_context(contextlib.closing(line or UdpPeer(remote=("127.0.0.1", options.port))))

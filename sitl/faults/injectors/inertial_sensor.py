@@ -66,6 +66,12 @@ def offset_force(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Change:
     return lambda sample, _: dataclasses.replace(sample, specific_force_mps2=sample.specific_force_mps2 + offset)
 
 
+def offset_gyro(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Change:
+    """Return a change that adds an offset to the angular rate, in rad/s, body axes."""
+    offset = np.array([x, y, z])
+    return lambda sample, _: dataclasses.replace(sample, gyro_radps=sample.gyro_radps + offset)
+
+
 def vibration(sigma_mps2: float) -> Change:
     """Return a change that adds white noise to the specific force, per axis and sample."""
 

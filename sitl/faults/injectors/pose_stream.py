@@ -8,9 +8,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from sitl.faults.injectors.base import Injector
+from sitl.faults.injectors.base import InjectionContext, Injector
 from sitl.faults.mavlink_proxy import DelayedItems
-from sitl.geometry.quaternion import from_yaw, multiply
+from sitl.geometry.quaternion import from_yaw, multiply, yaw_of
 from sitl.world.pose_tracker import PoseRecord
 
 Change = Callable[[PoseRecord, float], PoseRecord]
@@ -68,6 +68,56 @@ class LatePoses(Injector):
     def pose(self, since_s: float, record: PoseRecord) -> DelayedItems[PoseRecord]:
         """Delay the pose; its time stamp is correct."""
         return [(self._delay_s, record)]
+
+
+class CoastingPoses(Injector):
+    """Poses whose translation goes on at one velocity for a while; rotation and variance are honest.
+
+    share: of the true velocity as the fault begins; 0: the translation stands still.
+    """
+
+    def __init__(self, for_s: float, share: float = 1.0) -> None:
+        self._for_s = for_s
+        self._share = share
+        self._velocity_mps = np.zeros(3)
+        self._first: PoseRecord | None = None
+
+    def begin(self, at: InjectionContext) -> None:
+        """Take the velocity of the vehicle."""
+        self._velocity_mps = self._share * np.array(at.world.flyer.truth().velocity)
+
+    def pose(self, since_s: float, record: PoseRecord) -> DelayedItems[PoseRecord]:
+        """Replace the position until for_s; then it is right again at once."""
+        if since_s >= self._for_s:
+            return [(0.0, record)]
+        first = self._first = self._first or record
+        position_m = first.position_m + self._velocity_mps * (record.stamp_s - first.stamp_s)
+        return [(0.0, dataclasses.replace(record, position_m=position_m))]
+
+
+class RestartedSource(Injector):
+    """A source that starts again: its frame begins at the place and heading of the first pose of the fault.
+
+    counted: the reset counter is one higher from then on.
+    """
+
+    def __init__(self, counted: bool) -> None:
+        self._counted = counted
+        self._first: PoseRecord | None = None
+
+    def pose(self, since_s: float, record: PoseRecord) -> DelayedItems[PoseRecord]:
+        """Express the pose in the frame of the restarted source."""
+        first = self._first = self._first or record
+        w, x, y, z = first.quat_wxyz.tolist()
+        back = map_turned(-math.degrees(yaw_of((w, x, y, z))))
+        moved_back = dataclasses.replace(record, position_m=record.position_m - first.position_m)
+        counter = record.reset_counter + (1 if self._counted else 0)
+        return [(0.0, dataclasses.replace(back(moved_back, since_s), reset_counter=counter))]
+
+
+def claiming(deviation_m: float) -> Change:
+    """Return a change of the claimed standard deviation of the position, per axis."""
+    return lambda record, _: dataclasses.replace(record, variance=np.array([*[deviation_m**2] * 3, *record.variance[3:]]))
 
 
 def moved(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Change:

@@ -1,7 +1,7 @@
 """Scenes for fault flights.
 
-A hall with space to fly fast, a pen inside it, a stage at its far end, two small rooms with a narrow gap between them, and
-a gallery for long distances from home.
+A hall with space to fly fast, a pen inside it, a stage at its far end, two small rooms with a narrow gap between them, a
+gallery for long distances from home, and the built-in room of the simulator.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 from sitl.faults.judges.gap_passage import Gap
 from sitl.scene.mesh import Mesh, joined
 from sitl.scene.primitives import MeshBuilder
-from sitl.scene.scene import Scene, scene_from_mesh
+from sitl.scene.scene import Scene, load_scene, scene_from_mesh
 from sitl.scene.texture import plain, wood
 
 LENGTH_M = 10.0
@@ -34,11 +34,14 @@ _GREY = plain((0.50, 0.50, 0.55))
 
 @functools.cache  # a campaign uses the same few scenes repeatedly
 def arena(name: str, radius_m: float, painted: bool = False) -> Scene:
-    """Return the scene with this name: hall, pen, stage, corridor or gallery.
+    """Return the scene with this name: hall, pen, stage, corridor, gallery or room.
 
-    The start is the same in all. The pen contains no obstacles, because the vehicle is pushed out of it. painted: with
-    texture for a camera that renders colour; it takes a second.
+    The start is the same in all but the room, which is furnished and the only one with texture for visual tracking on every
+    surface. The pen contains no obstacles, because the vehicle is pushed out of it. painted: with texture for a camera that
+    renders colour; it takes a second.
     """
+    if name == "room":
+        return load_scene(None, radius_m=radius_m, fine=painted)
     pieces = {"hall": _hall, "pen": _yard, "stage": _stage, "corridor": _corridor, "gallery": _gallery}[name]
     scene = scene_from_mesh(name, joined(pieces(MeshBuilder(fine=False))), START, PEN if name == "pen" else None, radius_m)
     if not painted:

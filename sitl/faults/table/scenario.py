@@ -13,11 +13,12 @@ from sitl.camera.d435i import Model
 from sitl.faults.fault import AFTER_DISARM_S, Onset
 from sitl.faults.flight_evidence import FlightEvidence
 from sitl.faults.injectors.base import Capabilities, Injector
+from sitl.faults.injectors.pose_stream import AlteredPoses, claiming
 from sitl.faults.judges.invariants import USUAL, Room
 from sitl.faults.judges.reaction_metrics import Measure
 from sitl.scene.scene import HULL_RADIUS_M
 
-Arena = Literal["hall", "pen", "stage", "corridor", "gallery"]
+Arena = Literal["hall", "pen", "stage", "corridor", "gallery", "room"]
 ON_THE_WAY = Onset()
 CASES = 12  # no scenario has more different cases
 SHORT_VIEWS = 30  # for a flight that has to complete within the observed time; the first 18 may all be taken near the pad
@@ -69,6 +70,7 @@ class Scenario:
     variant: of the planner.
     camera: fast, or small where colour matters.
     poses: source of the poses, as in `sim --pose`.
+    claimed_m: standard deviation that the source claims for its positions, per axis, from boot on; None: its true one of 1 cm.
     radii_m: radii of the hull; they are cycled.
     room: limits on the surroundings.
 
@@ -91,6 +93,7 @@ class Scenario:
     variant: str = "adaptive"
     camera: Model = "fast"
     poses: str = "stream"
+    claimed_m: float | None = None
     radii_m: tuple[float, ...] = (HULL_RADIUS_M,)
     room: Room = USUAL
     observe_after_disarm_s: float = AFTER_DISARM_S
@@ -117,6 +120,14 @@ class Scenario:
         """Return whether it can be flown in real time with a firmware of these capabilities."""
         there_is_one = self.live is not None or not self.why
         return there_is_one and all(self.needs(n, live=True) in offers for n in range(CASES))
+
+
+def standing_conditions(claimed_m: float | None) -> Sequence[Injector]:
+    """Return what acts on a flight from boot on, before and beside its fault.
+
+    claimed_m: as in Scenario.
+    """
+    return [] if claimed_m is None else [AlteredPoses(claiming(claimed_m))]
 
 
 @dataclass(frozen=True)
