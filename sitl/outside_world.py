@@ -183,8 +183,9 @@ class OutsideWorld:
         return self.flyer
 
     def turn_camera(self, quat_wxyz: Quat) -> None:
-        """Turn the camera about the body's origin, with its IMU; the product is not told."""
+        """Turn the camera, depth, colour and IMU, about the body's origin; the product is not told."""
         self._mount.turn(quat_wxyz)
+        self.camera.turn(quat_wxyz)
 
     def step(self, now_s: float) -> None:
         """Advance to now_s; publish the IMU samples and poses due by then, and record the truth."""

@@ -23,6 +23,7 @@ from sitl.camera.camera_mount import CameraMount, small_rigid
 from sitl.camera.camera_view import CameraView
 from sitl.camera.colour_camera import ColourLens, colour_camera
 from sitl.camera.frame_exposure import FrameExposure
+from sitl.geometry.quaternion import Quat
 from sitl.geometry.transform import inverse, rigid
 from sitl.runtime.jit import kernel
 from sitl.scene.rasterizer import Renderer
@@ -113,6 +114,10 @@ class SimulatedD435i:
             self._mount,
         )
         self._colour = colour_camera(model == "fast", wide, lens, errors)
+
+    def turn(self, quat_wxyz: Quat) -> None:
+        """Turn depth and colour imager about the body's origin, body axes, which nobody is told."""
+        self._mount.turn(quat_wxyz)
 
     def capture(self, world_from_body: F64, pitch_down_rad: float, stamp_s: float = 0.0) -> tuple[U16, U8]:
         """Return the images of expose() from a body pose (4, 4) at rest."""

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from sitl.autopilots.base_autopilot import VehicleTruth
 from sitl.camera.camera_errors import FILE_NAME, CameraErrors, MountErrors, TimingErrors
 from sitl.camera.d435i import SMALL_COLOUR_SPEC, Model, SimulatedD435i
+from sitl.geometry.quaternion import from_yaw
 from sitl.outside_world import OutsideWorld
 from sitl.scene.rasterizer import Renderer
 from sitl.world.step_sizes import COARSE_STEPS, FINE_STEPS, StepSizes
@@ -159,6 +160,33 @@ def test_the_poses_within_a_stall_of_the_simulator_are_those_of_the_inertial_sam
     _, stamp_s, depth_mm, _ = tape.frames[-1]
     assert stamp_s == START_S + 0.26
     assert np.median(depth_mm) == pytest.approx(2900.0 - 4000.0 * 0.21**2, abs=1.5)
+
+
+def test_a_turned_camera_looks_and_measures_in_the_same_turned_axes() -> None:
+    """Turned left by 60 degrees, depth, colour and IMU alike: the wall is twice as far, the stripe is out of the image."""
+    tape, errors, turn = Tape(), CameraErrors(), from_yaw(np.pi / 3)
+    camera = SimulatedD435i(scene(), "small", "none", errors=errors)
+    straight = SimulatedD435i(scene(), "small", "none").capture(np.eye(4), 0.0)
+    world = OutsideWorld(*cast(Any, (Pushed((0.0, 0.0)), camera, NoPoses(), None, tape, START_S, 0.0, COARSE_STEPS, errors)))
+    world.turn_camera(turn)
+    world.step(START_S)
+    assert world.frame_due(START_S)
+    world.develop(world.begin_frame())
+    (_, _, depth_mm, rgb), (_, _, force) = tape.frames[-1], tape.imu[-1]
+    height, width = depth_mm.shape
+    mount_m = 0.1 * np.cos(np.pi / 3)  # the camera goes round the body's origin
+    assert np.mean(depth_mm[height // 2, width // 2 - 1 : width // 2 + 1]) == pytest.approx(
+        2000.0 * (WALL_M - mount_m), rel=0.02
+    )
+    assert straight[1].any() and not rgb.any()
+    np.testing.assert_allclose(force, [0.5, -np.sqrt(0.75), 9.8], atol=1e-6)
+
+
+class Pushed(Moving):
+    """Vehicle whose accelerometer reads 1 m/s² ahead."""
+
+    def truth(self) -> VehicleTruth:
+        return replace(super().truth(), specific_force=(1.0, 0.0, 9.8))
 
 
 def test_lost_frames_are_missing_from_the_stream() -> None:
