@@ -84,6 +84,7 @@ class Estimator:
 
     on_reset(delta_position, delta_yaw) is called at each jump of the estimate. ignored: number of poses not used, by reason.
     velocity_error: a fault: the published velocity is off by this, while the position is right (PX4 issues 17466 and 22196).
+    heading_error_rad: a fault: the heading follows that of the poses plus this, while the position is right (PX4 issue 14840).
     """
 
     def __init__(self, tuning: EstimatorTuning, on_reset: Callable[[Vec3, float], None] | None = None) -> None:
@@ -92,6 +93,7 @@ class Estimator:
         self.position: Vec3 = (0.0, 0.0, 0.0)
         self._velocity: Vec3 = (0.0, 0.0, 0.0)
         self.velocity_error: Vec3 = (0.0, 0.0, 0.0)
+        self.heading_error_rad = 0.0
         self.acceleration: Vec3 = (0.0, 0.0, 0.0)
         self.quat_wxyz: Quat = IDENTITY
         self.angular_rate: Vec3 = (0.0, 0.0, 0.0)
@@ -309,7 +311,7 @@ class Estimator:
         norm = math.sqrt(sum(c * c for c in q))
         if not math.isfinite(norm) or abs(norm - 1.0) > _NORM_TOLERANCE:
             return math.nan
-        return yaw_of(q)
+        return wrapped(yaw_of(q) + self.heading_error_rad)
 
     def _reset_to(self, pose: ExternalPose, past: list[float], stamp: float, xy: bool, z: bool, yaw: bool) -> None:
         dx = dy = dz = turn = 0.0

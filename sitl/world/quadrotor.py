@@ -52,6 +52,7 @@ class Quadrotor:
     gyro: FLU, rad/s.
     specific_force: FLU, m/s^2; the reading of an ideal accelerometer.
     external_acceleration_mps2: ENU; external force divided by the mass, set by the caller. The accelerometer measures it.
+    external_turn_rate_radps: ENU; rate at which an external torque tilts it, set by the caller. The gyro measures it.
     on_ground: True while it rests on the floor or on an object.
     touchdowns: impact speeds of the landings, m/s.
     """
@@ -85,6 +86,7 @@ class Quadrotor:
         self.gyro: Vec3 = (0.0, 0.0, 0.0)
         self.specific_force: Vec3 = (0.0, 0.0, GRAVITY_MPS2)
         self.external_acceleration_mps2: Vec3 = (0.0, 0.0, 0.0)
+        self.external_turn_rate_radps: Vec3 = (0.0, 0.0, 0.0)
         self.on_ground = True
         self.touchdowns: list[float] = []
 
@@ -157,7 +159,12 @@ class Quadrotor:
         self._yaw += self._yaw_rate * dt_s
         k = self._gains[0]
         ux, uy, uz = self._up
-        ux, uy, uz = ux + k * (wanted_up[0] - ux), uy + k * (wanted_up[1] - uy), uz + k * (wanted_up[2] - uz)
+        wx, wy, wz = self.external_turn_rate_radps
+        ux, uy, uz = (
+            ux + k * (wanted_up[0] - ux) + dt_s * (wy * uz - wz * uy),
+            uy + k * (wanted_up[1] - uy) + dt_s * (wz * ux - wx * uz),
+            uz + k * (wanted_up[2] - uz) + dt_s * (wx * uy - wy * ux),
+        )
         norm = 1.0 / math.sqrt(ux * ux + uy * uy + uz * uz)
         self._up = (ux * norm, uy * norm, uz * norm)
         # first the heading, then the shortest rotation from the vertical onto the thrust axis

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from sitl.camera.d435i import DEPTH_SPEC
 from sitl.faults.injectors.base import Capabilities, DepthFrame, InjectionContext, Injector
 from sitl.faults.injectors.obstacle import Obstacle, RendererWithObstacle
 from sitl.faults.mavlink_proxy import DelayedItems
@@ -61,6 +62,23 @@ class SingleFrames(Injector):
         if since_s < self._next_s:
             return [(0.0, frame)]
         self._next_s = since_s + self._every_s
+        return [(0.0, dataclasses.replace(frame, depth_mm=self._change(frame.depth_mm, self._rng)))]
+
+
+class EveryNthFrame(Injector):
+    """Wrong depth values in every n-th frame, beginning with the first."""
+
+    def __init__(self, change: Change, n: int) -> None:
+        self._change = change
+        self._n = n
+        self._count = 0
+        self._rng = np.random.default_rng(5)
+
+    def depth(self, since_s: float, frame: DepthFrame) -> DelayedItems[DepthFrame]:
+        """Change every n-th frame."""
+        self._count += 1
+        if (self._count - 1) % self._n:
+            return [(0.0, frame)]
         return [(0.0, dataclasses.replace(frame, depth_mm=self._change(frame.depth_mm, self._rng)))]
 
 
@@ -178,6 +196,22 @@ def ghost(centred: bool, near_mm: int = 1100, far_mm: int = 1500) -> Change:
             top, left = int(rng.integers(0, rows - high)), int(rng.integers(0, columns - wide))
         out, range_mm = depth.copy(), int(rng.integers(near_mm, far_mm))
         patch = out[top : top + high, left : left + wide]
+        patch[(patch == 0) | (patch > range_mm)] = range_mm
+        return out
+
+    return change
+
+
+def false_wall(side_m: float, range_m: float) -> Change:
+    """Return a change that adds a square wall across the optical axis, which hides what is behind it."""
+
+    def change(depth: Any, _: np.random.Generator) -> Any:
+        rows, columns = depth.shape
+        high = round(0.5 * side_m / range_m * DEPTH_SPEC.fy * rows / DEPTH_SPEC.height)
+        wide = round(0.5 * side_m / range_m * DEPTH_SPEC.fx * columns / DEPTH_SPEC.width)
+        out, range_mm = depth.copy(), round(1000.0 * range_m)
+        top, left = max(rows // 2 - high, 0), max(columns // 2 - wide, 0)
+        patch = out[top : rows // 2 + high, left : columns // 2 + wide]
         patch[(patch == 0) | (patch > range_mm)] = range_mm
         return out
 

@@ -72,6 +72,12 @@ def offset_gyro(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Change:
     return lambda sample, _: dataclasses.replace(sample, gyro_radps=sample.gyro_radps + offset)
 
 
+def clipped_gyro(limit_degps: float) -> Change:
+    """Return a change that clips each axis of the angular rate at plus and minus limit_degps."""
+    limit = np.radians(limit_degps)
+    return lambda sample, _: dataclasses.replace(sample, gyro_radps=np.clip(sample.gyro_radps, -limit, limit))
+
+
 def vibration(sigma_mps2: float) -> Change:
     """Return a change that adds white noise to the specific force, per axis and sample."""
 

@@ -6,6 +6,10 @@ import math
 
 from sitl.faults.injectors.base import TAKEN_OVER, Capabilities, InjectionContext, Injector
 
+HEADING_OFF = "heading off"  # key in notes: time at which the autopilot's heading is off by HEADING_OFF_RAD
+HEADING_OFF_RAD = math.radians(10.0)
+_TURN_S = 1.0 / 60.0  # of the flight
+
 
 class Push(Injector):
     """A steady push along the direction of flight for a while, as an acceleration in m/s².
@@ -136,6 +140,53 @@ class HeightDatumMoved(Injector):
     def begin(self, at: InjectionContext) -> None:
         """Move the datum for the rest of the flight."""
         at.world.autopilot.estimator.move_height_datum(self._up_m)
+
+
+class HeadingError(Injector):
+    """An estimator whose heading is off, or turns away by itself, while its position is right.
+
+    It reports the wrong heading and flies by it. offset_deg: at once; rate_degps: more in each second.
+    """
+
+    needs = Capabilities.SIMULATOR_ACCESS
+
+    def __init__(self, offset_deg: float = 0.0, rate_degps: float = 0.0) -> None:
+        self._offset_rad = math.radians(offset_deg)
+        self._rate_radps = math.radians(rate_degps)
+
+    def turn(self, at: InjectionContext, since_s: float) -> None:
+        """Apply the error, and note when it passes HEADING_OFF_RAD."""
+        error_rad = self._offset_rad + self._rate_radps * since_s
+        at.world.autopilot.estimator.heading_error_rad = error_rad
+        if abs(error_rad) >= HEADING_OFF_RAD:
+            at.notes.setdefault(HEADING_OFF, at.now_s)
+
+    def end(self, at: InjectionContext) -> None:
+        """Note the end of a flight that ended before."""
+        at.notes.setdefault(HEADING_OFF, at.now_s)
+
+
+class PropellerTouch(Injector):
+    """A propeller that touches a wall: the vehicle tilts and is pushed away, within one turn of the flight.
+
+    The push is level and across the room, along y of the world, towards its middle; the thrust axis tilts the other way.
+    """
+
+    needs = Capabilities.SIMULATOR_ACCESS
+
+    def __init__(self, tilt_deg: float, acceleration_mps2: float, for_s: float) -> None:
+        self._tilt_rad = math.radians(tilt_deg)
+        self._change_mps = acceleration_mps2 * for_s
+        self._begun_s = math.inf
+
+    def turn(self, at: InjectionContext, since_s: float) -> None:
+        """Act in the first turn, for as long as a turn takes."""
+        self._begun_s = min(self._begun_s, since_s)
+        acts = since_s - self._begun_s < 0.5 * _TURN_S
+        vehicle = at.world.autopilot.vehicle
+        to_middle = (-1.0 if vehicle.position[1] > 0.0 else 1.0) / _TURN_S if acts else 0.0
+        vehicle.external_acceleration_mps2 = (0.0, to_middle * self._change_mps, 0.0)
+        vehicle.external_turn_rate_radps = (to_middle * self._tilt_rad, 0.0, 0.0)
 
 
 class TransmitterLost(Injector):

@@ -5,6 +5,7 @@ They return inf where the awaited event never came.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Callable
 
@@ -196,6 +197,11 @@ def slowest_ten_seconds_arrived(e: FlightEvidence) -> float:
 def noted(name: str) -> Measure:
     """Return a measure of a value that an injector noted; inf if it noted none."""
     return lambda e: e.notes.get(name, math.inf)
+
+
+def from_note(name: str, measure: Measure) -> Measure:
+    """Return a measure from the time that an injector noted under a name; NaN if it noted none."""
+    return lambda e: measure(dataclasses.replace(e, onset_s=e.notes[name])) if name in e.notes else math.nan
 
 
 def failsafes(e: FlightEvidence) -> float:

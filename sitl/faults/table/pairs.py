@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 import random
 from collections.abc import Sequence
 
@@ -12,7 +11,6 @@ from sitl.faults.injectors.base import Injector
 from sitl.faults.injectors.delayed import Delayed
 from sitl.faults.judges import reaction_metrics as m
 from sitl.faults.judges.invariants import USUAL, Room
-from sitl.faults.judges.reaction_metrics import Measure
 from sitl.faults.table.acceptance_limits import RETURN_ACTS, STREAMS, UNHEARD_LANDS, down, holds, lands
 from sitl.faults.table.scenario import Limit, Scenario
 
@@ -74,14 +72,9 @@ def _both(first: Scenario, second: Scenario, number: int) -> Sequence[Injector]:
 def _since(scenario: str, limits: Sequence[Limit]) -> list[Limit]:
     """Return limits that are named after and measured from the onset of a scenario's own fault."""
     return [
-        dataclasses.replace(limit, name=f"{limit.name} after {scenario}", measure=_from(scenario, limit.measure))
+        dataclasses.replace(limit, name=f"{limit.name} after {scenario}", measure=m.from_note(scenario, limit.measure))
         for limit in limits
     ]
-
-
-def _from(scenario: str, measure: Measure) -> Measure:
-    """Return a measure from the onset of a scenario's own fault; NaN if that fault never began."""
-    return lambda e: measure(dataclasses.replace(e, onset_s=e.notes[scenario])) if scenario in e.notes else math.nan
 
 
 def _stricter(one: Onset, other: Onset) -> Onset:

@@ -9,22 +9,39 @@ import functools
 
 from sitl.faults import reason_codes as codes
 from sitl.faults.fault import Onset
+from sitl.faults.injectors.base import Injector
+from sitl.faults.injectors.depth_camera import (
+    AlteredDepth,
+    EveryNthFrame,
+    ScatteredFrames,
+    ShiftedTimestamps,
+    constant,
+    false_wall,
+    thinned,
+)
 from sitl.faults.injectors.inertial_sensor import (
     AlteredImu,
     FrozenImu,
     ImuSilence,
+    clipped_gyro,
     offset_force,
     offset_gyro,
     scaled_force,
 )
+from sitl.faults.injectors.mavlink_link import PacketLoss
 from sitl.faults.injectors.pose_stream import AlteredPoses, CoastingPoses, RestartedSource, other_origin
+from sitl.faults.injectors.vehicle_and_autopilot import HEADING_OFF, HeadingError, PropellerTouch
+from sitl.faults.judges import reaction_metrics as m
 from sitl.faults.judges.statustext_checks import statustext_after_arm_command
-from sitl.faults.table.acceptance_limits import COMPLETES, clear, reports
+from sitl.faults.table.acceptance_limits import COMPLETES, NEVER_ARMED, clear, down, holds, reports
 from sitl.faults.table.scenario import Limit, Scenario
 
 MOVING = Onset(speed_mps=0.3)
 FROM_BOOT = Onset((0.0, 0.0), at_boot=True)
 AFTER_TAKEOFF = Onset((0.0, 0.5), speed_mps=0.0)
+ODOMETRY = 331  # MAVLink message
+UNFED = (codes.ESTIMATE_POSITION, codes.ESTIMATE_VELOCITY, codes.AUTOPILOT_LANDS)
+EMPTY_S = (0.3, 0.5, 1.0, 3.0)
 STANDS_S = (0.5, 1.0, 2.0, 5.0)
 COASTS_S = 5.0
 CLAIMED_M = 0.05
@@ -35,7 +52,7 @@ OFFSETS = ((2.0, 0.0, 0.5), (0.0, 1.0, FOR_GOOD_S), (0.0, 2.0, 0.5), (1.0, 0.0, 
 STRONG_OFFSETS = ((2.0, 0.0), (0.0, 4.0), (0.0, 2.0), (4.0, 0.0))
 
 OUTSIDE = functools.partial(Scenario, arena="room", onset=MOVING, observe_s=240.0, views=24)
-BY_SLAM = functools.partial(OUTSIDE, poses="slam", camera="small")
+BY_SLAM = functools.partial(OUTSIDE, poses="slam", camera="d435i", views=16)  # images at 6 Hz are too few for it
 
 TABLE_H = (
     OUTSIDE(
@@ -154,4 +171,82 @@ TABLE_H = (
         lambda n: [AlteredImu(offset_gyro(*(0.05 if axis == n % 3 else 0.0 for axis in range(3))))],
         FLIES_ON,
     ),
+    BY_SLAM(
+        "H6",
+        "propeller touches a wall, by the embedded SLAM",
+        "the vehicle is tilted by 10 degrees and pushed by 60 m/s² for 10 ms; the gyro clips at 250 degrees/s",
+        lambda n: [PropellerTouch(10.0, 60.0, 0.01), AlteredImu(clipped_gyro(250.0))],
+        FLIES_ON,
+    ),
+    BY_SLAM(
+        "H7",
+        "depth empty or sparse for a moment, by the embedded SLAM",
+        "no returns for 0.3, 0.5, 1, 3 s; in every fifth frame; in every third frame returns in 10 % of the pixels",
+        lambda n: [_gaps(n)],
+        FLIES_ON,
+    ),
+    OUTSIDE(
+        "H7o",
+        "depth empty or sparse for a moment",
+        "as H7, with poses from outside",
+        lambda n: [_gaps(n)],
+        FLIES_ON,
+    ),
+    OUTSIDE(
+        "H8",
+        "false wall in the depth",
+        "a wall of 1 x 1 m, 1.2 m ahead, in 15 %, in 3 % of the frames",
+        lambda n: [ScatteredFrames(false_wall(1.0, 1.2), (0.15, 0.03)[n % 2], n)],
+        FLIES_ON,
+    ),
+    OUTSIDE(
+        "H8c",
+        "depth clock steps back",
+        "time stamps of the images earlier by 0.2, 0.8 s from then on",
+        lambda n: [ShiftedTimestamps((-0.2, -0.8)[n % 2])],
+        FLIES_ON,
+    ),
+    OUTSIDE(
+        "H8e",
+        "every fifth frame empty at 6 Hz",
+        "no returns in every fifth frame of a camera with six images a second",
+        lambda n: [EveryNthFrame(constant(0), 5)],
+        FLIES_ON,
+    ),
+    OUTSIDE(
+        "H9",
+        "autopilot's heading turns by itself",
+        "the autopilot's estimate of its heading turns away by 3, 1 degrees/s in the air; it reports and flies by it",
+        lambda n: [HeadingError(rate_degps=(3.0, 1.0)[n % 2])],
+        (
+            Limit("hold after 10 degrees", m.from_note(HEADING_OFF, m.held_after()), 3.0, "s"),
+            Limit("disarmed after 10 degrees", m.from_note(HEADING_OFF, m.disarmed_after()), 40.0, "s"),
+            clear(0.10),
+        ),
+        observe_s=90.0,
+    ),
+    OUTSIDE(
+        "H9g",
+        "autopilot's heading is off on the ground",
+        "from boot, the autopilot's estimate of its heading is off by 180, 45 degrees",
+        lambda n: [HeadingError(offset_deg=(180.0, 45.0)[n % 2])],
+        (NEVER_ARMED,),
+        onset=FROM_BOOT,
+        observe_s=60.0,
+    ),
+    OUTSIDE(
+        "H10",
+        "autopilot drops the odometry in the air",
+        "no ODOMETRY reaches the autopilot's estimator any more, while all other messages do",
+        lambda n: [PacketLoss("up", only=(ODOMETRY,))],
+        (holds(3.0), down(40.0), clear(0.10), reports(*UNFED, within_s=4.0)),
+        observe_s=60.0,
+    ),
 )
+
+
+def _gaps(n: int) -> Injector:
+    """Return the n-th case of missing depth."""
+    if n % 6 < len(EMPTY_S):
+        return AlteredDepth(constant(0), EMPTY_S[n % 6])
+    return EveryNthFrame(constant(0), 5) if n % 6 == len(EMPTY_S) else EveryNthFrame(thinned(0.1), 3)

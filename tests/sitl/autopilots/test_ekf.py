@@ -19,7 +19,7 @@ from sitl.autopilots.ekf import (
 from sitl.autopilots.px4.parameters import Px4Parameters
 from sitl.autopilots.px4.tuning import estimator_tuning
 from sitl.geometry.ned_frd import frd_from_flu, ned_frd_from_enu_flu, ned_from_enu
-from sitl.geometry.quaternion import Quat, Vec3, from_yaw, multiply
+from sitl.geometry.quaternion import Quat, Vec3, from_yaw, multiply, wrapped, yaw_of
 from sitl.world.imu import SimulatedImu
 from sitl.world.quadrotor import GRAVITY_MPS2, Quadrotor
 
@@ -102,6 +102,16 @@ def test_late_poses_are_fused_at_their_own_time(age_s: float) -> None:
     assert math.dist(rig.estimator.velocity, n) < 0.08
     assert abs(rig.estimator.position[2] - ned_from_enu(rig.vehicle.position)[2]) < 0.05
     assert rig.estimator.ignored == {}
+
+
+def test_a_wrong_heading_is_kept_while_the_position_is_right() -> None:
+    rig = Rig()
+    rig.estimator.heading_error_rad = math.pi
+    rig.run(6.0)
+    rig.estimator.heading_error_rad = math.pi - 0.1
+    rig.run(6.0)
+    yaw = yaw_of(ned_frd_from_enu_flu(rig.vehicle.quat_wxyz))
+    assert wrapped(rig.estimator.yaw - yaw - math.pi + 0.1) == pytest.approx(0.0, abs=0.03)
 
 
 def test_late_poses_with_new_stamps_degrade_the_estimate() -> None:
