@@ -250,6 +250,7 @@ def flight_live(scenario: Scenario, case: FaultCase, folder: Path) -> FlightEvid
         radius_m=scenario.radius_m(case.number),
         mount=MOUNT,
         variant=scenario.variant,
+        pose=scenario.poses,
         port=free_port(),
         out=case.out or folder / "flight",
         camera_errors=str(case.camera_errors),

@@ -91,7 +91,8 @@ def _outside(
 
     The relay is None for a simulated autopilot.
     """
-    scene = arena(SCENARIOS[order.scenario].arena, options.radius_m)
+    scenario = SCENARIOS[order.scenario]
+    scene = arena(scenario.arena, options.radius_m, painted=scenario.poses != "stream")  # what tracks by images needs texture
     if order.firmware is None:
         return make_world(options, scene, product, time.monotonic), None
     binary = Path(order.firmware)

@@ -172,7 +172,7 @@ def test_pairs_are_flown_by_their_rows_name_and_not_by_default() -> None:
     assert "--only G10" in SCENARIOS["G10"].why
     groups = Campaign.of(FaultOptions(only="G10", seeds=5)).groups()
     assert (len(groups), sum(map(len, groups))) == (2 * 5 * 4, 2 * 5 * 45), "hall and pen, long and short"
-    with pytest.raises(UsageError, match=r"no scenario E1\+D8; .*faults --list` shows A1 to G10, and pairs such as A1\+B1"):
+    with pytest.raises(UsageError, match=r"no scenario E1\+D8; .*faults --list` shows A1 to H10, and pairs such as A1\+B1"):
         Campaign.of(FaultOptions(only="E1+D8"))
     with pytest.raises(UsageError, match="G10: cannot run in real time"):
         Campaign.of(FaultOptions(only="G10", real_time=True))

@@ -10,6 +10,7 @@ from made_up_evidence import BOOT_S, DT_S, evidence, rewired, spoilt, turning
 
 from sitl.faults import reason_codes as codes
 from sitl.faults.flight_evidence import FlightEvidence
+from sitl.faults.injectors.vehicle_and_autopilot import HEADING_OFF
 from sitl.faults.table.all_scenarios import SCENARIOS
 
 
@@ -156,6 +157,11 @@ TELLING = {
     "E4d": ("reported", (codes.AUTOPILOT_LANDS,)),
     "E6": ("reason reported", (codes.ARMING_GIVEN_UP, "motors-stay-off")),
     "E10": ("reported", (codes.MISSION_LAND,)),
+    "H5": ("reported", ("accelerometer-rejected",)),
+    "H5d": ("reported", ("no-imu",)),
+    "H5f": ("reported", ("imu-frozen",)),
+    "H5s": ("reported", ("imu-disagrees",)),
+    "H10": ("reported", (codes.ESTIMATE_POSITION,)),
 }
 
 
@@ -220,6 +226,15 @@ def test_a_map_that_is_marked_free_by_nothing_breaks_c4b() -> None:
     assert broken("C4b", evidence(notes={freed: 0.01, claimed: 0.0})) == {freed}
     assert broken("C4b", evidence(notes={freed: 0.0, claimed: 1.0})) == {claimed}
     assert broken("C4b", evidence()) == {freed, claimed}, "what nobody measured"
+
+
+def test_a_hold_counts_from_the_time_at_which_the_heading_is_off_in_h9() -> None:
+    hold = "hold after 10 degrees"
+    flies_on = evidence()
+    assert hold in broken("H9", dataclasses.replace(flies_on, notes={HEADING_OFF: 6.0}))
+    assert hold in broken("H9", losing_the_pose()), "what nobody noted"
+    for off_s, misses in ((6.0, False), (2.0, True)):
+        assert (hold in broken("H9", dataclasses.replace(losing_the_pose(), notes={HEADING_OFF: off_s}))) is misses
 
 
 def test_who_hovers_before_the_wall_breaks_f5() -> None:
