@@ -174,8 +174,8 @@ TABLE_H = (
     BY_SLAM(
         "H6",
         "propeller touches a wall, by the embedded SLAM",
-        "the vehicle is tilted by 10 degrees and pushed by 60 m/s² for 10 ms; the gyro clips at 250 degrees/s",
-        lambda n: [PropellerTouch(10.0, 60.0, 0.01), AlteredImu(clipped_gyro(250.0))],
+        "the vehicle is tilted by 10 degrees and pushed by 60 m/s² for 10 ms; the gyro clips at 250 degrees/s; it does not",
+        lambda n: [PropellerTouch(10.0, 60.0, 0.01), *([] if n % 2 else [AlteredImu(clipped_gyro(250.0))])],
         FLIES_ON,
     ),
     BY_SLAM(
