@@ -203,7 +203,10 @@ def ghost(centred: bool, near_mm: int = 1100, far_mm: int = 1500) -> Change:
 
 
 def false_wall(side_m: float, range_m: float) -> Change:
-    """Return a change that adds a square wall across the optical axis, which hides what is behind it."""
+    """Return a change that adds a square wall across the optical axis.
+
+    It hides what is behind it.
+    """
 
     def change(depth: Any, _: np.random.Generator) -> Any:
         rows, columns = depth.shape

@@ -71,9 +71,9 @@ class LatePoses(Injector):
 
 
 class CoastingPoses(Injector):
-    """Poses whose translation goes on at one velocity for a while; rotation and variance are honest.
+    """Poses whose translation goes on at one velocity for a while.
 
-    share: of the true velocity as the fault begins; 0: the translation stands still.
+    Rotation and variance are honest. share: of the true velocity as the fault begins; 0: the translation stands still.
     """
 
     def __init__(self, for_s: float, share: float = 1.0) -> None:
@@ -96,9 +96,10 @@ class CoastingPoses(Injector):
 
 
 class RestartedSource(Injector):
-    """A source that starts again: its frame begins at the place and heading of the first pose of the fault.
+    """A source that starts again.
 
-    counted: the reset counter is one higher from then on.
+    Its frame begins at the place and heading of the first pose of the fault. counted: the reset counter is one higher from
+    then on.
     """
 
     def __init__(self, counted: bool) -> None:

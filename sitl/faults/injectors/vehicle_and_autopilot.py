@@ -167,9 +167,10 @@ class HeadingError(Injector):
 
 
 class PropellerTouch(Injector):
-    """A propeller that touches a wall: the vehicle tilts and is pushed away, within one turn of the flight.
+    """A propeller that touches a wall: the vehicle tilts and is pushed away.
 
-    The push is level and across the room, along y of the world, towards its middle; the thrust axis tilts the other way.
+    Both happen within one turn of the flight. The push is level and across the room, along y of the world, towards its
+    middle; the thrust axis tilts the other way.
     """
 
     needs = Capabilities.SIMULATOR_ACCESS

@@ -1,4 +1,4 @@
-"""Table H: one of the three measurements of the motion is wrong while the two others are honest.
+"""Table H: one of the three measurements of the motion is wrong, the two others are honest.
 
 The three are the pose source, the inertial sensors and the view (depth and colour). Whichever two agree fly on.
 """
