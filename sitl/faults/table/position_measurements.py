@@ -83,6 +83,15 @@ TABLE_H = (
         claimed_m=CLAIMED_M,
     ),
     OUTSIDE(
+        "H1d",
+        "as H1, and the tracker beside the source corrects",
+        "as H1, with localization.correct_drift",
+        lambda n: [CoastingPoses(STANDS_S[n % 4], share=0.0)],
+        FLIES_ON,
+        poses="corrected",
+        camera="small",
+    ),
+    OUTSIDE(
         "H2",
         "pose source coasts",
         "positions go on for 5 s at the velocity of the beginning, attitudes are right; the source claims 1 cm",
