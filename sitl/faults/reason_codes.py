@@ -22,6 +22,7 @@ GYRO_WRONG = ("gyro-rejected",)
 REDUCED_SPEED = "reduced-speed"
 ESTIMATE_POSITION = "estimate-position"
 ESTIMATE_VELOCITY = "estimate-velocity"
+ESTIMATE_HEADING = "estimate-heading"
 OFF_HEIGHT = "off-height"
 INTRUDER_OWN_ID = "intruder-own-id"
 INTRUDER_HEARTBEAT = "intruder-heartbeat"
@@ -55,5 +56,5 @@ LANDING = (
     TWO_AUTOPILOTS, ARMING_GIVEN_UP, PARAMETER_CHANGED, "poses-disagree", "few-poses", "imu-disagrees", "refused-too-long",
     "many-refusals", "held-too-long", "odometry-restarted", "outside-fence-too-long", "retreat-blocked", "evasion-blocked",
     "no-room-to-evade", "takeoff-given-up", "arming-withdrawn", "armed-late", "armed-by-other", "disarmed-in-flight",
-    "disarmed-before-takeoff", "land-requested", ESTIMATE_POSITION, ESTIMATE_VELOCITY, OFF_HEIGHT,
+    "disarmed-before-takeoff", "land-requested", ESTIMATE_POSITION, ESTIMATE_VELOCITY, ESTIMATE_HEADING, OFF_HEIGHT,
 )  # fmt: skip

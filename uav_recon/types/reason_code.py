@@ -212,6 +212,10 @@ class ReasonCode(str, Enum):
         "estimate-velocity", "autopilot velocity {0:.2f} m/s off the poses",
         "the autopilot's velocity is {0:.2f} m/s off the poses that it is fed", (12.34,),
     )  # fmt: skip
+    ESTIMATE_HEADING = (
+        "estimate-heading", "autopilot heading {0:.0f} degrees off the poses",
+        "the autopilot's heading is {0:.0f} degrees off the poses that it is fed", (180.0,),
+    )  # fmt: skip
     OFF_HEIGHT = "off-height", "{0:.2f} m off the setpoints' height", "", (12.34,)
 
     # --- obstacles, retreat ------------------------------------------------------------------------------------------

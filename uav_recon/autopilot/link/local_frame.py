@@ -11,7 +11,9 @@ from collections import deque
 from dataclasses import replace
 from itertools import pairwise
 
-from uav_recon.autopilot.mavlink.messages import LocalPosition
+import numpy as np
+
+from uav_recon.autopilot.mavlink.messages import Attitude, LocalPosition
 from uav_recon.types.frames import FloatArray, frozen
 from uav_recon.types.pose import Pose, StampedPose
 from uav_recon.types.trajectory import Setpoint
@@ -78,9 +80,14 @@ def moved(setpoint: Setpoint, local_from_odom: Pose) -> Setpoint:
     )
 
 
-def in_odom(message: LocalPosition, local_from_odom: Pose | None) -> LocalPosition:
-    """Return a position of the local frame in odom; unchanged while that frame is not known."""
+def in_odom(message: LocalPosition | Attitude, local_from_odom: Pose | None) -> LocalPosition | Attitude:
+    """Return a position or attitude of the local frame in odom.
+
+    It is unchanged while that frame is not known.
+    """
     odom_from_local = (local_from_odom or Pose.identity()).inverse()
+    if isinstance(message, Attitude):
+        return replace(message, quat_wxyz=(odom_from_local @ Pose(message.quat_wxyz, np.zeros(3))).quat_wxyz)
     position_m, velocity_mps = odom_from_local.apply(message.position_m), odom_from_local.rotation() @ message.velocity_mps
     return replace(message, position_m=frozen(position_m), velocity_mps=frozen(velocity_mps))
 

@@ -50,7 +50,7 @@ class VehicleLink:
 
     frames: signed with the key of the allow list. firmware: profile of the firmware on the other end. start_s: from which on
     heartbeats, requests and clock count. navigation: who tells the autopilot where it is. ``telemetry``: what the autopilot
-    reported, its positions in odom if its local frame is known.
+    reported, its positions and attitudes in odom if its local frame is known.
     """
 
     def __init__(
@@ -198,7 +198,7 @@ class VehicleLink:
                 self._synchronise(message, now_s)
             case Attitude() | LocalPosition() | OdometryMessage():
                 self.measurements.update(message, now_s, self._admission.duplicate)
-                if isinstance(message, LocalPosition):
+                if isinstance(message, LocalPosition | Attitude):
                     message = in_odom(message, self._navigation.local_from_odom)
             case GimbalAttitude() | UpwardRange():
                 measured_s = self._clock.measured_s(message.boot_ms, now_s)

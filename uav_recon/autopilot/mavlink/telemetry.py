@@ -47,6 +47,8 @@ class ModeReport:
 class MotionEstimate:
     """The autopilot's own estimate, ENU about its origin.
 
+    It is in odom where the link knows the local frame.
+
     position_m (3,), velocity_mps (3,), quat_wxyz (4,): world_from_body, Hamilton. boot_ms: of position and velocity, on the
     autopilot's clock; -1 before the first.
     """

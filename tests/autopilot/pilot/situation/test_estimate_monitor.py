@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import cast
 
 import numpy as np
 import pytest
 from flight_copy import flight_copy
-from flight_rig import Rig
+from flight_rig import TICK_S, Rig
 from test_pilot_flight_ardupilot import CopterRig
 
+from sitl.geometry.quaternion import from_yaw, multiply
 from uav_recon.autopilot.link.vehicle_link import VehicleLink
 from uav_recon.autopilot.mavlink.link_status import LinkStatus
 from uav_recon.autopilot.mavlink.telemetry import MotionEstimate, Telemetry
@@ -23,6 +24,7 @@ from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.trajectory import Goal, Setpoint
 from uav_recon.types.vehicle import FlightPhase
 
+LIMIT_DEG, TURNED_DEG = 10.0, 20.0
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
 
 
@@ -50,19 +52,27 @@ class Bench:
         self.delay_s = 0.0  # of the estimates on the link; their stamps are right
         self.off_m: FloatArray = np.zeros(3)
         self.off_mps: FloatArray = np.zeros(3)
+        self.turn_rad = self.off_rad = 0.0  # heading of the body; of the estimate, off it
+        self.turn_radps = 0.0  # of the body
+        self.attitudes = True  # arrive
         self.health = PoseHealth.GOOD
+        self.quat_wxyz: FloatArray = LEVEL
         self.waiting: list[tuple[float, float, MotionEstimate]] = []
 
     def run(self, seconds: float) -> None:
         for _ in range(round(60 * seconds)):
             self.turn += 1
+            self.turn_rad += self.turn_radps / 60
             now_s = self.turn / 60
             pose = None
             if self.turn % 2 == 0:
-                pose = StampedPose(now_s, Pose(LEVEL, self.velocity_mps * now_s), self.velocity_mps, health=self.health)
+                body = Pose.from_yaw(self.turn_rad, self.velocity_mps * now_s)
+                pose = StampedPose(now_s, body, self.velocity_mps, health=self.health)
             else:
                 place = self.velocity_mps * now_s + self.off_m
-                estimate = MotionEstimate(place, self.velocity_mps + self.off_mps, LEVEL, self.turn)
+                if self.attitudes:
+                    self.quat_wxyz = Pose.from_yaw(self.turn_rad + self.off_rad, place).quat_wxyz
+                estimate = MotionEstimate(place, self.velocity_mps + self.off_mps, self.quat_wxyz, self.turn)
                 self.waiting.append((now_s + self.delay_s, now_s, estimate))
             while self.waiting and self.waiting[0][0] <= now_s:
                 _, self.link.stamp_s, estimate = self.waiting.pop(0)
@@ -191,6 +201,74 @@ def test_a_jump_of_odom_and_a_landing_end_what_was_compared(bench: Bench) -> Non
     assert after(bench, 5.0) == (None, None)
 
 
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+@pytest.mark.parametrize("body_rad", [0.0, math.radians(179.0)])
+def test_a_heading_that_is_off_is_held_for_and_then_landed_for(bench: Bench, body_rad: float, sign: float) -> None:
+    bench.turn_rad = body_rad
+    bench.run(0.1)
+    bench.off_rad = sign * math.radians(LIMIT_DEG + 0.5)
+    said = ReasonCode.ESTIMATE_HEADING
+    assert [after(bench, s) for s in (0.9, 0.2, 1.8, 0.3)] == [(None, None), (said, None), (said, None), (said, said)]
+    bench.off_rad = 0.0
+    assert after(bench, 0.1) == (None, None)
+
+
+def test_a_heading_within_the_limit_is_no_deviation(bench: Bench) -> None:
+    bench.off_rad = math.radians(LIMIT_DEG - 0.5)
+    assert after(bench, 10.0) == (None, None)
+
+
+def test_a_heading_that_is_far_off_is_landed_for_at_once(bench: Bench) -> None:
+    bench.off_rad = math.radians(TURNED_DEG + 0.5)
+    assert after(bench, 0.15) == (None, None)
+    assert after(bench, 0.15) == (None, ReasonCode.ESTIMATE_HEADING)
+
+
+def test_a_turn_of_the_body_is_compared_at_the_stamps(bench: Bench) -> None:
+    """At 100 degrees a second the heading moves by 60 degrees within the delay of the link."""
+    bench.delay_s, bench.turn_radps = 0.6, math.radians(100.0)
+    bench.run(0.7)
+    assert after(bench, 10.0) == (None, None)
+
+
+def test_a_heading_is_not_compared_while_no_attitude_arrives(bench: Bench) -> None:
+    bench.attitudes, bench.turn_radps = False, math.radians(100.0)
+    assert after(bench, 2.0) == (None, None)
+
+
+@pytest.mark.parametrize(("off_deg", "degps"), [(LIMIT_DEG + 0.5, 0.0), (45.0, 0.0), (180.0, 0.0), (0.0, 30.0), (0.0, 3.0)])
+def test_a_heading_that_is_off_forbids_arming_in_words(off_deg: float, degps: float) -> None:
+    bench = Bench()
+    bench.off_rad = math.radians(off_deg)
+    forbidden = 0
+    for _ in range(120):
+        bench.off_rad += math.radians(degps)
+        bench.run(1.0)
+        fault = bench.monitor.ground_fault
+        forbidden += fault is not None and fault.code is ReasonCode.ESTIMATE_HEADING
+    assert forbidden >= (120 if degps == 0.0 else 90)
+
+
+def test_an_offset_of_heading_within_the_limit_is_flown() -> None:
+    bench = Bench()
+    bench.off_rad = math.radians(LIMIT_DEG - 0.5)
+    bench.run(5.0)
+    assert bench.monitor.ground_fault is None
+    bench.monitor.begin()
+    assert after(bench, 5.0) == (None, None)
+
+
+def test_a_heading_that_was_off_on_the_ground_must_have_been_right_for_seconds() -> None:
+    bench = Bench()
+    bench.off_rad = math.radians(45.0)
+    bench.run(2.0)
+    bench.off_rad = 0.0
+    bench.run(2.8)
+    assert bench.monitor.ground_fault is not None
+    bench.run(0.3)
+    assert bench.monitor.ground_fault is None
+
+
 def at_height(bench: Bench, height_m: float, up_mps: float, seconds: float) -> tuple[ReasonCode | None, ReasonCode | None]:
     """Fly on with a setpoint this far above the newest pose."""
     for _ in range(round(30 * seconds)):
@@ -272,6 +350,44 @@ def test_a_height_datum_that_moves_ends_the_flight_in_words(flying: Rig, up_m: f
     assert any(ReasonCode.ESTIMATE_POSITION in codes for _, codes in flying.reported(begin_s))
     flying.run(20.0)
     assert not flying.autopilot.truth().armed
+
+
+def turn_heading(rig: Rig, angle_rad: float) -> None:
+    """Turn the autopilot's heading, which poses do not correct any more."""
+    estimator = rig.autopilot.estimator
+    estimator.configure(replace(estimator._tuning, fuse_yaw=False))
+    estimator.quat_wxyz = multiply(from_yaw(-angle_rad), estimator.quat_wxyz)
+
+
+@pytest.mark.parametrize("degps", [3.0, pytest.param(-30.0, marks=pytest.mark.nightly)])
+def test_a_heading_that_turns_by_itself_ends_the_flight_in_words(flying: Rig, degps: float) -> None:
+    begin_s = flying.clock.now_s()
+    flying.fly((1.5, 0.0, 1.1), (0.0, 0.0, 1.1), (1.5, 0.0, 1.1), (0.0, 0.0, 1.1), identifier=7)
+    while flying.pilot.phase is not FlightPhase.LANDING:
+        turn_heading(flying, math.radians(degps) * TICK_S)
+        flying.step()
+    assert flying.clock.now_s() - begin_s < (7.0 if abs(degps) < 10.0 else 2.0)
+    flying.run(0.2)
+    assert any(ReasonCode.ESTIMATE_HEADING in codes for _, codes in flying.reported(begin_s))
+    for _ in range(1500):
+        turn_heading(flying, math.radians(degps) * TICK_S)
+        flying.step()
+    assert not flying.autopilot.truth().armed
+    assert max(abs(position_m[1]) for _, position_m in flying.track) < 0.4
+
+
+@pytest.mark.parametrize("degrees", [45.0, 180.0])
+@pytest.mark.parametrize("kind", [Rig, CopterRig], ids=["px4", "ardupilot"])
+def test_a_heading_that_is_off_on_the_ground_is_not_flown(kind: type[Rig], degrees: float) -> None:
+    rig = kind()
+    rig.until(FlightPhase.READY, 20.0)
+    turn_heading(rig, math.radians(degrees))
+    rig.run(0.5)
+    rig.intent = (Goal.FLY, None)
+    rig.run(5.0)
+    assert rig.pilot.phase is FlightPhase.CONNECTING
+    assert rig.note_codes == (ReasonCode.ESTIMATE_HEADING,)
+    assert not rig.autopilot.truth().armed
 
 
 @pytest.mark.parametrize("kind", [Rig, CopterRig], ids=["px4", "ardupilot"])
