@@ -58,6 +58,11 @@ def health(now_s: float, **changes: Any) -> FailsafeInputs:
 @pytest.mark.parametrize(
     ("changes", "action", "why"),
     [
+        ({"depth_age_s": 0.45, "one_missing_s": 0.45}, FailsafeAction.FLY, None),
+        ({"depth_age_s": 0.46, "one_missing_s": 0.45}, FailsafeAction.HOLD, because(ReasonCode.NO_DEPTH, 0.46)),
+        ({"depth_age_s": 0.51, "one_missing_s": 9.0}, FailsafeAction.HOLD, because(ReasonCode.NO_DEPTH, 0.51)),
+        ({"depth_age_s": 3.1, "one_missing_s": 9.0}, FailsafeAction.RETREAT, because(ReasonCode.NO_DEPTH, 3.1)),
+        ({"depth_age_s": 10.1, "one_missing_s": 99.0}, FailsafeAction.LAND, because(ReasonCode.NO_DEPTH, 10.1)),
         ({}, FailsafeAction.FLY, None),
         ({"pose_age_s": 0.2}, FailsafeAction.FLY, None),
         ({"pose_age_s": 0.21}, FailsafeAction.HOLD, because(ReasonCode.NO_POSE, 0.2)),

@@ -141,6 +141,26 @@ def test_depth_may_be_as_old_as_agreed_and_a_little_ahead_of_the_clock() -> None
         assert (refusal(guard, proposal(HERE, (0.3, 0.0, 0.0)), 10.5, ahead=ahead) is None) is may, age_s
 
 
+def test_one_missing_frame_of_a_slow_camera_is_no_refusal_and_a_longer_hole_is() -> None:
+    for one_missing_s, age_s, may in (
+        (0.0, 0.2999, True), (0.0, 0.3001, False), (0.45, 0.4499, True), (0.45, 0.4501, False), (9.0, 0.4999, True),
+        (9.0, 0.5001, False),
+    ):  # fmt: skip
+        ahead = ForwardDepth(frame(stamp_s=10.6 - age_s), HULL_RADIUS_M)
+        said = refusal(resting(), proposal(HERE, (0.3, 0.0, 0.0)), 10.6, ahead=ahead, one_missing_s=one_missing_s)
+        assert said == (None if may else Reason(ReasonCode.DEPTH_STALE)), (one_missing_s, age_s)
+
+
+def test_the_way_flown_since_an_older_frame_is_taken_off_its_room() -> None:
+    """At 0.7 m/s a frame of 0.45 s ago shows 0.3 m more than there is now."""
+    for age_s, may in ((0.1, True), (0.45, False)):
+        ahead = ForwardDepth(frame(0.95, stamp_s=10.5 - age_s), HULL_RADIUS_M)
+        wanted = proposal(HERE + np.array((0.25, 0.0, 0.0)), (0.7, 0.0, 0.0))
+        said = refusal(resting(), wanted, 10.5, ahead=ahead, one_missing_s=0.46)
+        assert (said is None) is may
+        assert said is None or said.code is ReasonCode.OBSTACLE_NEAR
+
+
 def test_two_centimetres_a_second_want_no_free_way() -> None:
     assert refusal(resting(), proposal(HERE, (0.02, 0.0, 0.0)), 10.1, ahead=None) is None
     assert refusal(resting(), proposal(HERE, (0.0201, 0.0, 0.0)), 10.1, ahead=None) == Reason(ReasonCode.DEPTH_STALE)

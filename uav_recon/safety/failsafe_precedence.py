@@ -12,6 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum, IntEnum
 
+from uav_recon.safety.depth_age_limit import depth_limit_s
 from uav_recon.safety.refusals import MANY_REFUSALS
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
@@ -67,7 +68,7 @@ class FailsafeInputs:
     inside: the position is inside the fence itself. pose_age_s: of the newest sound pose, or since any was fed if longer. lost,
     wrong, unsure: the reason, or None; unsure: the source of the poses becomes uncertain of the place, and knows views in which
     it was not. refused_s: duration of refusals without motion. many_refusals: the newest came close together. depth_rejected:
-    depth frames arrive, and none is believed.
+    depth frames arrive, and none is believed. one_missing_s: age of depth that one missing frame causes, 0 while unknown.
     """
 
     now_s: float
@@ -81,6 +82,7 @@ class FailsafeInputs:
     refused_s: float = 0.0
     depth_rejected: bool = False
     unsure: Reason | None = None
+    one_missing_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,6 +125,10 @@ def _no_depth(seen: Observation, limit_s: float) -> Reason | None:
     return _silence(code, seen.inputs.depth_age_s, limit_s)
 
 
+def _depth_hold_s(seen: Observation) -> float:
+    return depth_limit_s(seen.timeouts.depth_timeout_s, seen.inputs.one_missing_s)
+
+
 def _refused_too_long(seen: Observation) -> Reason | None:
     return _silence(ReasonCode.REFUSED_TOO_LONG, seen.inputs.refused_s, seen.timeouts.land_timeout_s)
 
@@ -150,7 +156,7 @@ CONDITIONS = (
     FailsafeCondition(lambda seen: _no_depth(seen, seen.timeouts.depth_retreat_s), *_RETREAT),
     FailsafeCondition(lambda seen: _no_pose(seen, seen.timeouts.pose_timeout_s), *_HOLD),
     FailsafeCondition(lambda seen: _mission_silent(seen, seen.timeouts.intent_timeout_s), *_HOLD),
-    FailsafeCondition(lambda seen: _no_depth(seen, seen.timeouts.depth_timeout_s), *_HOLD),
+    FailsafeCondition(lambda seen: _no_depth(seen, _depth_hold_s(seen)), *_HOLD),
     FailsafeCondition(lambda seen: seen.inputs.unsure, *_RETREAT),
     FailsafeCondition(lambda seen: seen.inputs.lost, *_HOLD),
     FailsafeCondition(_many_refusals, *_HOLD),

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from uav_recon.safety.depth_age_limit import depth_limit_s
 from uav_recon.safety.envelope import Envelope, Vec3
 from uav_recon.safety.free_space_check import FreeSpaceCheck
 from uav_recon.safety.obstacle_speed_limit import ForwardDepth, Margins, fastest_mps
@@ -80,6 +81,7 @@ class GuardInputs:
     free: FreeSpaceCheck | None
     ahead: ForwardDepth | None
     slow: bool = False  # the pose is degraded, or the link is slow
+    one_missing_s: float = 0.0  # age of depth that one missing frame causes, 0 while unknown
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -87,10 +89,10 @@ class GuardBounds:
     """Limits on the age of inputs, and on the speed without sight (SI).
 
     silence_way_m: longest path since the mission's last message, including the braking from here. depth_timeout_s: oldest
-    depth in motion. blind_speed_mps: fastest motion where the camera does not look, and then only through what it saw lately;
-    if it equals the envelope's speed, neither is required. blind_fresh_s, blind_stale_s: ages of the last free sight between
-    which the limit there falls from the envelope's speed to blind_speed_mps. retreat_speed_mps: fastest motion on the retreat
-    and with a degraded pose.
+    depth in motion, unless one missing frame of a slow camera is older. blind_speed_mps: fastest motion where the camera does
+    not look, and then only through what it saw lately; if it equals the envelope's speed, neither is required. blind_fresh_s,
+    blind_stale_s: ages of the last free sight between which the limit there falls from the envelope's speed to
+    blind_speed_mps. retreat_speed_mps: fastest motion on the retreat and with a degraded pose.
     """
 
     pose_timeout_s: float
@@ -227,13 +229,14 @@ class Guard:
     def _depth_fault(self, motion: ClearedMotion, speed_mps: float, retreating: bool, inputs: GuardInputs) -> Reason | None:
         """Check the speed by raw depth: towards near obstacles, and outside the camera's view."""
         ahead, bounds = inputs.ahead, self.bounds
+        limit_s = depth_limit_s(bounds.depth_timeout_s, inputs.one_missing_s)
         if speed_mps <= _STILL_MPS or (retreating and ahead is None):
             return None
-        if ahead is None or not (retreating or -_FUTURE_S <= inputs.now_s - ahead.stamp_s <= bounds.depth_timeout_s):
+        if ahead is None or not (retreating or -_FUTURE_S <= inputs.now_s - ahead.stamp_s <= limit_s):
             return Reason(ReasonCode.DEPTH_STALE)
         direction = np.array(motion.velocity_mps) / speed_mps
         direction_body = inputs.body_from_odom @ direction
-        since_s = min(max(0.0, inputs.now_s - ahead.stamp_s), bounds.depth_timeout_s)  # a retreat uses an older one too
+        since_s = min(max(0.0, inputs.now_s - ahead.stamp_s), limit_s)  # a retreat uses an older one too
         room_m = ahead.room_m(direction_body) - speed_mps * since_s
         if not speed_mps <= fastest_mps(room_m, self.envelope.max_acceleration_mps2, bounds.margins, speed_mps):
             return Reason(ReasonCode.OBSTACLE_NEAR, (room_m, speed_mps))

@@ -153,6 +153,37 @@ def test_uncertain_of_its_place_on_the_pad_it_takes_off() -> None:
     assert rig.height_m > 0.9
 
 
+@pytest.mark.parametrize("in_a_row", [1, 2])
+def test_one_missing_frame_at_the_rate_of_a_slow_camera_stops_nothing_and_two_do(hovering: Rig, in_a_row: int) -> None:
+    """A camera of 6 Hz, whose frames arrive 0.08 s late: every sixth one shows nothing."""
+    frames = 0
+    delayed: list[tuple[float, float]] = []
+    hovering.depth = False
+    ways = [(1.5, 0.0, 1.1), (0.0, 0.0, 1.1), (1.5, 0.0, 1.1)]
+    ranges = np.full((12, 16), 9.0, dtype=np.float32)
+
+    def run(seconds: float, lossy: bool) -> None:
+        nonlocal frames
+        end_s = hovering.clock.now_s() + seconds
+        while hovering.clock.now_s() < end_s:
+            if hovering.turn % 17 == 0:
+                frames += 1
+                missing = lossy and frames % 6 < in_a_row
+                delayed.append((hovering.clock.now_s(), 0.0 if missing else 0.9))
+            while delayed and hovering.clock.now_s() - delayed[0][0] >= 0.08:
+                stamp_s, share = delayed.pop(0)
+                hovering.channels.nearby.publish(MinRangeGrid(stamp_s, BODY_FROM_DEPTH, ranges, (0.95, 0.55), share))
+            hovering.step()
+
+    run(4.0, lossy=False)
+    begin_s, refusals = hovering.clock.now_s(), hovering.state.refusals
+    run(hovering.fly(*ways, identifier=5).duration_s + 1.0, lossy=True)
+    times_s, _ = setpoints(hovering, begin_s)
+    flown = hovering.state.refusals == refusals and abs(float(hovering.track[-1][1][0]) - 1.5) < 0.1
+    assert flown is (in_a_row == 1)
+    assert len(times_s) > 100
+
+
 def test_no_depth_stops_then_retreats_then_lands(hovering: Rig) -> None:
     hovering.fly((2.5, 0.0, 1.1), identifier=2)
     hovering.run(2.5)

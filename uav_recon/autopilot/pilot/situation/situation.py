@@ -85,8 +85,9 @@ class Situation:
         age_s = now_s - pose.stamp_s
         slow = pose.health is not PoseHealth.GOOD or self._link.status.slow is not None
         return GuardInputs(
-            now_s, self._position_m, yaw_rad, body_from_odom, age_s, intent_age_s, pose.map_epoch, free, ahead, slow
-        )
+            now_s, self._position_m, yaw_rad, body_from_odom, age_s, intent_age_s, pose.map_epoch, free, ahead, slow,
+            self.surroundings.one_missing_s,
+        )  # fmt: skip
 
     def failsafe_inputs(
         self, now_s: float, refusals: RefusalHistory, parameter_changed: Reason | None, *, has_climbed: bool
@@ -104,7 +105,8 @@ class Situation:
         rejected = self.surroundings.rejects_depth(now_s, self._guard.bounds.depth_timeout_s)
         unsure = self.poses.unsure if has_climbed else None
         many = refusals.many(now_s)
-        return FailsafeInputs(now_s, *ages_s, inside, many, lost, wrong, refusals.refused_s, rejected, unsure)
+        missing_s = self.surroundings.one_missing_s
+        return FailsafeInputs(now_s, *ages_s, inside, many, lost, wrong, refusals.refused_s, rejected, unsure, missing_s)
 
     @property
     def slow_reason(self) -> Reason | None:

@@ -10,6 +10,7 @@ from uav_recon.autopilot.pilot.situation.pose_feed import newest
 from uav_recon.autopilot.pilot.situation.recent_poses import RecentPoses
 from uav_recon.autopilot.pilot.situation.sudden_obstacle import SuddenObstacle, SuddenObstacleDetector
 from uav_recon.interfaces import Channel
+from uav_recon.safety.depth_age_limit import DepthInterval
 from uav_recon.safety.free_space_check import FreeSpaceCheck
 from uav_recon.safety.obstacle_speed_limit import ForwardDepth
 from uav_recon.safety.recently_seen_space import RecentlySeenSpace
@@ -45,6 +46,7 @@ class Surroundings:
         self._consistent_s = -math.inf
         self._neighbourhood = SuddenObstacleDetector()
         self._past = RecentPoses()
+        self._interval = DepthInterval()
         self.sudden_obstacle: SuddenObstacle | None = None  # in the newest valid frame
 
     def step(self, pose: StampedPose | None, now_s: float) -> None:
@@ -67,6 +69,7 @@ class Surroundings:
         ):
             return
         if self.ahead is None or nearby.stamp_s > self.ahead.stamp_s:
+            self._interval.add(nearby.stamp_s, now_s)
             self.ahead = ForwardDepth(nearby, self._hull.vehicle_radius_m)
             self._consistent_s = nearby.stamp_s if nearby.consistent else self._consistent_s
             then = self._past.at(nearby.stamp_s, _BESIDE_S)
@@ -85,6 +88,11 @@ class Surroundings:
         self._neighbourhood.forget()
         self._past.forget()
         self.sudden_obstacle = None
+
+    @property
+    def one_missing_s(self) -> float:
+        """Age of depth (s) that one missing frame causes, 0 while the camera's rate is not known."""
+        return self._interval.one_missing_s
 
     def depth_age_s(self, now_s: float) -> float:
         """Return the age (s) of the newest valid frame with enough returns, infinity for none."""
