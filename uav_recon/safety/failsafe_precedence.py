@@ -41,7 +41,12 @@ class ClearCondition(Enum):
 
 
 class Override(Enum):
-    """Command that is carried out in place of the action, while its cause lasts."""
+    """Command that is carried out in place of the action, while its cause lasts.
+
+    A hold of the operator stops a retreat at once. The retreat is the machine's best guess, and moves; a person who sees the
+    vehicle and wants it to stand still may see what the machine does not, and standing still is what the milder row does. The
+    cause stays in force and in words: a landing that it leads to, or `land_timeout_s` of it, overrides the hold.
+    """
 
     OPERATOR_HOLD = "hold of the operator"
     LAND = "land, of the operator or of the mission"
@@ -98,7 +103,8 @@ class Observation:
 class FailsafeCondition:
     """One row.
 
-    cause: the reason, or None while it does not apply. overrides: commands that replace the action.
+    cause: the reason, or None while it does not apply. overrides: commands that replace the action; the pilot's sequence
+    carries them out, and its tests hold it to this column.
     """
 
     cause: Callable[[Observation], Reason | None]

@@ -121,6 +121,23 @@ def test_only_the_commands_of_a_row_replace_its_action(flown_out: Rig, row: int,
         assert done == (override not in condition.overrides), command.__name__
 
 
+def test_a_hold_of_the_operator_stops_a_retreat_whose_cause_stays_in_words_and_lands(flown_out: Rig) -> None:
+    rig = flight_copy(flown_out)
+    begin_s, rig.depth = rig.clock.now_s(), False
+    rig.run(TIMEOUTS.depth_retreat_s + 1.0)
+    assert rig.note_codes == (ReasonCode.NO_DEPTH,)
+    assert float(rig.autopilot.truth().position[0]) < OUT_X_M - 0.05, "on its way back"
+    rig.pilot.operator.request_hold(True)
+    rig.run(1.0)
+    held_m = float(rig.autopilot.truth().position[0])
+    rig.run(TIMEOUTS.depth_land_s - (rig.clock.now_s() - begin_s) - 0.5)
+    assert rig.pilot.phase is FlightPhase.FLYING
+    assert abs(float(rig.autopilot.truth().position[0]) - held_m) < 0.05
+    assert rig.note_codes == (ReasonCode.NO_DEPTH,)
+    rig.until(FlightPhase.LANDING, 1.5)
+    assert rig.note_codes == (ReasonCode.NO_DEPTH,)
+
+
 @pytest.mark.parametrize("row", range(len(CONDITIONS)))
 def test_a_human_with_the_sticks_overrides_every_row(flown_out: Rig, row: int, monkeypatch: pytest.MonkeyPatch) -> None:
     rig = flight_copy(flown_out)
