@@ -19,7 +19,7 @@ APART_S = 1.0  # longest time between the two onsets
 REACTIONS = {  # most severe first: limits of a scenario that hold with any second fault
     "E1": (Limit("stream ends", m.streams_after, 0.3, "s"),),
     "D2": (UNHEARD_LANDS, down(30.0)),
-    "B1": (lands(1.2), down(30.0)),
+    "B1": (lands(1.2, ardupilot=1.9), down(30.0)),
     "E5": (Limit("charge left", m.battery_left, 0.10, "", at_least=True), down(160.0)),
     "D8": (RETURN_ACTS, down(120.0)),
     "A1": (holds(0.6),),

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from flight_copy import flight_copy
 from flight_rig import BOUNDS, GRID, MODE, POSES_DISAGREE, Rig, setpoints, smooth_way
 from scipy.spatial.transform import Rotation
 
@@ -49,14 +51,55 @@ def test_lost_poses_hold_then_land(hovering: Rig) -> None:
     assert ReasonCode.NO_POSE in hovering.note_codes
 
 
-def test_a_pose_that_is_lost_but_told_holds_at_once_and_lands(hovering: Rig) -> None:
-    """Odometry goes on, carried by the IMU: the autopilot is fed, nobody flies on it."""
+@pytest.mark.parametrize(("code", "fed"), [("NO_POSE", False), ("POSES_DISAGREE", False), ("FEW_POSES", True)])
+def test_a_pose_that_is_lost_but_told_holds_at_once_and_lands(hovering: Rig, code: str, fed: bool) -> None:
+    """Odometry goes on, carried by the IMU; nobody flies on it. The autopilot is fed only while poses stand behind it."""
+    hovering.health_reason = Reason(ReasonCode[code], (0.3,))
     lost_s = en_route(hovering, PoseHealth.LOST)
     hovering.until(FlightPhase.LANDING, 1.2)
-    assert hovering.tap.since(lost_s + 0.1)["ODOMETRY"] > 10
+    assert (hovering.tap.since(lost_s + 0.1)["ODOMETRY"] > 10) is fed
     times, places = setpoints(hovering, lost_s + 0.7)
     assert len(times) > 5
     assert np.ptp(places, axis=0).max() < 1e-6, "held"
+
+
+def publish_after_loss(rig: Rig, age_s: float, off_mps2: float) -> None:
+    """Publish odometry as it is after the last pose of its source: dead reckoning by an accelerometer that is off."""
+    truth = rig.autopilot.truth()
+    east = np.array([1.0, 0.0, 0.0])
+    place_m = np.array(truth.position) + 0.5 * off_mps2 * age_s**2 * east
+    velocity_mps = np.array(truth.velocity) + off_mps2 * age_s * east
+    health, most = (PoseHealth.DEGRADED, 60) if age_s <= 0.25 else (PoseHealth.LOST, 20)
+    quality = min(most, math.ceil(100 * (0.5 - age_s) / 0.3))
+    reason, attitude = Reason(ReasonCode.NO_POSE, (age_s,)), np.array(truth.quat_wxyz)
+    if quality > 0:
+        pose = StampedPose(truth.stamp_s, Pose(attitude, place_m), velocity_mps, np.eye(6) * 1e-3, quality)
+        rig.channels.odom.publish(replace(pose, health=health, health_reason=reason))
+
+
+@pytest.mark.parametrize(
+    ("kind", "off_mps2"),
+    [("px4", 1.0), ("ardupilot", 0.0), pytest.param("px4", -1.0, marks=pytest.mark.nightly)]
+    + [pytest.param("ardupilot", off_mps2, marks=pytest.mark.nightly) for off_mps2 in (-1.0, 1.0)],
+)
+def test_a_landing_without_poses_begins_at_rest_and_stays(both_flown_up: dict[str, Rig], kind: str, off_mps2: float) -> None:
+    rig = flight_copy(both_flown_up[kind])
+    rig.intent = (Goal.FLY, smooth_way(rig.clock.now_s() + 0.1, [rig.autopilot.truth().position, (3.5, 0.0, 1.1)], 2, 0.5))
+    rig.run(3.4)
+    assert rig.autopilot.truth().velocity[0] > 0.85
+    lost_s, rig.poses, speeds_mps, begun_m = rig.clock.now_s(), False, [], None
+    while rig.pilot.phase is not FlightPhase.LANDED:
+        rig.step()
+        age_s, truth = rig.clock.now_s() - lost_s, rig.autopilot.truth()
+        if rig.turn % 3 == 0:
+            publish_after_loss(rig, age_s, off_mps2)
+        if rig.pilot.phase is FlightPhase.LANDING:
+            begun_m = truth.position[:2] if begun_m is None else begun_m
+            speeds_mps.append(math.hypot(*truth.velocity[:2]))
+    assert begun_m is not None
+    assert speeds_mps[0] < 0.25, "at rest"
+    assert max(speeds_mps) < 0.35
+    assert math.dist(begun_m, rig.autopilot.truth().position[:2]) < 0.6
 
 
 def test_a_pose_that_is_wrong_lands_once_it_rests(hovering: Rig) -> None:

@@ -68,6 +68,27 @@ def test_a_reset_that_the_source_counts_is_counted_once() -> None:
     assert [pose.reset_counter for pose in fed] == [0] * 30 + [1] * 30
 
 
+@pytest.mark.parametrize(
+    ("health", "code", "fed"),
+    [
+        (PoseHealth.GOOD, None, True),
+        (PoseHealth.DEGRADED, ReasonCode.NO_POSE, True),
+        (PoseHealth.DEGRADED, ReasonCode.POSES_DISAGREE, True),
+        (PoseHealth.LOST, ReasonCode.NO_POSE, False),
+        (PoseHealth.LOST, ReasonCode.POSES_DISAGREE, False),
+        (PoseHealth.LOST, ReasonCode.FEW_POSES, True),
+        (PoseHealth.WRONG, ReasonCode.ODOMETRY_DRIFT, True),
+    ],
+)
+def test_dead_reckoning_is_not_fed_once_the_pose_is_lost(health: PoseHealth, code: ReasonCode | None, fed: bool) -> None:
+    odom = MemoryChannel(StampedPose)
+    feed, sent = _feed(odom)
+    odom.publish(replace(_pose(0.0), health=health, health_reason=None if code is None else Reason(code, (0.3,))))
+    feed.step(0.01)
+    assert (len(sent) == 1) is fed
+    assert feed.pose is not None, "the failsafe reads its health"
+
+
 def test_a_record_that_is_being_written_is_fed_once_it_is_whole(tmp_path: Path) -> None:
     """Its writer was preempted between the head and the data."""
     path = tmp_path / "odom.channel"

@@ -23,6 +23,10 @@ from uav_recon.types.trajectory import Goal, Refusal
 from uav_recon.types.vehicle import IN_THE_AIR, FlightPhase
 
 _LINK_HOLD_S = 0.5  #: hold: autopilot silent for longer: it may no longer follow the setpoints
+#: land: a failsafe landing waits until the autopilot's level speed is below this: when the setpoints of a brake have come to
+#: rest, the vehicle is ahead of them and comes back, an ArduCopter at up to 0.6 m/s
+_STILL_MPS = 0.15
+_SWINGS_S = 1.0  #: land: it waits for at most this time after that setpoint; without poses the speed itself drifts
 _RESET_REST_S = 1.0  #: land: this long after odometry restarted in flight; until then it holds, as the map may no longer fit
 _ODOMETRY_RESTARTED = Reason(ReasonCode.ODOMETRY_RESTARTED)  # the mission cannot know which part of the map still fits
 
@@ -50,6 +54,7 @@ class FlightSequence:
         self._authority = ControlAuthority(link.firmware)
         self._takeoff = TakeoffSequence(link, self._authority)
         self._landing: Landing | None = None
+        self._rest_s = math.inf  # since when the setpoints have been at rest
         self._restarted_s = math.inf  # since when the flight has been in another odom than at its start
         self.operator = operator
         self.reporter = FlightReporter(link, situation)
@@ -222,10 +227,23 @@ class FlightSequence:
 
     def _fly(self, now_s: float) -> None:
         why = self._landing_reason(now_s)
-        brakes = self._failsafe.action is FailsafeAction.LAND and not self.operator.land_reason and not self._selector.at_rest
+        self._rest_s = min(self._rest_s, now_s) if self._selector.at_rest else math.inf
+        brakes = self._failsafe.action is FailsafeAction.LAND and not self.operator.land_reason and self._moves(now_s)
         if why and not brakes:  # a firmware that gets LAND in motion chooses its own stopping point, farther on
             self._enter(FlightPhase.LANDING, why, now_s)
             self._land(now_s)
+
+    def _moves(self, now_s: float) -> bool:
+        """Return True while setpoints still brake, or the vehicle still swings about the last one.
+
+        An estimate that is wrong tells no speed, nor does an old one.
+        """
+        if not self._selector.at_rest:
+            return True
+        estimate, wrong = self._link.telemetry.estimate, self._situation.poses.wrong or self._situation.estimate.land_reason
+        fresh = now_s - self._link.estimate_s(now_s) <= _LINK_HOLD_S  # False for NaN
+        speed_mps = math.hypot(*estimate.velocity_mps[:2].tolist())
+        return fresh and not wrong and speed_mps > _STILL_MPS and now_s - self._rest_s <= _SWINGS_S
 
     def _landing_reason(self, now_s: float) -> Reason | None:
         """Return why the flight must end, by importance; None while it may continue."""

@@ -1,7 +1,8 @@
 """Pose feed: sends every new, valid and recent pose to the autopilot once.
 
 Nothing is ever repeated; without such a pose nothing is sent. Poses with wrong axes are not sent: with a height of the wrong
-sign the autopilot would climb in order to land.
+sign the autopilot would climb in order to land. Nor is dead reckoning sent once the pose counts as lost: the autopilot's own,
+which begins from the last sound pose, does not follow an accelerometer of the camera that is off.
 """
 
 from __future__ import annotations
@@ -15,11 +16,13 @@ from uav_recon.interfaces import Channel
 from uav_recon.safety.pose_gate import PoseGate
 from uav_recon.types.pose import PoseHealth, StampedPose
 from uav_recon.types.reason import Reason
-from uav_recon.types.reason_code import AXES
+from uav_recon.types.reason_code import AXES, ReasonCode
 
 T = TypeVar("T")
 
 _UNSOUND = (PoseHealth.LOST, PoseHealth.WRONG)
+# why a lost pose is not sent: no pose of the source stands behind it any more; few poses are better than none
+_DEAD_RECKONED = (ReasonCode.NO_POSE, ReasonCode.POSES_DISAGREE)
 
 
 class PoseFeed:
@@ -65,7 +68,7 @@ class PoseFeed:
             self._uncounted += pose.reset_counter == self.pose.reset_counter
         self.pose = pose
         self.sound_s = self.sound_s if pose.health in _UNSOUND else pose.stamp_s
-        if not self.misleads:
+        if not (self.misleads or self._is_dead_reckoned):
             self._link.feed_pose(replace(pose, reset_counter=(pose.reset_counter + self._uncounted) % 256), now_s)
         return verdict.again
 
@@ -78,6 +81,10 @@ class PoseFeed:
     def misleads(self) -> bool:
         """True if an autopilot that follows the poses leaves: it lands better without any."""
         return self.wrong is not None and self.wrong.code in AXES
+
+    @property
+    def _is_dead_reckoned(self) -> bool:
+        return self.lost is not None and self.lost.code in _DEAD_RECKONED
 
     def _why(self, health: PoseHealth) -> Reason | None:
         return self.pose.health_reason if self.pose is not None and self.pose.health is health else None
