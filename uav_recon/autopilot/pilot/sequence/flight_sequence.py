@@ -130,7 +130,7 @@ class FlightSequence:
 
     def _check_failsafe(self, now_s: float) -> None:
         """Update the failsafe action in flight; before a retreat, record the positions for it."""
-        self._situation.estimate.update_height(self._selector.newest_setpoint, now_s)
+        self._situation.estimate.update_setpoint(self._selector.newest_setpoint, now_s)
         uncertain = None if self._link.status.time_known else Reason(ReasonCode.CLOCK_UNCERTAIN)
         if self._failsafe.update(self._failsafe_inputs(now_s), uncertain):
             self.reporter.note = self._failsafe.reason

@@ -21,13 +21,13 @@ from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.trajectory import Setpoint
 
-_MAX_POSITION_M = 0.3  #: hold: the autopilot's position is farther off the poses for _HOLD_S; honest at most 0.04 m
+_MAX_POSITION_M = 0.15  #: hold: the autopilot's position is farther off the poses for _HOLD_S; honest at most 0.04 m
 _MAX_VELOCITY_MPS = 0.2  #: hold: its mean velocity is farther off that of the poses for _HOLD_S; honest at most 0.09 m/s
 _MAX_HEIGHT_M = 0.3  #: hold: the vehicle is farther above or below its setpoints for _HOLD_S; honest at most 0.07 m
 _HOLD_S = 1.0  #: hold: duration of one of these deviations, without a break
 _LAND_S = 3.0  #: land: duration of one of these deviations, without a break
-#: land: the vehicle is this far above or below its setpoints while position or velocity exceeds its limit: it moves on, and
-#: paths keep 0.3 m from the floor
+#: land: the vehicle is this far above or below its setpoints, or beside one at rest, while position or velocity exceeds its
+#: limit: it moves on, and paths keep 0.3 m from the floor
 _LEAVES_M = 0.15
 _LEAVES_S = 0.2  #: land: duration of that excess
 _MAX_OFFSET_M = 0.2  #: refuse: the autopilot's position is farther off on the ground: setpoints are flown off by this offset
@@ -64,7 +64,7 @@ class EstimateMonitor:
         self._offset_m: FloatArray | None = None
         self._flying = self._climbed = self._arrived = False
         self._compared_s = -math.inf
-        self._off_height_m = 0.0
+        self._off_height_m = self._off_hold_m = 0.0
         self._position = _Deviation(_MAX_POSITION_M)
         self._velocity = _Deviation(_MAX_VELOCITY_MPS)
         self._height = _Deviation(_MAX_HEIGHT_M)
@@ -81,11 +81,12 @@ class EstimateMonitor:
     def land_reason(self) -> Reason | None:
         """Reason to land, None for none.
 
-        A deviation that already moves the vehicle from its height does not wait, nor does a heading that is far off.
+        A deviation that already moves the vehicle from its height or hold does not wait, nor does a heading that is far off.
         """
         if self._turned.for_s >= _LEAVES_S:
             return self._heading_reason
-        return self._lasting(_LEAVES_S if self._off_height_m > _LEAVES_M else _LAND_S, height_s=_LAND_S)
+        leaves = max(self._off_height_m, self._off_hold_m) > _LEAVES_M
+        return self._lasting(_LEAVES_S if leaves else _LAND_S, height_s=_LAND_S)
 
     @property
     def ground_fault(self) -> Reason | None:
@@ -107,7 +108,7 @@ class EstimateMonitor:
         self._poses.clear()
         self._estimates.clear()
         self._window.clear()
-        self._off_height_m = 0.0
+        self._off_height_m = self._off_hold_m = 0.0
         for deviation in (self._position, self._velocity, self._height, self._heading, self._turned):
             deviation.end()
 
@@ -134,13 +135,15 @@ class EstimateMonitor:
         while self._estimates and now_s - self._estimates[0].stamp_s > _PAST_S:
             self._estimates.popleft()
 
-    def update_height(self, setpoint: Setpoint | None, now_s: float) -> None:
-        """Compare the height of the newest pose with that of the newest setpoint, after the climb.
+    def update_setpoint(self, setpoint: Setpoint | None, now_s: float) -> None:
+        """Compare the newest pose with the newest setpoint: height, and place at a hold.
 
-        A vehicle that is behind a climb or a descent is late, and not off its height.
+        The height counts after the climb. A vehicle that is behind a climb or a descent is late, and not off its height.
         """
         if setpoint is None or not self._poses:
             return
+        x_m, y_m = (self._poses[-1][1] - setpoint.position_m)[:2].tolist()
+        self._off_hold_m = 0.0 if np.any(setpoint.velocity_mps) else math.hypot(x_m, y_m)
         off_m, up_mps = float(self._poses[-1][1][2] - setpoint.position_m[2]), float(setpoint.velocity_mps[2])
         self._climbed = self._climbed or up_mps > _CLIMB_MPS
         self._arrived = self._arrived or (self._climbed and abs(up_mps) < _CLIMB_MPS and abs(off_m) < _ARRIVED_M)
