@@ -10,8 +10,8 @@ from textured_room import ranges_m
 
 from uav_recon.localization.calibration.calibration_filter import DELAY
 from uav_recon.localization.calibration.camera_motion import CameraMotion
-from uav_recon.localization.consistency.depth_consistency import DepthConsistencyMonitor, _moved
-from uav_recon.localization.consistency.past_view_comparison import ViewComparison
+from uav_recon.localization.consistency.depth_consistency import DepthConsistencyMonitor, _moved, _seen_through
+from uav_recon.localization.consistency.past_view_comparison import CameraPose, ViewComparison
 from uav_recon.types.camera import Frame, Intrinsics, body_from_camera
 from uav_recon.types.frames import Float32Array, FloatArray
 from uav_recon.types.pose import Pose
@@ -303,31 +303,89 @@ def test_a_jump_of_odom_itself_begins_again(flight: Flight) -> None:
 
 
 def _comparison(
-    explained: float = 0.92, shift_m: float = 0.3, count: int = 150, age_s: float = 28.0, fitting: float = 0.45
+    explained: float = 0.92,
+    shift_m: float = 0.3,
+    count: int = 150,
+    age_s: float = 28.0,
+    fitting: float = 0.45,
+    farther: float = 0.0,
+    x_m: float = 0.0,
+    turned_rad: float = 0.0,
 ) -> ViewComparison:
+    camera_pose = CameraPose.of(Pose.from_yaw(turned_rad, np.array([x_m, 0.0, 1.0])) @ BODY_FROM_DEPTH)
     return ViewComparison(
-        count, fitting, 1.0 - fitting, 0.0, np.array([0.0, shift_m, 0.0]), np.diag([0.03, 0.84, 0.05]), explained, age_s,
-        np.empty((0, 6)),
+        count, fitting, 1.0 - fitting - farther, farther, np.array([0.0, shift_m, 0.0]), np.diag([0.03, 0.84, 0.05]),
+        explained, age_s, np.empty((0, 6)), camera_pose,
     )  # fmt: skip
 
 
 def test_one_view_alone_does_not_tell_of_a_drift() -> None:
     """As it was in two_rooms: what the oldest view saw of a wall now has something before it; the next explains half of it."""
-    assert _moved(iter([_comparison(), _comparison(0.95), _comparison(0.5)]), 0.9) == Reason(
+    assert _moved(iter([_comparison(), _comparison(0.95, x_m=0.2), _comparison(0.5)]), 0.9) == Reason(
         ReasonCode.SURFACES_MOVED, (0.3, 28.0)
     )
-    assert _moved(iter([_comparison(), _comparison(0.53)]), 0.9) is None
-    assert _moved(iter([_comparison(), _comparison(shift_m=0.14)]), 0.9) is None
-    assert _moved(iter([_comparison(), _comparison(count=99)]), 0.9) is None
-    assert _moved(iter([_comparison(0.53), _comparison(), _comparison()]), 0.9) is None
+    assert _moved(iter([_comparison(), _comparison(0.53, x_m=0.2)]), 0.9) is None
+    assert _moved(iter([_comparison(), _comparison(shift_m=0.14, x_m=0.2)]), 0.9) is None
+    assert _moved(iter([_comparison(), _comparison(count=99, x_m=0.2)]), 0.9) is None
+    assert _moved(iter([_comparison(0.53), _comparison(x_m=0.2), _comparison(x_m=0.4)]), 0.9) is None
     assert _moved(iter([_comparison()]), 0.9) is None
     assert _moved(iter([]), 0.9) is None
 
 
+def test_views_from_one_place_are_one_view() -> None:
+    still = [_comparison(age_s=28.0 - n, farther=0.45) for n in range(8)]
+    assert _moved(iter(still), 0.9) is None
+    assert _seen_through(iter(still)) is None
+    assert _moved(iter([*still, _comparison(x_m=0.2)]), 0.9) == Reason(ReasonCode.SURFACES_MOVED, (0.3, 28.0))
+    assert _moved(iter([*still, _comparison(turned_rad=0.1)]), 0.9) is not None
+    assert _moved(iter([*still, _comparison(0.5), _comparison(x_m=0.2)]), 0.9) is None
+
+
+def test_surfaces_are_gone_only_if_two_views_from_two_places_say_so() -> None:
+    gone, here = _comparison(farther=0.44, age_s=9.0), _comparison(farther=0.39, x_m=0.2)
+    assert _seen_through(iter([gone, _comparison(farther=0.41, x_m=0.2)])) == Reason(ReasonCode.SURFACES_GONE, (0.44, 9.0))
+    assert _seen_through(iter([gone, here, _comparison(farther=0.44, x_m=0.4)])) is None
+    assert _seen_through(iter([gone])) is None
+    assert _seen_through(iter([])) is None
+
+
+def _false_wall(depth_m: Float32Array) -> Float32Array:
+    """A wall of 1 m by 1 m, 1.2 m ahead, that is not there: it hides what is behind it."""
+    fx, fy, cx, cy = LENS.pinhole_px()
+    out, wide, high = depth_m.copy(), 0.5 * fx / 1.2, 0.5 * fy / 1.2
+    part = out[max(int(cy - high), 0) : int(cy + high), max(int(cx - wide), 0) : int(cx + wide)]
+    part[~(part < 1.2)] = 1.2
+    return out
+
+
+def test_one_false_frame_in_a_turn_reports_no_drift() -> None:
+    """The views before it were out of view after the turn, so that it was the oldest one, and what it showed was gone."""
+    for false_frame in range(12, 19):
+        flight = Flight()
+        for n in range(40):
+            yaw = np.radians(60.0) * np.clip((n - 12) / 6, 0.0, 1.0)
+            flight.see_from(
+                Pose.from_yaw(yaw, np.array([0.0, 0.0, 1.2])), _false_wall if n == false_frame else None, (0.0, 0.0, 0.0)
+            )
+            assert flight.drift is None
+
+
+@pytest.mark.parametrize(("share", "seed"), [(0.03, 1), (0.15, 0), (0.15, 1)])
+def test_a_false_wall_in_some_frames_reports_no_drift(share: float, seed: int) -> None:
+    """Of a camera that turns to and fro: a view is kept once the next frame confirms it."""
+    flight, dice, yaw, goal = Flight(), np.random.default_rng(seed), 0.0, 0.0
+    for n in range(300):
+        goal = yaw + dice.uniform(-2.5, 2.5) if abs(goal - yaw) < 0.02 and dice.random() < 0.1 else goal
+        yaw += np.clip(goal - yaw, -0.06, 0.06)
+        place = np.array([0.3 * np.sin(0.07 * n), 0.2 * np.sin(0.05 * n), 1.2])
+        flight.see_from(Pose.from_yaw(yaw, place), _false_wall if dice.random() < share else None, (0.0, 0.0, 0.0))
+        assert flight.drift is None
+
+
 def test_a_shift_that_few_points_ask_for_is_no_drift() -> None:
     """As it was over a pad: a sixth of the points were floor, hidden by something as the vehicle climbed; the walls fitted."""
-    assert _moved(iter([_comparison(1.0, fitting=0.85), _comparison(1.0, fitting=0.82)]), 0.75) is None
-    assert _moved(iter([_comparison(1.0, fitting=0.74), _comparison(1.0, fitting=0.74)]), 0.75) is not None
+    assert _moved(iter([_comparison(1.0, fitting=0.85), _comparison(1.0, fitting=0.82, x_m=0.2)]), 0.75) is None
+    assert _moved(iter([_comparison(1.0, fitting=0.74), _comparison(1.0, fitting=0.74, x_m=0.2)]), 0.75) is not None
 
 
 @pytest.mark.parametrize("corrects", [True, False])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import NamedTuple, TypeGuard
 
 import numpy as np
@@ -52,7 +52,8 @@ _DRIFT_M = 0.25
 _MANY = 100  #: land: min. points that must be compared for that
 _EXPLAINED_SHARE = 0.75  #: land: min. share of points that the shift explains: a person explains fewer
 _MAX_SHARE = 0.9  #: land: the same where much may have come between
-_SHOWING_VIEWS = 2  #: land: views that must show the shift: one alone can be wrong
+_APART_M = 0.10  #: land: two views that show it must be taken farther apart than this: one place alone can be wrong
+_APART_COS = math.cos(math.radians(5.0))  #: land: or turned by more
 _HIDING_SHARE = 0.22  #: land: at most this many points nearer, and few farther: something in front; else odom has moved
 _FARTHER_SHARE = 0.02  #: land: more points than this farther: odom has moved, and nothing hides them
 _SEEN_THROUGH_SHARE = 0.4  #: land: points of an older view that are not there: more than a person leaves behind; valid: 10 %
@@ -157,8 +158,9 @@ class DepthConsistencyMonitor:
             or _moved(self._past_views.compare_oldest(*seen, ALIKE_LATELY), _EXPLAINED_SHARE)
             or _moved(itertools.chain(filter(None, [overlapping]), others), _MAX_SHARE)
         )
-        self._record_drift(frame.stamp_s, moved or _seen_through(overlapping) or self._drift_message())
-        self._past_views.remember(*seen)
+        seen_through = _seen_through(self._past_views.compare_oldest(*seen, OVERLAPPING))
+        self._record_drift(frame.stamp_s, moved or seen_through or self._drift_message())
+        self._past_views.remember(*seen, confirms_newest=newest is not None and _fits(newest))
         return None
 
     def _fits_elder(self, seen: Seen) -> bool:
@@ -281,7 +283,7 @@ class _Doubt:
         then = self._since.compare_newest(*seen)
         follows = _fits(then) and self._since.gain_aside(then, *seen[1:]) <= _ASIDE_SHARE
         self._run = self._run + 1 if follows else 1
-        self._since.remember(*seen)
+        self._since.remember(*seen, confirms_newest=follows)
         self._lasting |= contradicted and self._run >= _CALM
         if contradicted or self._run < _CALM:
             return False
@@ -321,7 +323,7 @@ def _fits(comparison: ViewComparison | None) -> TypeGuard[ViewComparison]:
 
 
 def _moved(oldest: Iterator[ViewComparison], explained: float) -> Reason | None:
-    """Return the shift of odom that the two oldest views agree on, None for nothing.
+    """Return the shift of odom that the oldest views agree on, None for nothing.
 
     One view alone can be wrong: where something stands in front of a wall at about the distance of a drift, all that both
     frames see may fit the shift.
@@ -332,14 +334,26 @@ def _moved(oldest: Iterator[ViewComparison], explained: float) -> Reason | None:
         sure = comparison.explained >= explained and comparison.count >= _MANY and not hidden
         return sure and float(np.linalg.norm(comparison.shift_m)) >= _DRIFT_M
 
-    shown = list(itertools.islice(itertools.takewhile(shows_shift, oldest), _SHOWING_VIEWS))
-    if len(shown) < _SHOWING_VIEWS:
+    shown = _shown_twice(oldest, shows_shift)
+    if shown is None:
         return None
-    return Reason(ReasonCode.SURFACES_MOVED, (float(np.linalg.norm(shown[0].shift_m)), shown[0].age_s))
+    return Reason(ReasonCode.SURFACES_MOVED, (float(np.linalg.norm(shown.shift_m)), shown.age_s))
 
 
-def _seen_through(comparison: ViewComparison | None) -> Reason | None:
-    """Return a message if the camera looks through surfaces that were seen, None for nothing."""
-    if comparison is None or comparison.farther < _SEEN_THROUGH_SHARE:
-        return None
-    return Reason(ReasonCode.SURFACES_GONE, (comparison.farther, comparison.age_s))
+def _seen_through(oldest: Iterator[ViewComparison]) -> Reason | None:
+    """Return a message if the camera looks through surfaces that the oldest views have seen, None for nothing."""
+    shown = _shown_twice(oldest, lambda comparison: comparison.farther >= _SEEN_THROUGH_SHARE)
+    return None if shown is None else Reason(ReasonCode.SURFACES_GONE, (shown.farther, shown.age_s))
+
+
+def _shown_twice(oldest: Iterator[ViewComparison], shows: Callable[[ViewComparison], bool]) -> ViewComparison | None:
+    """Return the oldest view if all views up to one from another place or in another direction show the same, else None.
+
+    Kept views are half a second apart at least, so these two are from two times as well.
+    """
+    first: ViewComparison | None = None
+    for comparison in itertools.takewhile(shows, oldest):
+        first = first or comparison
+        if not comparison.camera_pose.like(first.camera_pose, ViewSelection(_APART_M, _APART_COS)):
+            return first
+    return None

@@ -67,6 +67,7 @@ class ViewComparison:
     explained: float
     age_s: float
     points: AnyArray
+    camera_pose: CameraPose
 
 
 class CameraPose(NamedTuple):
@@ -99,7 +100,11 @@ class _View:
 
 
 class PastViews:
-    """Stores half a minute of views. Not thread-safe; about 0.1 ms an image."""
+    """Stores half a minute of views. Not thread-safe; about 0.1 ms an image.
+
+    A view is kept once the next accepted image confirms it: a single wrong image may be accepted, and is then the newest until
+    the next one, but nothing later is judged by it.
+    """
 
     def __init__(self) -> None:
         self._views: deque[_View] = deque()
@@ -118,19 +123,23 @@ class PastViews:
 
     def drop_newest(self) -> None:
         """Forget the newest accepted image, because it was wrong."""
-        if self._views and self._views[-1] is self._newest:
-            self._views.pop()
         self._newest, self._elder = self._elder, None
 
-    def remember(self, stamp_s: float, depth_m: Float32Array, intrinsics: Intrinsics, odom_from_depth: Pose) -> None:
-        """Store an accepted image as the newest; one every half second is kept."""
+    def remember(
+        self, stamp_s: float, depth_m: Float32Array, intrinsics: Intrinsics, odom_from_depth: Pose, confirms_newest: bool
+    ) -> None:
+        """Store an accepted image as the newest; of those that the next one confirms, one every half second is kept."""
+        if self._newest is not None and confirms_newest:
+            self._keep(self._newest)
         points = surface(depth_m, intrinsics.pinhole_px(), odom_from_depth.rotation(), odom_from_depth.translation_m)
         self._elder = self._newest
         self._newest = _View(stamp_s, CameraPose.of(odom_from_depth), points)
-        if not self._views or stamp_s - self._views[-1].stamp_s >= _EVERY_S:
-            self._views.append(self._newest)
-        while stamp_s - self._views[0].stamp_s > _MEMORY_S:
+        while self._views and stamp_s - self._views[0].stamp_s > _MEMORY_S:
             self._views.popleft()
+
+    def _keep(self, view: _View) -> None:
+        if not self._views or view.stamp_s - self._views[-1].stamp_s >= _EVERY_S:
+            self._views.append(view)
 
     def compare_newest(
         self, stamp_s: float, depth_m: Float32Array, intrinsics: Intrinsics, odom_from_depth: Pose
@@ -220,7 +229,8 @@ def _compared(
     if len(found) < MIN_POINTS:
         if gone <= max_missing:
             return None
-        return ViewComparison(gone, 0.0, 0.0, 1.0, np.zeros(3), np.zeros((3, 3)), 0.0, age_s, view.points)
+        return ViewComparison(gone, 0.0, 0.0, 1.0, np.zeros(3), np.zeros((3, 3)), 0.0, age_s, view.points, view.camera_pose)
     shift_m, held = shift_of(found)
     fitting, nearer, explained = shares(found, shift_m)
-    return ViewComparison(len(found), fitting, nearer, 1.0 - fitting - nearer, shift_m, held, explained, age_s, view.points)
+    farther = 1.0 - fitting - nearer
+    return ViewComparison(len(found), fitting, nearer, farther, shift_m, held, explained, age_s, view.points, view.camera_pose)
