@@ -127,6 +127,53 @@ def test_a_clock_that_was_set_is_followed_after_a_hold(step_s: float) -> None:
     assert clocks.faults() == []
 
 
+@pytest.mark.parametrize("streams", [("depth",), ("depth", "gyro")])
+@pytest.mark.parametrize("step_s", [-0.05, -0.12, -0.2, -0.3, -0.8, -5.0])
+def test_a_global_time_that_steps_back_is_anchored_on_the_arrivals_and_said(step_s: float, streams: tuple[str, ...]) -> None:
+    """As in librealsense PR 15360: the stamps stayed that old for good."""
+    clocks = DeviceClocks()
+    delay_s, rate_hz = {"depth": 0.02, "gyro": 0.001}, {"depth": 30.0, "gyro": 200.0}
+
+    def fed(start_s: float, seconds: float, back_s: float) -> dict[str, float]:
+        origin_s = {name: WALL_S + (back_s if name in streams else 0.0) for name in delay_s}
+        told = {name: (GLOBAL, origin_s[name], delay_s[name], rate_hz[name]) for name in delay_s}
+        return _feed(clocks, start_s, seconds, **told)
+
+    assert fed(100.0, 20.0, 0.0) == pytest.approx({"depth": 0.0, "gyro": 0.0}, abs=0.002)
+    assert fed(120.0, 0.8, step_s) == pytest.approx({"depth": 0.0, "gyro": 0.0}, abs=0.006)
+    for name in delay_s:
+        behind_s = clocks.behind_s(name, 120.8)
+        assert behind_s == (pytest.approx(-step_s, abs=0.005) if name in streams else None)
+    assert fed(120.8, 60.0, step_s) == pytest.approx({"depth": 0.0, "gyro": 0.0}, abs=0.004)
+    assert clocks.settled("depth", 180.0)
+    assert clocks.apart_s("depth", "gyro", 180.0) is None
+    assert clocks.faults() == []
+    fed(180.8, 2.0, 0.0)  # it is right again
+    assert clocks.behind_s("depth", 182.8) is None
+    assert fed(182.8, 1.0, 0.0) == pytest.approx({"depth": 0.0, "gyro": 0.0}, abs=0.004)
+
+
+def test_a_global_time_that_is_behind_from_the_start_is_anchored_on_the_arrivals() -> None:
+    clocks = DeviceClocks()
+    errors = _feed(clocks, 100.0, 3.0, depth=(GLOBAL, WALL_S - 0.4, 0.02, 30))
+    assert errors["depth"] == pytest.approx(0.02, abs=0.004)  # its delay cannot be seen
+    assert clocks.behind_s("depth", 103.0) == pytest.approx(0.42, abs=0.005)
+
+
+@pytest.mark.parametrize("delay_s", [0.045, 0.14])
+def test_a_slow_transport_is_no_clock_that_is_behind(delay_s: float) -> None:
+    """Nor frames that come late for a while, nor two that come in the wrong order."""
+    clocks = DeviceClocks()
+    assert _feed(clocks, 100.0, 6.0, depth=(GLOBAL, WALL_S, delay_s, 30))["depth"] == pytest.approx(0.0, abs=1e-6)
+    assert clocks.behind_s("depth", 106.0) is None
+    for k, taken_s in enumerate((106.033, 106.0, *np.arange(106.066, 109.0, 0.033).tolist())):
+        late_s = 0.06 if 20 <= k < 50 else 0.0
+        arrival_s = max(taken_s, 106.033) + delay_s + late_s
+        stamp_s = clocks.monotonic_s("depth", GLOBAL, taken_s + WALL_S, arrival_s, arrival_s + WALL_S)
+        assert stamp_s == pytest.approx(taken_s, abs=1e-6)
+    assert clocks.behind_s("depth", 109.0) is None
+
+
 def test_no_stamp_is_later_than_its_arrival() -> None:
     clocks, rng = DeviceClocks(), np.random.default_rng(5)
     for k in range(3000):

@@ -345,6 +345,10 @@ class RealSenseCamera:
             found.append(Reason(ReasonCode.CAMERA_ARRIVAL_STAMPS))
         if depth is not None and gyro is not None and depth is not gyro:
             found.append(Reason(ReasonCode.CAMERA_DOMAINS, ("depth", depth.value, "gyro", gyro.value)))
+        for stream in domains:
+            behind_s = self._clocks.behind_s(stream, now_s)
+            if behind_s is not None:
+                found.append(Reason(ReasonCode.CAMERA_CLOCK_BEHIND, (stream, round(behind_s, 1))))
         apart_s = self._clocks.apart_s("depth", "gyro", now_s)
         if apart_s is not None:
             found.append(Reason(ReasonCode.CAMERA_CLOCKS_APART, ("depth", "gyro", abs(round(apart_s, 1)))))

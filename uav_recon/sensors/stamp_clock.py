@@ -27,7 +27,11 @@ _RESETS = 5  #: reject: a stream whose clock was set so often, each time within 
 #: reject: frames for a moment, if one stamp is newer than expected by this, or all are older: the device's clock was set
 _STEP_S = 0.1
 _STEP_FOR_S = 0.5  #: reject: ... older for this time
+#: reject: frames for a moment, if a stamp is older than the one before it, and all after it are late by this for _STEP_FOR_S
+_BACK_STEP_S = 0.02
 _RESET_S = 1.0  #: reject: frames for a moment, if one stamp is older than expected by this: the device's clock was set
+#: internal: no transport takes longer; a system or global time of which all stamps are older is wrong
+_MAX_TRANSPORT_S = 0.15
 _SAME_CLOCK_S = 0.08  #: reject: delays of two streams differ by this at most; beyond, they have clocks of their own
 HOLD_S = 0.5  #: reject: frames for this time after their clock changed or was set (hazard C7)
 
@@ -43,12 +47,14 @@ class StampDomain(Enum):
 class ClockOffset:
     """Offset of one stamp clock against the clock of the arrivals, with drift.
 
-    ``resets``: how often the device's clock was set. ``last_reset_s``: when; -inf for never.
+    ``resets``: how often the device's clock was set. ``last_reset_s``: when; -inf for never. ``set_back``: True if it was set
+    to an earlier time, the last time.
     """
 
     def __init__(self) -> None:
         self.resets = 0
         self.last_reset_s = -math.inf
+        self.set_back = False
         self._forget()
 
     def _forget(self) -> None:
@@ -57,11 +63,16 @@ class ClockOffset:
         self._bin_since_s = -math.inf
         self._line = (0.0, math.inf, 0.0)  # an arrival, the difference there, and its slope
         self._slow_since_s = math.inf
+        self._stamp_s = -math.inf  # of the device, the newest one
+        self._stepped_back = False  # a stamp was older than the one before it, and those since are late
 
     def update(self, difference_s: float, arrival_s: float) -> None:
         """Add the difference between the arrival of a stamp and the stamp."""
-        if self._is_step(difference_s - self.at(arrival_s), arrival_s):
-            self._restart(arrival_s)
+        late_s, stamp_s = difference_s - self.at(arrival_s), arrival_s - difference_s
+        self._stepped_back |= stamp_s < self._stamp_s
+        self._stamp_s = stamp_s
+        if self._is_step(late_s, arrival_s):
+            self._restart(arrival_s, set_back=late_s > 0.0)
         if arrival_s - self._bin_since_s >= _BIN_S:
             self._close_bin(arrival_s)
         if self._bin is None or difference_s < self._bin[1]:
@@ -101,16 +112,21 @@ class ClockOffset:
             return False
         if late_s > _RESET_S or (late_s < -_STEP_S and len(self._bins) >= _KNOWN_BINS):
             return True
-        if late_s <= _STEP_S:
-            self._slow_since_s = math.inf
+        if late_s <= (_BACK_STEP_S if self._stepped_back else _STEP_S):
+            self._slow_since_s, self._stepped_back = math.inf, False
             return False
         self._slow_since_s = min(self._slow_since_s, arrival_s)
         return arrival_s - self._slow_since_s >= _STEP_FOR_S
 
-    def _restart(self, arrival_s: float) -> None:
+    @property
+    def surely_known(self) -> bool:
+        """True once the shortest delay has probably been met."""
+        return len(self._bins) >= _KNOWN_BINS
+
+    def _restart(self, arrival_s: float, set_back: bool) -> None:
         resets = self.resets + 1 if arrival_s - self.last_reset_s < _WINDOW_S else 1
         self._forget()
-        self.resets, self.last_reset_s = resets, arrival_s
+        self.resets, self.last_reset_s, self.set_back = resets, arrival_s, set_back
 
     def _close_bin(self, arrival_s: float) -> None:
         if self._bin is not None:
@@ -181,12 +197,17 @@ class DeviceClocks:
     Streams of one domain whose delays are alike share the clock of the device: the stream with the shortest delay (that of the
     inertial samples) then gives the offset of all, and the delay of the others shows in their age. Streams whose offsets differ
     by more than any delay have clocks of their own.
+
+    System and global time are the companion's own, and count as told. If such a clock was set back, or all its stamps are older
+    than any transport takes, it is wrong: the stream's stamps are then anchored on their arrivals, with the shortest delay that
+    it had before.
     """
 
     def __init__(self) -> None:
         self._offsets: dict[str, ClockOffset] = {}
         self._domains: dict[str, StampDomain] = {}
         self._settled_s: dict[str, float] = {}
+        self._delay_s: dict[str, float] = {}  # the shortest, of system or global time that was right
 
     def monotonic_s(self, stream: str, domain: StampDomain, stamp_s: float, arrival_s: float, wall_s: float) -> float:
         """Return a stamp on the companion's clock; never later than its arrival.
@@ -196,15 +217,33 @@ class DeviceClocks:
         if self._domains.get(stream) is not domain:
             self._settled_s[stream] = arrival_s + (HOLD_S if stream in self._domains else -math.inf)
             self._domains[stream], self._offsets[stream] = domain, ClockOffset()
+            self._delay_s.pop(stream, None)
         based_s = stamp_s if domain is StampDomain.HARDWARE else stamp_s + arrival_s - wall_s
         offset = self._offsets[stream]
         offset.update(arrival_s - based_s, arrival_s)
         if offset.last_reset_s == arrival_s:
             self._settled_s[stream] = arrival_s + HOLD_S
+        if self.behind_s(stream, arrival_s) is not None:
+            return based_s + offset.at(arrival_s) - self._delay_s.get(stream, 0.0)
+        if offset.at(arrival_s) <= _MAX_TRANSPORT_S:
+            self._delay_s[stream] = max(offset.at(arrival_s), 0.0)
         shared_s = min(other.at(arrival_s) for other in self._sharing(stream, arrival_s))
         if domain is not StampDomain.HARDWARE:  # it tells the capture, or the arrival, by the companion's own clock
             shared_s = min(shared_s, 0.0)
         return based_s + shared_s
+
+    def behind_s(self, stream: str, now_s: float) -> float | None:
+        """Return how far a stream's system or global time is behind the companion's.
+
+        None if it is right or not known, and for a hardware clock, which has any origin.
+        """
+        offset = self._offsets.get(stream)
+        if offset is None or self._domains[stream] is StampDomain.HARDWARE:
+            return None
+        delay_s = offset.at(now_s)
+        behind_s = delay_s - self._delay_s.get(stream, 0.0)
+        wrong = behind_s > _BACK_STEP_S if offset.set_back else offset.surely_known and delay_s > _MAX_TRANSPORT_S
+        return behind_s if wrong else None
 
     def settled(self, stream: str, now_s: float) -> bool:
         """Return True if the stream's clock has neither changed nor been set for HOLD_S.
@@ -228,6 +267,8 @@ class DeviceClocks:
         None if they share one, or are not known.
         """
         if first not in self._offsets or second not in self._offsets or self._domains[first] is not self._domains[second]:
+            return None
+        if any(self.behind_s(stream, now_s) is not None for stream in (first, second)):
             return None
         apart_s = self._offsets[first].at(now_s) - self._offsets[second].at(now_s)
         return None if abs(apart_s) <= _SAME_CLOCK_S else apart_s

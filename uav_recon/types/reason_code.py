@@ -323,6 +323,10 @@ class ReasonCode(str, Enum):
     AUTOPILOT_GYRO = (
         "autopilot-gyro", "autopilot's gyro is used", "no working IMU of the camera: the autopilot's gyro takes its place",
     )  # fmt: skip
+    CAMERA_CLOCK_BEHIND = (
+        "camera-clock-behind", "camera {0} clock {1:.2f} s behind",
+        "the clock of {0} is {1:.2f} s behind: its stamps are taken from their arrivals", ("depth", 0.8),
+    )  # fmt: skip
     CAMERA_CLOCKS_APART = (
         "camera-clocks-apart", "camera clocks {2:.2f} s apart",
         "the stamps of {0} and {1} come from two clocks, {2:.2f} s apart: the delay between them is not known",
