@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Container
 from dataclasses import replace
 
 import numpy as np
@@ -111,14 +111,73 @@ def test_a_camera_without_colour_that_was_covered_never_gives_a_wrong_pose() -> 
     assert _worst_m(_poses(answers, 0.0)) < 0.3
 
 
-def test_frozen_frames_are_reported_at_once() -> None:
+def test_a_frozen_camera_is_reported_after_a_third_of_a_second() -> None:
     """The camera repeats an image with new stamps."""
     begin_s, still = 3.0, frame(round(3.0 * RATE_HZ))
     answers = fly(SlamTracker(), frames(5.0, _during(begin_s, lambda true: replace(still, stamp_s=true.stamp_s))))
     stuck = [answer for answer in answers if begin_s < answer.stamp_s < begin_s + FAULT_S]
-    assert {answer.fault for answer in stuck} == {TrackingFault.FROZEN}
+    assert {answer.fault for answer in stuck if answer.stamp_s <= begin_s + 0.301} == {TrackingFault.REPEAT}
+    assert {answer.fault for answer in stuck if answer.stamp_s > begin_s + 0.301} == {TrackingFault.FROZEN}
     assert not _poses(answers, begin_s + 0.01, begin_s + FAULT_S)
     assert _worst_m(_poses(answers, begin_s + FAULT_S)) < 0.06
+
+
+def _repeated(numbers: Container[int]) -> Callable[[Frame], Frame]:
+    """The images of the newest frame that has none of these numbers."""
+
+    def seen(true: Frame) -> Frame:
+        shown = true
+        while shown.sequence in numbers:
+            shown = frame(shown.sequence - 1)
+        return replace(true, depth_m=shown.depth_m, rgb=shown.rgb)
+
+    return seen
+
+
+def test_a_frame_that_repeats_is_no_frame() -> None:
+    """As in a recording in which 91 of 1,000 frames repeat: the next one is accepted at once, with the landmarks."""
+    seconds, numbers = 6.0, set(range(45, 90, 11)) | {60, 61}
+    tracker = SlamTracker()
+    answers = fly(tracker, frames(seconds, _repeated(numbers)))
+    assert {n for n, answer in enumerate(answers) if answer.fault is TrackingFault.REPEAT} == numbers
+    assert all(answer.fault in (None, TrackingFault.REPEAT) for answer in answers)
+    assert {n for n, answer in enumerate(answers) if answer.pose is None and n >= 0.2 * RATE_HZ} == numbers
+    assert _worst_m(_poses(answers, 0.0)) < 0.06
+
+
+def _without_returns(share: float) -> Callable[[Frame], Frame]:
+    """Returns in this share of the pixels; colour as it is."""
+
+    def seen(true: Frame) -> Frame:
+        kept = np.random.default_rng(true.sequence).random(true.depth_m.shape) < share
+        return replace(true, depth_m=np.where(kept, true.depth_m, np.nan).astype(np.float32))
+
+    return seen
+
+
+@pytest.mark.parametrize("spoil", [_without_returns(0.0), _without_returns(0.05), covered], ids=["empty", "sparse", "covered"])
+@pytest.mark.parametrize("every", [3, 5])
+def test_a_frame_that_shows_nothing_costs_itself_alone(spoil: Callable[[Frame], Frame], every: int) -> None:
+    begin = round(3.0 * RATE_HZ)
+
+    def bad(n: int) -> bool:
+        return n >= begin and n % every == 0
+
+    tracker = SlamTracker()
+    answers = fly(tracker, frames(7.0, lambda true: spoil(true) if bad(true.sequence) else true))
+    assert all((answer.pose is None) == bad(n) for n, answer in enumerate(answers) if n >= 0.2 * RATE_HZ)
+    assert {answer.fault for n, answer in enumerate(answers) if bad(n)} == {TrackingFault.FEW_POINTS}
+    assert _worst_m(_poses(answers, 3.0)) < 0.06
+    whole = SlamTracker()
+    fly(whole, frames(7.0))
+    assert tracker.volume.count >= 0.9 * whole.volume.count, "the map grows on between them"
+
+
+def test_a_wrong_frame_is_followed_by_a_proof() -> None:
+    """A false wall may have moved the track: poses are given again from the second frame on."""
+    wrong = round(3.0 * RATE_HZ)
+    answers = fly(SlamTracker(), frames(4.0, lambda true: _wall(1.0, 0.8)(true) if true.sequence == wrong else true))
+    assert [answer.pose is None for answer in answers[wrong - 1 : wrong + 4]] == [False, True, True, False, False]
 
 
 def _wall(share: float, away_m: float) -> Callable[[Frame], Frame]:

@@ -22,10 +22,10 @@ from uav_recon.localization.slam.motion_filter import MeasuredStep, MotionFilter
 from uav_recon.localization.slam.prepared_view import PreparedView
 from uav_recon.localization.slam.rest_detection import RestDetector
 from uav_recon.localization.slam.rgbd_registration import MotionPrior, Registration, register, search
-from uav_recon.localization.slam.tracking_monitor import TrackingFault, TrackingMonitor
+from uav_recon.localization.slam.tracking_monitor import FROZEN_S, RepeatedImage, TrackingFault, TrackingMonitor
 from uav_recon.localization.slam.tsdf_volume import TsdfVolume
 from uav_recon.types.camera import Frame, ImuSample, Intrinsics, body_from_camera
-from uav_recon.types.frames import Float32Array, FloatArray
+from uav_recon.types.frames import FloatArray
 from uav_recon.types.pose import Pose, PoseHealth, StampedPose
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
@@ -43,6 +43,8 @@ _SLOW_WALK = np.array([0.0005, 0.0002])  # per root second
 _SLOW_FLOOR = np.array([0.001, 0.0005])
 _FUSION_FRAMES = 8  # frames in a row that must be accepted before the map grows again after doubt
 _PROOF_FRAMES = 2  # frames that must be accepted after doubt until poses are given again
+_VIEWLESS = (TrackingFault.FEW_POINTS, TrackingFault.FROZEN)  # frames that show nothing, which is no doubt of the track
+_BRIEF_GAP_S = 0.5  #: reject: frames after a longer time without an accepted one raise doubt, whatever was wrong
 _MOST_SIGMA_M = 0.12  #: reject: no pose is given while the place is more uncertain than this in a direction
 _MOST_ON_WAY_BACK_M = 0.20  #: reject: the same on the way back
 _WAY_BACK_S = 1.5  #: reject: time of the way back, after the newest pose that was sure
@@ -172,7 +174,8 @@ class SlamTracker:
         self._drifted_m = 0.0  # standard deviation of the place by the drift of the flight
         self._unreleased_m = np.zeros(3)  # found error of the place that is still in the poses
         self._unproven = 0
-        self._depth_m: Float32Array | None = None
+        self._accepted_s = -math.inf
+        self._images = RepeatedImage()
         self._slow = np.zeros(2)
         self._slow_covariance = np.diag(_FIRST_SLOW_SIGMA**2)
         self._track_variance = np.zeros(3)
@@ -214,16 +217,20 @@ class SlamTracker:
         if not frame.stamp_s > self._state.stamp_s:
             self.fault = TrackingFault.STAMP
             return None
-        repeats, self._depth_m = _repeats(frame.depth_m, self._depth_m), frame.depth_m
+        repeats_s = self._images.repeats_s(frame.stamp_s, frame.depth_m)
+        if 0.0 < repeats_s <= FROZEN_S and (self._launched or not self._rest.still(frame.stamp_s)):
+            self.fault = TrackingFault.REPEAT
+            return None
         prior = self._predict(self._state, frame.stamp_s, body_from_depth)
         landmarks = self._follow(view, prior)
         found = register(view, self.volume, landmarks, prior)
         if self._rests(frame.stamp_s, found, prior):
             return self._stay(view, self._state, body_from_depth)
-        self.fault = TrackingFault.FROZEN if repeats else self._monitor.fault(found, prior)
+        frozen = repeats_s > FROZEN_S
+        self.fault = TrackingFault.FROZEN if frozen else self._monitor.fault(found, prior)
         if self.fault in _SEARCHED and self.accelerometer_used:
             found, prior = self._without_accelerometer(view, self._state, landmarks, found, prior, body_from_depth)
-        if self.fault in _SEARCHED or (self._unproven and not repeats):
+        if self.fault in _SEARCHED or (self._unproven and not frozen):
             found = self._search(view, found, prior)
             self.fault = self._monitor.fault(found, prior)
         if self.fault is None and self._unproven and not _proves(found):
@@ -298,6 +305,9 @@ class SlamTracker:
         self._attitude.coast(self._turned)
         self._landmarks.recall()
         self._state = TrackedState(stamp_s, odom_from_body, self._motion.velocity_mps)
+        if self.fault in _VIEWLESS and stamp_s - self._accepted_s <= _BRIEF_GAP_S:
+            self._unproven = max(self._unproven, 1)
+            return
         self._accepted_frames = 0
         self._unproven = _PROOF_FRAMES
 
@@ -410,6 +420,7 @@ class SlamTracker:
         grown = registration.slow_covariance + np.diag(_SLOW_WALK**2 * step_s)
         self._slow_covariance = grown + np.diag(np.maximum(_SLOW_FLOOR**2 - np.diagonal(grown), 0.0))
         self._state = TrackedState(stamp_s, odom_from_body, velocity)
+        self._accepted_s = stamp_s
         self._accepted_frames = self._accepted_frames + 1 if self.fault is None else 0
         self._unproven = max(self._unproven - 1, 0) if self.fault is None else self._unproven
         if self._unproven:  # new landmarks would confirm a wrong place in the next frame
@@ -518,8 +529,3 @@ def _quality(registration: Registration) -> int:
     """Return the quality 1 to 100 of an accepted frame."""
     support = min(1.0, registration.known / 400.0) * registration.fit + min(1.0, registration.landmarks / 60.0)
     return int(np.clip(round(100.0 * min(1.0, support)), 1, 100))
-
-
-def _repeats(depth_m: Float32Array, before: Float32Array | None) -> bool:
-    """Return True if a depth image is that before it, to the last bit."""
-    return before is not None and before.shape == depth_m.shape and np.array_equal(depth_m, before, equal_nan=True)
