@@ -152,6 +152,7 @@ class ReasonCode(str, Enum):
     DEPTH_FRAME_NOISE = (
         "depth-frame-noise", "depth frame: {0:.0%} isolated pixels", "depth frame: {0:.0%} of the pixels are isolated", (1.0,),
     )  # fmt: skip
+    DEPTH_FRAME_REPEATS = "depth-frame-repeats", "depth frame: repeats", "depth frame: the image before it once more"
     DEPTH_FRAME_FROZEN = "depth-frame-frozen", "depth frame: frozen", "depth frame: the same image after the camera moved"
     DEPTH_FRAME_SHIFTED = "depth-frame-shifted", "depth frame: shifted image"
     DEPTH_FRAME_CONTRADICTS = (

@@ -271,6 +271,28 @@ def test_a_frozen_picture_is_not_accepted_once_the_camera_has_moved(flight: Flig
     assert not any(accepted[2:])
 
 
+def test_a_frame_that_repeats_is_no_frame(flight: Flight) -> None:
+    """It is not compared, and it neither begins nor prolongs a doubt."""
+    for _ in range(20):
+        before = _depth(_body(flight.n) @ BODY_FROM_DEPTH)
+        assert flight.see(lambda _, shown=before: shown)
+        assert not flight.see(lambda _, shown=before: shown)
+    assert not flight.see(_shifted)
+    for _ in range(2):
+        again = _depth(_body(flight.n) @ BODY_FROM_DEPTH)
+        flight.see(lambda _, shown=again: shown)
+        assert not flight.see(lambda _, shown=again: shown)
+    assert flight.see(), "the third in a row that fits"
+
+
+def test_an_image_that_repeats_is_accepted_again_if_the_camera_rests() -> None:
+    """A simulated camera without noise gives the same image on the pad."""
+    flight = Flight()
+    still = _on_the_floor(_depth(ON_THE_PAD @ BODY_FROM_DEPTH))
+    accepted = [flight.see_from(ON_THE_PAD, lambda _: still, (0.0, 0.0, 0.0)) for _ in range(12)]
+    assert accepted == [True, False, *[True] * 10]
+
+
 def test_a_person_that_stands_there_now_is_accepted(flight: Flight) -> None:
     assert all(flight.see(box=True) for _ in range(12))
     assert flight.drift is None
@@ -368,6 +390,18 @@ def test_one_false_frame_in_a_turn_reports_no_drift() -> None:
                 Pose.from_yaw(yaw, np.array([0.0, 0.0, 1.2])), _false_wall if n == false_frame else None, (0.0, 0.0, 0.0)
             )
             assert flight.drift is None
+
+
+def test_a_doubt_after_a_false_frame_that_was_accepted_is_short(flight: Flight) -> None:
+    """The false one is the newest view, and nothing fits it: the next ones are held against a view that was confirmed."""
+    flight.turning, doubts = 0.16, 0
+    for _ in range(40):
+        after = copy.deepcopy(flight)
+        if after.see(_false_wall) and not after.see(_shifted):
+            doubts += 1
+            assert any(after.see() for _ in range(5))
+        assert flight.see()
+    assert doubts >= 30
 
 
 @pytest.mark.parametrize(("share", "seed"), [(0.03, 1), (0.15, 0), (0.15, 1)])

@@ -322,6 +322,31 @@ def test_what_is_rejected_is_published_by_reason(world: World, monkeypatch: pyte
     assert reported.frames == perception.published_frames > 40
 
 
+def test_a_frame_that_repeats_is_counted_and_nothing_else(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The driver sends every third image twice, with another stamp."""
+    right, channels, before = world.poll, memory_channels(), list[Frame]()
+
+    def poll() -> Frame | None:
+        frame = right()
+        if frame is None:
+            return None
+        before.append(frame)
+        return frame if frame.sequence % 4 else replace(frame, depth_m=before[-2].depth_m)
+
+    monkeypatch.setattr(world, "poll", poll)
+    perception = Perception(LocalizationConfig(), world, world, FixedMount(BODY_FROM_DEPTH), channels, world.clock)
+    for step in range(201):
+        world.clock.advance_to(MOTION.start_s + step / 100)
+        perception.step()
+    repeats = sum(frame.sequence % 4 == 0 for frame in before)
+    assert (
+        perception.dropped_frames[ReasonCode.DEPTH_FRAME_REPEATS] >= repeats - 2
+    )  # those before the first pose are not checked
+    assert channels.nearby.sequence() == len(before) - perception.dropped_frames[ReasonCode.DEPTH_FRAME_REPEATS]
+    grid = channels.nearby.latest()
+    assert grid is not None and grid.consistent
+
+
 def test_a_step_without_anything_is_quiet() -> None:
     world = World(ManualClock(0.0), poses_until_s=0.0)
     channels = memory_channels()

@@ -22,6 +22,7 @@ from uav_recon.localization.consistency.past_view_comparison import (
     ViewComparison,
     ViewSelection,
 )
+from uav_recon.localization.consistency.repeated_image import FROZEN_S, RepeatedImage
 from uav_recon.types.camera import Frame, Intrinsics
 from uav_recon.types.frames import AnyArray, Float32Array, FloatArray
 from uav_recon.types.pose import Pose
@@ -59,7 +60,7 @@ _FARTHER_SHARE = 0.02  #: land: more points than this farther: odom has moved, a
 _SEEN_THROUGH_SHARE = 0.4  #: land: points of an older view that are not there: more than a person leaves behind; valid: 10 %
 _DRIFT_FRAMES = 3  #: land: frames in a row that must show drift
 _KEPT_S = 2.0  #: land: a drift that was shown holds for this time
-_FROZEN_M = 0.04  #: reject: a frame equal to the last bit to one that the camera took farther away: it is frozen
+_FROZEN_M = 0.04  #: reject: an image that has repeated for FROZEN_S, and that the camera first gave farther away: it is frozen
 _FROZEN_COS = math.cos(math.radians(1.0))  #: reject: the same, turned by more
 _STRIDE = 4  # a large image is sampled for its share of returns
 _SAMPLED_PX = 64  #: internal: a smaller image is not sampled
@@ -83,7 +84,7 @@ class DepthConsistencyMonitor:
 
     corrects: False if the poses come from these very frames: they contain the errors of mount and stamps already.
 
-    A frame that is nearly empty, has isolated pixels, or is frozen is rejected by itself alone. A frame that contradicts
+    A frame that is nearly empty, has isolated pixels, repeats or is frozen is rejected by itself. A frame that contradicts
     earlier views raises a doubt, because a wrong frame may be followed by one that fits by chance. The doubt ends at a frame
     that fits a stored view in which a shift would be visible, or at the third frame in a row that fits the one before it and
     the views from before the doubt, see _Doubt.
@@ -98,7 +99,8 @@ class DepthConsistencyMonitor:
         self._drift_rate = DriftRateEstimator()
         self._drift: Reason | None = None
         self._drift_s = -math.inf
-        self._same: tuple[Float32Array, Pose] | None = None
+        self._images = RepeatedImage()
+        self._first_pose = Pose.identity()  # of the camera when it first gave the newest image
 
     def rejection(
         self, frame: Frame, motion: CameraMotion | None, reset_counter: int = 0, drift: CorrectedDrift | None = None
@@ -118,16 +120,19 @@ class DepthConsistencyMonitor:
             self._past_views.forget()
             self._drift_rate.forget()
             self._doubt = None
-        fault = self._fault_in_itself(frame.depth_m, motion.odom_from_depth)
+        repeats_s = self._images.repeats_s(frame.stamp_s, frame.depth_m)
+        if 0.0 < repeats_s <= FROZEN_S:
+            return Reason(ReasonCode.DEPTH_FRAME_REPEATS)
+        fault = self._fault_in_itself(frame.depth_m, motion.odom_from_depth, repeats_s > 0.0)
         if fault is not None:
             if self._doubt is not None:
                 self._doubt.interrupt()
             return fault
         return self._against_views(frame, motion, drift or CorrectedDrift(motion, np.zeros(3)))
 
-    def _fault_in_itself(self, depth_m: Float32Array, odom_from_depth: Pose) -> Reason | None:
+    def _fault_in_itself(self, depth_m: Float32Array, odom_from_depth: Pose, repeats: bool) -> Reason | None:
         """Return why a frame is wrong whatever was seen before, None for nothing."""
-        alone, frozen = isolated_pixel_fraction(depth_m), self._frozen(depth_m, odom_from_depth)
+        alone, frozen = isolated_pixel_fraction(depth_m), self._frozen(odom_from_depth, repeats)
         if alone > _ALONE_SHARE:
             return Reason(ReasonCode.DEPTH_FRAME_NOISE, (alone,))
         return Reason(ReasonCode.DEPTH_FRAME_FROZEN) if frozen else None
@@ -143,13 +148,14 @@ class DepthConsistencyMonitor:
         aside = asked and newest is not None and self._past_views.gain_aside(newest, *seen[1:]) > _ASIDE_SHARE
         fits = newest is None or _follows(newest) or _follows(overlapping)  # or something in front of it has left
         if self._doubt is not None:
-            shown = not aside and any(self._shows_no_shift(then, seen) for then in (newest, overlapping))
+            confirmed = self._past_views.compare_confirmed(*seen)
+            shown = not aside and any(self._shows_no_shift(then, seen) for then in (newest, confirmed, overlapping))
             ended = self._doubt.ended_by(seen, newest, overlapping, contradicted=aside or not fits)
             if not (shown or ended or self._newest_was_wrong(seen)):
                 return Reason(ReasonCode.DEPTH_FRAME_UNCONFIRMED)
         elif aside or not fits:
             contradicted = self._past_views.contradicted(*seen[1:])
-            self._doubt = _Doubt(frame.stamp_s, contradicted, CameraPose.of(odom_from_depth), self._fits_elder(seen))
+            self._doubt = _Doubt(frame.stamp_s, contradicted, CameraPose.of(odom_from_depth), self._fits_confirmed(seen))
             return Reason(ReasonCode.DEPTH_FRAME_SHIFTED if aside else ReasonCode.DEPTH_FRAME_CONTRADICTS)
         self._doubt = None
         self._drift_rate.update(frame, drift.motion, drift.drift_mps)
@@ -160,20 +166,20 @@ class DepthConsistencyMonitor:
         )
         seen_through = _seen_through(self._past_views.compare_oldest(*seen, OVERLAPPING))
         self._record_drift(frame.stamp_s, moved or seen_through or self._drift_message())
-        self._past_views.remember(*seen, confirms_newest=newest is not None and _fits(newest))
+        self._past_views.remember(*seen, confirms_newest=newest is not None and not _looks_through(newest))
         return None
 
-    def _fits_elder(self, seen: Seen) -> bool:
-        """Return True if the frame fits the view before the newest one, with no sign of a shift."""
-        then = self._past_views.compare_elder(*seen)
+    def _fits_confirmed(self, seen: Seen) -> bool:
+        """Return True if the frame fits the newest confirmed view, with no sign of a shift."""
+        then = self._past_views.compare_confirmed(*seen)
         return _fits(then) and self._past_views.gain_aside(then, *seen[1:]) <= _CLEAN_SHARE
 
     def _newest_was_wrong(self, seen: Seen) -> bool:
-        """Return True, and forget the newest accepted frame, if those since fit the one before it.
+        """Return True, and forget the newest view, if the frames since fit the newest confirmed one.
 
         A single wrong frame may be accepted: before a plain wall a shift does not show.
         """
-        if self._doubt is None or not self._doubt.blames_newest or not self._fits_elder(seen):
+        if self._doubt is None or not self._doubt.blames_newest or not self._fits_confirmed(seen):
             return False
         self._past_views.drop_newest()
         return True
@@ -217,7 +223,8 @@ class DepthConsistencyMonitor:
         wall.setflags(write=False)
         colour = np.zeros((2, 2, 3), dtype=np.uint8)
         other, here = DepthConsistencyMonitor(), Pose.identity()
-        for n, depth_m in enumerate((wall, wall, 2.0 * wall, wall, wall, wall)):
+        for n, times in enumerate((1.0, 1.0001, 2.0, 1.0, 1.0001, 1.0)):  # none repeats the one before
+            depth_m = np.float32(times) * wall
             other.rejection(Frame(0.1 * n, n, depth_m, lens, colour, lens, here), CameraMotion.at_rest(here))
 
     def _record_drift(self, stamp_s: float, drift: Reason | None) -> None:
@@ -232,12 +239,12 @@ class DepthConsistencyMonitor:
             return None
         return Reason(ReasonCode.ODOMETRY_DRIFT, (float(np.linalg.norm(self._drift_rate.velocity_mps)),))
 
-    def _frozen(self, depth_m: Float32Array, odom_from_depth: Pose) -> bool:
+    def _frozen(self, odom_from_depth: Pose, repeats: bool) -> bool:
         """Return True if the camera has moved since it first gave this very image."""
-        if self._same is None or not np.array_equal(self._same[0], depth_m, equal_nan=True):
-            self._same = depth_m, odom_from_depth
+        if not repeats:
+            self._first_pose = odom_from_depth
             return False
-        first = self._same[1]
+        first = self._first_pose
         moved_m = math.dist(first.translation_m.tolist(), odom_from_depth.translation_m.tolist())
         return moved_m > _FROZEN_M or float(first.rotation()[:, 2] @ odom_from_depth.rotation()[:, 2]) < _FROZEN_COS
 
@@ -252,8 +259,8 @@ class _Doubt:
       turns fast, and the fault did not last.
     """
 
-    def __init__(self, begun_s: float, contradicted: AnyArray, camera_pose: CameraPose, elder_fits: bool) -> None:
-        self._elder_fits = elder_fits
+    def __init__(self, begun_s: float, contradicted: AnyArray, camera_pose: CameraPose, confirmed_fits: bool) -> None:
+        self._confirmed_fits = confirmed_fits
         self._begun_s = begun_s
         self._contradicted_points = contradicted
         self._camera_pose = camera_pose
@@ -267,7 +274,7 @@ class _Doubt:
 
         The first rejected frame contradicted no other, and enough frames in a row follow it.
         """
-        return self._elder_fits and self._run >= _CALM
+        return self._confirmed_fits and self._run >= _CALM
 
     def interrupt(self) -> None:
         """Begin to count again after a frame that is wrong in itself."""
@@ -317,6 +324,14 @@ def _follows(comparison: ViewComparison | None) -> bool:
     )
 
 
+def _looks_through(comparison: ViewComparison) -> bool:
+    """Return True if surfaces of the view are not there.
+
+    It showed something that was not there, or that has left.
+    """
+    return comparison.farther > _MAX_FARTHER_SHARE or comparison.nearer > _HIDDEN_SHARE
+
+
 def _fits(comparison: ViewComparison | None) -> TypeGuard[ViewComparison]:
     """Return True if nearly all points are unchanged, of enough points to notice missing ones."""
     return comparison is not None and comparison.count >= _MANY and comparison.nearer + comparison.farther <= _REFIT_SHARE
@@ -341,15 +356,16 @@ def _moved(oldest: Iterator[ViewComparison], explained: float) -> Reason | None:
 
 
 def _seen_through(oldest: Iterator[ViewComparison]) -> Reason | None:
-    """Return a message if the camera looks through surfaces that the oldest views have seen, None for nothing."""
+    """Return a message if the camera looks through what the oldest views show, else None."""
     shown = _shown_twice(oldest, lambda comparison: comparison.farther >= _SEEN_THROUGH_SHARE)
     return None if shown is None else Reason(ReasonCode.SURFACES_GONE, (shown.farther, shown.age_s))
 
 
 def _shown_twice(oldest: Iterator[ViewComparison], shows: Callable[[ViewComparison], bool]) -> ViewComparison | None:
-    """Return the oldest view if all views up to one from another place or in another direction show the same, else None.
+    """Return the oldest view if views from two places show the same, None if not.
 
-    Kept views are half a second apart at least, so these two are from two times as well.
+    They may also be taken in two directions, and so must all views between them. Kept views are half a second apart at least,
+    so these two are from two times as well.
     """
     first: ViewComparison | None = None
     for comparison in itertools.takewhile(shows, oldest):

@@ -109,7 +109,7 @@ class PastViews:
     def __init__(self) -> None:
         self._views: deque[_View] = deque()
         self._newest: _View | None = None
-        self._elder: _View | None = None  # the one before the newest
+        self._confirmed: _View | None = None  # the newest that the next one confirmed
 
     @property
     def has_view(self) -> bool:
@@ -119,20 +119,23 @@ class PastViews:
     def forget(self) -> None:
         """Forget all views after a jump of odom: none of them was seen in the new odom."""
         self._views.clear()
-        self._newest = self._elder = None
+        self._newest = self._confirmed = None
 
     def drop_newest(self) -> None:
         """Forget the newest accepted image, because it was wrong."""
-        self._newest, self._elder = self._elder, None
+        self._newest, self._confirmed = self._confirmed, None
 
     def remember(
         self, stamp_s: float, depth_m: Float32Array, intrinsics: Intrinsics, odom_from_depth: Pose, confirms_newest: bool
     ) -> None:
-        """Store an accepted image as the newest; of those that the next one confirms, one every half second is kept."""
+        """Store an accepted image as the newest.
+
+        Of those that the next one confirms, one every half second is kept.
+        """
         if self._newest is not None and confirms_newest:
+            self._confirmed = self._newest
             self._keep(self._newest)
         points = surface(depth_m, intrinsics.pinhole_px(), odom_from_depth.rotation(), odom_from_depth.translation_m)
-        self._elder = self._newest
         self._newest = _View(stamp_s, CameraPose.of(odom_from_depth), points)
         while self._views and stamp_s - self._views[0].stamp_s > _MEMORY_S:
             self._views.popleft()
@@ -152,11 +155,14 @@ class PastViews:
             None if self._newest is None else _compared(self._newest, stamp_s, depth_m, intrinsics, odom_from_depth, MIN_POINTS)
         )
 
-    def compare_elder(
+    def compare_confirmed(
         self, stamp_s: float, depth_m: Float32Array, intrinsics: Intrinsics, odom_from_depth: Pose
     ) -> ViewComparison | None:
-        """Compare with the image accepted before the newest; None if too little of it is in view."""
-        return None if self._elder is None else _compared(self._elder, stamp_s, depth_m, intrinsics, odom_from_depth)
+        """Compare with the newest image that the one after it confirmed.
+
+        None if too little of it is in view.
+        """
+        return None if self._confirmed is None else _compared(self._confirmed, stamp_s, depth_m, intrinsics, odom_from_depth)
 
     def compare_oldest(
         self, stamp_s: float, depth_m: Float32Array, intrinsics: Intrinsics, odom_from_depth: Pose, selection: ViewSelection

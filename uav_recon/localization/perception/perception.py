@@ -39,7 +39,7 @@ class Perception:
     shows, and depth at its true scale, as far as the camera's errors are known. A frame is dropped if its own pose is not
     known, if it is rejected as inconsistent, or if it is not newer than all before it: it was mapped already, or its turn has
     passed. The minimum range grid of a frame is published with or without a pose, valid or not: at once, or with a gimbal once
-    its angle at the stamp has been measured.
+    its angle at the stamp has been measured. A frame that repeats the one before it is none: nothing of it is published.
 
     view: odometry of the tracked images, None without a tracker. kept: keeps the camera's errors for the next
     flight. remarks: what the camera reports of itself. ``published_frames`` is a counter.
@@ -139,6 +139,8 @@ class Perception:
         if body_from_depth is None:
             return None
         rejection = self._checks.rejection(frame, body_from_depth, self._odometry)
+        if rejection is not None and rejection.code is ReasonCode.DEPTH_FRAME_REPEATS:
+            return rejection
         self._channels.nearby.publish(nearest_in_cells(frame, body_from_depth, consistent=rejection is None))
         return rejection
 

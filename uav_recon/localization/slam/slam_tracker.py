@@ -14,6 +14,7 @@ from typing import Protocol
 
 import numpy as np
 
+from uav_recon.localization.consistency.repeated_image import FROZEN_S, RepeatedImage
 from uav_recon.localization.slam.attitude_filter import AttitudeFilter, PredictedAttitude
 from uav_recon.localization.slam.floor_level import level_by_floor
 from uav_recon.localization.slam.gyro_alignment import JITTER_S, GyroAlignment
@@ -22,7 +23,7 @@ from uav_recon.localization.slam.motion_filter import MeasuredStep, MotionFilter
 from uav_recon.localization.slam.prepared_view import PreparedView
 from uav_recon.localization.slam.rest_detection import RestDetector
 from uav_recon.localization.slam.rgbd_registration import MotionPrior, Registration, register, search
-from uav_recon.localization.slam.tracking_monitor import FROZEN_S, RepeatedImage, TrackingFault, TrackingMonitor
+from uav_recon.localization.slam.tracking_monitor import TrackingFault, TrackingMonitor
 from uav_recon.localization.slam.tsdf_volume import TsdfVolume
 from uav_recon.types.camera import Frame, ImuSample, Intrinsics, body_from_camera
 from uav_recon.types.frames import FloatArray

@@ -9,7 +9,6 @@ from enum import Enum
 import numpy as np
 
 from uav_recon.localization.slam.rgbd_registration import MotionPrior, Registration
-from uav_recon.types.frames import Float32Array
 
 #: reject: a frame with depth in fewer points: it is covered, or before something too near or too far
 _MIN_POINTS = 150
@@ -25,7 +24,6 @@ _MAX_STEP_SIGMAS = 5.0  #: reject: a frame that moves by more of the predicted s
 _MAX_STEP_M = 0.06  #: reject: the same, but never for less
 _LOOSE_M = 0.08  #: reject: a frame that leaves the place in a direction as uncertain as this
 _LOOSE_RAD = math.radians(2.0)  #: reject: a frame that leaves a turn as uncertain as this
-FROZEN_S = 0.3  #: reject: an image that repeats for longer is that of a frozen camera; before, a repeat is no frame
 
 
 class TrackingFault(str, Enum):
@@ -40,20 +38,6 @@ class TrackingFault(str, Enum):
     STEP = "step"
     LOOSE = "loose"
     UNPROVEN = "unproven"
-
-
-class RepeatedImage:
-    """Finds depth images that repeat the one before, to the last bit: the driver has sent it twice, or the camera is frozen."""
-
-    def __init__(self) -> None:
-        self._depth_m: Float32Array | None = None
-        self._first_s = -math.inf
-
-    def repeats_s(self, stamp_s: float, depth_m: Float32Array) -> float:
-        """Return for how long this image has repeated; 0 for a new one, and for one without returns: a covered lens."""
-        if self._depth_m is None or not np.array_equal(self._depth_m, depth_m, equal_nan=True) or not (depth_m > 0.0).any():
-            self._depth_m, self._first_s = depth_m, stamp_s
-        return stamp_s - self._first_s
 
 
 @dataclass(frozen=True, slots=True)
