@@ -12,6 +12,7 @@ LEVEL = {
     "calibration": 1,
     "fusion": 1,
     "pad_origin": 1,
+    "repeated_image": 1,
     "slam": 2,
     "odometry": 2,
     "consistency": 3,

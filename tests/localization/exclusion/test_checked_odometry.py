@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from typing import Any, cast
 
@@ -148,7 +149,7 @@ def test_odometry_neither_jumps_nor_restarts_when_the_source_is_excluded() -> No
     found = fly(frozen(2.0))
     steps = [
         float(np.linalg.norm(after.odom_from_body.translation_m - before.odom_from_body.translation_m))
-        for (_, before, _), (_, after, _) in zip(found, found[1:], strict=False)
+        for (_, before, _), (_, after, _) in itertools.pairwise(found)
     ]
     assert max(steps) < 0.08
     assert {odom.reset_counter for _, odom, _ in found} == {0}

@@ -12,8 +12,8 @@ from test_slam_source import Camera
 from uav_recon.localization.calibration.camera_mount import FixedMount
 from uav_recon.localization.slam.slam_source import SlamSource
 from uav_recon.localization.slam.slam_tracker import SlamTracker
-from uav_recon.localization.slam.view_odometry import ViewOdometry
 from uav_recon.localization.slam.tracking_monitor import TrackingFault
+from uav_recon.localization.slam.view_odometry import ViewOdometry
 from uav_recon.types.camera import Frame
 
 MOVING = 45  # number of a frame in flight

@@ -22,7 +22,7 @@ from uav_recon.localization.consistency.past_view_comparison import (
     ViewComparison,
     ViewSelection,
 )
-from uav_recon.localization.consistency.repeated_image import FROZEN_S, RepeatedImage
+from uav_recon.localization.repeated_image import FROZEN_S, RepeatedImage
 from uav_recon.types.camera import Frame, Intrinsics
 from uav_recon.types.frames import AnyArray, Float32Array, FloatArray
 from uav_recon.types.pose import Pose

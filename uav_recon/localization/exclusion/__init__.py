@@ -1,1 +1,1 @@
-"""Fault detection, isolation and exclusion of the pose source: its motion against that of the view."""
+"""Fault detection and exclusion of the pose source: its motion against that of the view."""

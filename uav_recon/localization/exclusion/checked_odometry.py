@@ -1,4 +1,6 @@
-"""Odometry of a pose source that the view and the inertial sensors check: fault detection, isolation and exclusion.
+"""Odometry of a pose source that the view and the inertial sensors check.
+
+It is fault detection, isolation and exclusion.
 
 Three measurements of the motion: the poses of the source, the tracked images, the inertial samples. If source and view moved
 differently, the one that the inertial samples contradict is left out; the view, which many points support, is kept where they
@@ -27,20 +29,22 @@ from uav_recon.types.pose import Pose, PoseHealth, StampedPose
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
 
+_RESTS_S = 4.0  #: internal: time that the view has at first to begin at rest on the pad
+_LOST_S = 1.0  #: internal: a view without a pose for longer begins again beside the source
 _IN_A_ROW = 2  #: reject: number of comparisons in a row that must show a fault of the source
-_RIGHT_EXCESS = 0.6  #: reject: an excluded source until its ways differ by less, as a share of the limit ...
+_RIGHT_SHARE = 0.6  #: reject: an excluded source until its ways differ by less, as a share of the limit ...
 _RIGHT_S = 3.0  #: reject: ... for this time
 #: reject: the view, if the inertial samples contradict it by this share of the limit, and ...
-_VIEW_EXCESS = 0.4
-_VIEW_MORE = 2.0  #: reject: ... by this factor more than the source
+_VIEW_SHARE = 0.4
+_VIEW_FACTOR = 2.0  #: reject: ... by this factor more than the source
 _ONSET_S = 0.6  #: internal: time before its detection at which a fault had not begun
 _EVERYTHING: FloatArray = np.eye(3)
 
 
 class CheckedOdometry:
-    """Estimator with a pose source, and with the view in its place while the source is excluded. Not thread-safe.
+    """Estimator with a pose source, and with the view in its place while that is excluded.
 
-    view: in its tracker's frame.
+    Not thread-safe. view: in its tracker's frame.
     """
 
     def __init__(self, source: FusionFilter, view: ViewOdometry) -> None:
@@ -50,6 +54,7 @@ class CheckedOdometry:
         self._check = InertialCheck(view.tracker.gyro.at)
         self._source_resets = 0
         self._row = 0
+        self._restarted_s = math.nan  # before the first call
         self._excluded = self._view_at_fault = False
         self._view_right_since_s = math.inf
         self._right_since_s = math.inf
@@ -80,7 +85,10 @@ class CheckedOdometry:
         self._view.add_imu(samples, now_s)
 
     def add_pose(self, pose: StampedPose, now_s: float) -> bool:
-        """Fuse a pose of the source at its own stamp. Return False if it is rejected, or the source excluded."""
+        """Fuse a pose of the source at its own stamp.
+
+        Return False if it is rejected, or the source excluded.
+        """
         if pose_fault(pose, now_s) is None:
             self._compare_source(pose, now_s)
         if not self._excluded:
@@ -91,8 +99,21 @@ class CheckedOdometry:
     def add_view(self, now_s: float) -> None:
         """Compare what the view has shown since the last call."""
         pose = self._view.newest_pose
+        self._restart_view(now_s)
         if pose is not None and self._comparison.add_second(pose.stamp_s, pose.odom_from_body, self._view.shown):
             self._judge(now_s)
+
+    def _restart_view(self, now_s: float) -> None:
+        """Let a view that is lost begin again beside a source that is right."""
+        if math.isnan(self._restarted_s):
+            self._restarted_s = now_s + _RESTS_S
+        if self._excluded or now_s - max(self._view.newest_pose_s, self._restarted_s) < _LOST_S:
+            return
+        odom = self._source.odom_at(now_s)
+        if odom is not None and odom.health is PoseHealth.GOOD:
+            self._restarted_s = now_s
+            self._view.restart(self._source.odom_at)
+            self._comparison.forget()
 
     def odom_at(self, stamp_s: float) -> StampedPose | None:
         """Return the body's pose at an instant, None if it is not known."""
@@ -134,7 +155,7 @@ class CheckedOdometry:
         excess = self._comparison.excess
         self._source.exclude_accelerometer(self._accelerometer_at_fault and excess <= 1.0)
         if self._excluded:
-            self._right_since_s = min(self._right_since_s, self._comparison.compared_s) if excess < _RIGHT_EXCESS else math.inf
+            self._right_since_s = min(self._right_since_s, self._comparison.compared_s) if excess < _RIGHT_SHARE else math.inf
             if self._comparison.compared_s - self._right_since_s >= _RIGHT_S:
                 self._include(now_s)
             return
@@ -148,11 +169,11 @@ class CheckedOdometry:
         return self._view.check.accelerometer.fault or self._check.accelerometer.fault
 
     def _judge_view(self, excess: float) -> None:
-        """Find that the inertial samples contradict the view, or that it has been right again for a while."""
+        """Judge the view: the inertial samples contradict it, or it has been right for a while."""
         seen, said = self._view.check.accelerometer.excess, self._check.accelerometer.excess
         compared_s = self._comparison.compared_s
-        self._view_at_fault |= excess > 1.0 and seen > max(_VIEW_EXCESS, _VIEW_MORE * said)
-        self._view_right_since_s = min(self._view_right_since_s, compared_s) if excess < _RIGHT_EXCESS else math.inf
+        self._view_at_fault |= excess > 1.0 and seen > max(_VIEW_SHARE, _VIEW_FACTOR * said)
+        self._view_right_since_s = min(self._view_right_since_s, compared_s) if excess < _RIGHT_SHARE else math.inf
         self._view_at_fault &= compared_s - self._view_right_since_s < _RIGHT_S
 
     def _exclude(self, now_s: float) -> None:

@@ -1,4 +1,4 @@
-"""Comparison of two tracks of the same body over windows: how far one moved that the other did not."""
+"""Comparison of two tracks of one body over windows: ways that only one of them has."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from uav_recon.types.pose import Pose
 _LIMITS = ((0.3, 0.04), (1.0, 0.08))
 _SIGMAS = 4.0  #: reject: the same, but never within this many standard deviations of the white noise of both
 _GAP_S = 0.25  #: internal: a track is interpolated between poses that are not farther apart
-_SHOWN = 0.5  #: internal: share of a position that a pose has measured itself, from which on a direction is compared
+_SHOWN_SHARE = 0.5  #: internal: share of a position that a pose has measured itself, from which on a direction is compared
 _LEAST_NOISE_M = 0.003
 _NOISE_MEMORY = 0.05  # share of the newest pair in the mean of the squared noise
 
@@ -121,7 +121,7 @@ class MotionComparison:
         off_m = _apart_m(newest, first) - _apart_m(first, first)
         shown = first.shown @ newest.shown
         values, directions = np.linalg.eigh(0.5 * (shown + shown.T))
-        kept = directions[:, values > _SHOWN]
+        kept = directions[:, values > _SHOWN_SHARE]
         along_m = float(np.linalg.norm(kept.T @ (_second_from_first(first) @ off_m)))
         return along_m / max(limit_m, _SIGMAS * float(np.sqrt(2.0 * self._noise_m2)))
 
@@ -132,5 +132,8 @@ def _second_from_first(pair: _Pair) -> FloatArray:
 
 
 def _apart_m(pair: _Pair, at: _Pair) -> FloatArray:
-    """Return the first track's place (3,) less that of the second, in the first one's axes as they are at a pair."""
+    """Return the first track's place (3,) less that of the second.
+
+    at: pair that gives the first track's axes.
+    """
     return pair.first.translation_m - _second_from_first(at).T @ pair.second.translation_m

@@ -116,7 +116,11 @@ class FusionFilter:
         reason = self._continuity_fault(arrival, before)
         if reason in CONTRADICTIONS:
             self._contradictions += 1
-            fitting = (other for other in self._bank.alternatives(self._contradictions) if self._continuity_fault(other, before) is None)
+            fitting = (
+                other
+                for other in self._bank.alternatives(self._contradictions)
+                if self._continuity_fault(other, before) is None
+            )
             if (other := next(fitting, None)) is not None:
                 self._bank.switch_to(other)
                 arrival, reason = other, None
@@ -131,13 +135,14 @@ class FusionFilter:
         return True
 
     def exclude_accelerometer(self, excluded: bool) -> None:
-        """Leave the accelerometer out, because another track of the body contradicts it, or let the poses decide again."""
+        """Leave the accelerometer out, which another track contradicts, or let the poses decide."""
         self._bank.accelerometer_excluded = excluded
 
     def rejoin(self, pose: StampedPose, odom: StampedPose) -> bool:
-        """Use the source again after another estimator has carried odom on; return False if that is not possible yet.
+        """Use the source again after another estimator has carried odom on.
 
-        odom: at the stamp of the pose, which does not move it: world_from_odom takes what lies between.
+        Return False if that is not possible yet. odom: at the stamp of the pose, which does not move it: world_from_odom takes
+        what lies between.
         """
         if not self._bank.reaches(pose.stamp_s):
             return False

@@ -80,7 +80,10 @@ class ImuSampleGate:
         return admitted
 
     def valid(self, samples: list[ImuSample], now_s: float) -> list[ImuSample]:
-        """Return the samples that admit() accepts, with a specific force of NaN while it is not measured or repeats."""
+        """Return the samples that admit() accepts.
+
+        The specific force is NaN while it is not measured or repeats.
+        """
         readings = self.admit(samples, now_s)
         return [
             ImuSample(stamp_s, np.array(rate), _NO_FORCE if force is None or self.accelerometer_frozen else np.array(force))

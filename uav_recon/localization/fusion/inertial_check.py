@@ -45,7 +45,10 @@ class _Sample(NamedTuple):
 
 
 class _Measured(NamedTuple):
-    """Error of a sensor over a window, body axes (3,), its standard deviation per axis, and the limit of the window."""
+    """Error of a sensor over a window, body axes (3,).
+
+    sigma: its standard deviation per axis. limit: of the window. body_from_odom (3, 3).
+    """
 
     body_from_odom: FloatArray
     error: FloatArray
@@ -54,10 +57,10 @@ class _Measured(NamedTuple):
 
 
 class UsualError:
-    """Error that a sensor has in any case: a part that turns with the body, and one that does not.
+    """Error that a sensor has in any case.
 
-    The first is its bias, the second the tilt of the track. Kalman filter of both (6,). sigma: of each before the flight. walk:
-    per root second.
+    One part turns with the body, one does not. The first is its bias, the second the tilt of the track. Kalman filter of both
+    (6,). sigma: of each before the flight. walk: per root second.
     """
 
     def __init__(self, sigma: float, walk: float) -> None:
@@ -66,7 +69,7 @@ class UsualError:
         self._walk = walk
 
     def predict(self, body_from_odom: FloatArray) -> tuple[FloatArray, float]:
-        """Return the error (3,) in body axes at an attitude (3, 3), and its largest standard deviation."""
+        """Return the error (3,) in body axes at an attitude (3, 3), and its standard deviation."""
         rows = np.hstack((np.eye(3), body_from_odom))
         return rows @ self._state, math.sqrt(float(np.linalg.eigvalsh(rows @ self._covariance @ rows.T)[-1]))
 
@@ -121,7 +124,7 @@ class SensorCheck:
 class InertialCheck:
     """Accelerometer and gyro against one track. Not thread-safe; about 0.3 ms a pose.
 
-    track_at: the inertial track at an instant, None where no samples cover it. Its integrals may begin anew at any time.
+    track_at: the inertial track at an instant, None where no samples cover it. Its integrals may restart at any time.
     """
 
     def __init__(self, track_at: Callable[[float], InertialState | None]) -> None:

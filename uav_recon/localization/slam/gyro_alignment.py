@@ -99,11 +99,17 @@ class GyroAlignment:
         return self.between(from_s - self.delay_s, to_s - self.delay_s)
 
     def between(self, from_s: float, to_s: float) -> tuple[InertialState, InertialState] | None:
-        """Return the inertial track at two instants; None if no samples with a specific force cover the time between."""
+        """Return the inertial track at two instants.
+
+        None if no samples with a specific force cover the time between.
+        """
         return self._measured(from_s, to_s) if from_s > self._forceless_s else None
 
     def turned(self, from_s: float, to_s: float) -> FloatArray | None:
-        """Return the rotation vector (3,) in body axes between two instants; None if the gyro does not cover it."""
+        """Return the rotation vector (3,) in body axes between two instants.
+
+        None if the gyro does not cover it.
+        """
         return self._turn(from_s, to_s)
 
     def rate(self, stamp_s: float) -> FloatArray | None:
@@ -154,7 +160,7 @@ class GyroAlignment:
         return None if any(a_s < end_s and b_s > begin_s for begin_s, end_s in self._gaps) else (first, last)
 
     def at(self, stamp_s: float) -> InertialState | None:
-        """Return the inertial track at an instant, whether it is used or not; None if no samples cover it."""
+        """Return the inertial track at an instant, used or not; None if no samples cover it."""
         return self._track.at(stamp_s) if self._track.newest_s + _GAP_S >= stamp_s > self._forceless_s else None
 
     def _turn(self, a_s: float, b_s: float) -> FloatArray | None:

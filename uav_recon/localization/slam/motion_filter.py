@@ -97,6 +97,13 @@ class MotionFilter:
         """Velocity (3,) in odom."""
         return self._now.velocity_mps
 
+    def begin(self, place_m: FloatArray, velocity_mps: FloatArray) -> None:
+        """Begin again at a place (3,) with a velocity (3,); what is known of the accelerometer stays."""
+        state, covariance = self._now.state.copy(), np.diag([_PLACE_M**2] * 3 + [_VELOCITY_MPS**2] * 3 + [0.0] * 3)
+        state[PLACE], state[VELOCITY] = place_m, velocity_mps
+        covariance[OFFSET, OFFSET] = self._now.covariance[OFFSET, OFFSET]
+        self._now = PredictedMotion(state, covariance)
+
     def rest(self) -> None:
         """Set the velocity to zero: the body rests."""
         self._now = PredictedMotion(
@@ -168,7 +175,7 @@ def propagate(
 def _propagated(
     motion: PredictedMotion, step_s: float, odom_from_body: Pose, track: tuple[InertialState, InertialState] | None
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the state (9,) step_s later, the transition (9, 9), and the covariance (9, 9) of the acceleration's noise."""
+    """Return the state (9,) step_s later, the transition (9, 9), and the noise (9, 9)."""
     state, transition, noise = motion.state.copy(), np.eye(9), np.zeros((9, 9))
     transition[PLACE, VELOCITY] = step_s * np.eye(3)
     if track is None:

@@ -9,12 +9,13 @@ the track on.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
 
-from uav_recon.localization.consistency.repeated_image import FROZEN_S, RepeatedImage
+from uav_recon.localization.repeated_image import FROZEN_S, RepeatedImage
 from uav_recon.localization.slam.attitude_filter import AttitudeFilter, PredictedAttitude
 from uav_recon.localization.slam.floor_level import level_by_floor
 from uav_recon.localization.slam.gyro_alignment import JITTER_S, GyroAlignment
@@ -111,6 +112,9 @@ class TrackerState:
     odom_from_body: Pose
 
 
+OdomAt = Callable[[float], StampedPose | None]  # odometry at an instant, None if it is not known
+
+
 class OutsideMotion(Protocol):
     """Motion of the body by another source.
 
@@ -168,6 +172,7 @@ class SlamTracker:
         self._turned = self._attitude.predict(np.zeros(3), 0.0, np.zeros(3), 0.0)
         self._predicted = self._motion.predict(0.0, Pose.identity(), None)
         self._fused: Pose | None = None
+        self._begin_at: OdomAt | None = None
         self._accepted_frames = 0
         self._launched = self._unsure = False
         self._sure_s = -math.inf
@@ -312,7 +317,32 @@ class SlamTracker:
         self._accepted_frames = 0
         self._unproven = _PROOF_FRAMES
 
+    def restart(self, odom_at: OdomAt) -> None:
+        """Forget the map and begin a new one at the next frame, where other odometry is by then.
+
+        For a track that is lost beside a source of poses. odom_at: that odometry at an instant.
+        """
+        self.volume, self._landmarks = TsdfVolume(), LandmarkTracker()
+        self._state, self._fused, self._begin_at = None, None, odom_at
+        self._unreleased_m, self._track_variance, self._drifted_m = np.zeros(3), np.zeros(3), 0.0
+        self._unsure, self._unproven, self._sure_s, self._judged_s = False, 0, -math.inf, math.inf
+
+    def _start_moving(self, view: PreparedView, body_from_depth: Pose, odom_at: OdomAt) -> StampedPose | None:
+        """Begin a map at a frame, where other odometry is."""
+        odom = odom_at(view.frame.stamp_s - self.delay_s)
+        if odom is None:
+            return None
+        self._state = TrackedState(view.frame.stamp_s, odom.odom_from_body, odom.velocity_odom_mps)
+        self._attitude = AttitudeFilter(odom.odom_from_body, _ROTATION_SIGMA_RAD**2 * np.eye(3))
+        self._motion.begin(odom.odom_from_body.translation_m, odom.velocity_odom_mps)
+        self._accepted_frames, self._launched, self._begin_at = _FUSION_FRAMES, True, None
+        motion = np.concatenate((np.zeros(3), odom.velocity_odom_mps))
+        self._add_to_map(view, odom.odom_from_body @ body_from_depth, motion, np.zeros(3))
+        return self._stamped(view.frame.stamp_s)
+
     def _start(self, view: PreparedView, body_from_depth: Pose) -> StampedPose | None:
+        if self._begin_at is not None:
+            return self._start_moving(view, body_from_depth, self._begin_at)
         level = self._rest.level(view.frame.stamp_s)
         if level is None:
             return None

@@ -1,4 +1,4 @@
-"""Odometry of the embedded SLAM: the tracker's own state, carried on by the inertial samples.
+"""Odometry of the embedded SLAM: the tracker's state, propagated by the inertial samples.
 
 No filter stands behind the tracker. Its state after each frame is a node; the present is the newest node propagated by the
 samples since, an earlier instant lies on the path between two nodes.
@@ -17,7 +17,7 @@ from uav_recon.localization.fusion.filter_pose_gates import PoseRejection
 from uav_recon.localization.fusion.imu_sample_gate import ImuSampleGate
 from uav_recon.localization.fusion.inertial_check import InertialCheck
 from uav_recon.localization.slam.motion_filter import PLACE, PredictedMotion, propagate
-from uav_recon.localization.slam.slam_tracker import SlamTracker
+from uav_recon.localization.slam.slam_tracker import OdomAt, SlamTracker
 from uav_recon.types.camera import Frame, ImuSample
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.pose import Pose, PoseHealth, StampedPose
@@ -79,7 +79,7 @@ class ViewOdometry:
         self._returning = 0  # frames that must still be accepted after a loss
 
     def add_imu(self, samples: list[ImuSample], now_s: float = math.inf) -> None:
-        """Add inertial samples, oldest first; invalid ones are counted and dropped, those that repeat as well."""
+        """Add inertial samples, oldest first; invalid ones are counted and dropped."""
         self.tracker.add_imu(self._gate.valid(samples, now_s))
 
     def track(self, frame: Frame, body_from_depth: Pose) -> StampedPose | None:
@@ -102,8 +102,19 @@ class ViewOdometry:
             self._nodes.popleft()
         return pose
 
+    def restart(self, odom_at: OdomAt) -> None:
+        """Begin a new map at the next frame, where other odometry is by then; see SlamTracker.restart."""
+        self.tracker.restart(odom_at)
+        self.check.forget()
+        self._nodes.clear()
+        self.newest_pose = None
+        self._returning, self._sure_frames, self._sure_s = 0, _SURE_FRAMES, -math.inf
+
     def add_pose(self, pose: StampedPose, now_s: float) -> bool:
-        """Take a pose of track() in the world: odometry is in the world from then on. Return False for another pose."""
+        """Take a pose of track() in the world: odometry is in the world from then on.
+
+        Return False for another pose.
+        """
         tracked = (node.pose for node in reversed(self._nodes) if node.pose is not None)
         same = next((own for own in tracked if own.stamp_s == pose.stamp_s), None)
         if same is not None:
@@ -114,7 +125,10 @@ class ViewOdometry:
         """Do nothing: each frame was taken when it was tracked."""
 
     def odom_at(self, stamp_s: float) -> StampedPose | None:
-        """Return the body's pose at an instant; None before the first pose in the world, and too long ago."""
+        """Return the body's pose at an instant.
+
+        None before the first pose in the world, and too long ago.
+        """
         world, newest = self._world_from_tracker, self.newest_pose
         if world is None or newest is None or not self._nodes or stamp_s < self._nodes[0].stamp_s:
             return None
@@ -185,7 +199,7 @@ class ViewOdometry:
     def _towards(
         self, node: _Node, after: _Node, motion: PredictedMotion, attitude: Pose, stamp_s: float
     ) -> tuple[PredictedMotion, Pose]:
-        """Return motion and attitude between two nodes, corrected so that the path ends at the later one."""
+        """Return motion and attitude between two nodes; the path ends at the later one."""
         share = (stamp_s - node.stamp_s) / (after.stamp_s - node.stamp_s)
         end, end_attitude = self._propagated(node, after.stamp_s)
         off = after.motion.state - end.state

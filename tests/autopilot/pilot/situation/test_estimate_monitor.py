@@ -56,6 +56,7 @@ class Bench:
         self.turn_radps = 0.0  # of the body
         self.attitudes = True  # arrive
         self.health = PoseHealth.GOOD
+        self.health_reason: Reason | None = None
         self.quat_wxyz: FloatArray = LEVEL
         self.waiting: list[tuple[float, float, MotionEstimate]] = []
 
@@ -67,7 +68,7 @@ class Bench:
             pose = None
             if self.turn % 2 == 0:
                 body = Pose.from_yaw(self.turn_rad, self.velocity_mps * now_s)
-                pose = StampedPose(now_s, body, self.velocity_mps, health=self.health)
+                pose = StampedPose(now_s, body, self.velocity_mps, health=self.health, health_reason=self.health_reason)
             else:
                 place = self.velocity_mps * now_s + self.off_m
                 if self.attitudes:
@@ -189,6 +190,13 @@ def test_lost_poses_are_not_compared(bench: Bench) -> None:
     bench.health = PoseHealth.LOST
     bench.off_m = np.array([5.0, 0.0, 0.0])
     assert after(bench, 5.0) == (None, None)
+
+
+def test_nothing_is_compared_while_odometry_leaves_an_excluded_source(bench: Bench) -> None:
+    bench.health, bench.health_reason = PoseHealth.DEGRADED, Reason(ReasonCode.SOURCE_EXCLUDED)
+    bench.off_m = np.array([0.5, 0.0, 0.0])
+    assert after(bench, 2.2) == (None, None)
+    assert after(bench, 0.6) == (ReasonCode.ESTIMATE_POSITION, None)
 
 
 def test_a_jump_of_odom_and_a_landing_end_what_was_compared(bench: Bench) -> None:

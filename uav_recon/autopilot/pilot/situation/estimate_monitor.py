@@ -38,6 +38,7 @@ _MAX_HEADING_RAD = math.radians(10.0)  #: hold: its heading is farther off the p
 _TURNED_RAD = math.radians(20.0)
 _STEADY_S = 3.0  #: refuse: its heading was off by _MAX_HEADING_RAD within this time on the ground: it may turn slowly
 _AVERAGED_S = 1.0  #: internal: time constant of the offset on the ground
+_SETTLES_S = 1.5  #: hold: nothing is compared for this time after the pose source was excluded
 _WINDOW_S = 0.5  #: internal: time over which velocities are averaged
 _PAST_S = 1.0  #: internal: poses and estimates are kept for this time, until they can be compared
 _ARRIVED_M = 0.1  #: internal: the height is compared with the setpoints once the climb has come this close to its end
@@ -64,6 +65,8 @@ class EstimateMonitor:
         self._offset_m: FloatArray | None = None
         self._flying = self._climbed = self._arrived = False
         self._compared_s = -math.inf
+        self._excluded = False  # the pose source, at the newest pose
+        self._settled_s = -math.inf
         self._off_height_m = self._off_hold_m = 0.0
         self._position = _Deviation(_MAX_POSITION_M)
         self._velocity = _Deviation(_MAX_VELOCITY_MPS)
@@ -155,6 +158,13 @@ class EstimateMonitor:
         if pose is None or (self._poses and pose.stamp_s <= self._poses[-1][0]):
             return
         if pose.health in (PoseHealth.LOST, PoseHealth.WRONG):  # the failsafe acts on them, and the autopilot need not follow
+            self.forget()
+            return
+        excluded = pose.health_reason is not None and pose.health_reason.code is ReasonCode.SOURCE_EXCLUDED
+        if excluded and not self._excluded:  # odometry moves to where the vehicle is, and the autopilot follows
+            self._settled_s = pose.stamp_s + _SETTLES_S
+        self._excluded = excluded
+        if pose.stamp_s < self._settled_s:
             self.forget()
             return
         self._poses.append((pose.stamp_s, pose.odom_from_body.translation_m, pose.odom_from_body.yaw_rad()))
