@@ -13,7 +13,7 @@ import numpy as np
 
 from sitl.faults.flight_evidence import FlightEvidence
 from sitl.faults.judges.reaction_metrics import Measure, tries_s
-from sitl.faults.reason_codes import CONTROL_LOST, LANDING, REDUCED_SPEED
+from sitl.faults.reason_codes import CONTROL_LOST, LANDING, MISSION_LAND, REDUCED_SPEED
 
 _LAND = (176, 21)  # DO_SET_MODE and NAV_LAND; in flight the product requests no other mode
 _REPORTED_S = 1.0 + 0.05  # a second, and one or two iterations of the pilot's loop
@@ -61,6 +61,14 @@ def statustext_after_arm_command(*codes: str) -> Measure:
 def _since(e: FlightEvidence, codes: Collection[str], from_s: float) -> float:
     reported = [stamp_s for stamp_s in e.reported_s(codes) if stamp_s >= from_s]
     return reported[0] - from_s if reported else math.inf
+
+
+def landed_by_alarm(e: FlightEvidence) -> float:
+    """Return 1 if no STATUSTEXT says that the mission asks to land, else 0.
+
+    An alarm may end a flight at the pad, too.
+    """
+    return float(not e.reported_s((MISSION_LAND,)))
 
 
 def statustext_missing(e: FlightEvidence) -> str:

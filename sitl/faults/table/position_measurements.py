@@ -32,7 +32,7 @@ from sitl.faults.injectors.mavlink_link import PacketLoss
 from sitl.faults.injectors.pose_stream import AlteredPoses, CoastingPoses, RestartedSource, other_origin
 from sitl.faults.injectors.vehicle_and_autopilot import HEADING_OFF, HeadingError, PropellerTouch
 from sitl.faults.judges import reaction_metrics as m
-from sitl.faults.judges.statustext_checks import statustext_after_arm_command
+from sitl.faults.judges.statustext_checks import landed_by_alarm, statustext_after_arm_command
 from sitl.faults.table.acceptance_limits import COMPLETES, NEVER_ARMED, clear, down, holds, reports
 from sitl.faults.table.scenario import Limit, Scenario
 
@@ -45,7 +45,7 @@ EMPTY_S = (0.3, 0.5, 1.0, 3.0)
 STANDS_S = (0.5, 1.0, 2.0, 5.0)
 COASTS_S = 5.0
 CLAIMED_M = 0.05
-FLIES_ON = (clear(0.10), COMPLETES)
+FLIES_ON = (clear(0.10), COMPLETES, Limit("flights ended by an alarm", landed_by_alarm, 0.0, ""))
 # offset (m/s²) of the accelerometer along x and y, and for how long (s)
 FOR_GOOD_S = 1e9
 OFFSETS = ((2.0, 0.0, 0.5), (0.0, 1.0, FOR_GOOD_S), (0.0, 2.0, 0.5), (1.0, 0.0, FOR_GOOD_S))

@@ -237,6 +237,12 @@ def test_a_hold_counts_from_the_time_at_which_the_heading_is_off_in_h9() -> None
         assert (hold in broken("H9", dataclasses.replace(losing_the_pose(), notes={HEADING_OFF: off_s}))) is misses
 
 
+def test_a_flight_that_an_alarm_ends_at_the_pad_breaks_h5g() -> None:
+    alarm = "flights ended by an alarm"
+    assert alarm in broken("H5g", evidence(reported=((18.0, (codes.ODOMETRY_DRIFT,)),), stop_codes=("views-spent",)))
+    assert alarm not in broken("H5g", evidence(reported=((18.0, (codes.MISSION_LAND,)),)))
+
+
 def test_who_hovers_before_the_wall_breaks_f5() -> None:
     stops_late = evidence(onset_s=6.0)
     assert broken("F5", stops_late) == set()
