@@ -173,6 +173,21 @@ def test_a_frame_that_shows_nothing_costs_itself_alone(spoil: Callable[[Frame], 
     assert tracker.volume.count >= 0.9 * whole.volume.count, "the map grows on between them"
 
 
+def test_after_a_brief_gap_a_frame_that_shows_much_that_is_new_is_accepted() -> None:
+    """As at the lift-off: what comes into view is not known yet, and it proves nothing."""
+    gap = round(REST_S * RATE_HZ) + 3
+
+    def seen(true: Frame) -> Frame:
+        if true.sequence == gap:
+            return covered(true)
+        shown = np.where(np.arange(true.depth_m.shape[1]) < 70, true.depth_m, np.nan)
+        return colourless(replace(true, depth_m=shown.astype(np.float32)) if true.sequence < gap else true)
+
+    answers = fly(SlamTracker(), frames(3.0, seen))
+    assert [answer.pose is None for answer in answers[gap - 1 : gap + 4]] == [False, True, False, False, False]
+    assert _worst_m(_poses(answers, 0.2)) < 0.06
+
+
 def test_a_wrong_frame_is_followed_by_a_proof() -> None:
     """A false wall may have moved the track: poses are given again from the second frame on."""
     wrong = round(3.0 * RATE_HZ)

@@ -312,7 +312,6 @@ class SlamTracker:
         self._landmarks.recall()
         self._state = TrackedState(stamp_s, odom_from_body, self._motion.velocity_mps)
         if self.fault in _VIEWLESS and stamp_s - self._accepted_s <= _BRIEF_GAP_S:
-            self._unproven = max(self._unproven, 1)
             return
         self._accepted_frames = 0
         self._unproven = _PROOF_FRAMES
