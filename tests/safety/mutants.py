@@ -44,6 +44,7 @@ BY_GUARD = ("test_guard_limits", "test_guard", "test_safety_values")
 TESTS = {
     "envelope": ("test_envelope", *BY_GUARD),
     "guard": BY_GUARD,
+    "depth_age_limit": ("test_depth_age_limit", *BY_GUARD),
     "free_space_check": ("test_free_space_check", *BY_GUARD),
     "setpoint_continuity": ("test_setpoint_continuity", *BY_GUARD),
     "failsafe": ("test_failsafe", "test_safety_values"),

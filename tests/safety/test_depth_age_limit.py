@@ -52,6 +52,29 @@ def test_the_rate_is_not_known_from_few_or_old_frames() -> None:
     assert measured(regular(1.5, frames=9)).one_missing_s == 0.0, "spread over more than five seconds"
 
 
+def test_frames_tell_the_rate_within_five_seconds_exactly() -> None:
+    assert measured([100.0 + 0.625 * n for n in range(9)]).one_missing_s == pytest.approx(1.36)
+    assert measured([100.0 + 0.626 * n for n in range(9)]).one_missing_s == 0.0
+
+
+@pytest.mark.parametrize(("long", "interval_s"), [(3, 0.125), (4, 0.125), (5, 0.25), (8, 0.25)])
+def test_the_interval_is_that_of_half_the_frames(long: int, interval_s: float) -> None:
+    stamps_s = [4.0 + 0.125 * n for n in range(9 - long)]
+    stamps_s += [stamps_s[-1] + 0.25 * n for n in range(1, long + 1)]
+    for offset_s in (-3.95, 0.0, 1000.0):
+        one_s = measured([offset_s + stamp_s for stamp_s in stamps_s]).one_missing_s
+        assert one_s == pytest.approx(2.0 * interval_s + 0.11)
+
+
+def test_a_delay_counts_for_nine_frames() -> None:
+    interval = DepthInterval()
+    for n in range(20):
+        interval.add(100.0 + n / 6.0, 100.0 + n / 6.0 + (0.2 if n == 10 else 0.08))
+        if n >= 9:
+            late = 10 <= n < 19
+            assert interval.one_missing_s == pytest.approx(2.0 / 6.0 + (0.23 if late else 0.11)), n
+
+
 def test_the_largest_delay_of_the_newest_frames_counts() -> None:
     interval = measured(regular(6.0))
     interval.add(102.1, 102.1 + 0.1)
