@@ -22,7 +22,7 @@ SLAM = KernelJob("slam", f"{HERE}:slam", 15)
 def perception_jobs() -> list[KernelJob]:
     """Return the jobs of the perception process.
 
-    The embedded SLAM gives the poses, or corrects them.
+    The embedded SLAM gives the poses, or checks them.
     """
     return [PERCEPTION, SLAM]
 

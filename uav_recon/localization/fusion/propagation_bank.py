@@ -179,10 +179,13 @@ class PropagationBank:
     def alternatives(self, contradictions: int) -> list[Arrival]:
         """Return the arrivals of filters with fewer sensors, if the chosen one is suspect.
 
-        contradictions: number of poses in a row that contradict the chosen one, whether they were fused or not.
+        contradictions: number of poses in a row that contradict the chosen one, whether they were fused or not. They accuse the
+        accelerometer alone.
         """
-        if self._records[self._chosen].nis <= _SUSPECT_NIS and contradictions < _CONTRADICTIONS:
-            return []
+        if self._records[self._chosen].nis <= _SUSPECT_NIS:
+            accused = self._chosen < _ACCELEROMETER and contradictions >= _CONTRADICTIONS
+            without = self._arrivals[_ACCELEROMETER] if accused else None
+            return [] if without is None else [without]
         fewer = zip(self._arrivals, self._records, strict=True)
         return [
             arrival
