@@ -48,6 +48,7 @@ class View:
         self.newest_pose: StampedPose | None = None
         self.newest_pose_s = -np.inf
         self.health = PoseHealth.GOOD
+        self.sure = True
         self._seen = seen
 
     def add_imu(self, samples: list[ImuSample], now_s: float) -> None:

@@ -12,7 +12,7 @@ TURNED = Pose.from_yaw(2.0, np.array([3.0, -1.0, 0.2]))  # from the first track'
 
 def true_pose(stamp_s: float) -> Pose:
     """Return the pose of a body that flies a circle of 1 m at 0.5 m/s and turns."""
-    return Pose.from_yaw(0.3 * stamp_s, np.array([np.cos(0.5 * stamp_s), np.sin(0.5 * stamp_s), 1.0 + 0.1 * np.sin(stamp_s)]))
+    return Pose.from_yaw(0.3 * stamp_s, np.array([np.cos(0.5 * stamp_s), np.sin(0.5 * stamp_s), 1.0 + 0.02 * np.sin(stamp_s)]))
 
 
 def compare(frozen_s: float, until_s: float, shown: FloatArray = ALL, noise_m: float = 0.002) -> list[tuple[float, float]]:

@@ -37,6 +37,9 @@ _RIGHT_S = 3.0  #: reject: ... for this time
 #: reject: the view, if the inertial samples contradict it by this share of the limit, and ...
 _VIEW_SHARE = 0.4
 _VIEW_FACTOR = 2.0  #: reject: ... by this factor more than the source
+#: reject: nothing but the accelerometer, if it contradicts the view by this share of the limit, and ...
+_BOTH_SHARE = 0.5
+_BOTH_FACTOR = 0.5  #: reject: ... by more than this share of its contradiction to the source
 _ONSET_S = 0.6  #: internal: time before its detection at which a fault had not begun
 _EVERYTHING: FloatArray = np.eye(3)
 
@@ -54,6 +57,7 @@ class CheckedOdometry:
         self._check = InertialCheck(view.tracker.gyro.at)
         self._source_resets = 0
         self._row = 0
+        self._judged_s = -math.inf  # newest comparison that was judged
         self._restarted_s = math.nan  # before the first call
         self._excluded = self._view_at_fault = False
         self._view_right_since_s = math.inf
@@ -160,13 +164,23 @@ class CheckedOdometry:
                 self._include(now_s)
             return
         self._judge_view(excess)
-        self._row = self._row + 1 if excess > 1.0 and not self._view_at_fault else 0
+        if self._comparison.compared_s == self._judged_s:
+            return
+        self._judged_s = self._comparison.compared_s
+        suspect = self._view_at_fault or self._inertial_at_fault or not self._view.sure
+        self._row = self._row + 1 if excess > 1.0 and not suspect else 0
         if self._row >= _IN_A_ROW:
             self._exclude(now_s)
 
     @property
     def _accelerometer_at_fault(self) -> bool:
         return self._view.check.accelerometer.fault or self._check.accelerometer.fault
+
+    @property
+    def _inertial_at_fault(self) -> bool:
+        """True if the inertial samples contradict the view and the source alike."""
+        seen, said = self._view.check.accelerometer.excess, self._check.accelerometer.excess
+        return seen > max(_BOTH_SHARE, _BOTH_FACTOR * said)
 
     def _judge_view(self, excess: float) -> None:
         """Judge the view: the inertial samples contradict it, or it has been right for a while."""

@@ -11,7 +11,7 @@ from uav_recon.types.frames import FloatArray
 from uav_recon.types.pose import Pose
 
 #: reject: windows (s), and the difference (m) of the ways over them that no two honest tracks have
-_LIMITS = ((0.3, 0.04), (1.0, 0.08))
+_LIMITS = ((0.3, 0.03), (1.0, 0.06))
 _SIGMAS = 4.0  #: reject: the same, but never within this many standard deviations of the white noise of both
 _GAP_S = 0.25  #: internal: a track is interpolated between poses that are not farther apart
 _SHOWN_SHARE = 0.5  #: internal: share of a position that a pose has measured itself, from which on a direction is compared

@@ -102,6 +102,11 @@ class ViewOdometry:
             self._nodes.popleft()
         return pose
 
+    @property
+    def sure(self) -> bool:
+        """True if the newest frames in a row were sure of the place."""
+        return self._sure_frames >= _SURE_FRAMES
+
     def restart(self, odom_at: OdomAt) -> None:
         """Begin a new map at the next frame, where other odometry is by then; see SlamTracker.restart."""
         self.tracker.restart(odom_at)

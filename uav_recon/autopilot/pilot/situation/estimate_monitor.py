@@ -38,7 +38,8 @@ _MAX_HEADING_RAD = math.radians(10.0)  #: hold: its heading is farther off the p
 _TURNED_RAD = math.radians(20.0)
 _STEADY_S = 3.0  #: refuse: its heading was off by _MAX_HEADING_RAD within this time on the ground: it may turn slowly
 _AVERAGED_S = 1.0  #: internal: time constant of the offset on the ground
-_SETTLES_S = 1.5  #: hold: nothing is compared for this time after the pose source was excluded
+_SETTLES_S = 1.5  #: hold: nothing is compared for this time after a sensor of odometry was excluded
+_EXCLUSIONS = (ReasonCode.SOURCE_EXCLUDED, ReasonCode.ACCELEROMETER_REJECTED, ReasonCode.GYRO_REJECTED)
 _WINDOW_S = 0.5  #: internal: time over which velocities are averaged
 _PAST_S = 1.0  #: internal: poses and estimates are kept for this time, until they can be compared
 _ARRIVED_M = 0.1  #: internal: the height is compared with the setpoints once the climb has come this close to its end
@@ -65,7 +66,7 @@ class EstimateMonitor:
         self._offset_m: FloatArray | None = None
         self._flying = self._climbed = self._arrived = False
         self._compared_s = -math.inf
-        self._excluded = False  # the pose source, at the newest pose
+        self._excluded = False  # a sensor of odometry, at the newest pose
         self._settled_s = -math.inf
         self._off_height_m = self._off_hold_m = 0.0
         self._position = _Deviation(_MAX_POSITION_M)
@@ -160,7 +161,7 @@ class EstimateMonitor:
         if pose.health in (PoseHealth.LOST, PoseHealth.WRONG):  # the failsafe acts on them, and the autopilot need not follow
             self.forget()
             return
-        excluded = pose.health_reason is not None and pose.health_reason.code is ReasonCode.SOURCE_EXCLUDED
+        excluded = pose.health_reason is not None and pose.health_reason.code in _EXCLUSIONS
         if excluded and not self._excluded:  # odometry moves to where the vehicle is, and the autopilot follows
             self._settled_s = pose.stamp_s + _SETTLES_S
         self._excluded = excluded
