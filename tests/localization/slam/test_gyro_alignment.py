@@ -142,3 +142,17 @@ def test_the_turn_is_less_certain_where_the_body_turns_fast() -> None:
     still = GyroAlignment()
     still.add([ImuSample(0.005 * n, np.zeros(3), HOVER_MPS2) for n in range(400)])
     assert gyro.turn_sigma_rad(1.0, 1.067) > 2.0 * still.turn_sigma_rad(1.0, 1.067)
+
+
+def test_turn_rates_without_forces_carry_no_motion() -> None:
+    gyro, samples = GyroAlignment(), _samples(_turning, 1.0, np.zeros(3))
+    gyro.add([sample for sample in samples if sample.stamp_s < 0.5])
+    gyro.add([ImuSample(s.stamp_s, s.gyro_radps, np.full(3, np.nan)) for s in samples if s.stamp_s >= 0.5])
+    assert gyro.between(0.2, 0.4) is None
+    assert gyro.turned(0.2, 0.9) is not None
+    late = GyroAlignment()
+    late.add(samples)
+    newest_s = samples[-1].stamp_s
+    late.add([ImuSample(newest_s + 0.1, np.zeros(3), np.full(3, np.nan))])
+    assert late.between(newest_s + 0.11, newest_s + 0.12) is None
+    assert late.at(newest_s + 0.11) is None

@@ -45,7 +45,7 @@ class GyroAlignment:
     def __init__(self) -> None:
         self._track = InertialTrack(_GAP_S)
         self._gaps: deque[tuple[float, float]] = deque(maxlen=_MOST_GAPS)
-        self._forceless_s = -math.inf  # stamp of the newest sample without a specific force
+        self._force_s = self._forceless_s = -math.inf  # stamps of the newest samples with and without a specific force
         self.used = True  # False: the images have contradicted the gyro
         self._state = np.zeros(7)  # bias, delay, mount
         self._covariance = np.diag([_BIAS_RADPS**2] * 3 + [_DELAY_S**2] + [_MOUNT_RAD**2] * 3)
@@ -78,7 +78,10 @@ class GyroAlignment:
             if sample.stamp_s > self._track.newest_s and finite:
                 if sample.stamp_s - self._track.newest_s > _GAP_S and len(self._track):
                     self._gaps.append((self._track.newest_s, sample.stamp_s))
-                self._forceless_s = self._forceless_s if measured else sample.stamp_s
+                if measured:
+                    self._force_s = sample.stamp_s
+                else:
+                    self._forceless_s = sample.stamp_s
                 self._track.push(sample.stamp_s, (x, y, z), (a, b, c) if measured else None)
 
     def rest(self, rate_radps: FloatArray) -> None:
@@ -103,7 +106,7 @@ class GyroAlignment:
 
         None if no samples with a specific force cover the time between.
         """
-        return self._measured(from_s, to_s) if from_s > self._forceless_s else None
+        return self._measured(from_s, to_s) if self._has_force(from_s, to_s) else None
 
     def turned(self, from_s: float, to_s: float) -> FloatArray | None:
         """Return the rotation vector (3,) in body axes between two instants.
@@ -161,7 +164,11 @@ class GyroAlignment:
 
     def at(self, stamp_s: float) -> InertialState | None:
         """Return the inertial track at an instant, used or not; None if no samples cover it."""
-        return self._track.at(stamp_s) if self._track.newest_s + _GAP_S >= stamp_s > self._forceless_s else None
+        return self._track.at(stamp_s) if self._has_force(stamp_s, stamp_s) else None
+
+    def _has_force(self, from_s: float, to_s: float) -> bool:
+        """Return True if the specific force is measured between two instants."""
+        return from_s > self._forceless_s and to_s <= self._force_s + _GAP_S
 
     def _turn(self, a_s: float, b_s: float) -> FloatArray | None:
         ends = self._measured(a_s, b_s) if self.used else None
