@@ -110,6 +110,12 @@ def test_a_spike_is_left_out(jump_m: float) -> None:
     assert judge(gate, pose(2 * STEP_S)).good, "and what goes on is believed"
 
 
+def test_a_pose_near_the_last_one_is_no_jump_whatever_velocity_that_had() -> None:
+    gate = settled()
+    assert judge(gate, pose(0.1, velocity=(-0.5, 0.0, 0.0))).good
+    assert judge(gate, pose(0.4, (0.05, 0.0, 1.0))).good
+
+
 def test_an_unsure_pose_may_be_farther_off_but_not_far() -> None:
     for sigma_m, off_m, good in ((0.05, 0.14, True), (0.05, 0.16, False), (1.0, 0.29, True), (1.0, 0.31, False)):
         unsure = pose(STEP_S, (off_m, 0.0, 1.0), covariance=np.eye(6) * sigma_m**2)

@@ -93,7 +93,8 @@ class PoseGate:
         """Return the change between two poses that no flight explains, None for nothing."""
         dt_s = pose.stamp_s - last.stamp_s
         way = pose.odom_from_body.translation_m - last.odom_from_body.translation_m
-        off_m = math.hypot(*(way - last.velocity_odom_mps * dt_s).tolist())
+        # a pose near the last one is no jump, whatever velocity that one had
+        off_m = min(math.hypot(*(way - last.velocity_odom_mps * dt_s).tolist()), math.hypot(*way.tolist()))
         xx, yy, zz = pose.covariance.diagonal().tolist()[:3]
         sigma_m = math.sqrt(max((xx + yy + zz) / 3.0, 0.0))
         allowed_m = min(max(_JUMP_M, 3.0 * sigma_m), _WIDEST_M)
