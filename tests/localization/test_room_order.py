@@ -14,7 +14,7 @@ LEVEL = {
     "pad_origin": 1,
     "repeated_image": 1,
     "slam": 2,
-    "odometry": 2,
+    "motion_estimator": 2,
     "consistency": 3,
     "correction": 3,
     "exclusion": 3,

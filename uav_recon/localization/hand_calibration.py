@@ -23,7 +23,7 @@ from uav_recon.localization.calibration.camera_mount import Mount
 from uav_recon.localization.consistency.odometry_drift_rate import DriftRateEstimator
 from uav_recon.localization.consistency.planar_patches import patches
 from uav_recon.localization.fusion.fusion_filter import FusionFilter
-from uav_recon.localization.odometry import Odometry
+from uav_recon.localization.motion_estimator import MotionEstimator
 from uav_recon.types.camera import Frame
 from uav_recon.types.frames import AnyArray, FloatArray
 from uav_recon.types.pose import Pose
@@ -74,13 +74,13 @@ class CameraCalibrator:
     """
 
     def __init__(
-        self, camera: DepthCamera, poses: PoseSource, mount: Mount, clock: Clock, odometry: Odometry | None = None
+        self, camera: DepthCamera, poses: PoseSource, mount: Mount, clock: Clock, odometry: MotionEstimator | None = None
     ) -> None:
         self._camera = camera
         self._poses = poses
         self._mount = mount
         self._clock = clock
-        self._fusion: Odometry = odometry or FusionFilter()
+        self._fusion: MotionEstimator = odometry or FusionFilter()
         self._estimator = DriftRateEstimator(CalibrationFilter(_MEMORY_S))
         self._waiting: deque[Frame] = deque(maxlen=_WAITING)
         self._kept: list[_Kept] = []

@@ -11,7 +11,7 @@ from uav_recon.localization.correction.odometry_correction import OdometryCorrec
 from uav_recon.localization.exclusion.checked_odometry import CheckedOdometry
 from uav_recon.localization.fusion.filter_pose_gates import PoseRejection
 from uav_recon.localization.fusion.fusion_filter import FusionFilter
-from uav_recon.localization.odometry import Odometry
+from uav_recon.localization.motion_estimator import MotionEstimator
 from uav_recon.localization.slam.view_odometry import ViewOdometry
 from uav_recon.types.camera import Frame, ImuSample
 from uav_recon.types.frames import FloatArray
@@ -26,7 +26,7 @@ class FusedOdometry:
     registered() is in the map of the tracker beside the source. Without such a tracker they are equal.
     """
 
-    def __init__(self, fusion: Odometry, correction: OdometryCorrection, mount: Mount) -> None:
+    def __init__(self, fusion: MotionEstimator, correction: OdometryCorrection, mount: Mount) -> None:
         self._fusion = fusion
         self._correction = correction
         self._mount = mount
@@ -37,7 +37,7 @@ class FusedOdometry:
 
         view: odometry of the tracked images; None without a tracker.
         """
-        fusion: Odometry = FusionFilter(pose_lost_s=config.pose_lost_s)
+        fusion: MotionEstimator = FusionFilter(pose_lost_s=config.pose_lost_s)
         if view is not None:
             fusion = view if config.source == "slam" else CheckedOdometry(FusionFilter(pose_lost_s=config.pose_lost_s), view)
         return cls(fusion, correction_of(config, fusion.odom_at), mount)

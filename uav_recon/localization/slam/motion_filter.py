@@ -98,7 +98,7 @@ class MotionFilter:
         return self._now.velocity_mps
 
     def begin(self, place_m: FloatArray, velocity_mps: FloatArray) -> None:
-        """Begin again at a place (3,) with a velocity (3,); what is known of the accelerometer stays."""
+        """Begin again at a place (3,) with a velocity (3,); the accelerometer stays known."""
         state, covariance = self._now.state.copy(), np.diag([_PLACE_M**2] * 3 + [_VELOCITY_MPS**2] * 3 + [0.0] * 3)
         state[PLACE], state[VELOCITY] = place_m, velocity_mps
         covariance[OFFSET, OFFSET] = self._now.covariance[OFFSET, OFFSET]

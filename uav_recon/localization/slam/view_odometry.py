@@ -108,7 +108,7 @@ class ViewOdometry:
         return self._sure_frames >= _SURE_FRAMES
 
     def restart(self, odom_at: OdomAt) -> None:
-        """Begin a new map at the next frame, where other odometry is by then; see SlamTracker.restart."""
+        """Begin a new map at the next frame, from other odometry; see SlamTracker.restart."""
         self.tracker.restart(odom_at)
         self.check.forget()
         self._nodes.clear()

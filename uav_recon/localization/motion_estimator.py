@@ -10,7 +10,7 @@ from uav_recon.types.camera import ImuSample
 from uav_recon.types.pose import StampedPose
 
 
-class Odometry(Protocol):
+class MotionEstimator(Protocol):
     """Odometry of any recent instant."""
 
     @property
