@@ -36,6 +36,7 @@ class Gyro:
 class Tracker:
     def __init__(self) -> None:
         self.gyro = Gyro()
+        self.accelerometer_used = True
 
 
 class View:

@@ -40,6 +40,7 @@ _VIEW_FACTOR = 2.0  #: reject: ... by this factor more than the source
 #: reject: nothing but the accelerometer, if it contradicts the view by this share of the limit, and ...
 _BOTH_SHARE = 0.5
 _BOTH_FACTOR = 0.5  #: reject: ... by more than this share of its contradiction to the source
+_CHECKED_S = 1.2  #: reject: no source, unless the view was compared with the inertial samples within this time
 _ONSET_S = 0.6  #: internal: time before its detection at which a fault had not begun
 _EVERYTHING: FloatArray = np.eye(3)
 
@@ -158,6 +159,8 @@ class CheckedOdometry:
         """Exclude the source, or use it again, after a comparison."""
         excess = self._comparison.excess
         self._source.exclude_accelerometer(self._accelerometer_at_fault and excess <= 1.0)
+        if self._check.accelerometer.fault and not self._excluded:
+            self._view.tracker.accelerometer_used = False
         if self._excluded:
             self._right_since_s = min(self._right_since_s, self._comparison.compared_s) if excess < _RIGHT_SHARE else math.inf
             if self._comparison.compared_s - self._right_since_s >= _RIGHT_S:
@@ -167,7 +170,8 @@ class CheckedOdometry:
         if self._comparison.compared_s == self._judged_s:
             return
         self._judged_s = self._comparison.compared_s
-        suspect = self._view_at_fault or self._inertial_at_fault or not self._view.sure
+        unchecked = self._view.newest_pose_s - self._view.check.judged_s > _CHECKED_S
+        suspect = self._view_at_fault or self._inertial_at_fault or unchecked or not self._view.sure
         self._row = self._row + 1 if excess > 1.0 and not suspect else 0
         if self._row >= _IN_A_ROW:
             self._exclude(now_s)

@@ -14,7 +14,7 @@ from uav_recon.types.pose import Pose
 _LIMITS = ((0.3, 0.03), (1.0, 0.06))
 _SIGMAS = 4.0  #: reject: the same, but never within this many standard deviations of the white noise of both
 _GAP_S = 0.25  #: internal: a track is interpolated between poses that are not farther apart
-_SHOWN_SHARE = 0.5  #: internal: share of a position that a pose has measured itself, from which on a direction is compared
+_SHOWN_SHARE = 0.75  #: internal: share of a position that a pose has measured itself, from which on a direction is compared
 _LEAST_NOISE_M = 0.003
 _NOISE_MEMORY = 0.05  # share of the newest pair in the mean of the squared noise
 

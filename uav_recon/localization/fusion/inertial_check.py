@@ -124,11 +124,13 @@ class SensorCheck:
 class InertialCheck:
     """Accelerometer and gyro against one track. Not thread-safe; about 0.3 ms a pose.
 
-    track_at: the inertial track at an instant, None where no samples cover it. Its integrals may restart at any time.
+    ``judged_s``: stamp of the newest pose for which all windows were known. track_at: the inertial track at an instant, None
+    where no samples cover it. Its integrals may restart at any time.
     """
 
     def __init__(self, track_at: Callable[[float], InertialState | None]) -> None:
         self._track_at = track_at
+        self.judged_s = -math.inf
         self.accelerometer = SensorCheck(UsualError(_USUAL_MPS2, _USUAL_WALK_MPS2))
         self.gyro = SensorCheck(UsualError(_USUAL_RADPS, _USUAL_WALK_RADPS))
         self._samples: deque[_Sample] = deque()
@@ -136,6 +138,7 @@ class InertialCheck:
     def forget(self) -> None:
         """Forget the track, as after a gap or a jump; what is known of the sensors stays."""
         self._samples.clear()
+        self.judged_s = -math.inf
 
     def update(self, stamp_s: float, pose: Pose, shown: FloatArray, noise_m: float) -> None:
         """Add a pose of the track.
@@ -150,6 +153,7 @@ class InertialCheck:
         found = [self._errors(*limits) for limits in _LIMITS]
         known = [errors for errors in found if errors is not None]
         if len(known) == len(_LIMITS):
+            self.judged_s = stamp_s
             self.accelerometer.update(stamp_s, step_s, [force for force, _ in known])
             self.gyro.update(stamp_s, step_s, [rate for _, rate in known])
 
