@@ -12,14 +12,12 @@ import logging
 import math
 from collections import deque
 from contextlib import suppress
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from uav_recon import atomic_file
 from uav_recon.interfaces import Channel, PoseSource
-from uav_recon.types.frames import FloatArray
 from uav_recon.types.pose import Pose, StampedPose
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
@@ -63,7 +61,7 @@ class PadOrigin:
         if self._world_from_source is None:
             poses = self._find_pad(poses)
         world = self._world_from_source
-        return [] if world is None else [_moved(pose, world) for pose in poses]
+        return [] if world is None else [pose.moved(world) for pose in poses]
 
     def _find_pad(self, poses: list[StampedPose]) -> list[StampedPose]:
         """Look for the pad; returns the poses from then on."""
@@ -119,19 +117,6 @@ def _pad(rest: deque[StampedPose]) -> Pose:
     first_rad = rest[0].odom_from_body.yaw_rad()
     turns_rad = [math.remainder(pose.odom_from_body.yaw_rad() - first_rad, math.tau) for pose in rest]
     return Pose.from_yaw(first_rad + sum(turns_rad) / len(turns_rad), place_m).inverse()
-
-
-def _moved(pose: StampedPose, world_from_source: Pose) -> StampedPose:
-    """Return a pose of the source in the world."""
-    turn = world_from_source.rotation()
-    both = np.kron(np.eye(2), turn)
-    covariance: FloatArray = both @ pose.covariance @ both.T if pose.covariance.shape == (6, 6) else pose.covariance
-    return replace(
-        pose,
-        odom_from_body=world_from_source @ pose.odom_from_body,
-        velocity_odom_mps=turn @ pose.velocity_odom_mps,
-        covariance=covariance,
-    )
 
 
 def _save(file: Path, world_from_source: Pose | None) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 
 import numpy as np
@@ -180,6 +180,17 @@ class StampedPose:
     def __post_init__(self) -> None:
         object.__setattr__(self, "velocity_odom_mps", frozen(np.asarray(self.velocity_odom_mps, dtype=np.float64)))
         object.__setattr__(self, "covariance", frozen(np.asarray(self.covariance, dtype=np.float64)))
+
+    def moved(self, target_from_odom: Pose) -> StampedPose:
+        """Return the pose in another frame; a malformed covariance stays as it is."""
+        turn = target_from_odom.rotation()
+        both = np.kron(np.eye(2), turn)
+        return replace(
+            self,
+            odom_from_body=target_from_odom @ self.odom_from_body,
+            velocity_odom_mps=turn @ self.velocity_odom_mps,
+            covariance=both @ self.covariance @ both.T if self.covariance.shape == (6, 6) else self.covariance,
+        )
 
     @property
     def unsure(self) -> Reason | None:

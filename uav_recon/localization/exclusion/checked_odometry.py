@@ -127,15 +127,11 @@ class CheckedOdometry:
         seen = self._view.odom_at(stamp_s)
         if seen is None:
             return None
-        pose = self._odom_from_tracker @ seen.odom_from_body
-        turn = self._odom_from_tracker.rotation()
-        both = np.kron(np.eye(2), turn)
-        good = seen.health is PoseHealth.GOOD
+        here, good = seen.moved(self._odom_from_tracker), seen.health is PoseHealth.GOOD
+        pose = here.odom_from_body
         return replace(
-            seen,
+            here,
             odom_from_body=Pose(pose.quat_wxyz, pose.translation_m + self._release.left_m(stamp_s)),
-            velocity_odom_mps=turn @ seen.velocity_odom_mps,
-            covariance=both @ seen.covariance @ both.T,
             reset_counter=(seen.reset_counter + self._resets) % 256,
             map_epoch=0 if self._last is None else self._last.map_epoch,
             health=PoseHealth.DEGRADED if good else seen.health,

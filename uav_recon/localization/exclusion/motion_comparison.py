@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections import deque
 from typing import NamedTuple
 
@@ -15,12 +16,13 @@ _LIMITS = ((0.3, 0.03), (1.0, 0.06))
 _SIGMAS = 4.0  #: reject: the same, but never within this many standard deviations of the white noise of both
 _GAP_S = 0.25  #: internal: a track is interpolated between poses that are not farther apart
 _SHOWN_SHARE = 0.75  #: internal: share of a position that a pose has measured itself, from which on a direction is compared
+_MOST_POSES = 256  #: internal: poses of each track that wait for the other one
 _LEAST_NOISE_M = 0.003
 _NOISE_MEMORY = 0.05  # share of the newest pair in the mean of the squared noise
 
 
 class _Pair(NamedTuple):
-    """Both tracks at one instant. shown (3, 3): see MotionComparison.update."""
+    """Both tracks at one instant. shown (3, 3): see MotionComparison.add_second."""
 
     stamp_s: float
     first: Pose
@@ -37,8 +39,8 @@ class MotionComparison:
     def __init__(self) -> None:
         self.excess = 0.0
         self.compared_s = -np.inf
-        self._first: deque[tuple[float, Pose]] = deque()
-        self._second: deque[tuple[float, Pose, FloatArray]] = deque()
+        self._first: deque[tuple[float, Pose]] = deque(maxlen=_MOST_POSES)
+        self._second: deque[tuple[float, Pose, FloatArray]] = deque(maxlen=_MOST_POSES)
         self._pairs: deque[_Pair] = deque()
         self._noise_m2 = _LEAST_NOISE_M**2
 
@@ -75,7 +77,7 @@ class MotionComparison:
             if first is not None:
                 self._pairs.append(_Pair(stamp_s, first, second, shown))
                 found = True
-        while len(self._first) > 2 and self._second and self._first[1][0] < self._second[0][0]:
+        while len(self._first) > 2 and self._pairs and self._first[1][0] < self._pairs[-1].stamp_s:
             self._first.popleft()
         while self._pairs and self._pairs[-1].stamp_s - self._pairs[0].stamp_s > _LIMITS[-1][0] + 1e-6:
             self._pairs.popleft()
@@ -85,7 +87,7 @@ class MotionComparison:
 
     def _first_at(self, stamp_s: float) -> Pose | None:
         """Return the first track at an instant; None in a gap."""
-        for (before_s, before), (after_s, after) in zip(self._first, list(self._first)[1:], strict=False):
+        for (before_s, before), (after_s, after) in itertools.pairwise(self._first):
             if before_s <= stamp_s <= after_s:
                 if after_s - before_s > _GAP_S:
                     return None

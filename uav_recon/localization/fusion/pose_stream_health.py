@@ -23,6 +23,11 @@ _DEGRADED_QUALITY = 60  # quality that the autopilot gets at most, with a degrad
 _LOST_QUALITY = 20
 
 
+def most_quality(health: PoseHealth) -> int:
+    """Return the highest quality that the autopilot gets with a pose of this health."""
+    return {PoseHealth.GOOD: 100, PoseHealth.DEGRADED: _DEGRADED_QUALITY, PoseHealth.LOST: _LOST_QUALITY}[health]
+
+
 class OdometryHealthMonitor:
     """Monitors one filter: fused() for each fused pose; health() and quality() at any instant."""
 
@@ -71,9 +76,8 @@ class OdometryHealthMonitor:
 
         The source's falls to 0 between 40 % and 100 % of the time until the pose counts as lost.
         """
-        most = {PoseHealth.GOOD: 100, PoseHealth.DEGRADED: _DEGRADED_QUALITY, PoseHealth.LOST: _LOST_QUALITY}[health]
         share = min(1.0, max(0.0, (self._lost_s - age_s) / (0.6 * self._lost_s)))
-        return min(most, math.ceil(source * share))
+        return min(most_quality(health), math.ceil(source * share))
 
     def _rate_hz(self) -> float:
         """Return the rate of the poses of the newest second; the usual rate in the first second."""

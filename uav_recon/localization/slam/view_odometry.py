@@ -16,6 +16,7 @@ from uav_recon.localization.fusion.error_release import ErrorRelease
 from uav_recon.localization.fusion.filter_pose_gates import PoseRejection
 from uav_recon.localization.fusion.imu_sample_gate import ImuSampleGate
 from uav_recon.localization.fusion.inertial_check import InertialCheck
+from uav_recon.localization.fusion.pose_stream_health import most_quality
 from uav_recon.localization.slam.motion_filter import PLACE, PredictedMotion, propagate
 from uav_recon.localization.slam.slam_tracker import OdomAt, SlamTracker
 from uav_recon.types.camera import Frame, ImuSample
@@ -36,16 +37,13 @@ _FADES_S = 0.5  #: hold: quality falls to zero within this time after the place 
 _RETURN_FRAMES = 8
 _JUMP_M = 0.15  #: reject: such a place is farther from dead reckoning than this, and odom restarts there
 _LEFT_M = 0.05  #: retreat: while more than this of an error found after a gap is not yet in odometry
-_DEGRADED_QUALITY = 60  # quality that the autopilot gets at most, with a degraded pose
-#: reject: quality that the autopilot gets with a lost pose: it refuses below this (EKF2_EV_QMIN, VISO_QUAL_MIN)
-_LOST_QUALITY = 20
 _POSITION_SIGMA_M = 0.01
 _ROTATION_SIGMA_RAD = math.radians(0.3)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Node:
-    """The tracker's state at what a frame shows. accepted: the frame gave a pose."""
+    """The tracker's state at what a frame shows. pose: None if it was not accepted."""
 
     stamp_s: float
     motion: PredictedMotion
@@ -245,6 +243,5 @@ class ViewOdometry:
         return _SILENT_S if self.tracker.accelerometer_used else _SILENT_BLIND_S
 
     def _quality(self, health: PoseHealth, age_s: float, source: int) -> int:
-        most = {PoseHealth.GOOD: 100, PoseHealth.DEGRADED: _DEGRADED_QUALITY, PoseHealth.LOST: _LOST_QUALITY}[health]
         share = min(1.0, max(0.0, (self._silent_s + _FADES_S - age_s) / _FADES_S))
-        return min(most, math.ceil(source * share))
+        return min(most_quality(health), math.ceil(source * share))
