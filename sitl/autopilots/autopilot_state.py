@@ -14,6 +14,7 @@ from sitl.autopilots.ekf import Estimator
 from sitl.autopilots.position_controller import ControlSetpoint
 from sitl.geometry.quaternion import Vec3
 from sitl.world.battery import Battery
+from sitl.world.flow_sensor import SimulatedFlowModule
 from sitl.world.gimbal import Gimbal
 from sitl.world.range_finder import SimulatedUpwardRangeFinder
 
@@ -57,6 +58,7 @@ class AutopilotState:
     boot_s: float = 0.0
     battery: Battery = field(default_factory=Battery)
     range_finder: SimulatedUpwardRangeFinder | None = None
+    flow_module: SimulatedFlowModule | None = None
     origin: tuple[int, int, int] | None = None  # degE7, degE7, mm
     home: Vec3 | None = None  # local NED
     rc_lost_at_s: float = math.inf

@@ -15,6 +15,7 @@ from sitl.autopilots.parameter_table import ParameterTable
 from sitl.autopilots.pilot_view import PilotView
 from sitl.geometry.ned_frd import frd_from_flu, ned_frd_from_enu_flu, ned_from_enu
 from sitl.geometry.quaternion import Quat, Vec3, conjugate, rotate
+from sitl.world.flow_sensor import FlowMeasurement, RangeMeasurement, SimulatedFlowModule
 from sitl.world.imu import SimulatedImu
 from sitl.world.pose_tracker import PoseRecord
 from sitl.world.quadrotor import Quadrotor
@@ -80,6 +81,7 @@ class Autopilot(ABC):
         self._steps = 0
         self._revision = parameters.revision
         self._start_s = 0.0
+        self._taken: tuple[FlowMeasurement | None, RangeMeasurement | None] = (None, None)
         self._pilot_view: PilotView | None = None  # set while a human pilot flies it without the estimator
         for message_id, (build, rate_hz) in messages.rates().items():
             server.add_stream(message_id, build, rate_hz)
@@ -170,6 +172,10 @@ class Autopilot(ABC):
         """Connect a range finder that looks up."""
         self._board.range_finder = sensor
 
+    def mount_flow_module(self, module: SimulatedFlowModule) -> None:
+        """Connect an optical flow sensor and a range finder that look down."""
+        self._board.flow_module = module
+
     def fuse_own(self, pose: PoseRecord) -> None:
         """Fuse a pose of the autopilot's own tracking system: z up, stamp on the world clock."""
         b = self._board
@@ -222,6 +228,22 @@ class Autopilot(ABC):
         v, b = self.vehicle, self._board
         gyro, force = self._imu.read(frd_from_flu(v.gyro), frd_from_flu(v.specific_force))
         b.estimator.predict(b.now_s - b.boot_s, self._step_s, gyro, force, b.flight.landed)
+        if b.flow_module is not None:
+            self._sense_floor(b.flow_module)
+
+    def _sense_floor(self, module: SimulatedFlowModule) -> None:
+        """Advance the module that looks down, and give new readings to the estimator.
+
+        Only those that the parameters read.
+        """
+        v, b = self.vehicle, self._board
+        module.step(b.now_s, v.position, v.quat_wxyz)
+        tuning, (flow, distance) = b.estimator.flow_tuning, self._taken
+        self._taken = (module.flow, module.distance)
+        if tuning.range_read and module.distance is not None and module.distance is not distance and module.distance.valid:
+            b.estimator.take_range(module.distance.range_m)
+        if tuning.read and module.flow is not None and module.flow is not flow:
+            b.estimator.take_flow(module.flow, module.flow.read_s - b.boot_s)
 
     def _act(self) -> None:
         """Control the vehicle for one step.

@@ -9,9 +9,11 @@ from collections.abc import Callable
 from pymavlink.dialects.v20 import common as mavlink
 
 from sitl.autopilots.autopilot_state import AutopilotState
-from sitl.autopilots.mavlink_codec import Packet, packet
+from sitl.autopilots.mavlink_codec import Built, Packet, packet
 from sitl.autopilots.position_controller import ControlSetpoint
 from sitl.geometry.quaternion import euler_of
+from sitl.world.flow_sensor import RANGE_M as RANGE_DOWN_M
+from sitl.world.flow_sensor import RangeMeasurement
 from sitl.world.range_finder import RANGE_M, SimulatedUpwardRangeFinder
 
 SENSORS = (
@@ -24,13 +26,16 @@ SENSORS = (
 
 
 class BaseMessages(ABC):
-    """Builders of messages; each returns a message, or None if its data are not available yet."""
+    """Builders of messages; each returns a message, or None if its data are not available yet.
+
+    DISTANCE_SENSOR has one message for each range finder.
+    """
 
     def __init__(self, board: AutopilotState) -> None:
         self._board = board
 
     @abstractmethod
-    def rates(self) -> dict[int, tuple[Callable[[], Packet | None], float]]:
+    def rates(self) -> dict[int, tuple[Callable[[], Built], float]]:
         """Return (builder, default rate in Hz) by message id; rate 0 is sent on request only."""
 
     def timesync(self) -> Packet:
@@ -111,6 +116,19 @@ class BaseMessages(ABC):
         kind, up = mavlink.MAV_DISTANCE_SENSOR_LASER, mavlink.MAV_SENSOR_ROTATION_PITCH_90
         cm = (round(100.0 * low_m), round(100.0 * high_m), round(100.0 * sensor.range_m))
         return packet(mavlink.MAVLink_distance_sensor_message, boot_ms, *cm, kind, 0, up, 0)
+
+    def _distance_down(self, measured: RangeMeasurement, boot_ms: int, signal_quality: int) -> Packet:
+        """Return DISTANCE_SENSOR of the sensor that looks down.
+
+        Its id follows that of one that looks up.
+        """
+        kind, down = mavlink.MAV_DISTANCE_SENSOR_LASER, mavlink.MAV_SENSOR_ROTATION_PITCH_270
+        cm = (*(round(100.0 * limit_m) for limit_m in RANGE_DOWN_M), round(100.0 * measured.range_m))
+        number = 0 if self._board.range_finder is None else 1
+        unknown = [0.0, 0.0, 0.0, 0.0]
+        return packet(
+            mavlink.MAVLink_distance_sensor_message, boot_ms, *cm, kind, number, down, 0, 0.0, 0.0, unknown, signal_quality
+        )
 
     def _heartbeat(self, autopilot: int, flags: int) -> Packet:
         """Return HEARTBEAT of a quadrotor. flags: base mode flags of this firmware's mode."""

@@ -10,8 +10,9 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
+from sitl.autopilots.flow_aiding import MIN_COS_TILT, FlowTuning, Terrain, flow_velocity
 from sitl.geometry.quaternion import (
     IDENTITY,
     Quat,
@@ -24,6 +25,7 @@ from sitl.geometry.quaternion import (
     wrapped,
     yaw_of,
 )
+from sitl.world.flow_sensor import FlowMeasurement
 from sitl.world.quadrotor import GRAVITY_MPS2
 
 _HISTORY_S = 0.32  # poses older than 0.2 s delay + 0.1 s search window are never fused
@@ -33,6 +35,8 @@ _START_S = 0.5  # poses must arrive without a gap for this time before they are 
 _NORM_TOLERANCE = 1e-3  # 32-bit floats add an error of 1e-7 each
 _POSITION_BANDWIDTH = 3.0  # rad/s
 _YAW_BANDWIDTH = 3.0
+_FLOW_BANDWIDTH = 1.5  # rad/s, of a critically damped g-h filter of the velocity
+_FLOW_RECENT_S = 0.6  # flow fused within this time counts as present aiding
 _ACCELERATION_LAG_S = 0.020  # low pass for the controller's damping term
 
 ATTITUDE = 1
@@ -77,6 +81,7 @@ class EstimatorTuning:
     valid_s: float  # the horizontal position remains valid for this time after the last fused pose
     reject_s: float  # after this time of rejected poses the estimate is reset to them
     resets_in_air: float  # maximum number of such resets in flight
+    flow: FlowTuning = field(default_factory=FlowTuning)
 
 
 class Estimator:
@@ -102,6 +107,7 @@ class Estimator:
         self.reset_count = 0
         self.position_test_ratio = 0.0
         self.height_test_ratio = 0.0
+        self.flow_test_ratio = 0.0
         self.ignored: dict[str, int] = {}
         self.origin_set = False
         self._accel_down_bias = 0.0
@@ -113,6 +119,9 @@ class Estimator:
         self._fused_xy_s = -math.inf
         self._fused_z_s = -math.inf
         self._fused_yaw_s = -math.inf
+        self._fused_flow_s = -math.inf
+        self._seen_flow_s = -math.inf
+        self._terrain = Terrain()
         self._reset_counter = -1
         self._resets_left = self._tuning.resets_in_air
         self.started = False
@@ -144,12 +153,47 @@ class Estimator:
     @property
     def horizontal_valid(self) -> bool:
         """True if the local horizontal position is valid for position control."""
-        return self.started and self._now_s - self._fused_xy_s <= self._tuning.valid_s
+        return self.started and (not self.poses_timed_out or self._flow_holds)
+
+    @property
+    def poses_timed_out(self) -> bool:
+        """True if the position is lost without other aiding: no pose was fused for valid_s."""
+        return self._now_s - self._fused_xy_s > self._tuning.valid_s
+
+    @property
+    def _flow_holds(self) -> bool:
+        """True if flow keeps the velocity, and so a drifting position, valid without poses."""
+        f, now = self._tuning.flow, self._now_s
+        aided_s = max(self._fused_xy_s, self._fused_flow_s)
+        seen = now - self._seen_flow_s <= f.seen_s and now - self._terrain.measured_s <= f.terrain_s
+        return seen and now - aided_s <= f.valid_s
+
+    @property
+    def flow_tuning(self) -> FlowTuning:
+        """The tuning of flow fusion."""
+        return self._tuning.flow
+
+    @property
+    def flow_fused(self) -> bool:
+        """True while flow is fused."""
+        return self._now_s - self._fused_flow_s <= _FLOW_RECENT_S
+
+    @property
+    def height_above_ground_m(self) -> float:
+        """Height (m) of the body above what is below it, from the range finder; NaN if not known."""
+        if self._now_s - self._terrain.measured_s > min(self._tuning.flow.terrain_s, 5.0):
+            return math.nan
+        return self._terrain.height_m(self._now_s, self._velocity[2])
 
     @property
     def position_accuracy_m(self) -> float:
-        """Standard deviation (m) of the horizontal position; grows while no pose is fused."""
+        """Standard deviation (m) of the horizontal position.
+
+        It grows while no pose is fused, slowly with flow.
+        """
         silent = min(max(self._now_s - self._fused_xy_s, 0.0), 60.0)
+        if self.flow_fused:
+            return 0.03 + 0.05 * math.sqrt(silent)
         return 0.03 + 0.05 * silent + 0.05 * silent * silent
 
     @property
@@ -162,7 +206,7 @@ class Estimator:
             flags |= VELOCITY_HORIZ | POS_HORIZ_REL
             if self.origin_set:
                 flags |= POS_HORIZ_ABS
-        if self._now_s - self._fused_xy_s <= 0.6:
+        if self._now_s - self._fused_xy_s <= 0.6 or self.flow_fused:
             flags |= PRED_POS_HORIZ_REL
         return flags
 
@@ -199,7 +243,7 @@ class Estimator:
             self._velocity = (vx, vy, vz)
             self.position = (x + vx * dt_s, y + vy * dt_s, z + vz * dt_s)
         x, y, z = self.position
-        self._history.append([now_s, x, y, z, self.yaw])
+        self._history.append([now_s, x, y, z, self.yaw, self._velocity[0], self._velocity[1]])
         while self._history[0][0] < now_s - _HISTORY_S:
             self._history.popleft()
 
@@ -215,6 +259,67 @@ class Estimator:
             self._baro_zero += 0.02 * (height_m + self.position[2] - self._baro_zero)
             return
         self._correct_height(self._baro_zero - height_m - self.position[2], self._now_s, dt_s, 1.0)
+
+    # -- flow and range -------------------------------------------------------------------------------------------
+
+    def take_range(self, range_m: float) -> None:
+        """Process a range (m) of the range finder that looks down."""
+        sensor_m = self._tuning.flow.range_position_m
+        self._terrain.measure(self._now_s, range_m, self.quat_wxyz, sensor_m, self._velocity[2])
+
+    def take_flow(self, flow: FlowMeasurement, read_s: float) -> None:
+        """Process one flow: fuse it, reset the velocity to it, or ignore it and count the reason.
+
+        read_s: its time of reading. Flow alone does not start the estimator, and on the ground it is not used.
+        """
+        if flow.quality < self._tuning.flow.quality_min or self._too_fast(flow):
+            self._ignore("flow quality" if flow.quality < self._tuning.flow.quality_min else "flow rate")
+            return
+        self._seen_flow_s = self._now_s
+        if self._tuning.flow.fuse and self.started and not self._on_ground:
+            self._fuse_flow(flow, read_s - self._tuning.flow.delay_s - 0.5 * flow.interval_s)
+
+    def _too_fast(self, flow: FlowMeasurement) -> bool:
+        most = self._tuning.flow.rate_max_radps * flow.interval_s
+        return math.hypot(*flow.flow_rad) > most or math.hypot(flow.gyro_rad[0], flow.gyro_rad[1]) > most
+
+    def _fuse_flow(self, flow: FlowMeasurement, stamp: float) -> None:
+        t, height_m, past = self._tuning.flow, self.height_above_ground_m, self._at(stamp)
+        low_m, high_m = t.height_m
+        tilted = rotate(self.quat_wxyz, (0.0, 0.0, 1.0))[2] < MIN_COS_TILT
+        if past is None or tilted or not low_m <= height_m <= high_m:
+            self._ignore("flow height or tilt")
+            return
+        north, east, distance_m = flow_velocity(flow, t.position_m, height_m, self.quat_wxyz, self._velocity)
+        ix, iy = north - past[5], east - past[6]
+        noise_mps = t.noise(flow.quality) * distance_m
+        silent_s = self._now_s - max(self._fused_xy_s, self._fused_flow_s)
+        deviation_mps = 0.1 + 0.3 * min(max(silent_s, 0.0), 5.0)
+        self.flow_test_ratio = max(ix * ix, iy * iy) / (t.gate**2 * (noise_mps**2 + deviation_mps**2))
+        if self.flow_test_ratio <= 1.0:
+            self._correct_velocity(ix, iy, stamp, (t.noise_radps[0] / t.noise(flow.quality)) ** 2)
+            self._fused_flow_s = stamp
+            return
+        self._ignore("flow gate")
+        if silent_s > t.reset_s:
+            self._move_velocity(ix, iy)
+            self._fused_flow_s = stamp
+
+    def _correct_velocity(self, ix: float, iy: float, stamp: float, weight: float) -> None:
+        """Correct velocity and tilt by an innovation of the velocity (m/s)."""
+        dt = min(max(stamp - self._fused_flow_s, 0.004), _EXPECTED_GAP_S)
+        fade = math.exp(-_FLOW_BANDWIDTH * dt)
+        g, h = weight * (1.0 - fade * fade), weight * (1.0 - fade) ** 2 / dt
+        self._move_velocity(g * ix, g * iy)
+        tilt = from_small_rotation(h * iy / GRAVITY_MPS2, -h * ix / GRAVITY_MPS2, 0.0)
+        self.quat_wxyz = normalised(multiply(tilt, self.quat_wxyz))
+
+    def _move_velocity(self, dvx: float, dvy: float) -> None:
+        vx, vy, vz = self._velocity
+        self._velocity = (vx + dvx, vy + dvy, vz)
+        for entry in self._history:
+            entry[5] += dvx
+            entry[6] += dvy
 
     # -- external poses -------------------------------------------------------------------------------------------
 
@@ -281,7 +386,7 @@ class Estimator:
     def _at(self, stamp: float) -> list[float] | None:
         """Return the estimate at a past time, or the newest one for a stamp slightly in the future.
 
-        Elements: stamp (s), position (3, m), yaw (rad).
+        Elements: stamp (s), position (3, m), yaw (rad), horizontal velocity (2, m/s).
         """
         later = None
         for entry in reversed(self._history):
@@ -291,7 +396,8 @@ class Estimator:
                 f = (stamp - entry[0]) / (later[0] - entry[0])
                 turn = wrapped(later[4] - entry[4])
                 mixed = [a + f * (b - a) for a, b in zip(entry[:4], later[:4], strict=True)]
-                return [*mixed, entry[4] + f * turn]
+                speed = [a + f * (b - a) for a, b in zip(entry[5:], later[5:], strict=True)]
+                return [*mixed, entry[4] + f * turn, *speed]
             later = entry
         return later
 
@@ -345,6 +451,8 @@ class Estimator:
                 age = entry[0] - stamp
                 entry[1] += dx + dvx * age
                 entry[2] += dy + dvy * age
+                entry[5] += dvx
+                entry[6] += dvy
         if dz:
             for entry in self._history:
                 entry[3] += dz + dvz * (entry[0] - stamp)

@@ -32,6 +32,9 @@ class Packet(NamedTuple):
     fields: tuple[Any, ...]
 
 
+Built = Packet | list[Packet] | None  # what a builder returns: a message, several of one id, or none yet
+
+
 class ReceivedMessage(SimpleNamespace):
     """A received message: fields by name; kind: message id; sender: system and component id."""
 

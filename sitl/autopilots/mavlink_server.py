@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from pymavlink.dialects.v20 import common as mavlink
 
 from sitl.autopilots.byte_links import ByteEnd
-from sitl.autopilots.mavlink_codec import MessageDecoder, MessageEncoder, Packet, ReceivedMessage, packet
+from sitl.autopilots.mavlink_codec import Built, MessageDecoder, MessageEncoder, Packet, ReceivedMessage, packet
 from sitl.autopilots.parameter_table import ParameterTable
 
 _TEXT_BYTES = 50
@@ -21,7 +21,7 @@ class Stream:
 
     __slots__ = ("build", "default_s", "interval_s", "next_s")
 
-    def __init__(self, build: Callable[[], Packet | None], rate_hz: float) -> None:
+    def __init__(self, build: Callable[[], Built], rate_hz: float) -> None:
         self.build = build
         self.default_s = 1.0 / rate_hz if rate_hz > 0.0 else math.inf
         self.interval_s = self.default_s
@@ -73,8 +73,8 @@ class MavlinkServer:
         """Send a COMMAND_ACK to the sender of the command."""
         self.send(packet(mavlink.MAVLink_command_ack_message, command, result, 0, 0, sender[0], sender[1]))
 
-    def add_stream(self, message_id: int, build: Callable[[], Packet | None], rate_hz: float) -> None:
-        """Send build() at a rate (0: only on request); build may return None to skip a period."""
+    def add_stream(self, message_id: int, build: Callable[[], Built], rate_hz: float) -> None:
+        """Send build() at a rate (0: only on request); it may return None to skip a period."""
         self._streams[message_id] = Stream(build, rate_hz)
 
     def set_interval(self, message_id: int, interval_us: float, now_s: float) -> bool:
@@ -93,11 +93,15 @@ class MavlinkServer:
     def request(self, message_id: int) -> bool:
         """Send a message once. Return False if it is unknown or not available yet."""
         stream = self._streams.get(message_id)
-        message = stream.build() if stream is not None else None
-        if message is None:
-            return False
-        self.send(message)
-        return True
+        return stream is not None and self._send_built(stream)
+
+    def _send_built(self, stream: Stream) -> bool:
+        """Build and send the messages of a stream; return False if there is none."""
+        built = stream.build()
+        messages = [built] if isinstance(built, Packet) else built or []
+        for message in messages:
+            self.send(message)
+        return bool(messages)
 
     def stream_out(self, now_s: float) -> None:
         """Queue the messages that are due, and the next parameter of a requested list."""
@@ -109,9 +113,7 @@ class MavlinkServer:
             return
         for stream in self._streams.values():
             if stream.next_s <= now_s and stream.interval_s < math.inf:
-                message = stream.build()
-                if message is not None:
-                    self.send(message)
+                self._send_built(stream)
                 stream.next_s = max(stream.next_s + stream.interval_s, now_s - stream.interval_s)
         self._due_s = min([s.next_s for s in self._streams.values() if s.interval_s < math.inf], default=math.inf)
 

@@ -10,7 +10,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from sitl.autopilots.ardupilot.modes import ArduPilotMode
 from sitl.autopilots.ardupilot.state import ArduPilotState
 from sitl.autopilots.base_messages import BaseMessages
-from sitl.autopilots.mavlink_codec import Packet, packet
+from sitl.autopilots.mavlink_codec import Built, Packet, packet
 
 _CAPABILITIES = (
     mavlink.MAV_PROTOCOL_CAPABILITY_MISSION_INT
@@ -26,6 +26,11 @@ _UNINITIALISED = 0x400
 _CONSTANT = 0xA5
 _BLIND = 0x25
 _FOLLOWING = 0x33F
+_ABSOLUTE = mavlink.EKF_POS_HORIZ_ABS | mavlink.EKF_PRED_POS_HORIZ_ABS  # lost when poses stop, while flow holds the rest
+_TERRAIN = mavlink.EKF_POS_VERT_AGL
+# from the sources
+_FLOW_HEALTHY_S = 0.5  # AP_OpticalFlow::update
+_RANGE_DATA_S = 0.2  # AP_RangeFinder_VL53L1X::update
 _VISION_HEALTHY_S = 0.3  # maximum age of the last pose
 
 
@@ -36,7 +41,7 @@ class ArduPilotMessages(BaseMessages):
         super().__init__(state)
         self._s = state
 
-    def rates(self) -> dict[int, tuple[Callable[[], Packet | None], float]]:
+    def rates(self) -> dict[int, tuple[Callable[[], Built], float]]:
         """Return (builder, default rate in Hz) by message id; rate 0 is sent on request only."""
         return {
             mavlink.MAVLINK_MSG_ID_HEARTBEAT: (self.heartbeat, 1.0),
@@ -52,7 +57,8 @@ class ArduPilotMessages(BaseMessages):
             mavlink.MAVLINK_MSG_ID_HOME_POSITION: (self.home_position, 0.0),
             mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: (self.global_origin, 0.0),
             mavlink.MAVLINK_MSG_ID_GIMBAL_DEVICE_ATTITUDE_STATUS: (self.gimbal_attitude, 0.0),
-            mavlink.MAVLINK_MSG_ID_DISTANCE_SENSOR: (self.distance_sensor, 0.0),
+            mavlink.MAVLINK_MSG_ID_DISTANCE_SENSOR: (self.distance_sensors, 0.0),
+            mavlink.MAVLINK_MSG_ID_OPTICAL_FLOW: (self.optical_flow, 0.0),
             mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION: (self.version, 0.0),
         }
 
@@ -85,6 +91,10 @@ class ArduPilotMessages(BaseMessages):
             flags = _CONSTANT
         else:
             flags = _FOLLOWING if e.horizontal_valid else _BLIND
+            if e.horizontal_valid and e.poses_timed_out:
+                flags &= ~_ABSOLUTE
+            if math.isfinite(e.height_above_ground_m):
+                flags |= _TERRAIN
         horizontal, vertical = math.sqrt(e.position_test_ratio), math.sqrt(e.height_test_ratio)
         return packet(mavlink.MAVLink_ekf_status_report_message, flags, 0.0, horizontal, vertical, 0.0, 0.0)
 
@@ -97,10 +107,39 @@ class ArduPilotMessages(BaseMessages):
             half = mavlink.MAV_LANDED_STATE_LANDING
         return self._landed_state(flight.landed, half)
 
-    def distance_sensor(self) -> Packet | None:
-        """Return DISTANCE_SENSOR: newest measurement, time of sending; None without a sensor."""
-        sensor = self._s.range_finder
-        return None if sensor is None or sensor.measured_s < 0.0 else self._distance_up(sensor, self._s.boot_ms)
+    def distance_sensors(self) -> list[Packet]:
+        """Return DISTANCE_SENSOR of each sensor: newest measurement, time of sending.
+
+        From the sources (GCS_Common.cpp): a sensor without a valid reading for a while sends none.
+        """
+        s, module = self._s, self._s.flow_module
+        sensor, messages = s.range_finder, []
+        if sensor is not None and sensor.measured_s >= 0.0:
+            messages.append(self._distance_up(sensor, s.boot_ms))
+        near = None if module is None else module.valid_distance
+        if s.estimator.flow_tuning.range_read and near is not None and s.now_s - near.read_s <= _RANGE_DATA_S:
+            messages.append(self._distance_down(near, s.boot_ms, 0))
+        return messages
+
+    def optical_flow(self) -> Packet | None:
+        """Return OPTICAL_FLOW: newest measurement; None without a sensor that is read and healthy.
+
+        From the sources (GCS_MAVLINK::send_opticalflow): time_usec is the time of sending in MILLISECONDS; flow_x, flow_y and
+        flow_rate are the flow in rad/s; flow_comp_m is the flow minus the turn of the body, in rad/s and not in m/s;
+        ground_distance is the estimated height above ground, 0 if not known.
+        """
+        s, module = self._s, self._s.flow_module
+        flow = None if module is None else module.flow
+        if flow is None or not s.estimator.flow_tuning.read or s.now_s - flow.read_s > _FLOW_HEALTHY_S:
+            return None
+        x, y = (angle / flow.interval_s for angle in flow.flow_rad)
+        still_x, still_y = x - flow.gyro_rad[0] / flow.interval_s, y - flow.gyro_rad[1] / flow.interval_s
+        height_m = s.estimator.height_above_ground_m
+        ground_m = height_m if math.isfinite(height_m) else 0.0
+        return packet(
+            mavlink.MAVLink_optical_flow_message,
+            s.boot_ms, 0, int(x), int(y), still_x, still_y, flow.quality, ground_m, x, y,
+        )  # fmt: skip
 
     def version(self) -> Packet:
         """Return AUTOPILOT_VERSION of ArduCopter 4.8.0-dev."""

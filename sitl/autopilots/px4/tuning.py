@@ -5,9 +5,11 @@ from __future__ import annotations
 import math
 
 from sitl.autopilots.ekf import EstimatorTuning
+from sitl.autopilots.flow_aiding import FlowTuning
 from sitl.autopilots.position_controller import ControlGains
 from sitl.autopilots.px4.parameters import Px4Parameters
 from sitl.autopilots.px4.trajectory_smoothing import SmoothingLimits
+from sitl.world.flow_sensor import FLOW_MAX_RADPS
 from sitl.world.quadrotor import GRAVITY_MPS2
 
 _REJECT_S = 1.0  # no_aid_timeout_max, after which the estimate is reset to vision
@@ -34,6 +36,31 @@ def estimator_tuning(p: Px4Parameters) -> EstimatorTuning:
         valid_s=max(no_aid_s - 0.3, 0.6),
         reject_s=_REJECT_S,
         resets_in_air=_RESETS_IN_AIR,
+        flow=flow_tuning(p, max(no_aid_s - 0.3, 0.6)),
+    )
+
+
+def flow_tuning(p: Px4Parameters, valid_s: float) -> FlowTuning:
+    """Return the tuning of flow fusion. valid_s: time for which aiding keeps the velocity valid.
+
+    From the sources: a mounted sensor is read and streamed whatever EKF2_OF_CTRL is (optical_flow_control.cpp); flow that is
+    fused ends dead reckoning, so the local position remains valid (updateHorizontalDeadReckoningstatus). EKF2_RNG_CTRL makes
+    the range a source of height; here the height stays with poses or barometer, and the range gives the terrain only.
+    """
+    return FlowTuning(
+        read=True,
+        range_read=True,
+        fuse=p.integer("EKF2_OF_CTRL") != 0 and p.integer("EKF2_RNG_CTRL") != 0,
+        quality_min=max(p.integer("EKF2_OF_QMIN"), 1),
+        noise_radps=(p["EKF2_OF_N_MIN"], p["EKF2_OF_N_MAX"]),
+        gate=max(p["EKF2_OF_GATE"], 1.0),
+        rate_max_radps=min(p["SENS_FLOW_MAXR"], FLOW_MAX_RADPS),
+        height_m=(p["SENS_FLOW_MINHGT"], p["SENS_FLOW_MAXHGT"]),
+        delay_s=p["EKF2_OF_DELAY"] * 1e-3,
+        position_m=(p["EKF2_OF_POS_X"], p["EKF2_OF_POS_Y"], p["EKF2_OF_POS_Z"]),
+        range_position_m=(p["EKF2_RNG_POS_X"], p["EKF2_RNG_POS_Y"], p["EKF2_RNG_POS_Z"]),
+        valid_s=valid_s,
+        reset_s=_REJECT_S,
     )
 
 
