@@ -11,6 +11,7 @@ from sitl.apps.sim_options import AUTO, SimOptions
 from sitl.apps.world_process import WorldOptions
 from sitl.camera.d435i import Model, Noise
 from sitl.scene.scene import HULL_HEIGHT_M, Scene, free_height_m
+from sitl.world.flow_sensor import FLOW_MOUNT_M, RANGE_MOUNT_M
 from sitl.world.range_finder import MOUNT_M
 from uav_recon.app.option_validation import mount_pitch_deg
 from uav_recon.app.reference_safety import REFERENCE_SAFETY
@@ -71,8 +72,16 @@ def world_options(options: SimOptions, runtime: Path) -> WorldOptions:
         stream=str(runtime / "camera.stream"), truth=str(options.folder / "truth.npz"),
         firmware=None if options.firmware is None else str(options.firmware.absolute()),
         camera_errors=options.camera_error_scale, onboard_poses=options.pose == "autopilot",
-        range_up_deg=options.range_up_deg,
+        range_up_deg=options.range_up_deg, flow=options.flow,
     )  # fmt: skip
+
+
+def flow_section(flow: bool) -> dict[str, dict[str, object]]:
+    """Return the product's section [flow] for the module that looks down, nothing without it."""
+    if not flow:
+        return {}
+    mounts = {"position_body_m": list(FLOW_MOUNT_M), "range_position_body_m": list(RANGE_MOUNT_M)}
+    return {"flow": {"enabled": True, **mounts}}
 
 
 def flight_config(options: SimOptions, scene: Scene, runtime: Path) -> Config:
@@ -107,6 +116,7 @@ def flight_config(options: SimOptions, scene: Scene, runtime: Path) -> Config:
         },
         "voxels": {"takeoff_top_m": max(free_height_m(scene, clearance_m + COLUMN_MARGIN_M) - COLUMN_TOP_M, 0.1)},
         "range_up": {} if options.range_up_deg is None else {"fov_deg": options.range_up_deg, "position_body_m": list(MOUNT_M)},
+        **flow_section(options.flow),
         "mapper": {"seed": options.seed, "uncertainty": options.uncertainty},
         "planner": {
             "variant": options.variant,

@@ -53,6 +53,10 @@ RANGE_UP = CommandOption(
     "time-of-flight sensor. What it finds empty becomes known free space.",
     VEHICLE_PANEL, "DEG", flag="--range-up", limits=(5.0, 60.0), unit="degrees",
 )  # fmt: skip
+FLOW = CommandOption(
+    "Add an optical flow sensor and a range finder of 4 m that look down, and set the autopilot's parameters for them.",
+    VEHICLE_PANEL,
+)
 CAMERA = CommandOption(
     "d435i: colour narrower than depth. wide: one registered RGB-D camera. fast: a d435i at a quarter of its pixels, 6 Hz, no "
     "colour. small: the same with colour. Default: d435i; fast with --mapper depth-only.",
@@ -136,6 +140,7 @@ class SimOptions:
         ),
     ] = 0.3
     range_up_deg: Annotated[float | None, RANGE_UP] = None
+    flow: Annotated[bool, FLOW] = False
     camera: Annotated[str | None, CAMERA] = None
     mount: Annotated[str, MOUNT] = AUTO
     pose: Annotated[str, POSE] = "stream"
@@ -212,6 +217,8 @@ class SimOptions:
             raise UsageError("--pose autopilot: needs the simulated autopilot; leave out --firmware")
         if self.range_up_deg is not None:
             raise UsageError("--range-up: needs the simulated autopilot; leave out --firmware")
+        if self.flow:
+            raise UsageError("--flow: needs the simulated autopilot; leave out --firmware")
         if self.mount == "gimbal":
             raise UsageError("--firmware: needs --mount fixed:DEG; the firmware's simulation has no gimbal")
         from sitl.real_firmware.px4 import COMPANION_PORT

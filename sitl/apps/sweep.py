@@ -46,7 +46,7 @@ def cases(options: SweepOptions) -> Iterator[Case]:
         scene = f"{name}:{seed}" if name in KINDS else None if name == BUILT_IN else name
         yield Case(
             scene, seed, radius_m, variant, mount, options.camera, options.views, autopilot,
-            camera_error_scale(options.camera_errors), options.pose, options.range_up_deg,
+            camera_error_scale(options.camera_errors), options.pose, options.range_up_deg, options.flow,
         )  # fmt: skip
 
 

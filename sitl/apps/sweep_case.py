@@ -16,7 +16,7 @@ class Case:
     """The options of a flight.
 
     scene: as for `sim --scene`, None for the built-in room. views None: the default of `sim`. camera_errors: the factor of
-    `sim --camera-errors`. range_up_deg: as for `sim --range-up`, None for no such sensor.
+    `sim --camera-errors`. range_up_deg: as for `sim --range-up`, None for no such sensor. flow: as `sim --flow`.
     """
 
     scene: str | None
@@ -30,16 +30,19 @@ class Case:
     camera_errors: float = 0.0
     pose: str = "stream"
     range_up_deg: float | None = None
+    flow: bool = False
 
     def command(self) -> str:
         """Return the command that repeats the flight, with a report."""
         scene = [] if self.scene is None else ["--scene", self.scene]
         range_up = [] if self.range_up_deg is None else ["--range-up", f"{self.range_up_deg:g}"]
+        flow = ["--flow"] if self.flow else []
         views = [] if self.views is None else ["--views", str(self.views)]
         words = [
             "uav-recon", "sim", "--lockstep", "--mapper", "depth-only", *scene, "--seed", str(self.seed),
             "--radius", f"{self.radius_m:g}", "--variant", self.variant, "--mount", self.mount, "--camera", self.camera,
-            "--autopilot", self.autopilot, "--camera-errors", f"{self.camera_errors:g}", "--pose", self.pose, *range_up, *views,
+            "--autopilot", self.autopilot, "--camera-errors", f"{self.camera_errors:g}", "--pose", self.pose, *range_up,
+            *flow, *views,
         ]  # fmt: skip
         return " ".join(words)
 
@@ -109,6 +112,7 @@ def _fly(case: Case, folder: Path, truth: bool) -> Record:
         scene=case.scene, seed=case.seed, radius_m=case.radius_m, variant=case.variant, mount=case.mount, camera=case.camera,
         views=case.views, autopilot=case.autopilot, mapper="depth-only", lockstep=True, out=folder / "flight",
         camera_errors=str(case.camera_errors), pose=case.pose, range_up_deg=case.range_up_deg,
+        flow=case.flow,
     )  # fmt: skip
     scene = load_scene(options.scene, None, None, options.radius_m, fine=options.textured)
     options = replace(options, mount=fitted_mount(options, scene))

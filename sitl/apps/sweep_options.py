@@ -57,6 +57,7 @@ class SweepOptions:
     range_up_deg: Annotated[
         float | None, sim_options.RANGE_UP.described("Add a range finder that looks up; see `sim --help`.")
     ] = None
+    flow: Annotated[bool, sim_options.FLOW.described("Add an optical flow sensor that looks down; see `sim --help`.")] = False
     views: Annotated[int | None, sim_options.VIEWS.described("View budget. Default: as `sim`.")] = None
     jobs: Annotated[int, JOBS] = 2
     json: Annotated[

@@ -22,6 +22,8 @@ from sitl.autopilots.ardupilot.parameters import ArduPilotParameters
 from sitl.autopilots.ardupilot.tuning import lean_lag_s
 from sitl.autopilots.base_autopilot import Autopilot
 from sitl.autopilots.byte_links import ByteEnd, UdpPeer
+from sitl.autopilots.flow_parameters import flow_parameters, set_parameters
+from sitl.autopilots.parameter_table import ParameterTable
 from sitl.autopilots.px4.autopilot import Px4
 from sitl.autopilots.px4.parameters import Px4Parameters
 from sitl.camera import d435i
@@ -35,6 +37,7 @@ from sitl.scene.mesh_simplification import simplified
 from sitl.scene.rasterizer import Renderer
 from sitl.scene.scene import Scene, load_scene
 from sitl.truth.hull_clearance import HullClearance
+from sitl.world.flow_sensor import SimulatedFlowModule
 from sitl.world.onboard_tracker import OnboardTracker
 from sitl.world.pose_tracker import SimulatedTracker
 from sitl.world.quadrotor import AirframeDynamics, Quadrotor
@@ -69,6 +72,7 @@ class WorldOptions:
     firmware: str | None = None  # path of a real firmware, which flies in real time
     onboard_poses: bool = False  # the poses go to the autopilot in place of the stream
     range_up_deg: float | None = None  # angle of the cone of a range finder that looks up; None: there is none
+    flow: bool = False  # an optical flow sensor and a range finder look down
     camera_errors: float = 0.0  # scale of the errors of the camera, which the seed draws; 0: the exact camera
 
     def save(self, path: Path) -> None:
@@ -126,6 +130,8 @@ def _assemble(
     tracker = SimulatedTracker(options.seed)
     if options.range_up_deg is not None and isinstance(flyer, Autopilot):
         flyer.mount_range_finder(SimulatedUpwardRangeFinder(scene, options.seed, math.radians(options.range_up_deg)))
+    if options.flow and isinstance(flyer, Autopilot):
+        flyer.mount_flow_module(SimulatedFlowModule(scene, options.seed))
     onboard = OnboardTracker(options.seed, flyer.fuse_own) if options.onboard_poses and isinstance(flyer, Autopilot) else None
     return OutsideWorld(flyer, camera, tracker, clearance, stream, now_s(), pitch_rad, pace, errors, onboard)
 
@@ -135,11 +141,20 @@ def _autopilot(options: WorldOptions, scene: Scene, room: HullClearance, link: B
     yaw_rad, standing_m = scene.start_yaw_rad, room.standing_m
     if options.autopilot == "ardupilot":
         parameters = ArduPilotParameters.load()
+        set_flow_parameters(parameters, options)
         airframe = AirframeDynamics(tilt_lag_s=lean_lag_s(parameters))
         vehicle = Quadrotor(seed=options.seed, yaw_rad=yaw_rad, airframe=airframe, support_height_m=standing_m)
         return ArduCopter(vehicle, link, parameters, options.seed, pace.physics_s)
     vehicle = Quadrotor(seed=options.seed, yaw_rad=yaw_rad, support_height_m=standing_m)
-    return Px4(vehicle, link, Px4Parameters.load(), options.seed, pace.physics_s)
+    px4 = Px4Parameters.load()
+    set_flow_parameters(px4, options)
+    return Px4(vehicle, link, px4, options.seed, pace.physics_s)
+
+
+def set_flow_parameters(table: ParameterTable, options: WorldOptions) -> None:
+    """Set the parameters of the flow module, if the options have one, as its user does."""
+    if options.flow:
+        set_parameters(table, flow_parameters(options.autopilot))
 
 
 def _renderer(scene: Scene, camera: d435i.Model) -> Renderer:

@@ -9,10 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sitl.apps.flight_config import fitted_mount, flight_config, mount_pitch_down_deg, world_options
+from sitl.apps.flight_config import fitted_mount, flight_config, flow_section, mount_pitch_down_deg, world_options
 from sitl.apps.sim import _same_variant
 from sitl.apps.sim_options import SimOptions
-from sitl.apps.world_process import WorldOptions
+from sitl.apps.world_process import WorldOptions, set_flow_parameters
+from sitl.autopilots.ardupilot.parameters import ArduPilotParameters
+from sitl.autopilots.flow_parameters import flow_parameters
+from sitl.autopilots.px4.parameters import Px4Parameters
 from sitl.camera.camera_error_scale import DEFAULT_SCALE
 from sitl.camera.camera_errors import CameraErrors
 from sitl.scene.scene import Scene
@@ -81,6 +84,27 @@ def test_a_range_finder_is_set_in_world_and_product(tmp_path: Path) -> None:
     assert config_of(options, tmp_path).range_up == RangeUpConfig(fov_deg=27.0, position_body_m=(0.0, 0.0, 0.05))
     assert world_of(SimOptions(), tmp_path).range_up_deg is None
     assert config_of(SimOptions(), tmp_path).range_up == RangeUpConfig()
+
+
+def test_a_flow_module_is_set_in_the_world_and_in_a_section_of_the_product(tmp_path: Path) -> None:
+    assert world_of(SimOptions(flow=True), tmp_path).flow
+    assert not world_of(SimOptions(), tmp_path).flow
+    section = {"enabled": True, "position_body_m": [0.03, -0.02, -0.03], "range_position_body_m": [0.03, 0.02, -0.03]}
+    assert flow_section(True) == {"flow": section}
+    assert flow_section(False) == {}
+
+
+@pytest.mark.parametrize(("autopilot", "prefix"), [("px4", "EKF2_OF_POS_"), ("ardupilot", "FLOW_POS_")])
+def test_a_flow_module_is_set_in_the_parameters_of_the_autopilot(autopilot: str, prefix: str, tmp_path: Path) -> None:
+    table = Px4Parameters.load() if autopilot == "px4" else ArduPilotParameters.load()
+    before = {name: table[name] for name in table}
+    set_flow_parameters(table, world_of(SimOptions(autopilot=autopilot), tmp_path))
+    assert before == {name: table[name] for name in table}
+    set_flow_parameters(table, world_of(SimOptions(autopilot=autopilot, flow=True), tmp_path))
+    wanted = flow_parameters(autopilot)
+    assert {name: table[name] for name in wanted} == pytest.approx(wanted)
+    assert {name for name in table if table[name] != before[name]} <= set(wanted)
+    assert [table[prefix + axis] for axis in "XYZ"] == pytest.approx([0.03, 0.02, 0.03]), "FRD"
 
 
 def test_the_world_options_are_read_back_unchanged(tmp_path: Path) -> None:

@@ -104,6 +104,17 @@ def test_the_cases_have_the_range_finder_of_the_sweep_and_old_records_have_none(
     assert json_codec.from_tree(Case, tree).range_up_deg is None
 
 
+def test_the_cases_have_the_flow_module_of_the_sweep_and_old_records_have_none() -> None:
+    (case,) = cases(SweepOptions(flights=1, flow=True))
+    assert case.flow
+    assert case.command().split()[-1] == "--flow"
+    (without,) = cases(SweepOptions(flights=1))
+    assert "--flow" not in without.command()
+    tree = json_codec.to_tree(BROKEN)
+    del tree["flow"]
+    assert json_codec.from_tree(Case, tree).flow is False
+
+
 def test_a_record_is_read_back_unchanged() -> None:
     record = Record(BROKEN, "completed", "enough", flight_s=12.5, contacts=0)
     assert json_codec.from_text(Record, json_codec.to_line(record)) == record
