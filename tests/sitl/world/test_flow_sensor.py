@@ -136,6 +136,13 @@ def test_the_flow_steps_smoothly_at_the_edge_of_a_table() -> None:
     assert max(b - a for a, b in itertools.pairwise(found)) < 0.4
 
 
+def test_in_a_climb_a_near_table_ahead_moves_backwards_in_the_view() -> None:
+    """Two of five columns see it at 0.6 m, two see the floor behind at 1.2 m: 0.3 tan 21° 0.2 m/s (1 / 0.6 - 1 / 1.2)."""
+    sensor = module(FLOOR, sheet(FLOOR_Z + 0.6, x=(FLOW_MOUNT_M[0] + 0.05, 9.0)))
+    about_x, about_y = rates(flown(sensor, straight((0.0, 0.0, 0.2)), 0.12))
+    assert (about_x, about_y) == pytest.approx((0.0, 0.3 * math.tan(math.radians(21.0)) * 0.2 * (1 / 0.6 - 1 / 1.2)), abs=1e-3)
+
+
 def test_a_saturated_sensor_reports_its_limit_without_quality() -> None:
     fast = flown(module(FLOOR), straight((4.0, 0.0, 0.0), z=FLOOR_Z + 0.3 - FLOW_MOUNT_M[2]), 0.5)
     assert {m.quality for m in fast} == {0}
