@@ -42,6 +42,8 @@ def _refused(tree: dict[str, Any]) -> str:
         ("range_up", "fov_deg", 4.0, "range_up.fov_deg: input should be greater than 4 (got 4.0)"),
         ("range_up", "fov_deg", 60.1, "range_up.fov_deg: input should be less than or equal to 60 (got 60.1)"),
         ("range_up", "error_share", 0.0, "range_up.error_share: "),
+        ("flow", "enabled", 1, "flow.enabled: want true or false (got 1)"),
+        ("flow", "position_body_m", [0, 0, -1.01], "flow.position_body_m.2: input should be greater than or equal to"),
         ("camera", "depth_max_m", float("inf"), "camera.depth_max_m: "),
         ("camera", "source", "kinect", "camera.source: input should be 'stream', 'realsense', 'recorded' or 'ros2'"),
         ("link", "setpoint_rate_hz", 5.0, "link.setpoint_rate_hz: "),

@@ -251,6 +251,14 @@ class RangeUpConfig(Section):
     error_share: Annotated[float, Field(gt=0.0, le=0.2)] = 0.02  # rms error as a share of the range
 
 
+class FlowConfig(Section):
+    """An optical flow sensor and a range finder of the autopilot that look down along body z."""
+
+    enabled: bool = False  # true: they are fitted, and set up as firmware_params/README.md says
+    position_body_m: BodyVec3 = (0.0, 0.0, -0.05)  # position of the flow sensor on the body
+    range_position_body_m: BodyVec3 = (0.0, 0.0, -0.05)  # position of the range finder on the body
+
+
 class MapperConfig(Section):
     """The neural surface."""
 
@@ -355,6 +363,7 @@ class Config(Section):
     ros2: Ros2Config = Ros2Config()
     voxels: VoxelConfig = VoxelConfig()
     range_up: RangeUpConfig = RangeUpConfig()
+    flow: FlowConfig = FlowConfig()
     mapper: MapperConfig = MapperConfig()
     planner: PlannerConfig = PlannerConfig()
     motion: MotionConfig = MotionConfig()

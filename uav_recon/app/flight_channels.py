@@ -12,6 +12,7 @@ from uav_recon.channels import ChannelError, FileChannel, MemoryChannel, ReadOnl
 from uav_recon.errors import EXIT_CONFIG, UserError
 from uav_recon.interfaces import Channel
 from uav_recon.types.camera import PosedFrame
+from uav_recon.types.flow import FlowReadings
 from uav_recon.types.free_cone import FreeCone
 from uav_recon.types.maps import FreeSpace, SurfaceElements, VoxelMap
 from uav_recon.types.min_range_grid import MinRangeGrid
@@ -41,10 +42,11 @@ class FlightChannels:
     rates: Channel[TurnRates]
     reported: Channel[ReportedPoses]
     cones: Channel[FreeCone]
+    flow: Channel[FlowReadings]
 
 
 PERCEPTION_WRITES = frozenset({"odom", "frames", "correction", "nearby", "perception"})
-PILOT_WRITES = frozenset({"vehicle", "rates", "reported", "cones"})
+PILOT_WRITES = frozenset({"vehicle", "rates", "reported", "cones", "flow"})
 MISSION_WRITES = frozenset({"intent", "progress", "voxels", "surface", "plan", "free"})
 _KIBIBYTE = 1 << 10
 _MEBIBYTE = 1 << 20
@@ -64,6 +66,7 @@ _FILES: dict[str, tuple[Any, int]] = {  # type of the value and capacity in byte
     "rates": (TurnRates, 64 * _KIBIBYTE),
     "reported": (ReportedPoses, 64 * _KIBIBYTE),
     "cones": (FreeCone, 64 * _KIBIBYTE),
+    "flow": (FlowReadings, 64 * _KIBIBYTE),
 }
 
 
@@ -85,6 +88,7 @@ def memory_channels() -> FlightChannels:
         rates=MemoryChannel(TurnRates),
         reported=MemoryChannel(ReportedPoses),
         cones=MemoryChannel(FreeCone),
+        flow=MemoryChannel(FlowReadings),
     )
 
 

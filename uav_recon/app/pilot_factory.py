@@ -78,12 +78,15 @@ def make_pilot(
 
 def make_vehicle_link(config: Config, link: ByteLink, log: FrameLog, clock: Clock, allow_list: AllowListFilter) -> VehicleLink:
     """Build the link to the autopilot on a byte link."""
+    from uav_recon.autopilot.link.flow_measurements import STREAMS
     from uav_recon.autopilot.link.frame_exchange import FrameExchange
     from uav_recon.autopilot.link.vehicle_link import VehicleLink
     from uav_recon.autopilot.pilot.situation.upward_range_finder import STREAM
 
     profile, _ = firmware(config.link.autopilot)
     profile = profile if config.range_up.fov_deg is None else profile.with_stream(*STREAM)
+    for stream in STREAMS[config.link.autopilot] if config.flow.enabled else ():
+        profile = profile.with_stream(*stream)
     frames = FrameExchange(link, log, allow_list.seal)
     return VehicleLink(frames, allow_list, profile, clock.now_s(), make_navigation(config))
 

@@ -168,6 +168,23 @@ def test_a_range_has_the_time_of_its_measurement_on_our_clock(pair: tuple[Vehicl
     assert link.telemetry.range_up.measured_s == pytest.approx(2.9, abs=0.003)
 
 
+@pytest.mark.parametrize(("sender", "used"), [((1, 1), True), ((1, 154), False), ((1, 2), False), ((2, 1), False)])
+def test_only_the_autopilot_tells_optical_flow(pair: tuple[VehicleLink, Wire], sender: tuple[int, int], used: bool) -> None:
+    link, far = pair
+    far.update(heartbeat())
+    converge(link, far)
+    flow = wire.MAVLink_optical_flow_rad_message(40_400_000, 0, 40_000, 0.01, 0.02, 0.0, 0.0, 0.0, 0, 200, 0, -1.0)
+    down = wire.MAVLink_distance_sensor_message(40_400, 5, 400, 110, 0, 0, wire.MAV_SENSOR_ROTATION_PITCH_270, 0)
+    far.update(flow, *sender)
+    far.update(down, *sender)
+    link.receive(3.0)
+    readings = link.flow.readings()
+    assert (readings is not None) is used
+    if readings is not None:
+        assert readings.stamps_s[-1] == pytest.approx(2.9, abs=0.003)
+        assert (readings.flow_rad[-1, 1], readings.ranges_m[-1]) == pytest.approx((-0.02, 1.1))
+
+
 @pytest.mark.parametrize("stranger", [(1, 154), (1, 2), (2, 1), (255, 190)])
 def test_only_the_autopilot_tells_a_range(pair: tuple[VehicleLink, Wire], stranger: tuple[int, int]) -> None:
     link, far = pair

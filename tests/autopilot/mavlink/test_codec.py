@@ -16,8 +16,11 @@ from uav_recon.autopilot.mavlink.codec import Decoder, Encoder
 from uav_recon.autopilot.mavlink.messages import (
     Ack,
     Attitude,
+    DownwardRange,
     EstimatorStatus,
     Firmware,
+    FlowAngle,
+    FlowRate,
     GimbalAttitude,
     Heartbeat,
     LocalPosition,
@@ -279,7 +282,6 @@ def test_a_range_that_looks_up_is_read() -> None:
 @pytest.mark.parametrize(
     "changes",
     [
-        {"orientation": wire.MAV_SENSOR_ROTATION_PITCH_270},
         {"orientation": wire.MAV_SENSOR_ROTATION_NONE},
         {"orientation": wire.MAV_SENSOR_ROTATION_CUSTOM, "quaternion": [1.0, 0.0, 0.0, 0.0]},
         {"signal_quality": 1},
@@ -297,3 +299,67 @@ def test_a_range_that_looks_up_is_read() -> None:
 )
 def test_a_range_that_is_none_is_not_read(changes: dict[str, Any]) -> None:
     assert read(distance_sensor(**changes)) is None
+
+
+def test_a_range_that_looks_down_is_read() -> None:
+    down = {"orientation": wire.MAV_SENSOR_ROTATION_PITCH_270, "horizontal_fov": math.nan}
+    assert read(distance_sensor(**down)) == DownwardRange(2, 1.3, 1234)
+    for none in ({"signal_quality": 1}, {"current_cm": 4}, {"current_cm": 400}, {"current_cm": 0, "min_distance": 0}):
+        assert read(distance_sensor(**(down | none))) is None
+
+
+def flow_of(
+    velocity_frd_mps: tuple[float, float], rate_frd_radps: tuple[float, float], distance_m: float
+) -> tuple[float, float]:
+    """The rates that a sensor measures, by MAVLink's convention: as a right-handed turn of the sensor about its axes."""
+    (vx, vy), (wx, wy) = velocity_frd_mps, rate_frd_radps
+    return wx - vy / distance_m, wy + vx / distance_m
+
+
+def optical_flow_rad(**changes: Any) -> Any:
+    """1 m above the floor, over 50 ms: 0.4 m/s forward and 0.2 m/s to the right, without a turn."""
+    x, y = flow_of((0.4, 0.2), (0.0, 0.0), 1.0)
+    fields = {
+        "time_usec": 7_000_123, "sensor_id": 3, "integration_time_us": 50_000,
+        "integrated_x": x * 0.05, "integrated_y": y * 0.05,
+        "integrated_xgyro": 0.01, "integrated_ygyro": 0.02, "integrated_zgyro": 0.03, "temperature": 0, "quality": 200,
+        "time_delta_distance_us": 0, "distance": -1.0,
+    }  # fmt: skip
+    return wire.MAVLink_optical_flow_rad_message(**(fields | changes))
+
+
+def test_flow_angles_are_read_in_flu() -> None:
+    """In FLU the motion is 0.4 m/s along x and -0.2 m/s along y: angles of vy / d and -vx / d about x and y."""
+    flow = read(optical_flow_rad())
+    assert isinstance(flow, FlowAngle)
+    assert (flow.sensor, flow.boot_us, flow.quality) == (3, 7_000_123, 200)
+    assert flow.interval_s == pytest.approx(0.05)
+    assert flow.flow_rad == pytest.approx((-0.2 * 0.05, -0.4 * 0.05))
+    assert flow.gyro_rad == pytest.approx((0.01, -0.02, -0.03))
+    without = read(optical_flow_rad(integrated_xgyro=math.nan))
+    assert isinstance(without, FlowAngle)
+    assert all(math.isnan(angle) for angle in without.gyro_rad)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"integration_time_us": 0}, {"integration_time_us": 500_001}, {"integrated_x": math.nan}, {"integrated_y": math.inf},
+        {"integrated_y": -1.8},
+    ],
+)  # fmt: skip
+def test_flow_angles_that_cannot_be_are_not_read(changes: dict[str, Any]) -> None:
+    assert read(optical_flow_rad(**changes)) is None
+
+
+def test_flow_rates_are_read_in_flu() -> None:
+    """ArduPilot sends the rates, and in flow_comp_m the rates less those of the body."""
+    body = (0.3, -0.1)
+    x, y = flow_of((0.4, 0.2), body, 2.0)
+    message = wire.MAVLink_optical_flow_message(5_000, 0, 0, 0, x - body[0], y - body[1], 90, 2.0, x, y)
+    flow = read(message)
+    assert isinstance(flow, FlowRate)
+    assert (flow.sensor, flow.boot, flow.quality) == (0, 5_000, 90)
+    assert flow.rate_radps == pytest.approx((0.3 - 0.1, 0.1 - 0.2), abs=1e-6)
+    assert flow.gyro_radps == pytest.approx((0.3, 0.1), abs=1e-6)
+    assert read(wire.MAVLink_optical_flow_message(5_000, 0, 0, 0, math.nan, 0.0, 90, 2.0, 0.1, 0.1)) is None

@@ -75,8 +75,13 @@ class FirmwareProfile:
     polled_hz: tuple[tuple[int, float], ...]
 
     def with_stream(self, identifier: int, rate_hz: float) -> FirmwareProfile:
-        """Return the profile with one more requested message."""
-        return replace(self, streams_hz=(*self.streams_hz, (identifier, rate_hz)))
+        """Return the profile with one more requested message.
+
+        Of two rates of a message the higher one counts.
+        """
+        rates_hz = dict(self.streams_hz)
+        rates_hz[identifier] = max(rate_hz, rates_hz.get(identifier, 0.0))
+        return replace(self, streams_hz=tuple(rates_hz.items()))
 
 
 @dataclass(frozen=True, slots=True)

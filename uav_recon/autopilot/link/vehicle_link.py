@@ -8,6 +8,7 @@ from dataclasses import replace
 from uav_recon.autopilot.firmware.profile import FirmwareProfile
 from uav_recon.autopilot.link.autopilot_measurements import AutopilotMeasurements
 from uav_recon.autopilot.link.duplicate_autopilot import resolved
+from uav_recon.autopilot.link.flow_measurements import FlowMeasurements
 from uav_recon.autopilot.link.frame_admission import FrameAdmission, FrameVerdict
 from uav_recon.autopilot.link.frame_exchange import FrameExchange
 from uav_recon.autopilot.link.gimbal_commands import GimbalCommands
@@ -23,7 +24,10 @@ from uav_recon.autopilot.mavlink.allow_list import AllowListFilter
 from uav_recon.autopilot.mavlink.link_status import LinkStatus
 from uav_recon.autopilot.mavlink.messages import (
     Attitude,
+    DownwardRange,
     Firmware,
+    FlowAngle,
+    FlowRate,
     GimbalAttitude,
     Heartbeat,
     LocalPosition,
@@ -70,6 +74,7 @@ class VehicleLink:
         self._navigation = navigation or CompanionNavigation()
         self._pose_fed_s = -math.inf
         self.measurements = AutopilotMeasurements(self._clock, self._navigation)
+        self.flow = FlowMeasurements(self._clock)
         self.requests = MessageRequests(self._sender, start_s, firmware.polled_hz, self._navigation.streams_hz)
         self.parameters = ParameterRequests(self._sender)
         self.heartbeat = OwnHeartbeat(start_s)
@@ -203,6 +208,8 @@ class VehicleLink:
             case GimbalAttitude() | UpwardRange():
                 measured_s = self._clock.measured_s(message.boot_ms, now_s)
                 now_s = now_s if measured_s is None else measured_s
+            case FlowAngle() | FlowRate() | DownwardRange() if not self._admission.duplicate:
+                self.flow.update(message, now_s)
             case Firmware():
                 self._admission.identity.check_uid(message.uid)
             case ParameterValue() if not self.parameters.includes(message.name):

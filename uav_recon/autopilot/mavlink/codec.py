@@ -27,8 +27,11 @@ from uav_recon.autopilot.mavlink.framing import (
 from uav_recon.autopilot.mavlink.messages import (
     Ack,
     Attitude,
+    DownwardRange,
     EstimatorStatus,
     Firmware,
+    FlowAngle,
+    FlowRate,
     GimbalAttitude,
     Heartbeat,
     LandedState,
@@ -302,19 +305,52 @@ def _gimbal(boot_ms: int, quat: tuple[float, float, float, float]) -> Message | 
     return GimbalAttitude(-math.asin(min(max(sine, -1.0), 1.0)), boot_ms) if math.isfinite(sine) else None
 
 
-def _upward_range(
+def _range(
     boot_ms: int, min_cm: int, max_cm: int, current_cm: int, sensor: int, orientation: int, wide_rad: float, high_rad: float,
     signal: int,
 ) -> Message | None:  # fmt: skip
-    """Convert DISTANCE_SENSOR with orientation up.
+    """Convert DISTANCE_SENSOR with orientation up or down.
 
     A reading at or beyond the maximum is none: the message does not tell a clear view from a lost echo.
     """
+    if signal == _INVALID_SIGNAL or not (min_cm <= current_cm < max_cm and current_cm > 0):
+        return None
+    if orientation == wire.MAV_SENSOR_ROTATION_PITCH_270:
+        return DownwardRange(sensor, current_cm / 100.0, boot_ms)
     angles = [angle for angle in (wide_rad, high_rad) if angle != 0.0]  # 0 is unknown
-    good = all(0.0 < angle < math.pi for angle in angles) and min_cm <= current_cm < max_cm and current_cm > 0
-    if orientation != wire.MAV_SENSOR_ROTATION_PITCH_90 or signal == _INVALID_SIGNAL or not good:
+    if orientation != wire.MAV_SENSOR_ROTATION_PITCH_90 or not all(0.0 < angle < math.pi for angle in angles):
         return None
     return UpwardRange(sensor, current_cm / 100.0, min(angles, default=math.inf), boot_ms)
+
+
+def _flow_angle(
+    boot_us: int, sensor: int, interval_us: int, x: float, y: float, gyro_x: float, gyro_y: float, gyro_z: float, quality: int
+) -> Message | None:
+    """Convert OPTICAL_FLOW_RAD. Its sender leaves NaN in the gyro's angles if it has none."""
+    interval_s = interval_us * 1e-6
+    flow_rad, gyro_rad = swap_body((x, y, 0.0))[:2], swap_body((gyro_x, gyro_y, gyro_z))
+    if not (0.0 < interval_s <= _LONGEST_FLOW_S and _plausible(flow_rad, interval_s)):
+        return None
+    gyro_rad = gyro_rad if _plausible(gyro_rad[:2], interval_s) else (math.nan, math.nan, math.nan)
+    return FlowAngle(sensor, boot_us, interval_s, flow_rad, gyro_rad, quality)
+
+
+def _flow_rate(
+    boot: int, sensor: int, comp_x: float, comp_y: float, rate_x: float, rate_y: float, quality: int
+) -> Message | None:
+    """Convert ArduPilot's OPTICAL_FLOW.
+
+    Its `flow_comp_m` is the rate less that of the body, in rad/s (GCS_Common.cpp).
+    """
+    rate_radps, gyro_radps = swap_body((rate_x, rate_y, 0.0))[:2], swap_body((rate_x - comp_x, rate_y - comp_y, 0.0))[:2]
+    if not (_plausible(rate_radps, 1.0) and _plausible(gyro_radps, 1.0)):
+        return None
+    return FlowRate(sensor, boot, rate_radps, gyro_radps, quality)
+
+
+def _plausible(angles_rad: tuple[float, ...], interval_s: float) -> bool:
+    """Return True for finite angles that a sensor can measure over an interval."""
+    return all(abs(angle) <= _FASTEST_FLOW_RADPS * interval_s for angle in angles_rad)
 
 
 def _ekf(flags: int, horizontal: float) -> Message:
@@ -333,6 +369,8 @@ def _origin() -> Message:
     return OriginSet()
 
 
+_LONGEST_FLOW_S = 0.5  #: reject: optical flow that was integrated over a longer time: it says little of any instant
+_FASTEST_FLOW_RADPS = 35.0  #: reject: optical flow, and turns of its gyro, beyond the range of any sensor
 _INVALID_SIGNAL = 1  # signal_quality of DISTANCE_SENSOR; 0 is unknown, 2 to 100 a share
 _EKF_FOLLOWS = 0x33F  # attitude, velocities, positions and their predictions (measured)
 _EKF_DOES_NOT = wire.EKF_CONST_POS_MODE | wire.EKF_UNINITIALIZED
@@ -407,7 +445,27 @@ _READ: tuple[tuple[Any, tuple[str, ...], Callable[..., Message | None]], ...] = 
             "vertical_fov",
             "signal_quality",
         ),
-        _upward_range,
+        _range,
+    ),
+    (
+        wire.MAVLink_optical_flow_rad_message,
+        (
+            "time_usec",
+            "sensor_id",
+            "integration_time_us",
+            "integrated_x",
+            "integrated_y",
+            "integrated_xgyro",
+            "integrated_ygyro",
+            "integrated_zgyro",
+            "quality",
+        ),
+        _flow_angle,
+    ),
+    (
+        wire.MAVLink_optical_flow_message,
+        ("time_usec", "sensor_id", "flow_comp_m_x", "flow_comp_m_y", "flow_rate_x", "flow_rate_y", "quality"),
+        _flow_rate,
     ),
     (wire.MAVLink_param_value_message, ("param_id", "param_value", "param_type"), _parameter),
 )

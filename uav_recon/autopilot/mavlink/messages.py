@@ -178,6 +178,51 @@ class UpwardRange:
 
 
 @dataclass(frozen=True, slots=True)
+class DownwardRange:
+    """DISTANCE_SENSOR of a sensor that looks down along the body's z axis, with a valid reading.
+
+    sensor: number of the sensor. boot_ms: as of UpwardRange.
+    """
+
+    sensor: int
+    range_m: float
+    boot_ms: int
+
+
+@dataclass(frozen=True, slots=True)
+class FlowAngle:
+    """OPTICAL_FLOW_RAD (PX4): angles over one interval, body FLU.
+
+    They are positive as a turn of the sensor about the axis.
+    sensor: number of the sensor. boot_us: microseconds since the autopilot's boot, at the end of the interval. flow_rad: about
+    x and y, turn and motion together. gyro_rad: of its gyro about x, y and z; NaN if unknown. quality: 0 (none) to 255.
+    """
+
+    sensor: int
+    boot_us: int
+    interval_s: float
+    flow_rad: tuple[float, float]
+    gyro_rad: tuple[float, float, float]
+    quality: int
+
+
+@dataclass(frozen=True, slots=True)
+class FlowRate:
+    """OPTICAL_FLOW (ArduPilot): mean rates of the sensor's newest interval.
+
+    The length of the interval is not sent.
+    boot: instant of sending since the autopilot's boot, in milliseconds (ArduPilot) or microseconds (as MAVLink says).
+    rate_radps, gyro_radps: about x and y, body FLU, signs as of FlowAngle. quality: 0 (none) to 255.
+    """
+
+    sensor: int
+    boot: int
+    rate_radps: tuple[float, float]
+    gyro_radps: tuple[float, float]
+    quality: int
+
+
+@dataclass(frozen=True, slots=True)
 class ParameterValue:
     """One of the firmware's parameters.
 
@@ -205,6 +250,9 @@ Message = (
     | StatusText
     | GimbalAttitude
     | UpwardRange
+    | DownwardRange
+    | FlowAngle
+    | FlowRate
     | ParameterValue
 )
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Protocol
 
 from uav_recon.interfaces import Channel
+from uav_recon.types.flow import FlowReadings
 from uav_recon.types.free_cone import FreeCone
 from uav_recon.types.maps import FreeSpace
 from uav_recon.types.min_range_grid import MinRangeGrid
@@ -54,4 +55,9 @@ class PilotChannels(Protocol):
     @property
     def cones(self) -> Channel[FreeCone]:
         """Free cones of the upward range finder."""
+        ...
+
+    @property
+    def flow(self) -> Channel[FlowReadings]:
+        """Optical flow of the autopilot, and ranges below."""
         ...

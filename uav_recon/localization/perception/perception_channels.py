@@ -6,6 +6,7 @@ from typing import Protocol
 
 from uav_recon.interfaces import Channel
 from uav_recon.types.camera import PosedFrame
+from uav_recon.types.flow import FlowReadings
 from uav_recon.types.min_range_grid import MinRangeGrid
 from uav_recon.types.perception_status import PerceptionStatus
 from uav_recon.types.pose import StampedPose
@@ -13,7 +14,7 @@ from uav_recon.types.vehicle import TurnRates
 
 
 class PerceptionChannels(Protocol):
-    """Channels that perception writes, and the turn rates of the autopilot that it reads."""
+    """Channels that perception writes, and the sensors of the autopilot that it reads."""
 
     @property
     def odom(self) -> Channel[StampedPose]:
@@ -38,4 +39,9 @@ class PerceptionChannels(Protocol):
     @property
     def rates(self) -> Channel[TurnRates]:
         """Turn rates of the autopilot, in place of a camera's IMU that is missing or frozen."""
+        ...
+
+    @property
+    def flow(self) -> Channel[FlowReadings]:
+        """Optical flow of the autopilot, and ranges below; nothing without such a sensor."""
         ...

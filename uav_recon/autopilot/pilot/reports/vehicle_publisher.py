@@ -27,21 +27,25 @@ class VehiclePublisher:
         self._vehicle = channels.vehicle
         self._rates = channels.rates
         self._reported = channels.reported
+        self._flow = channels.flow
         self._link = link
         self._situation = situation
         self._selector = selector
         self._gimbal = gimbal
 
     def publish_measurements(self) -> None:
-        """Publish the autopilot's turn rates and poses at once.
+        """Publish the autopilot's turn rates, poses and optical flow at once.
 
         They are worth less with each millisecond.
         """
         rates, poses = self._link.measurements.turn_rates(), self._link.measurements.reported_poses()
+        flow = self._link.flow.readings()
         if rates is not None:
             self._rates.publish(rates)
         if poses is not None:
             self._reported.publish(poses)
+        if flow is not None:
+            self._flow.publish(flow)
 
     def publish_state(self, now_s: float, phase: FlightPhase, note: Reason | None, operator_received_s: float) -> None:
         """Publish the state for the mission, with the autopilot's own pose before there is odometry.
