@@ -10,6 +10,7 @@ import uav_recon.localization
 ROOT = Path(uav_recon.localization.__file__).parent
 LEVEL = {
     "calibration": 1,
+    "flow": 1,
     "fusion": 1,
     "pad_origin": 1,
     "repeated_image": 1,

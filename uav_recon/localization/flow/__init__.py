@@ -1,0 +1,1 @@
+"""Motion of the body from optical flow and the range below."""
