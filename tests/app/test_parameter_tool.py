@@ -241,3 +241,8 @@ def test_missing_options_are_taken_from_the_config(tmp_path: Path) -> None:
     assert ParamsOptions.of("ardupilot", "udp:127.0.0.1:14540", None, tmp_path / "none") == ParamsOptions(
         "ardupilot", "udp:127.0.0.1:14540", None
     )
+    assert ParamsOptions.of("px4", "udp:127.0.0.1:14540", None, tmp_path / "none", flow=True).flow
+    with_flow = tmp_path / "config.toml"
+    with_flow.write_text(flown.read_text().replace("# enabled = true", "enabled = true"))
+    assert ParamsOptions.of(None, None, None, with_flow).flow
+    assert not options.flow

@@ -10,7 +10,7 @@ import pytest
 from uav_recon.app import pilot_factory
 from uav_recon.autopilot.mavlink.tlog import NoLog
 from uav_recon.clock import ManualClock
-from uav_recon.config import load, parse
+from uav_recon.config import Config, load, parse
 
 FLOWN = Path(__file__).parents[2] / "systemd" / "config.toml"
 DISTANCE_SENSOR, OPTICAL_FLOW, OPTICAL_FLOW_RAD = 132, 100, 106
@@ -30,12 +30,16 @@ class NoBytes:
         pass
 
 
-def requested(autopilot: str, **sections: dict[str, Any]) -> dict[int, float]:
+def config_of(autopilot: str, **sections: dict[str, Any]) -> Config:
     tree = load(FLOWN).model_dump(mode="json", exclude_none=True)
     tree["link"] |= {"autopilot": autopilot}
     for name, section in sections.items():
         tree[name] |= section
-    config, clock = parse(tree, "config.toml"), ManualClock(0.0)
+    return parse(tree, "config.toml")
+
+
+def requested(autopilot: str, **sections: dict[str, Any]) -> dict[int, float]:
+    config, clock = config_of(autopilot, **sections), ManualClock(0.0)
     allow_list = pilot_factory.make_allow_list_filter(config.link, clock)
     streams = pilot_factory.make_vehicle_link(config, NoBytes(), NoLog(), clock, allow_list).firmware.streams_hz
     assert len(dict(streams)) == len(streams), "each message once"
@@ -54,3 +58,13 @@ def test_two_range_finders_share_one_message_at_the_higher_rate() -> None:
     both = requested("px4", flow={"enabled": True}, range_up={"fov_deg": 27.0})
     assert both[DISTANCE_SENSOR] == 20.0
     assert requested("px4", range_up={"fov_deg": 27.0})[DISTANCE_SENSOR] == 15.0
+
+
+@pytest.mark.parametrize(("autopilot", "name"), [("px4", "EKF2_OF_CTRL"), ("ardupilot", "EK3_SRC2_VELXY")])
+def test_the_parameters_of_optical_flow_are_checked_only_if_it_is_enabled(autopilot: str, name: str) -> None:
+    checks = [
+        pilot_factory.make_parameter_check(config_of(autopilot, flow={"enabled": enabled}))._wanted for enabled in (False, True)
+    ]
+    without, with_flow = ({one.name: one.value for one in wanted} for wanted in checks)
+    assert name not in without
+    assert with_flow[name] in (1.0, 5.0)

@@ -21,7 +21,7 @@ from uav_recon.autopilot.mavlink.allow_list import AllowListFilter
 from uav_recon.autopilot.mavlink.messages import ParameterValue
 from uav_recon.autopilot.mavlink.tlog import NoLog
 from uav_recon.autopilot.mavlink.transport import LinkError, open_link
-from uav_recon.autopilot.parameters.parameter_file import PARAMETER_FILES, ParameterFileError, RequiredParameter, load
+from uav_recon.autopilot.parameters.parameter_file import ParameterFileError, RequiredParameter, required
 from uav_recon.autopilot.parameters.reader import ParameterReader, equal
 from uav_recon.clock import MonotonicClock
 from uav_recon.config import LinkConfig
@@ -48,7 +48,7 @@ class ParamsOptions:
     """Options of the command line.
 
     file None: the file of this package. says: the config's link section, which defines the other end. fed: False leaves out the
-    parameters of the pose feed.
+    parameters of the pose feed. flow: True adds those of optical flow.
     """
 
     autopilot: str
@@ -56,10 +56,16 @@ class ParamsOptions:
     file: Path | None
     says: LinkConfig = field(default_factory=LinkConfig)
     fed: bool = True
+    flow: bool = False
 
     @staticmethod
     def of(
-        autopilot: str | None, link: str | None, file: Path | None, config: Path, own_navigation: bool = False
+        autopilot: str | None,
+        link: str | None,
+        file: Path | None,
+        config: Path,
+        own_navigation: bool = False,
+        flow: bool = False,
     ) -> ParamsOptions:
         """Return the options; missing ones are those of the config, which is read only then.
 
@@ -68,14 +74,15 @@ class ParamsOptions:
         if autopilot is not None and autopilot not in _FAMILY_OF:
             raise UserError(f"--autopilot {autopilot}: want one of {', '.join(_FAMILY_OF)}", EXIT_CONFIG)
         if autopilot is not None and link is not None:
-            return ParamsOptions(autopilot, link, file, fed=not own_navigation)
+            return ParamsOptions(autopilot, link, file, fed=not own_navigation, flow=flow)
         with readable(str(config), EXIT_CONFIG):
             there = config.exists()
         if not there:
             raise UserError(f"give --autopilot and --link, or a --config with both ({config}: no such file)", EXIT_CONFIG)
         loaded = config_file.load_config(config)
         says, fed = loaded.link, loaded.localization.source != "autopilot" and not own_navigation
-        return ParamsOptions(autopilot or says.autopilot, link or says.url, file or says.parameters, says, fed)
+        flow = flow or loaded.flow.enabled
+        return ParamsOptions(autopilot or says.autopilot, link or says.url, file or says.parameters, says, fed, flow)
 
 
 @dataclass(frozen=True)
@@ -237,7 +244,7 @@ def write_to(vehicle: Vehicle, wanted: tuple[RequiredParameter, ...], confirm: C
 
 def _wanted(options: ParamsOptions) -> tuple[RequiredParameter, ...]:
     try:
-        return load(options.file or PARAMETER_FILES[options.autopilot], fed=options.fed)
+        return required(options.autopilot, options.file, fed=options.fed, flow=options.flow)
     except ParameterFileError as error:
         raise UserError(str(error), EXIT_CONFIG) from None
 

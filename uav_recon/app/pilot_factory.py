@@ -139,12 +139,12 @@ def make_parameter_check(config: Config) -> ParameterCheck:
 
     Raises UserError with exit code 78 for a file that cannot be used.
     """
-    from uav_recon.autopilot.parameters.parameter_file import PARAMETER_FILES, ParameterFileError, load
+    from uav_recon.autopilot.parameters.parameter_file import ParameterFileError, required
     from uav_recon.autopilot.parameters.preflight_check import ParameterCheck
 
     try:
-        file = config.link.parameters or PARAMETER_FILES[config.link.autopilot]
-        wanted = load(file, fed=config.localization.source != "autopilot")
+        fed = config.localization.source != "autopilot"
+        wanted = required(config.link.autopilot, config.link.parameters, fed=fed, flow=config.flow.enabled)
     except ParameterFileError as error:
         raise UserError(f"link.parameters: {error}", EXIT_CONFIG) from None
     return ParameterCheck(wanted, firmware(config.link.autopilot)[1])

@@ -46,6 +46,14 @@ OwnNavigationOption = Annotated[
         "localization.source.",
     ),
 ]
+FlowOption = Annotated[
+    bool,
+    typer.Option(
+        "--flow",
+        help="The vehicle has an optical flow sensor and a range finder that look down: add their parameters. Default: as in "
+        "the config, flow.enabled.",
+    ),
+]
 FLOWN = Path("/etc/uav_recon/config.toml")
 
 
@@ -55,6 +63,7 @@ def check(
     file: FileOption = None,
     config: ConfigOption = FLOWN,
     own_navigation: OwnNavigationOption = False,
+    flow: FlowOption = False,
 ) -> None:
     """Show every required parameter beside the vehicle's value.
 
@@ -64,7 +73,7 @@ def check(
     """
     from uav_recon.app import parameter_tool as parameters
 
-    exit_with(lambda: parameters.check(parameters.ParamsOptions.of(autopilot, link, file, config, own_navigation), True))
+    exit_with(lambda: parameters.check(parameters.ParamsOptions.of(autopilot, link, file, config, own_navigation, flow), True))
 
 
 def diff(
@@ -73,6 +82,7 @@ def diff(
     file: FileOption = None,
     config: ConfigOption = FLOWN,
     own_navigation: OwnNavigationOption = False,
+    flow: FlowOption = False,
 ) -> None:
     """Show only differing parameters.
 
@@ -80,7 +90,7 @@ def diff(
     """
     from uav_recon.app import parameter_tool as parameters
 
-    exit_with(lambda: parameters.check(parameters.ParamsOptions.of(autopilot, link, file, config, own_navigation), False))
+    exit_with(lambda: parameters.check(parameters.ParamsOptions.of(autopilot, link, file, config, own_navigation, flow), False))
 
 
 def write(
@@ -89,6 +99,7 @@ def write(
     file: FileOption = None,
     config: ConfigOption = FLOWN,
     own_navigation: OwnNavigationOption = False,
+    flow: FlowOption = False,
     yes: Annotated[bool, typer.Option("--yes", help="Write without asking.")] = False,
 ) -> None:
     """Write the differing parameters after a confirmation, and read them back.
@@ -103,7 +114,9 @@ def write(
             return False
         return yes or typer.confirm(question)
 
-    exit_with(lambda: parameters.write(parameters.ParamsOptions.of(autopilot, link, file, config, own_navigation), confirm))
+    exit_with(
+        lambda: parameters.write(parameters.ParamsOptions.of(autopilot, link, file, config, own_navigation, flow), confirm)
+    )
 
 
 params = new_group("Compare the vehicle's parameters with the required ones, and write them.")

@@ -10,12 +10,15 @@ import pytest
 from sitl.autopilots.ardupilot.parameters import ArduPilotParameters
 from sitl.autopilots.px4.parameters import Px4Parameters
 from uav_recon.autopilot.parameters.parameter_file import (
+    FLOW_FILES,
+    FLOW_REASONS,
     FOLDER,
     PARAMETER_FILES,
     REASONS,
     ParameterFileError,
     load,
     load_reasons,
+    required,
 )
 
 RETURNS = {  # what an action must never be, of each firmware: Return, and on PX4 Hold, which needs a global position
@@ -132,3 +135,46 @@ def test_an_autopilot_that_navigates_by_itself_keeps_the_parameters_of_its_navig
     left_out = every - own
     assert left_out >= {"EKF2_EV_CTRL", "EKF2_EV_DELAY", "EKF2_EV_POS_X"} or left_out >= {"EK3_SRC1_POSXY", "VISO_TYPE"}
     assert not left_out & {"EKF2_GPS_CTRL", "GPS1_TYPE", "COM_OBL_RC_ACT", "FS_GCS_ENABLE", "MPC_XY_VEL_MAX", "WP_SPD"}
+
+
+@pytest.mark.parametrize("name", FLOW_FILES)
+def test_each_value_of_optical_flow_has_its_row_and_each_row_its_value(name: str) -> None:
+    path = FLOW_FILES[name]
+    section = next(
+        part for part in FLOW_REASONS.read_text().split("\n## ") if f"`{path.name}`" in part and "| arming |" in part
+    )
+    told = dict(re.findall(r"^\| ([A-Z0-9_]+) \| ([^ |]+) \|", section, re.MULTILINE))
+    wanted = {one.name: one for one in load(path, reasons_path=FLOW_REASONS)}
+    assert {one: float(value) for one, value in told.items()} == {one.name: one.value for one in wanted.values()}
+    assert all(one.reason.why for one in wanted.values())
+    assert max(map(len, path.read_text(encoding="ascii").splitlines(keepends=True))) <= 98 or path.suffix == ".params"
+
+
+@pytest.mark.parametrize(
+    ("name", "replaced", "added"),
+    [
+        ("px4", {"EKF2_OF_CTRL": 1.0, "EKF2_RNG_CTRL": 1.0}, "SENS_FLOW_RATE"),
+        ("ardupilot", {"EK3_SRC_OPTIONS": 1.0}, "EK3_SRC2_VELXY"),
+    ],
+)
+def test_optical_flow_replaces_some_parameters_and_adds_others(name: str, replaced: dict[str, float], added: str) -> None:
+    without, with_flow = ({one.name: one for one in required(name, flow=flow)} for flow in (False, True))
+    assert list(without) == [one.name for one in load(PARAMETER_FILES[name])]
+    for parameter, value in replaced.items():
+        assert without[parameter].value == 0.0
+        assert with_flow[parameter].value == value
+        assert with_flow[parameter].reason.refused
+    assert added in set(with_flow) - set(without)
+    assert {one: with_flow[one].value for one in without if one not in replaced} == {
+        one: without[one].value for one in without if one not in replaced
+    }
+    own = {one.name for one in required(name, fed=False, flow=True)}
+    assert own == {one.name for one in required(name, fed=False)}, "it keeps its own navigation"
+
+
+def test_optical_flow_is_added_to_a_users_own_file(tmp_path: Path) -> None:
+    own = written(tmp_path, "own.param", "EK3_SRC_OPTIONS,0\nMINE_TOO,0.5\n")
+    values = {one.name: one.value for one in required("ardupilot", own, flow=True)}
+    assert values["MINE_TOO"] == 0.5
+    assert values["EK3_SRC_OPTIONS"] == 1.0
+    assert values["EK3_SRC2_VELXY"] == 5.0

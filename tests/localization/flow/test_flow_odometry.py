@@ -162,7 +162,8 @@ def test_what_cannot_be_trusted_gives_no_motion() -> None:
     assert answer(flight, readings) is not None
     assert answer(flight, change(readings, 4.0, 7.0, quality=0.0)) is None, "a covered lens"
     assert answer(flight, change(readings, 4.0, 7.0, quality=0.05)) is None, "a floor without texture"
-    assert answer(flight, change(readings, 4.0, 7.0, flow_rad=7.1 / flight.rate_hz)) is None, "saturated"
+    saturated = replace(readings, flow_rad=readings.flow_rad + 8.0 / flight.rate_hz)
+    assert answer(flight, saturated) is None, "saturated"
     assert answer(flight, part(readings, 0.0, 5.5)) is None, "later than the newest reading"
     assert answer(flight, part(readings, 5.5, 9.0)) is None, "before the first reading"
     assert answer(flight, readings, 6.0, 6.0) is None

@@ -12,7 +12,7 @@ from uav_recon.autopilot.mavlink.messages import DownwardRange, FlowAngle, FlowR
 from uav_recon.types.flow import FlowReadings
 
 _DISTANCE_SENSOR = (132, 20.0)
-#: OPTICAL_FLOW_RAD, OPTICAL_FLOW: at twice the sensor's rate, as the firmware sends the newest reading when it is due
+# OPTICAL_FLOW_RAD, OPTICAL_FLOW: at twice the sensor's rate, as the firmware sends the newest reading when it is due
 STREAMS = {"px4": ((106, 40.0), _DISTANCE_SENSOR), "ardupilot": ((100, 40.0), _DISTANCE_SENSOR)}
 _READINGS = 32  #: internal: readings that are published together: one to two seconds
 #: reject: a second flow sensor or range finder, unless the first one was silent for this time

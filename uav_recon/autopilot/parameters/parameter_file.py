@@ -16,6 +16,8 @@ from pathlib import Path
 
 FOLDER = Path(__file__).resolve().parents[3] / "firmware_params"
 REASONS = FOLDER / "README.md"
+FLOW_REASONS = FOLDER / "flow.md"
+FLOW_FILES = {"px4": FOLDER / "px4_flow.params", "ardupilot": FOLDER / "ardupilot_flow.param"}
 PARAMETER_FILES = {"px4": FOLDER / "px4_indoor.params", "ardupilot": FOLDER / "ardupilot_indoor.param"}
 _NAME = re.compile(r"[A-Z][A-Z0-9_]{0,15}")
 _REAL32 = 9
@@ -53,19 +55,33 @@ class RequiredParameter:
     reason: ParameterReason
 
 
-def load(path: Path, *, fed: bool = True) -> tuple[RequiredParameter, ...]:
+def required(
+    autopilot: str, path: Path | None = None, *, fed: bool = True, flow: bool = False
+) -> tuple[RequiredParameter, ...]:
+    """Return every parameter that a vehicle needs. Raises ParameterFileError.
+
+    autopilot: px4 or ardupilot. path: the user's own file, in place of the one for the autopilot. fed: as of load(). flow: also
+    those of optical flow, which replace others of the same name; not for an autopilot that navigates by itself.
+    """
+    wanted = {one.name: one for one in load(path or PARAMETER_FILES[autopilot], fed=fed)}
+    if flow and fed:
+        wanted |= {one.name: one for one in load(FLOW_FILES[autopilot], reasons_path=FLOW_REASONS)}
+    return tuple(wanted.values())
+
+
+def load(path: Path, *, fed: bool = True, reasons_path: Path = REASONS) -> tuple[RequiredParameter, ...]:
     """Return every parameter of a file, in its order. Raises ParameterFileError.
 
-    fed: False leaves out those of the pose feed, for an autopilot that navigates by itself. A name without an entry in the
-    README is user-defined: it must be met before arming too.
+    fed: False leaves out those of the pose feed, for an autopilot that navigates by itself. reasons_path: README with an entry
+    for each. A name without one is user-defined: it must be met before arming too.
     """
     read_line = {".params": _qgroundcontrol, ".param": _mission_planner}.get(path.suffix)
     if read_line is None:
         raise ParameterFileError(f"{path}: a parameter file ends in .params (QGroundControl) or .param (Mission Planner)")
     values = _values(path, read_line)
-    reasons, own = load_reasons(), ParameterReason("", "", "", refused=True, reboot=False)
-    required = (RequiredParameter(name, value, reasons.get(name, own)) for name, value in values.items())
-    return tuple(one for one in required if fed or not one.reason.fed)
+    reasons, own = load_reasons(reasons_path), ParameterReason("", "", "", refused=True, reboot=False)
+    wanted = (RequiredParameter(name, value, reasons.get(name, own)) for name, value in values.items())
+    return tuple(one for one in wanted if fed or not one.reason.fed)
 
 
 def load_reasons(path: Path = REASONS) -> dict[str, ParameterReason]:

@@ -16,13 +16,14 @@ from uav_recon.types.frames import FloatArray
 DELAYS_S = np.arange(0.0, 0.151, 0.01)  # of the grid
 _SCALE_SIGMA = 0.05  # of a sensor as it is built
 _DELAY_S, _DELAY_SIGMA_S = 0.03, 0.03  # of a sensor as it is stamped
-_SCALE_LIMITS = (0.8, 1.25)  #: internal: limits of the estimated scale of optical flow
+_LEAST_SCALE_FACTOR = 0.8  #: internal: the estimated scale of optical flow is at least this
+_LARGEST_SCALE_FACTOR = 1.25  #: internal: the estimated scale of optical flow is at most this
 _SHARED = 2.0  # variance of an interval: those that follow each other share errors
 _KEEP = 0.995  # of the sums, with each interval
 _SMALLEST_SCALE_SIGMA, _SMALLEST_DELAY_SIGMA_S = 0.004, 0.002  # what the model leaves out
 _OUTLIER_SIGMAS = 4.0  #: reject: an interval of the track that optical flow contradicts by more than this and the next two
 _OUTLIER_M = 0.03  #: reject: the same, in metres
-_OUTLIER_SHARE = 0.25  #: reject: the same, as a share of the motion: the scale may be wrong by as much
+_OUTLIER_FACTOR = 0.25  #: reject: the same, as a share of the motion: the scale may be wrong by as much
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +58,7 @@ class FlowCalibration:
         now_m = np.array([np.interp(self.errors.delay_s, DELAYS_S, measured_m[:, k]) for k in range(3)])
         error_m = float(np.linalg.norm(now_m - self.errors.scale * expected_m))
         size_m = float(np.linalg.norm(expected_m))
-        if error_m > _OUTLIER_SIGMAS * math.sqrt(variance_m2) + _OUTLIER_M + _OUTLIER_SHARE * size_m:
+        if error_m > _OUTLIER_SIGMAS * math.sqrt(variance_m2) + _OUTLIER_M + _OUTLIER_FACTOR * size_m:
             return False
         self._expected = _KEEP * self._expected + max(size_m**2 - 2.0 * track_sigma_m**2, 0.0) / variance_m2
         self._product = _KEEP * self._product + measured_m @ expected_m / variance_m2
@@ -68,7 +69,7 @@ class FlowCalibration:
     def _estimate(self) -> FlowErrors:
         """Return the most likely errors, with standard deviations from the curvature of the cost."""
         weight = 1.0 / _SCALE_SIGMA**2
-        scales = np.clip((self._product + weight) / (self._expected + weight), *_SCALE_LIMITS)
+        scales = np.clip((self._product + weight) / (self._expected + weight), _LEAST_SCALE_FACTOR, _LARGEST_SCALE_FACTOR)
         costs = self._measured - 2.0 * scales * self._product + scales**2 * self._expected
         costs = costs + weight * (scales - 1.0) ** 2 + ((DELAYS_S - _DELAY_S) / _DELAY_SIGMA_S) ** 2
         best = int(np.clip(np.argmin(costs), 1, len(DELAYS_S) - 2))

@@ -23,16 +23,15 @@ from uav_recon.types.frames import FloatArray
 from uav_recon.types.pose import Pose
 
 _KEPT = 1024  # readings: twenty seconds and more
-_INTERVAL_S = (1e-3, 0.5)  #: reject: optical flow over a shorter or longer time
+_SHORTEST_S = 1e-3  #: reject: optical flow over a shorter time
+_LONGEST_S = 0.5  #: reject: optical flow over a longer time
 _FASTEST_RADPS = 35.0  #: reject: optical flow, and turns of its gyro, beyond the range of any sensor
 _LONGEST_RANGE_M = 100.0  #: reject: a longer range below
 _NO_GYRO = np.full(3, math.nan)
 _LEAD_S = 1.0  # of the track of turns before the first reading
 _MARGIN_S = 0.9  # readings beside the asked time that are looked at, too
 _BRIDGED_S = 0.7  #: reject: motion by optical flow with a longer gap between two readings that count
-_AHEAD_S = (
-    0.15  #: reject: motion by optical flow until later than this after the last reading, or from as much before the first
-)
+_AHEAD_S = 0.15  #: reject: motion by optical flow until later than this after the last reading, or before the first
 _GYRO_BESIDE_S = 0.15  #: reject: the flow sensor's own gyro farther in time from its readings
 _ACCELERATION_MPS2 = 1.5  # rms, within a gap and ahead of the readings
 _BIAS_MPS = 0.01  # of the velocity, rms: what does not average out
@@ -88,7 +87,7 @@ class FlowOdometry:
         for k in fresh.tolist():
             flow_rad, gyro_rad, interval_s = readings.flow_rad[k], readings.gyro_rad[k], float(readings.intervals_s[k])
             most_rad = _FASTEST_RADPS * interval_s
-            if not (_INTERVAL_S[0] <= interval_s <= _INTERVAL_S[1] and np.abs(flow_rad).max() <= most_rad):
+            if not (_SHORTEST_S <= interval_s <= _LONGEST_S and np.abs(flow_rad).max() <= most_rad):
                 continue
             gyro_rad = gyro_rad if np.abs(gyro_rad[:2]).max() <= most_rad else _NO_GYRO
             self._flows.append(readings.stamps_s[k], interval_s, *flow_rad, *gyro_rad, readings.quality[k])

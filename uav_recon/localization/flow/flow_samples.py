@@ -9,11 +9,12 @@ import numpy as np
 from uav_recon.localization.flow.surface_height import SurfaceHeight
 from uav_recon.types.frames import BoolArray, FloatArray
 
-LEAST_QUALITY = 0.1  #: reject: optical flow of a lower quality: a covered lens, the dark, a bare floor
+LEAST_QUALITY_FACTOR = 0.1  #: reject: optical flow of a lower quality: a covered lens, the dark, a bare floor
 _GOOD_QUALITY = 0.4  # from here on the noise is that of the sensor
 _FASTEST_RADPS = 7.0  #: reject: faster optical flow: the sensor saturates
-_RANGE_M = (0.08, 8.0)  #: reject: optical flow over a nearer or farther surface: it is out of focus, or without texture
-_MOST_TILTED = 0.8  #: reject: optical flow of a body that leans more: cosine of 37 degrees
+_NEAREST_M = 0.08  #: reject: optical flow over a nearer surface: it is out of focus
+_FARTHEST_M = 8.0  #: reject: optical flow over a farther surface: its range finder, and its texture, end there
+_MOST_TILTED_FACTOR = 0.8  #: reject: optical flow of a body that leans more: cosine of 37 degrees
 _EQUAL = 4  #: reject: optical flow that repeats as many equal readings while the gyro turns
 _TURNING_RADPS = 0.15  #: reject: the same: by how much the turn rate differs within them
 #: reject: optical flow nearer in time to a step of the range: flow and range may be of different surfaces
@@ -98,8 +99,8 @@ def flow_samples(
     x, y, z = geometry.flow_m.tolist()
     lever = np.stack([rates_radps[:, 1] * z - rates_radps[:, 2] * y, rates_radps[:, 2] * x - rates_radps[:, 0] * z], axis=1)
     along_x_y = odom_from_body[:, :, :2]
-    valid = known & (up_body[:, 2] >= _MOST_TILTED) & (distance_m >= _RANGE_M[0]) & (distance_m <= _RANGE_M[1])
-    valid &= (quality >= LEAST_QUALITY) & (np.abs(flow_radps).max(axis=1, initial=0.0) <= _FASTEST_RADPS)
+    valid = known & (up_body[:, 2] >= _MOST_TILTED_FACTOR) & (distance_m >= _NEAREST_M) & (distance_m <= _FARTHEST_M)
+    valid &= (quality >= LEAST_QUALITY_FACTOR) & (np.abs(flow_radps).max(axis=1, initial=0.0) <= _FASTEST_RADPS)
     valid &= ~_frozen(flow_radps, rates_radps)
     samples = FlowSamples(
         instants_s=instants_s,
