@@ -8,7 +8,7 @@ import numpy as np
 
 from uav_recon.types.frames import BoolArray, FloatArray
 
-_STEP_M = 0.06  #: reject: a change of height between two ranges larger than this, and than the climb in between: an edge below
+_STEP_M = 0.08  #: reject: a change of height between two ranges larger than this, and than the climb in between: an edge below
 _CLIMB_MPS = 1.0  #: reject: the same, faster than this: the vehicle climbs and descends at 0.7 m/s at most
 _APART_S = 0.3  #: reject: optical flow between two ranges that are farther apart in time
 _BESIDE_S = 0.15  #: reject: optical flow farther in time from the first or the last range
