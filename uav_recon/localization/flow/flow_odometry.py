@@ -40,6 +40,7 @@ _RANGE_SHARE, _RANGE_M = 0.015, 0.02  # errors of the range, rms
 _CLIMB_M, _CLIMB_STEP_M = 0.06, 0.15  # errors of the climb by ranges, rms: what lies on the floor; at each step
 _CLIMB_UNKNOWN_M, _CLIMB_UNKNOWN_MPS = 0.2, 0.7  # the same without ranges
 _REFERENCE_S = 0.4  # of an interval of the reference
+_REFERENCE_APART_S = 0.25  #: reject: an interval of the reference with a longer gap between two readings that count
 _REFERENCE_GAP_S = 0.6  #: reject: an interval of the reference that is longer
 _REFERENCE_OLD_S = 5.0  #: reject: an interval of the reference that is older than the newest reading by this
 _LEAST_REFERENCE_M = 0.03  #: reject: an interval of the reference with less flow than this: it is noise
@@ -227,18 +228,18 @@ class FlowOdometry:
                 self._use(*start, *end[:2])
 
     def _use(self, from_s: float, start: Pose, sigma_m: float, to_s: float, end: Pose) -> None:
-        """Use one interval of the reference, if every reading in it counts."""
+        """Use one interval of the reference, if its readings count."""
         latest_s = to_s + float(DELAYS_S[-1])
         found = self._samples(from_s, latest_s, start)
         if found is None:
             return
         samples, _ = found
         stamps_s = samples.instants_s + self.errors.delay_s
-        inside = (stamps_s >= from_s - 0.1) & (stamps_s <= latest_s + 0.1)
-        if not samples.valid[inside].all() or np.sum(inside) < 3:
-            return
+        inside = samples.valid & (stamps_s >= from_s - 0.1) & (stamps_s <= latest_s + 0.1)
         samples, stamps_s = samples.selected(inside), stamps_s[inside]
-        if stamps_s[0] > from_s or stamps_s[-1] < latest_s or np.diff(stamps_s).max() > _REFERENCE_S:
+        if len(stamps_s) < 3 or stamps_s[0] > from_s or stamps_s[-1] < latest_s:
+            return
+        if np.diff(stamps_s).max() > _REFERENCE_APART_S:
             return
         weights_s = VelocityIntegral.between(from_s, to_s, samples.instants_s).weights_s
         beam = np.tensordot(weights_s, samples.odom_from_body[:, :, 2], 1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,6 +24,7 @@ _STEP_FADE_S = 1.0  # until then flow may still see two surfaces: its noise is l
 _STEP_SHARE = 0.5  # of the speed, for a step down to nothing
 _NOISE_RADPS = 0.05  # of a good sensor, rms
 _LEAST_NOISE_MPS = 0.02
+_MEDIAN_OF_PLANE = 1.18  # of the length of two components with an rms of one
 _NEIGHBOURS = 5  # whose median a reading must agree with
 _JUMP_SIGMAS = 4.0  #: reject: optical flow that differs from the median of its neighbours by more than this and the next one
 _JUMP_MPS = 0.2  #: reject: the same: what a body accelerates in between
@@ -148,15 +150,28 @@ def _near_steps(samples: FlowSamples, surface: SurfaceHeight, scale: float) -> F
 
 
 def _without_jumps(samples: FlowSamples, scale: float) -> FlowSamples:
-    """Return the samples without those that differ from the median of their neighbours."""
+    """Return the samples without those that differ from the median of their neighbours.
+
+    Noise that the samples show counts where it is larger.
+    """
     (at,) = np.nonzero(samples.valid)
     if len(at) < _NEIGHBOURS:
         return samples
-    velocity_mps = samples.velocities_mps(scale)[at]
+    velocity_mps, noise_mps = samples.velocities_mps(scale)[at], samples.noise_mps.copy()
+    noise_mps[at] = np.maximum(noise_mps[at], _shown_noise_mps(velocity_mps))
     half = _NEIGHBOURS // 2
     padded = np.concatenate([velocity_mps[:1]] * half + [velocity_mps] + [velocity_mps[-1:]] * half)
     windows = np.lib.stride_tricks.sliding_window_view(padded, _NEIGHBOURS, axis=0)
     away_mps = np.linalg.norm(velocity_mps - np.median(windows, axis=-1), axis=1)
     valid = samples.valid.copy()
-    valid[at] = away_mps <= _JUMP_SIGMAS * samples.noise_mps[at] + _JUMP_MPS
-    return replace(samples, valid=valid)
+    valid[at] = away_mps <= _JUMP_SIGMAS * noise_mps[at] + _JUMP_MPS
+    return replace(samples, noise_mps=noise_mps, valid=valid)
+
+
+def _shown_noise_mps(velocity_mps: FloatArray) -> float:
+    """Return the rms noise that velocities (N, 3) show.
+
+    It follows from how far each is off the mean of its two neighbours.
+    """
+    off_mps = velocity_mps[1:-1] - (velocity_mps[:-2] + velocity_mps[2:]) / 2.0
+    return float(np.median(np.linalg.norm(off_mps, axis=1))) / (_MEDIAN_OF_PLANE * math.sqrt(1.5))
