@@ -82,7 +82,7 @@ class RangeMeasurement:
 
 
 @dataclass(frozen=True, slots=True)
-class FlowErrors:
+class FlowSensorErrors:
     """Errors of one flow sensor: constant in a flight, see the constants of this module."""
 
     scale: float = 1.0
@@ -95,10 +95,10 @@ class FlowErrors:
     dropout_share: float = 0.0
 
     @staticmethod
-    def drawn(seed: int) -> FlowErrors:
+    def drawn(seed: int) -> FlowSensorErrors:
         """Draw the errors of the sensor of a flight."""
         draw = random.Random(seed ^ 0x0F10)
-        return FlowErrors(
+        return FlowSensorErrors(
             scale=draw.gauss(1.0, SCALE_SIGMA),
             bias_radps=(draw.gauss(0.0, BIAS_RADPS), draw.gauss(0.0, BIAS_RADPS)),
             gyro_bias_radps=(
@@ -121,10 +121,10 @@ class SimulatedFlowModule:
     0 (dark) to 1; set by the caller.
     """
 
-    def __init__(self, scene: Scene, seed: int, errors: FlowErrors | None = None) -> None:
+    def __init__(self, scene: Scene, seed: int, errors: FlowSensorErrors | None = None) -> None:
         """Set up the rays. errors: of the flow sensor; None: drawn from the seed."""
         self._rays = _SceneRays(scene)
-        self.errors = errors or FlowErrors.drawn(seed)
+        self.errors = errors or FlowSensorErrors.drawn(seed)
         self._flow = _FlowSensor(self._rays, FloorTexture(seed), self.errors, seed)
         self._random = random.Random(seed ^ 0x4A6E)
         self._next_range_s = -math.inf
@@ -190,7 +190,7 @@ class _SceneRays:
 class _FlowSensor:
     """The flow sensor alone."""
 
-    def __init__(self, rays: _SceneRays, texture: FloorTexture, errors: FlowErrors, seed: int) -> None:
+    def __init__(self, rays: _SceneRays, texture: FloorTexture, errors: FlowSensorErrors, seed: int) -> None:
         self._rays = rays
         self._texture = texture
         self._errors = errors

@@ -18,7 +18,7 @@ from sitl.autopilots.flow_aiding import FlowTuning, Terrain, flow_velocity
 from sitl.autopilots.flow_parameters import flow_parameters, set_parameters
 from sitl.geometry.quaternion import IDENTITY, from_euler, from_yaw
 from sitl.scene.scene import Scene
-from sitl.world.flow_sensor import FLOW_MOUNT_M, FlowErrors, FlowMeasurement, SimulatedFlowModule
+from sitl.world.flow_sensor import FLOW_MOUNT_M, FlowMeasurement, FlowSensorErrors, SimulatedFlowModule
 from sitl.world.range_finder import SimulatedUpwardRangeFinder
 
 FACES = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
@@ -37,7 +37,7 @@ def sheets(*heights_m: float) -> Scene:
     return Scene("sheets", vertices, faces, grey, 0.0, np.full(3, -9.0), np.full(3, 9.0), np.zeros(3))
 
 
-def floor(errors: FlowErrors | None = None) -> SimulatedFlowModule:
+def floor(errors: FlowSensorErrors | None = None) -> SimulatedFlowModule:
     return SimulatedFlowModule(sheets(FLOOR_Z), 3, errors)
 
 
@@ -100,7 +100,7 @@ def told(c: Any, *kinds: str, rate_hz: float | None = None) -> list[Any]:
     return list(c.messages)
 
 
-def lifted(c: Any, errors: FlowErrors, height_m: float = 1.0) -> Any:
+def lifted(c: Any, errors: FlowSensorErrors, height_m: float = 1.0) -> Any:
     """Return the vehicle held at a height, moving at 0.5 m/s to the north; only its sensors run."""
     c.autopilot.mount_flow_module(floor(errors))
     step, north = c.vehicle.step, 0.0
@@ -117,7 +117,7 @@ def lifted(c: Any, errors: FlowErrors, height_m: float = 1.0) -> Any:
 
 
 def test_px4_streams_each_flow_once_as_angles_over_its_interval() -> None:
-    c = lifted(Companion(yaw_rad=math.pi / 2), replace(FlowErrors(), rate_hz=20.0, delay_s=0.02))  # heading north
+    c = lifted(Companion(yaw_rad=math.pi / 2), replace(FlowSensorErrors(), rate_hz=20.0, delay_s=0.02))  # heading north
     messages = told(c, "OPTICAL_FLOW_RAD", rate_hz=50.0)
     assert 38 <= len(messages) <= 41
     assert len({m.time_usec for m in messages}) == len(messages)
@@ -133,12 +133,12 @@ def test_px4_streams_each_flow_once_as_angles_over_its_interval() -> None:
 
 
 def test_px4_streams_flow_at_10_hertz_unasked_and_none_without_a_sensor() -> None:
-    assert 18 <= len(told(lifted(Companion(), FlowErrors()), "OPTICAL_FLOW_RAD")) <= 21
+    assert 18 <= len(told(lifted(Companion(), FlowSensorErrors()), "OPTICAL_FLOW_RAD")) <= 21
     assert told(Companion(), "OPTICAL_FLOW_RAD", "DISTANCE_SENSOR", rate_hz=50.0) == []
 
 
 def test_px4_marks_a_range_out_of_limits_and_the_flow_has_no_distance() -> None:
-    messages = told(lifted(Companion(), FlowErrors(), 6.0), "OPTICAL_FLOW_RAD", "DISTANCE_SENSOR", rate_hz=50.0)
+    messages = told(lifted(Companion(), FlowSensorErrors(), 6.0), "OPTICAL_FLOW_RAD", "DISTANCE_SENSOR", rate_hz=50.0)
     down = [m for m in messages if m.get_type() == "DISTANCE_SENSOR"]
     assert {(m.orientation, m.current_distance, m.signal_quality, m.id) for m in down} == {(DOWN, 400, 1, 0)}
     assert {m.distance for m in messages if m.get_type() == "OPTICAL_FLOW_RAD"} == {-1.0}
@@ -146,7 +146,7 @@ def test_px4_marks_a_range_out_of_limits_and_the_flow_has_no_distance() -> None:
 
 @pytest.mark.parametrize("make", [Companion, lambda: copter(**FOR_ARDUPILOT)])
 def test_range_finders_up_and_down_have_ids_of_their_own(make: Any) -> None:
-    c = lifted(make(), FlowErrors())
+    c = lifted(make(), FlowSensorErrors())
     c.autopilot.mount_range_finder(SimulatedUpwardRangeFinder(sheets(2.5), 1, 0.4))
     messages = told(c, "DISTANCE_SENSOR", rate_hz=50.0)
     assert {(m.orientation, m.id, m.signal_quality) for m in messages} == {(UP, 0, 0), (DOWN, 1, 0)}
@@ -156,10 +156,10 @@ def test_range_finders_up_and_down_have_ids_of_their_own(make: Any) -> None:
 
 
 def test_ardupilot_sends_the_newest_flow_as_a_rate_on_request() -> None:
-    assert told(lifted(copter(**FOR_ARDUPILOT), FlowErrors()), "OPTICAL_FLOW") == []
+    assert told(lifted(copter(**FOR_ARDUPILOT), FlowSensorErrors()), "OPTICAL_FLOW") == []
     c = lifted(
         Copilot(copter(**FOR_ARDUPILOT).copter.parameters, yaw_rad=math.pi / 2),
-        replace(FlowErrors(), gyro_bias_radps=(0.2, -0.1, 0.0)),
+        replace(FlowSensorErrors(), gyro_bias_radps=(0.2, -0.1, 0.0)),
     )
     messages = told(c, "OPTICAL_FLOW", rate_hz=50.0)
     assert len(messages) > 80
@@ -173,11 +173,11 @@ def test_ardupilot_sends_the_newest_flow_as_a_rate_on_request() -> None:
 
 
 def test_ardupilot_reads_no_sensor_that_its_parameters_do_not_name() -> None:
-    assert told(lifted(copter(), FlowErrors()), "OPTICAL_FLOW", "DISTANCE_SENSOR", rate_hz=50.0) == []
+    assert told(lifted(copter(), FlowSensorErrors()), "OPTICAL_FLOW", "DISTANCE_SENSOR", rate_hz=50.0) == []
 
 
 def test_ardupilot_sends_no_range_that_has_no_data() -> None:
-    far = lifted(copter(**FOR_ARDUPILOT), FlowErrors(), 6.0)
+    far = lifted(copter(**FOR_ARDUPILOT), FlowSensorErrors(), 6.0)
     assert told(far, "DISTANCE_SENSOR", rate_hz=50.0) == []
 
 

@@ -20,14 +20,14 @@ from sitl.world.flow_sensor import (
     FLOW_MOUNT_M,
     RANGE_M,
     RANGE_MOUNT_M,
-    FlowErrors,
     FlowMeasurement,
+    FlowSensorErrors,
     SimulatedFlowModule,
 )
 
 FACES = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
 STEP_S = 0.004
-EXACT = FlowErrors()
+EXACT = FlowSensorErrors()
 FLOOR_Z = -0.1
 HEIGHT_M = 1.2  # of the flow sensor above the floor
 BODY_Z = FLOOR_Z + HEIGHT_M - FLOW_MOUNT_M[2]
@@ -43,7 +43,7 @@ def sheet(z: float, x: tuple[float, float] = (-20.0, 20.0), y: tuple[float, floa
 FLOOR = sheet(FLOOR_Z)
 
 
-def module(*sheets: NDArray[np.float32], seed: int = 1, errors: FlowErrors | None = EXACT) -> SimulatedFlowModule:
+def module(*sheets: NDArray[np.float32], seed: int = 1, errors: FlowSensorErrors | None = EXACT) -> SimulatedFlowModule:
     vertices = np.concatenate(sheets)
     faces = np.concatenate([FACES + 4 * i for i in range(len(sheets))]).astype(np.int32)
     grey = np.full((len(vertices), 3), 128, np.uint8)
@@ -188,7 +188,7 @@ def test_a_tenth_of_the_floor_has_poor_texture_in_patches() -> None:
 
 
 def test_the_noise_is_5_centimetres_per_second_at_15_hertz_and_1_2_metres() -> None:
-    errors = replace(EXACT, noise_rad=FlowErrors.drawn(1).noise_rad, rate_hz=15.0)
+    errors = replace(EXACT, noise_rad=FlowSensorErrors.drawn(1).noise_rad, rate_hz=15.0)
     found = flown(module(FLOOR, errors=errors), lambda _: ((0.0, 0.0, BODY_Z), IDENTITY), 60.0)
     speed = [m.flow_rad[1] / m.interval_s * 1.2 for m in found]
     assert 0.05 < statistics.stdev(speed) < 0.12, "more on a floor with less than full texture"
@@ -214,17 +214,17 @@ def test_a_reading_is_late_by_the_delay_that_its_time_contains() -> None:
 
 
 def test_the_sensors_of_many_flights_have_the_errors_of_their_data_sheet() -> None:
-    drawn = [FlowErrors.drawn(seed) for seed in range(400)]
+    drawn = [FlowSensorErrors.drawn(seed) for seed in range(400)]
     assert statistics.stdev(e.scale for e in drawn) == pytest.approx(0.03, rel=0.15)
     assert statistics.stdev(e.bias_radps[0] for e in drawn) == pytest.approx(0.0083, rel=0.15)
     delays_s, rates_hz = [e.delay_s for e in drawn], [e.rate_hz for e in drawn]
     assert (min(delays_s), max(delays_s)) == pytest.approx((0.010, 0.040), abs=1e-3)
     assert (min(rates_hz), max(rates_hz)) == pytest.approx((15.0, 25.0), abs=0.2)
-    assert FlowErrors.drawn(7) == FlowErrors.drawn(7)
+    assert FlowSensorErrors.drawn(7) == FlowSensorErrors.drawn(7)
 
 
 def test_two_per_cent_of_the_readings_are_lost() -> None:
-    errors = replace(EXACT, dropout_share=FlowErrors.drawn(1).dropout_share, rate_hz=25.0)
+    errors = replace(EXACT, dropout_share=FlowSensorErrors.drawn(1).dropout_share, rate_hz=25.0)
     found = flown(module(FLOOR, errors=errors), lambda _: ((0.0, 0.0, BODY_Z), IDENTITY), 80.0)
     lost = [m for m in found if m.quality == 0]
     assert 0.01 < len(lost) / len(found) < 0.03
