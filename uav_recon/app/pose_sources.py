@@ -6,6 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from uav_recon.app import camera_sources
 from uav_recon.app.flight_channels import FlightChannels
 from uav_recon.config import Config
@@ -16,6 +18,7 @@ from uav_recon.types.pose import Pose
 
 if TYPE_CHECKING:  # the pilot's process imports no stage of perception
     from uav_recon.localization.calibration.camera_mount import Mount
+    from uav_recon.localization.slam.slam_tracker import SlamTracker
     from uav_recon.localization.slam.view_odometry import ViewOdometry
 
 
@@ -59,12 +62,24 @@ def with_view(opened: OpenedPoses, context: SourceContext) -> OpenedPoses:
     if opened.view is not None:
         return opened
     from uav_recon.localization.slam.slam_source import TrackedCamera
-    from uav_recon.localization.slam.slam_tracker import SlamTracker, warm_up
     from uav_recon.localization.slam.view_odometry import ViewOdometry
 
-    warm_up()
-    view = ViewOdometry(SlamTracker(), Pose.identity())
+    view = ViewOdometry(_tracker(context), Pose.identity())
     return OpenedPoses(TrackedCamera(opened.camera, context.mount, view, now_s=context.clock.now_s), opened.poses, view)
+
+
+def _tracker(context: SourceContext) -> SlamTracker:
+    """Return a tracker with its kernels compiled; it takes optical flow if the vehicle has it."""
+    from uav_recon.localization.flow.flow_samples import FlowGeometry
+    from uav_recon.localization.slam.outside_motion import FlowMotion
+    from uav_recon.localization.slam.slam_tracker import SlamTracker, warm_up
+
+    warm_up()
+    flow = context.config.flow
+    if not flow.enabled:
+        return SlamTracker()
+    geometry = FlowGeometry(np.array(flow.position_body_m), np.array(flow.range_position_body_m))
+    return SlamTracker(FlowMotion(geometry, context.channels.flow))
 
 
 def _open_stream_poses(context: SourceContext) -> OpenedPoses:
@@ -81,11 +96,9 @@ def _open_stream_poses(context: SourceContext) -> OpenedPoses:
 
 def _open_slam(context: SourceContext) -> OpenedPoses:
     from uav_recon.localization.slam.slam_source import SlamSource
-    from uav_recon.localization.slam.slam_tracker import SlamTracker, warm_up
     from uav_recon.localization.slam.view_odometry import ViewOdometry
 
-    warm_up()
-    source = SlamSource(context.camera, context.mount, ViewOdometry(SlamTracker()), now_s=context.clock.now_s)
+    source = SlamSource(context.camera, context.mount, ViewOdometry(_tracker(context)), now_s=context.clock.now_s)
     return OpenedPoses(source, source, source.odometry)
 
 

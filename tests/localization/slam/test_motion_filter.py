@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from uav_recon.localization.flow.measured_motion import MeasuredMotion
 from uav_recon.localization.fusion.imu_integration import GRAVITY_MPS2, InertialTrack
-from uav_recon.localization.slam.motion_filter import MeasuredStep, MotionFilter, PredictedMotion
+from uav_recon.localization.slam.motion_filter import BIAS, MotionFilter, PredictedMotion
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.pose import Pose
 
@@ -38,7 +39,7 @@ class Flight:
     """A body along a path of sines, its inertial track by exact geometry, and its frames' places with noise."""
 
     def __init__(self, sensor: Sensor = _honest, inertial: bool = True, noise_mps2: float = 0.0) -> None:
-        self.filter = MotionFilter(self.place(0.0), np.zeros(3))
+        self.filter = MotionFilter(Pose(_pose(0.0).quat_wxyz, self.place(0.0)), np.zeros(3))
         self.track = InertialTrack()
         self.worst_m = 0.0  # error of a predicted place
         self.used: list[bool] = []
@@ -94,7 +95,7 @@ class Flight:
 @pytest.mark.parametrize("acceleration", [0.0, 0.5, -1.5])
 def test_a_constant_acceleration_is_carried_exactly(acceleration: float) -> None:
     """From rest, s = a t² / 2 and v = a t; the body is turned by a quarter, so its own axis is another one."""
-    motion, track = MotionFilter(np.array([1.0, 2.0, 3.0]), np.zeros(3)), InertialTrack()
+    motion, track = MotionFilter(Pose(np.array([1.0, 0.0, 0.0, 0.0]), np.array([1.0, 2.0, 3.0])), np.zeros(3)), InertialTrack()
     for n in range(101):
         track.push(n / 100, (0.0, 0.0, 0.0), (0.0, -acceleration, GRAVITY_MPS2))
     a, b = track.at(0.0), track.at(1.0)
@@ -136,6 +137,23 @@ def test_the_offset_of_the_accelerometer_is_found() -> None:
     assert np.linalg.norm(off) < 0.05
 
 
+def test_bias_and_tilt_are_kept_apart_over_a_turn() -> None:
+    """The map is tilted by 0.7 degrees, levelled by an accelerometer with the opposite bias: at rest nothing shows."""
+    tilt = Rotation.from_euler("y", 0.7, degrees=True)
+    leaned = GRAVITY_MPS2 * tilt.inv().apply([0.0, 0.0, 1.0]) - np.array([0.0, 0.0, GRAVITY_MPS2])  # in the tilted map
+    start = _attitude(0.0).inv().apply(leaned)
+
+    def sensor(t: float, force: FloatArray) -> FloatArray:
+        return np.asarray(force + _attitude(t).inv().apply(leaned) - start)
+
+    flight = Flight(sensor)
+    flight.fly(20.0)
+    assert all(flight.used)
+    off = flight.predict(1.0).place_m - flight.place(flight.now_s + 1.0)
+    assert np.linalg.norm(off) < 0.03
+    np.testing.assert_allclose(flight.filter.now.state[BIAS], -start, atol=0.05)
+
+
 def _half(t: float, force: FloatArray) -> FloatArray:
     return 0.5 * force if 5.0 <= t < 9.0 else force
 
@@ -173,9 +191,9 @@ def test_without_inertial_samples_the_velocity_comes_from_the_frames() -> None:
 
 
 def test_a_measured_step_carries_the_place_without_an_accelerometer() -> None:
-    motion = MotionFilter(np.zeros(3), np.zeros(3))
+    motion = MotionFilter(Pose.identity(), np.zeros(3))
     for _ in range(30):
-        moved = motion.predict(0.1, Pose.identity(), None, MeasuredStep(np.array([0.05, 0.0, 0.0]), 0.003))
+        moved = motion.predict(0.1, Pose.identity(), None, MeasuredMotion(np.array([0.05, 0.0, 0.0]), 0.003**2 * np.eye(3)))
         motion.coast(moved)
     np.testing.assert_allclose(moved.place_m, (1.5, 0.0, 0.0), atol=0.02)
     assert math.sqrt(moved.place_covariance[0, 0]) < 0.05
@@ -183,6 +201,6 @@ def test_a_measured_step_carries_the_place_without_an_accelerometer() -> None:
 
 
 def test_a_step_that_the_prediction_contradicts_is_left_out() -> None:
-    motion = MotionFilter(np.zeros(3), np.zeros(3))
-    moved = motion.predict(0.1, Pose.identity(), None, MeasuredStep(np.array([0.5, 0.0, 0.0]), 0.003))
+    motion = MotionFilter(Pose.identity(), np.zeros(3))
+    moved = motion.predict(0.1, Pose.identity(), None, MeasuredMotion(np.array([0.5, 0.0, 0.0]), 0.003**2 * np.eye(3)))
     assert abs(moved.place_m[0]) < 1e-9

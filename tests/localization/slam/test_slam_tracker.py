@@ -188,11 +188,27 @@ def test_after_a_brief_gap_a_frame_that_shows_much_that_is_new_is_accepted() -> 
     assert _worst_m(_poses(answers, 0.2)) < 0.06
 
 
+def _with_one_wrong(colour: bool) -> tuple[int, list[Tracked]]:
+    wrong = round(3.0 * RATE_HZ)
+
+    def seen(true: Frame) -> Frame:
+        shown = _wall(1.0, 0.8)(true) if true.sequence == wrong else true
+        return colourless(shown) if true.sequence == wrong and not colour else shown
+
+    return wrong, fly(SlamTracker(), frames(4.0, seen))
+
+
 def test_a_wrong_frame_is_followed_by_a_proof() -> None:
     """A false wall may have moved the track: poses are given again from the second frame on."""
-    wrong = round(3.0 * RATE_HZ)
-    answers = fly(SlamTracker(), frames(4.0, lambda true: _wall(1.0, 0.8)(true) if true.sequence == wrong else true))
+    wrong, answers = _with_one_wrong(colour=False)
     assert [answer.pose is None for answer in answers[wrong - 1 : wrong + 4]] == [False, True, True, False, False]
+
+
+def test_landmarks_show_the_pose_of_a_frame_with_wrong_depth() -> None:
+    wrong, answers = _with_one_wrong(colour=True)
+    assert answers[wrong].fault is TrackingFault.DEPTH
+    assert not any(answer.pose is None for answer in answers[wrong - 1 : wrong + 4])
+    assert _worst_m(answers[wrong : wrong + 4]) < 0.06
 
 
 def _wall(share: float, away_m: float) -> Callable[[Frame], Frame]:
@@ -212,7 +228,7 @@ def _wall(share: float, away_m: float) -> Callable[[Frame], Frame]:
 def test_a_wall_that_is_not_there_is_reported_and_moves_nothing(share: float, begin_s: float) -> None:
     answers = fly(SlamTracker(), frames(begin_s + 2.0, _during(begin_s, _wall(share, 0.8))))
     wrong = [answer for answer in answers if begin_s <= answer.stamp_s < begin_s + REPORTED_S]
-    assert any(answer.fault is TrackingFault.FIT for answer in wrong)
+    assert any(answer.fault in (TrackingFault.FIT, TrackingFault.DEPTH) for answer in wrong)
     assert _worst_m(_poses(answers, begin_s)) < 0.3
     back = _poses(answers, begin_s + FAULT_S)
     assert len(back) > 0.8 * RATE_HZ

@@ -49,8 +49,9 @@ def test_a_good_frame_has_no_fault() -> None:
     ("inside", "outside", "fault"),
     [
         (_found(points=150, known=100, inliers=90), _found(points=149, known=100, inliers=90), TrackingFault.FEW_POINTS),
-        (_found(inliers=496), _found(inliers=494), TrackingFault.FIT),
-        (_found(known=149, inliers=10), _found(known=151, inliers=10), TrackingFault.FIT),
+        (_found(inliers=496, landmarks=39), _found(inliers=494, landmarks=39), TrackingFault.FIT),
+        (_found(inliers=496), _found(inliers=494), TrackingFault.DEPTH),
+        (_found(known=149, inliers=10, landmarks=39), _found(known=151, inliers=10, landmarks=39), TrackingFault.FIT),
         (_found(known=890, turn_rad=math.radians(0.79)), _found(known=890, turn_rad=math.radians(0.81)), TrackingFault.TURN),
         (_found(turn_rad=math.radians(2.9)), _found(turn_rad=math.radians(3.1)), TrackingFault.TURN),  # all of it fits
         (_found(step_m=0.059), _found(step_m=0.061), TrackingFault.STEP),

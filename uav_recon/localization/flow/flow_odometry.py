@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass
 
 import numpy as np
 
 from uav_recon.localization.flow.flow_calibration import DELAYS_S, FlowCalibration, FlowErrors
 from uav_recon.localization.flow.flow_samples import FlowGeometry, FlowSamples, flow_samples
+from uav_recon.localization.flow.measured_motion import MeasuredMotion
 from uav_recon.localization.flow.sample_buffer import SampleBuffer
 from uav_recon.localization.flow.surface_height import SurfaceHeight
 from uav_recon.localization.flow.turn_track import Turned, TurnTrack
@@ -31,30 +31,22 @@ _NO_GYRO = np.full(3, math.nan)
 _LEAD_S = 1.0  # of the track of turns before the first reading
 _MARGIN_S = 0.9  # readings beside the asked time that are looked at, too
 _BRIDGED_S = 0.7  #: reject: motion by optical flow with a longer gap between two readings that count
-_AHEAD_S = 0.15  #: reject: motion by optical flow until later than this after the last reading, or before the first
+_AHEAD_S = 0.25  #: reject: motion by optical flow until later than this after the last reading, or before the first
 _GYRO_BESIDE_S = 0.15  #: reject: the flow sensor's own gyro farther in time from its readings
-_ACCELERATION_MPS2 = 1.5  # rms, within a gap and ahead of the readings
+_ACCELERATION_MPS2 = 1.5  # rms, within a gap and ahead of the readings, after ...
+_STEADY_S = 0.1  # ... this time, in which a body keeps its velocity ...
+_STEADY_MPS2 = 0.5  # ... but for this
 _BIAS_MPS = 0.01  # of the velocity, rms: what does not average out
 _TURN_BIAS_RADPS = 0.003  # of a gyro, rms
 _RANGE_SHARE, _RANGE_M = 0.015, 0.02  # errors of the range, rms
-_CLIMB_M, _CLIMB_STEP_M = 0.06, 0.15  # errors of the climb by ranges, rms: what lies on the floor; at each step
-_CLIMB_UNKNOWN_M, _CLIMB_UNKNOWN_MPS = 0.2, 0.7  # the same without ranges
+_ALONG_BEAM_M = 1.0  # rms, where the ranges do not show a climb
+_CLIMB_M = 0.025  # rms, of a climb that they show over one place
+_SLOPE = 3.0  # rms, of what is below, against the level way: round furniture has no step
 _REFERENCE_S = 0.4  # of an interval of the reference
 _REFERENCE_APART_S = 0.25  #: reject: an interval of the reference with a longer gap between two readings that count
 _REFERENCE_GAP_S = 0.6  #: reject: an interval of the reference that is longer
 _REFERENCE_OLD_S = 5.0  #: reject: an interval of the reference that is older than the newest reading by this
 _LEAST_REFERENCE_M = 0.03  #: reject: an interval of the reference with less flow than this: it is noise
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class MeasuredMotion:
-    """Motion between two instants, as a measurement.
-
-    displacement_odom_m: (3,), of the body's origin. covariance_m2: (3, 3), odom axes; large along what is not measured.
-    """
-
-    displacement_odom_m: FloatArray
-    covariance_m2: FloatArray
 
 
 class FlowOdometry:
@@ -132,22 +124,23 @@ class FlowOdometry:
         return self._motion(samples, integral, surface.climb_m(from_s, to_s), to_s - from_s)
 
     def _motion(
-        self, samples: FlowSamples, integral: VelocityIntegral, climb: tuple[float, int] | None, duration_s: float
+        self, samples: FlowSamples, integral: VelocityIntegral, climb_m: float | None, duration_s: float
     ) -> MeasuredMotion:
-        """Return the motion by the flow across the beam and by the ranges along it."""
-        weights_s, errors = integral.weights_s, self.errors
-        velocities_mps = samples.velocities_mps(errors.scale)
+        """Return the motion across the beam, and by the ranges along it.
+
+        climb_m: None if they do not show it.
+        """
+        weights_s = integral.weights_s
+        velocities_mps = samples.velocities_mps(self.errors.scale)
         across_m = weights_s @ velocities_mps
         beam = np.tensordot(weights_s, samples.odom_from_body[:, :, 2], 1)
         beam = beam / np.linalg.norm(beam)
-        climb_m, climb_sigma_m = 0.0, math.hypot(_CLIMB_UNKNOWN_M, _CLIMB_UNKNOWN_MPS * duration_s)
-        if climb is not None:
-            climb_m, climb_sigma_m = climb[0], math.hypot(_CLIMB_M, _CLIMB_STEP_M * climb[1])
-        displacement_m = across_m + beam * (climb_m - across_m[2]) / beam[2]
+        plane, along = np.eye(3) - np.outer(beam, beam), np.outer(beam, beam)
         covariance = self._covariance(samples, integral, velocities_mps, duration_s)
-        plane = np.eye(3) - np.outer(beam, beam)
-        covariance = plane @ covariance @ plane + np.outer(beam, beam) * (climb_sigma_m / beam[2]) ** 2
-        return MeasuredMotion(displacement_m, covariance)
+        moved_m = across_m + beam * ((climb_m or 0.0) - across_m[2]) / beam[2]
+        level_m = float(np.linalg.norm(moved_m[:2]))
+        along_m = _ALONG_BEAM_M if climb_m is None else math.hypot(_CLIMB_M, _SLOPE * level_m)
+        return MeasuredMotion(moved_m, plane @ covariance @ plane + along_m**2 * along)
 
     def _covariance(
         self, samples: FlowSamples, integral: VelocityIntegral, velocities_mps: FloatArray, duration_s: float
@@ -158,9 +151,9 @@ class FlowOdometry:
         """
         weights_s, errors = integral.weights_s, self.errors
         height_m = float(np.mean(samples.distance_m))
-        gap_m = _ACCELERATION_MPS2 * (
-            max(integral.bridged_s - 0.1, 0.0) ** 2 / 12.0 + integral.before_s**2 + integral.after_s**2
-        )
+        gap_m = _coasted_m(integral.before_s) + _coasted_m(integral.after_s)
+        gap_s = max(integral.bridged_s - _STEADY_S, 0.0)  # the way through a gap, or a part of it, at a wrong velocity
+        gap_m += _ACCELERATION_MPS2 * gap_s * min(duration_s, gap_s) / 4.0
         bias_m = duration_s * math.hypot(_BIAS_MPS, _TURN_BIAS_RADPS * height_m)
         noise_m2 = float(np.sum((weights_s * samples.noise_mps) ** 2)) + gap_m**2 + bias_m**2
         flown_m = weights_s @ (samples.flow_mps / errors.scale - samples.rate_mps)
@@ -269,6 +262,11 @@ class FlowOdometry:
             return None
         rates_radps = np.clip(np.nan_to_num(rows[:, 4:7]) / rows[:, 1:2], -_FASTEST_RADPS, _FASTEST_RADPS)
         return np.array([np.interp(middle_s, middles_s, rates_radps[:, k]) for k in range(3)]) * (to_s - from_s)
+
+
+def _coasted_m(time_s: float) -> float:
+    """Return the rms error of a velocity that is kept for a time, as a way."""
+    return _STEADY_MPS2 * time_s**2 + (_ACCELERATION_MPS2 - _STEADY_MPS2) * max(time_s - _STEADY_S, 0.0) ** 2
 
 
 def _unknown(from_s: float, to_s: float) -> None:

@@ -11,6 +11,7 @@ from uav_recon.types.frames import BoolArray, FloatArray
 _STEP_M = 0.08  #: reject: a change of height between two ranges larger than this, and than the climb in between: an edge below
 _CLIMB_MPS = 1.0  #: reject: the same, faster than this: the vehicle climbs and descends at 0.7 m/s at most
 _APART_S = 0.3  #: reject: optical flow between two ranges that are farther apart in time
+_AROUND_S = 0.25  #: reject: a climb by ranges with a step within this time around it
 _BESIDE_S = 0.15  #: reject: optical flow farther in time from the first or the last range
 
 
@@ -19,13 +20,11 @@ class SurfaceHeight:
     """Heights of the body's origin over the surfaces below, at the instants of ranges.
 
     stamps_s, heights_m: (M,). steps: (M,), True where the surface below is another one than at the range before.
-    climbed_m: (M,), sum of the changes of height without those at steps.
     """
 
     stamps_s: FloatArray
     heights_m: FloatArray
     steps: BoolArray
-    climbed_m: FloatArray
 
     @staticmethod
     def of(
@@ -39,7 +38,7 @@ class SurfaceHeight:
         heights_m = ranges_m * up_body[:, 2] - up_body @ position_body_m
         change_m, apart_s = np.diff(heights_m, prepend=heights_m[:1]), np.diff(stamps_s, prepend=stamps_s[:1])
         steps = np.abs(change_m) > _STEP_M + _CLIMB_MPS * apart_s
-        return SurfaceHeight(stamps_s, heights_m, steps, np.cumsum(np.where(steps, 0.0, change_m)))
+        return SurfaceHeight(stamps_s, heights_m, steps)
 
     def at(self, instants_s: FloatArray) -> tuple[FloatArray, BoolArray]:
         """Return heights (N,) at instants (N,), and where they are known (N,)."""
@@ -64,11 +63,13 @@ class SurfaceHeight:
         before, after = self.heights_m[at - 1], self.heights_m[at]
         return np.asarray(np.abs(after - before) / np.maximum(np.maximum(before, after), 1e-3))
 
-    def climb_m(self, from_s: float, to_s: float) -> tuple[float, int] | None:
-        """Return the climb between two instants and its steps, None if it is not known."""
-        both = np.array([from_s, to_s])
-        if not self.at(both)[1].all():
+    def climb_m(self, from_s: float, to_s: float) -> float | None:
+        """Return the change of height between two instants.
+
+        None if it is not known, or if there is a step near them.
+        """
+        both, steps_s = np.array([from_s, to_s]), self.step_times_s()
+        if np.any((steps_s > from_s - _AROUND_S) & (steps_s < to_s + _AROUND_S)) or not self.at(both)[1].all():
             return None
-        start_m, end_m = np.interp(both, self.stamps_s, self.climbed_m)
-        steps = int(np.sum((self.step_times_s() > from_s) & (self.step_times_s() < to_s)))
-        return float(end_m - start_m), steps
+        start_m, end_m = np.interp(both, self.stamps_s, self.heights_m)
+        return float(end_m - start_m)

@@ -1,8 +1,9 @@
 """Motion of the body: Kalman filter of place, velocity and offset of the accelerometer.
 
 The accelerometer carries the place through views that do not determine it: along a bare wall, or with nothing in view. Its
-offset contains its bias, a mount that is off, and the tilt error of the map: it turns with the body. An accelerometer that the
-images contradict is left out.
+offset has two parts. One turns with the body: its bias, and a mount that is off. The other one does not: gravity along the tilt
+of the map. At rest on the pad only their sum is known; a vehicle that turns shows each. An accelerometer that the images
+contradict is left out.
 """
 
 from __future__ import annotations
@@ -11,18 +12,26 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from uav_recon.localization.flow.measured_motion import MeasuredMotion
 from uav_recon.localization.fusion.imu_integration import GRAVITY_MPS2, InertialState, conjugate
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.pose import Pose
 
 PLACE = slice(0, 3)
 VELOCITY = slice(3, 6)
-OFFSET = slice(6, 9)
+BIAS = slice(6, 9)  # of the accelerometer, body axes
+TILT = slice(9, 12)  # specific force by the tilt of the map, odom axes
+OFFSETS = slice(6, 12)
+_SIZE = 12
 _VELOCITY_MPS = 0.05  # standard deviations at the start
-_OFFSET_MPS2 = 0.1  # the rest on the pad shows bias and tilt together: only their share that turns is unknown
+_BIAS_MPS2 = 0.15
+_TILT_MPS2 = 0.15  # of a map that is level by the accelerometer alone; its vertical part is nothing
+_TILT_VARIANCE = np.array([_TILT_MPS2**2, _TILT_MPS2**2, 1e-6])
+_REST_MPS2 = 0.03  # of their sum, which the rest on the pad has shown
 _PLACE_M = 1e-3
 _FORCE_DENSITY = 0.15  # m/s² per root Hz: twice that of a flying camera, for stamps that are off by milliseconds
-_OFFSET_WALK = 0.02  # m/s² per root second
+_BIAS_WALK = 0.015  # m/s² per root second
+_TILT_WALK = 0.01
 _BLIND_MPS2 = 2.0  # white acceleration of a body without an accelerometer, over one frame
 _STEP_M = 0.004  # what the images themselves are off by, from frame to frame
 _SURPRISE = 25.0  # squared innovation of a place, in standard deviations; a larger one counts as this
@@ -36,7 +45,7 @@ _GRAVITY = np.array([0.0, 0.0, -GRAVITY_MPS2])
 class PredictedMotion:
     """Place and velocity in odom at a later frame.
 
-    state (9,): of MotionFilter; covariance (9, 9).
+    state (12,): of MotionFilter; covariance (12, 12).
     """
 
     state: FloatArray
@@ -64,26 +73,19 @@ class PredictedMotion:
         return self.covariance[PLACE, PLACE]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class MeasuredStep:
-    """Way (3,) of the body between two frames, in odom axes, that another source has measured."""
-
-    way_m: FloatArray
-    sigma_m: float
-
-
 class MotionFilter:
-    """State (9,): place (m), velocity (m/s), offset (m/s², body axes). Not thread-safe.
+    """Kalman filter. Not thread-safe.
 
+    State (12,): place (m), velocity (m/s), bias (m/s², body axes), tilt (m/s², odom axes).
+
+    odom_from_body: pose at rest. offset_mps2 (3,): what the accelerometer measures there beside gravity, body axes.
     ``accelerometer_used``: False once the images have contradicted the accelerometer; a comparison over a longer
     time sets it again.
     """
 
-    def __init__(self, place_m: FloatArray, offset_mps2: FloatArray) -> None:
-        self._now = PredictedMotion(
-            np.concatenate((place_m, np.zeros(3), offset_mps2)),
-            np.diag([_PLACE_M**2] * 3 + [_VELOCITY_MPS**2] * 3 + [_OFFSET_MPS2**2] * 3),
-        )
+    def __init__(self, odom_from_body: Pose, offset_mps2: FloatArray) -> None:
+        offsets, covariance = _offsets_at_rest(odom_from_body.rotation(), offset_mps2)
+        self._now = _resting(odom_from_body.translation_m, offsets, covariance)
         self._mean_surprise = 0.0
         self.accelerometer_used = True
 
@@ -98,25 +100,26 @@ class MotionFilter:
         return self._now.velocity_mps
 
     def begin(self, place_m: FloatArray, velocity_mps: FloatArray) -> None:
-        """Begin again at a place (3,) with a velocity (3,); the accelerometer stays known."""
-        state, covariance = self._now.state.copy(), np.diag([_PLACE_M**2] * 3 + [_VELOCITY_MPS**2] * 3 + [0.0] * 3)
-        state[PLACE], state[VELOCITY] = place_m, velocity_mps
-        covariance[OFFSET, OFFSET] = self._now.covariance[OFFSET, OFFSET]
-        self._now = PredictedMotion(state, covariance)
+        """Begin again at a place (3,) with a velocity (3,), in another map.
+
+        The bias of the accelerometer stays known.
+        """
+        offsets, covariance = np.concatenate((self._now.state[BIAS], np.zeros(3))), np.zeros((6, 6))
+        covariance[:3, :3], covariance[3:, 3:] = self._now.covariance[BIAS, BIAS], np.diag(_TILT_VARIANCE)
+        began = _resting(place_m, offsets, covariance)
+        began.state[VELOCITY] = velocity_mps
+        self._now = began
 
     def rest(self) -> None:
         """Set the velocity to zero: the body rests."""
-        self._now = PredictedMotion(
-            np.concatenate((self._now.place_m, np.zeros(3), self._now.state[OFFSET])),
-            np.diag([_PLACE_M**2] * 3 + [_VELOCITY_MPS**2] * 3 + [_OFFSET_MPS2**2] * 3),
-        )
+        self._now = _resting(self._now.place_m, self._now.state[OFFSETS], self._now.covariance[OFFSETS, OFFSETS])
 
     def predict(
         self,
         step_s: float,
         odom_from_body: Pose,
         track: tuple[InertialState, InertialState] | None,
-        measured: MeasuredStep | None = None,
+        measured: MeasuredMotion | None = None,
     ) -> PredictedMotion:
         """Return the motion step_s later.
 
@@ -125,13 +128,15 @@ class MotionFilter:
         """
         state, transition, noise = _propagated(self._now, step_s, odom_from_body, track if self.accelerometer_used else None)
         noise[PLACE, PLACE] += _STEP_M**2 * np.eye(3)
-        noise[OFFSET, OFFSET] += _OFFSET_WALK**2 * step_s * np.eye(3)
+        noise[BIAS, BIAS] += _BIAS_WALK**2 * step_s * np.eye(3)
+        noise[TILT, TILT] += _TILT_WALK**2 * step_s * np.eye(3)
         covariance = transition @ self._now.covariance @ transition.T + noise
         if measured is not None:
-            stepped = transition[PLACE] - np.eye(9)[PLACE]
+            stepped = transition[PLACE] - np.eye(_SIZE)[PLACE]
             of_step = stepped @ self._now.covariance @ stepped.T + noise[PLACE, PLACE]
             cross = transition @ self._now.covariance @ stepped.T + noise[:, PLACE]
-            _take_step(state, covariance, measured.way_m - (state[PLACE] - self._now.place_m), of_step, cross, measured.sigma_m)
+            off_m = measured.displacement_odom_m - (state[PLACE] - self._now.place_m)
+            _take_step(state, covariance, off_m, of_step, cross, measured.covariance_m2)
         return PredictedMotion(state, covariance)
 
     def coast(self, predicted: PredictedMotion) -> None:
@@ -175,8 +180,8 @@ def propagate(
 def _propagated(
     motion: PredictedMotion, step_s: float, odom_from_body: Pose, track: tuple[InertialState, InertialState] | None
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the state (9,) step_s later, the transition (9, 9), and the noise (9, 9)."""
-    state, transition, noise = motion.state.copy(), np.eye(9), np.zeros((9, 9))
+    """Return the state (12,) step_s later, the transition (12, 12), and the noise (12, 12)."""
+    state, transition, noise = motion.state.copy(), np.eye(_SIZE), np.zeros((_SIZE, _SIZE))
     transition[PLACE, VELOCITY] = step_s * np.eye(3)
     if track is None:
         state[PLACE] += step_s * state[VELOCITY]
@@ -187,23 +192,46 @@ def _propagated(
     turn, body = odom_from_gyro.rotation(), odom_from_body.rotation()
     gained = turn @ (np.array(b.velocity_integral) - np.array(a.velocity_integral))
     swept = turn @ (np.array(b.position_integral) - np.array(a.position_integral) - np.array(a.velocity_integral) * step_s)
-    off = body @ state[OFFSET]
+    off = body @ state[BIAS] + state[TILT]
     state[PLACE] += step_s * state[VELOCITY] + swept + 0.5 * step_s**2 * (_GRAVITY - off)
     state[VELOCITY] += gained + step_s * (_GRAVITY - off)
-    transition[PLACE, OFFSET] = -0.5 * step_s**2 * body
-    transition[VELOCITY, OFFSET] = -step_s * body
+    by_offsets = np.hstack((body, np.eye(3)))
+    transition[PLACE, OFFSETS] = -0.5 * step_s**2 * by_offsets
+    transition[VELOCITY, OFFSETS] = -step_s * by_offsets
     _add_white_acceleration(noise, _FORCE_DENSITY**2, step_s)
     return state, transition, noise
 
 
-def _take_step(
-    state: FloatArray, covariance: FloatArray, off_m: FloatArray, of_step: FloatArray, cross: FloatArray, sigma_m: float
-) -> None:
-    """Correct state (9,) and covariance (9, 9) by a measured step.
+def _resting(place_m: FloatArray, offsets: FloatArray, covariance: FloatArray) -> PredictedMotion:
+    """Return the motion of a body at rest.
 
-    off_m (3,): measured less predicted. of_step (3, 3): covariance of the predicted step. cross (9, 3): of state and step.
+    offsets (6,): of its accelerometer, with their covariance (6, 6).
     """
-    spread = of_step + sigma_m**2 * np.eye(3)
+    spread = np.diag([_PLACE_M**2] * 3 + [_VELOCITY_MPS**2] * 3 + [0.0] * 6)
+    spread[OFFSETS, OFFSETS] = covariance
+    return PredictedMotion(np.concatenate((place_m, np.zeros(3), offsets)), spread)
+
+
+def _offsets_at_rest(body: FloatArray, offset_mps2: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return bias and tilt (6,) whose sum the rest has shown (3,), and their covariance (6, 6).
+
+    body (3, 3): odom_from_body.
+    """
+    prior = np.diag(np.concatenate(([_BIAS_MPS2**2] * 3, _TILT_VARIANCE)))
+    rows = np.hstack((np.eye(3), body.T))
+    gain = np.linalg.solve(rows @ prior @ rows.T + _REST_MPS2**2 * np.eye(3), rows @ prior).T
+    return gain @ offset_mps2, prior - gain @ rows @ prior
+
+
+def _take_step(
+    state: FloatArray, covariance: FloatArray, off_m: FloatArray, of_step: FloatArray, cross: FloatArray, noise: FloatArray
+) -> None:
+    """Correct state (12,) and covariance (12, 12) by a measured step.
+
+    off_m (3,): measured less predicted. of_step (3, 3): covariance of the predicted step. cross (12, 3): of state and step.
+    noise (3, 3): covariance of the measured step.
+    """
+    spread = of_step + noise
     if off_m @ np.linalg.solve(spread, off_m) > _STEP_SURPRISE:
         return
     gain = np.linalg.solve(spread, cross.T).T

@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 
@@ -20,7 +19,8 @@ from uav_recon.localization.slam.attitude_filter import AttitudeFilter, Predicte
 from uav_recon.localization.slam.floor_level import level_by_floor
 from uav_recon.localization.slam.gyro_alignment import JITTER_S, GyroAlignment
 from uav_recon.localization.slam.landmarks import Landmarks, LandmarkTracker, moving_imager, project
-from uav_recon.localization.slam.motion_filter import MeasuredStep, MotionFilter, PredictedMotion
+from uav_recon.localization.slam.motion_filter import MotionFilter, PredictedMotion
+from uav_recon.localization.slam.outside_motion import NoOutsideMotion, OutsideMotion
 from uav_recon.localization.slam.prepared_view import PreparedView
 from uav_recon.localization.slam.rest_detection import RestDetector
 from uav_recon.localization.slam.rgbd_registration import MotionPrior, Registration, register, search
@@ -46,10 +46,12 @@ _SLOW_FLOOR = np.array([0.001, 0.0005])
 _FUSION_FRAMES = 8  # frames in a row that must be accepted before the map grows again after doubt
 _PROOF_FRAMES = 2  # frames that must be accepted after doubt until poses are given again
 _VIEWLESS = (TrackingFault.FEW_POINTS, TrackingFault.FROZEN)  # frames that show nothing, which is no doubt of the track
+_ACCEPTED = (None, TrackingFault.LOOSE, TrackingFault.DEPTH)
 _BRIEF_GAP_S = 0.5  #: reject: frames after a longer time without an accepted one raise doubt, whatever was wrong
 _MOST_SIGMA_M = 0.12  #: reject: no pose is given while the place is more uncertain than this in a direction
 _MOST_ON_WAY_BACK_M = 0.20  #: reject: the same on the way back
 _WAY_BACK_S = 1.5  #: reject: time of the way back, after the newest pose that was sure
+_LONG_WAY_BACK_S = 5.0  #: reject: the same while another source knows the motion
 #: retreat: the place has become more uncertain than this in a direction: back to a view in which it was not
 _DOUBT_M = 0.08
 _DRIFT_MPS = 0.004  # growth of the uncertainty with the flight, which no way back reduces
@@ -75,9 +77,6 @@ _BETTER = 1.02  # share of inliers by which another place must be better
 #: reject: after doubt, a frame with fewer of its depth points on known surfaces and fewer known landmarks than below
 _PROOF_SHARE = 0.4
 _PROOF_LANDMARKS = 20  #: reject: after doubt, a frame with fewer of the landmarks from before, and less known depth than above
-_OUTSIDE_STEP_M = 0.003  # standard deviation of a step that another source measures
-_OUTSIDE_JITTER_S = 0.005  # the same of the time between its poses, against that between the frames
-_OUTSIDE_DRIFT_MPS = 0.05
 _OUTSIDE_TURN_RAD = math.radians(0.3)
 _OUTSIDE_HEADING_RAD = math.radians(3.0)  # of a heading: weak, so that the view decides where it can
 _HEADING_SURPRISE = 25.0  # squared innovation of a heading, in standard deviations, beyond which it is not used
@@ -115,36 +114,6 @@ class TrackerState:
 OdomAt = Callable[[float], StampedPose | None]  # odometry at an instant, None if it is not known
 
 
-class OutsideMotion(Protocol):
-    """Motion of the body by another source.
-
-    It carries the track through views that do not determine it.
-    """
-
-    def moved(self, from_s: float, to_s: float) -> Pose | None:
-        """Return the pose of the body at an instant in the body at an earlier one.
-
-        None if it is not known.
-        """
-        ...
-
-    def attitude(self, stamp_s: float) -> Pose | None:
-        """Return the attitude of the body in the tracker's odom, None if it is not known."""
-        ...
-
-
-class NoOutsideMotion:
-    """No other source."""
-
-    def moved(self, from_s: float, to_s: float) -> Pose | None:
-        """Return None."""
-        return None
-
-    def attitude(self, stamp_s: float) -> Pose | None:
-        """Return None."""
-        return None
-
-
 class SlamTracker:
     """Tracks the camera. Not thread-safe; about 8 ms a frame of 424x240 on one core.
 
@@ -154,20 +123,23 @@ class SlamTracker:
     outside: another source of the body's motion, which the track follows where the view does not determine it.
     ``determined`` (3, 3): share of the newest place, in odom axes, that the view has determined and not the prediction.
     ``step_sigma_m``: standard deviation of the newest place against the track, in its worst direction.
+    ``moved_outside_s``: instant to which the other source has last known the motion.
     """
 
     def __init__(self, outside: OutsideMotion | None = None) -> None:
         self._outside = outside or NoOutsideMotion()
         self.volume = TsdfVolume()
         self.gyro = GyroAlignment()
+        self._outside.begin(self.gyro)
         self.fault: TrackingFault | None = None
         self.determined = np.eye(3)
         self.step_sigma_m = 0.0
+        self.moved_outside_s = -math.inf
         self._rest = RestDetector()
         self._landmarks = LandmarkTracker()
         self._monitor = TrackingMonitor()
         self._state: TrackedState | None = None
-        self._motion = MotionFilter(np.zeros(3), np.zeros(3))
+        self._motion = MotionFilter(Pose.identity(), np.zeros(3))
         self._attitude = AttitudeFilter(Pose.identity(), _AT_REST)
         self._turned = self._attitude.predict(np.zeros(3), 0.0, np.zeros(3), 0.0)
         self._predicted = self._motion.predict(0.0, Pose.identity(), None)
@@ -200,6 +172,14 @@ class SlamTracker:
             return None
         motion = self._motion.now.shifted(self._unreleased_m)
         return TrackerState(self._state.stamp_s - self.delay_s, motion, self._attitude.odom_from_body)
+
+    @property
+    def sure(self) -> bool:
+        """True if the newest accepted frame has shown the place.
+
+        What is not released yet does not count.
+        """
+        return not self._unsure
 
     @property
     def accelerometer_used(self) -> bool:
@@ -241,7 +221,7 @@ class SlamTracker:
             self.fault = self._monitor.fault(found, prior)
         if self.fault is None and self._unproven and not _proves(found):
             self.fault = TrackingFault.UNPROVEN
-        if self.fault not in (None, TrackingFault.LOOSE):
+        if self.fault not in _ACCEPTED:
             self._coast(self._state, prior, frame.stamp_s, body_from_depth)
             return None
         found = self._search_map(view, found, prior)
@@ -311,10 +291,15 @@ class SlamTracker:
         self._attitude.coast(self._turned)
         self._landmarks.recall()
         self._state = TrackedState(stamp_s, odom_from_body, self._motion.velocity_mps)
-        if self.fault in _VIEWLESS and stamp_s - self._accepted_s <= _BRIEF_GAP_S:
+        brief_s = _LONG_WAY_BACK_S if self._moved_outside(stamp_s) else _BRIEF_GAP_S
+        if self.fault in _VIEWLESS and stamp_s - self._accepted_s <= brief_s:
             return
         self._accepted_frames = 0
         self._unproven = _PROOF_FRAMES
+
+    def _moved_outside(self, stamp_s: float) -> bool:
+        """Return True if the other source knows the motion, but for moments."""
+        return stamp_s - self.delay_s - self.moved_outside_s < _BRIEF_GAP_S
 
     def restart(self, odom_at: OdomAt) -> None:
         """Forget the map and begin a new one at the next frame, where other odometry is by then.
@@ -349,7 +334,7 @@ class SlamTracker:
         self.gyro.rest(self._rest.gyro_bias_radps)
         self._state = TrackedState(view.frame.stamp_s, level, np.zeros(3))
         self._attitude = AttitudeFilter(level, _AT_REST)
-        self._motion = MotionFilter(level.translation_m, self._rest.force_offset_mps2(level))
+        self._motion = MotionFilter(level, self._rest.force_offset_mps2(level))
         self._accepted_frames = _FUSION_FRAMES
         self._add_to_map(view, level @ body_from_depth, np.zeros(6), np.zeros(3))
         return self._stamped(view.frame.stamp_s)
@@ -373,20 +358,17 @@ class SlamTracker:
     def _predict(self, state: TrackedState, stamp_s: float, body_from_depth: Pose) -> MotionPrior:
         """Return the predicted motion from the newest accepted frame."""
         step_s = stamp_s - state.stamp_s
-        outside = self._outside.moved(state.stamp_s - self.delay_s, stamp_s - self.delay_s)
-        moved = self._motion.predict(
-            step_s,
-            self._attitude.odom_from_body,
-            self.gyro.track(state.stamp_s, stamp_s),
-            _measured(state.odom_from_body, outside, step_s),
-        )
+        shown_s = state.stamp_s - self.delay_s, stamp_s - self.delay_s
+        measured = self._outside.moved(*shown_s, state.odom_from_body)
+        self.moved_outside_s = shown_s[1] if measured is not None else self.moved_outside_s
+        moved = self._motion.predict(step_s, self._attitude.odom_from_body, self.gyro.track(state.stamp_s, stamp_s), measured)
         turned, rate = self.gyro.turn(state.stamp_s, stamp_s), self.gyro.rate(stamp_s)
         turn_sigma = drift_sigma = _BLIND_TURN_RADPS * step_s
         if turned is not None:
             turn_sigma = self.gyro.turn_sigma_rad(state.stamp_s, stamp_s)
             drift_sigma = self.gyro.drift_sigma_rad(state.stamp_s, stamp_s)
-        elif outside is not None:
-            turned, turn_sigma, drift_sigma = outside.rotation_vector(), _OUTSIDE_TURN_RAD, _OUTSIDE_TURN_RAD
+        elif (turned := self._outside.turned(*shown_s)) is not None:
+            turn_sigma = drift_sigma = _OUTSIDE_TURN_RAD
         rate = np.zeros(3) if rate is None else rate
         turned = np.zeros(3) if turned is None else turned
         attitude = self._attitude.predict(turned, drift_sigma, rate, math.hypot(JITTER_S, self.gyro.delay_sigma_s))
@@ -453,7 +435,7 @@ class SlamTracker:
         self._accepted_s = stamp_s
         self._accepted_frames = self._accepted_frames + 1 if self.fault is None else 0
         self._unproven = max(self._unproven - 1, 0) if self.fault is None else self._unproven
-        if self._unproven:  # new landmarks would confirm a wrong place in the next frame
+        if self._unproven or self.fault is TrackingFault.DEPTH:  # new landmarks would confirm a wrong place in the next frame
             self._landmarks.recall()
         else:
             variance = registration.variance + _PLACED_M**2
@@ -486,7 +468,10 @@ class SlamTracker:
         lately_m = math.sqrt(sigma_m**2 - self._drifted_m**2)
         self._unsure = lately_m > limit * _DOUBT_M or registration.sigma_against_track_m > limit * _BLIND_M
         self._sure_s = self._sure_s if self._unsure else stamp_s
-        most_m = _MOST_ON_WAY_BACK_M if stamp_s - self._sure_s <= _WAY_BACK_S else _MOST_SIGMA_M
+        if self._state is not None and not (self._unsure or self._unproven or self._unreleased_m.any()):
+            self._outside.show(stamp_s - self.delay_s, self._state.odom_from_body, self.step_sigma_m)
+        way_back_s = _LONG_WAY_BACK_S if self._moved_outside(stamp_s) else _WAY_BACK_S
+        most_m = _MOST_ON_WAY_BACK_M if stamp_s - self._sure_s <= way_back_s else _MOST_SIGMA_M
         if sigma_m > most_m or self._unproven:
             self._unreleased_m = np.zeros(3)
             return None
@@ -506,15 +491,6 @@ class SlamTracker:
         covariance = np.diag([place_m2] * 3 + [_ROTATION_SIGMA_RAD**2] * 3)
         shown = Pose(state.odom_from_body.quat_wxyz, state.odom_from_body.translation_m + self._unreleased_m)
         return StampedPose(stamp_s - self.delay_s, shown, state.velocity_mps, covariance)
-
-
-def _measured(odom_from_body: Pose, outside: Pose | None, step_s: float) -> MeasuredStep | None:
-    """Return the motion by another source, of a body with this attitude, in odom."""
-    if outside is None:
-        return None
-    way_m = odom_from_body.rotation() @ outside.translation_m
-    speed_mps = float(np.linalg.norm(way_m)) / step_s
-    return MeasuredStep(way_m, math.hypot(_OUTSIDE_STEP_M, _OUTSIDE_JITTER_S * speed_mps, _OUTSIDE_DRIFT_MPS * step_s))
 
 
 def warm_up() -> None:

@@ -14,6 +14,8 @@ from uav_recon.localization.slam.rgbd_registration import MotionPrior, Registrat
 _MIN_POINTS = 150
 _MIN_FIT_SHARE = 0.55  #: reject: a frame with fewer of its known points on a known surface
 _MIN_COVERAGE_SHARE = 0.15  #: reject: the same holds only if at least this share of its points is in known space
+#: reject: a frame of which the depth does not fit, with fewer landmarks that do; with more it shows its pose, but no surface
+_SHOWING_LANDMARKS = 40
 _MAX_TURN_SIGMAS = 6.0  #: reject: a frame that turns by more of the predicted standard deviations against the gyro
 _MAX_TURN_RAD = math.radians(0.8)  #: reject: the same, but never for less
 #: reject: nor for less than this many standard deviations of the predicted attitude: it may have been off before
@@ -27,13 +29,14 @@ _LOOSE_RAD = math.radians(2.0)  #: reject: a frame that leaves a turn as uncerta
 
 
 class TrackingFault(str, Enum):
-    """Reason why a frame is not accepted."""
+    """Reason why a frame is not accepted, or not taken into the map (LOOSE, DEPTH)."""
 
     STAMP = "not newer"
     REPEAT = "repeats"
     FROZEN = "frozen"
     FEW_POINTS = "few points"
     FIT = "does not fit"
+    DEPTH = "depth does not fit"
     TURN = "turn"
     STEP = "step"
     LOOSE = "loose"
@@ -45,7 +48,8 @@ class TrackingMonitor:
     """Limits of one registered frame."""
 
     def fault(self, registration: Registration, prior: MotionPrior) -> TrackingFault | None:
-        """Return why the frame is not accepted, None if it is."""
+        """Return why the frame is not accepted or not taken into the map, None if it is."""
+        misfit = registration.coverage >= _MIN_COVERAGE_SHARE and registration.fit < _MIN_FIT_SHARE
         turned = (registration.odom_from_depth @ prior.odom_from_depth.inverse()).quat_wxyz
         turn_rad = 2.0 * math.atan2(float(np.linalg.norm(turned[1:])), abs(float(turned[0])))
         moved_m = registration.odom_from_depth.translation_m - prior.odom_from_depth.translation_m - registration.shift_m
@@ -58,10 +62,11 @@ class TrackingMonitor:
         max_turn_rad = _max_turn_rad(registration, prior)
         checks = (
             (registration.points < _MIN_POINTS, TrackingFault.FEW_POINTS),
-            (registration.coverage >= _MIN_COVERAGE_SHARE and registration.fit < _MIN_FIT_SHARE, TrackingFault.FIT),
+            (misfit and registration.landmarks < _SHOWING_LANDMARKS, TrackingFault.FIT),
             (turn_rad > max_turn_rad, TrackingFault.TURN),
             (step_m > max(_MAX_STEP_M, _MAX_STEP_SIGMAS * place_sigma_m), TrackingFault.STEP),
             (loose[0] > _LOOSE_M or loose[1] > _LOOSE_RAD, TrackingFault.LOOSE),
+            (misfit, TrackingFault.DEPTH),
         )
         return next((fault for fails, fault in checks if fails), None)
 

@@ -30,7 +30,9 @@ _LATE_S = 0.25  #: brake: retreat_speed_mps while the newest accepted frame is o
 #: hold: the newest accepted frame is older: the place counts as lost, and pose_timeout_s and pose_land_s run
 _SILENT_S = 1.5
 _SILENT_BLIND_S = 1.0  #: hold: the same without an accelerometer
-_UNSURE_S = 1.5  #: hold: the place has been uncertain for longer: it counts as lost
+_SILENT_FLOW_S = 5.0  #: hold: the same while optical flow measures the motion to each frame
+_UNSURE_S = 1.5  #: hold: the place has been uncertain for longer, and ...
+_UNSURE_M = 0.08  #: hold: ... its standard deviation against the track is larger: it counts as lost
 _SURE_FRAMES = 3  #: hold: number of sure frames in a row that end this time: one alone may fit by chance before a bare wall
 _FADES_S = 0.5  #: hold: quality falls to zero within this time after the place is lost
 #: reject: after a loss, a place that does not fit dead reckoning until this many frames are accepted
@@ -102,8 +104,9 @@ class ViewOdometry:
 
     @property
     def sure(self) -> bool:
-        """True if the newest frames in a row were sure of the place."""
-        return self._sure_frames >= _SURE_FRAMES
+        """True if the newest frames in a row were sure of the place, and odometry is there."""
+        there = self.newest_pose is not None and self.newest_pose.health is PoseHealth.GOOD
+        return self._sure_frames >= _SURE_FRAMES and there
 
     def restart(self, odom_at: OdomAt) -> None:
         """Begin a new map at the next frame, from other odometry; see SlamTracker.restart."""
@@ -165,7 +168,7 @@ class ViewOdometry:
                 self._returning = _RETURN_FRAMES
                 self._reset_counter = (self._reset_counter + 1) % 256
         self._returning = max(self._returning - 1, 0)
-        self._sure_frames = self._sure_frames + 1 if pose.health is PoseHealth.GOOD else 0
+        self._sure_frames = self._sure_frames + 1 if self.tracker.sure else 0
         if self._sure_frames >= _SURE_FRAMES or math.isinf(self._sure_s):
             self._sure_s = pose.stamp_s
         self.newest_pose, self.newest_pose_s = pose, pose.stamp_s
@@ -213,9 +216,11 @@ class ViewOdometry:
     def _health(self, stamp_s: float, newest: StampedPose, left_m: float) -> tuple[PoseHealth, Reason | None]:
         age_s = stamp_s - self.newest_pose_s
         late = Reason(ReasonCode.NO_POSE, (max(age_s, 0.0),))
-        if age_s > self._silent_s or self._returning:
+        if age_s > self._silent_s or stamp_s - self._nodes[-1].stamp_s > _SILENT_S or self._returning:
             return PoseHealth.LOST, late
-        if self._sure_frames < _SURE_FRAMES and stamp_s - self._sure_s > _UNSURE_S:
+        unsure_s = _SILENT_FLOW_S if self._flow else _UNSURE_S
+        unsure = self._sure_frames < _SURE_FRAMES and self.tracker.step_sigma_m > _UNSURE_M
+        if unsure and stamp_s - self._sure_s > unsure_s:
             return PoseHealth.LOST, newest.health_reason or late
         if age_s > _LATE_S:
             return PoseHealth.DEGRADED, late
@@ -240,7 +245,14 @@ class ViewOdometry:
 
     @property
     def _silent_s(self) -> float:
+        if self._flow:
+            return _SILENT_FLOW_S
         return _SILENT_S if self.tracker.accelerometer_used else _SILENT_BLIND_S
+
+    @property
+    def _flow(self) -> bool:
+        """True while another source knows the motion, but for moments."""
+        return self._nodes[-1].stamp_s - self.tracker.moved_outside_s < _LATE_S
 
     def _quality(self, health: PoseHealth, age_s: float, source: int) -> int:
         share = min(1.0, max(0.0, (self._silent_s + _FADES_S - age_s) / _FADES_S))
