@@ -122,12 +122,9 @@ def fly(
 
 
 def excluded(found: list[tuple[float, StampedPose, float]]) -> list[float]:
-    """Return the instants at which the source was excluded."""
-    return [
-        since_s
-        for since_s, odom, _ in found
-        if odom.health_reason is not None and odom.health_reason.code is ReasonCode.SOURCE_EXCLUDED
-    ]
+    """Return the instants at which the source was excluded, at first with an error that is not yet out of odometry."""
+    codes = (ReasonCode.SOURCE_EXCLUDED, ReasonCode.PLACE_UNSURE)
+    return [since_s for since_s, odom, _ in found if odom.health_reason is not None and odom.health_reason.code in codes]
 
 
 def test_an_honest_source_is_never_excluded() -> None:
@@ -166,6 +163,39 @@ def test_a_source_that_starts_again_elsewhere_moves_the_world_and_not_odometry()
     assert error < 0.08
     begun = MOTION.pose(MOTION.start_s + FAULT_S).inverse()
     np.testing.assert_allclose(odom.correction.world_from_odom.translation_m, begun.translation_m, atol=0.1)
+
+
+def sliding(speed_mps: float, lasts_s: float) -> Said:
+    """Return a source that slides at a constant speed for a while, which no accelerometer shows."""
+
+    def said(since_s: float, true: Pose) -> Pose:
+        way_m = speed_mps * min(max(since_s - FAULT_S, 0.0), lasts_s)
+        return Pose(true.quat_wxyz, true.translation_m + way_m * np.eye(3)[0])
+
+    return said
+
+
+def test_where_the_inertial_samples_contradict_neither_the_ways_differ_by_twice_as_much() -> None:
+    """Tracked images are off by this far in honest flights."""
+    assert excluded(fly(sliding(0.08, 1.0))) == []
+    assert excluded(fly(sliding(0.2, 1.0))) != []
+
+
+def test_a_source_that_drifts_slowly_is_excluded() -> None:
+    out = excluded(fly(sliding(0.05, 60.0), until_s=18.0))
+    assert FAULT_S + 5.0 < out[0] < FAULT_S + 8.5
+
+
+def test_each_exclusion_doubles_the_time_of_the_next_one() -> None:
+    def twice(since_s: float, true: Pose) -> Pose:
+        first = frozen(0.5)(since_s, true)
+        return first if since_s < FAULT_S + 5.0 else frozen(0.5)(since_s - 5.5, first)
+
+    out = np.array(excluded(fly(twice, until_s=19.9)))
+    gap = int(np.argmax(np.diff(out)))
+    assert np.diff(out)[gap] > 0.5
+    assert out[gap] - out[0] < 4.5
+    assert out[-1] - out[gap + 1] > 5.5, "until the flight ends"
 
 
 def test_a_view_that_stands_still_does_not_exclude_an_honest_source() -> None:

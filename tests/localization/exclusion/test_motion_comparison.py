@@ -51,6 +51,27 @@ def test_a_direction_that_the_view_does_not_show_is_not_compared() -> None:
     assert max(excess for _, excess in compare(8.0, 9.5, shown=np.diag([0.0, 0.0, 1.0]))) < 1.0
 
 
+def test_a_slow_drift_shows_over_eight_seconds() -> None:
+    def drift_excess(drift_mps: float, shown: FloatArray = ALL) -> float:
+        comparison, found = MotionComparison(), [0.0]
+        for n in range(round(12.0 * 60)):
+            now_s = n / 60
+            if n % 4 == 0:
+                true = true_pose(now_s)
+                comparison.add_first(now_s, Pose(true.quat_wxyz, true.translation_m + drift_mps * now_s * np.eye(3)[0]))
+            if n % 10 == 3:
+                comparison.add_second(now_s, TURNED @ true_pose(now_s), shown if n == 333 else ALL)
+                found.append(comparison.drift_excess)
+        assert comparison.excess < 1.0
+        return max(found)
+
+    assert drift_excess(0.05) > 1.0
+    assert drift_excess(0.02) < 0.7
+    assert drift_excess(0.05, shown=0.7 * ALL) > 1.0
+    assert drift_excess(0.045) > 1.0
+    assert drift_excess(0.045, shown=0.1 * ALL) < 1.0, "a view that lost its place for a moment"
+
+
 def test_a_gap_is_not_compared_across() -> None:
     comparison = MotionComparison()
     comparison.add_first(0.0, Pose.identity())

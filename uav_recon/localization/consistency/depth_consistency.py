@@ -117,9 +117,7 @@ class DepthConsistencyMonitor:
             return None
         if reset_counter != self._reset_counter:
             self._reset_counter = reset_counter
-            self._past_views.forget()
-            self._drift_rate.forget()
-            self._doubt = None
+            self.forget()
         repeats_s = self._images.repeats_s(frame.stamp_s, frame.depth_m)
         if 0.0 < repeats_s <= FROZEN_S:
             return Reason(ReasonCode.DEPTH_FRAME_REPEATS)
@@ -187,6 +185,13 @@ class DepthConsistencyMonitor:
     def _shows_no_shift(self, comparison: ViewComparison | None, seen: Seen) -> bool:
         """Return True if the frame fits a view that it would not fit with a shift."""
         return _fits(comparison) and self._past_views.loss_aside(comparison, *seen[1:]) >= _MIN_SHIFT_LOSS_SHARE
+
+    def forget(self) -> None:
+        """Forget all that was seen: odom jumped, or was wrong for a while."""
+        self._past_views.forget()
+        self._drift_rate.forget()
+        self._doubt = None
+        self._drift_run = 0
 
     def forget_drift(self) -> None:
         """Forget the drift that was measured: the source of the poses corrects its place."""

@@ -36,6 +36,11 @@ class ReconciledConsistency:
         in_odom = self._plain.rejection(frame, motion if drift is None else drift.motion, reset_counter)
         return in_map if in_odom is not None else None
 
+    def forget(self) -> None:
+        """Forget all that was seen: odom was wrong for a while."""
+        self._mapped.forget()
+        self._plain.forget()
+
     def forget_drift(self) -> None:
         """Forget the drift that was measured: the source of the poses corrects its place."""
         self._mapped.forget_drift()

@@ -33,14 +33,19 @@ _RESTS_S = 4.0  #: internal: time that the view has at first to begin at rest on
 _LOST_S = 1.0  #: internal: a view without a pose for longer begins again beside the source
 _IN_A_ROW = 2  #: reject: number of comparisons in a row that must show a fault of the source
 _RIGHT_SHARE = 0.6  #: reject: an excluded source until its ways differ by less, as a share of the limit ...
-_RIGHT_S = 3.0  #: reject: ... for this time
+_RIGHT_S = 3.0  #: reject: ... for this time, which doubles with each exclusion
+_MOST_EXCLUSIONS = 6  #: internal: exclusions up to which it doubles
+#: reject: the source, if the ways differ by this share of the limit and the inertial samples contradict neither: honest ones
+#: differ by up to 1.3, where the tracked images are off
+_ALONE_SHARE = 2.0
 #: reject: the view, if the inertial samples contradict it by this share of the limit, and ...
-_VIEW_SHARE = 0.4
-_VIEW_FACTOR = 2.0  #: reject: ... by this factor more than the source
+_ONE_SHARE = 0.4
+_ONE_FACTOR = 2.0  #: reject: ... by this factor more than the source; and the source in the same way
 #: reject: nothing but the accelerometer, if it contradicts the view by this share of the limit, and ...
 _BOTH_SHARE = 0.5
 _BOTH_FACTOR = 0.5  #: reject: ... by more than this share of its contradiction to the source
 _CHECKED_S = 1.2  #: reject: no source, unless the view was compared with the inertial samples within this time
+_LEFT_M = 0.05  #: retreat: while more than this of the error is not yet out of odometry, the place is uncertain
 _ONSET_S = 0.6  #: internal: time before its detection at which a fault had not begun
 _EVERYTHING: FloatArray = np.eye(3)
 
@@ -57,7 +62,7 @@ class CheckedOdometry:
         self._comparison = MotionComparison()
         self._check = InertialCheck(view.tracker.gyro.at)
         self._source_resets = 0
-        self._row = 0
+        self._row = self._exclusions = 0
         self._judged_s = -math.inf  # newest comparison that was judged
         self._restarted_s = math.nan  # before the first call
         self._excluded = self._view_at_fault = False
@@ -128,14 +133,16 @@ class CheckedOdometry:
         if seen is None:
             return None
         here, good = seen.moved(self._odom_from_tracker), seen.health is PoseHealth.GOOD
-        pose = here.odom_from_body
+        pose, left_m = here.odom_from_body, self._release.left_m(stamp_s)
+        off_m = float(np.linalg.norm(left_m))
+        why = Reason(ReasonCode.PLACE_UNSURE, (off_m,)) if off_m > _LEFT_M else Reason(ReasonCode.SOURCE_EXCLUDED)
         return replace(
             here,
-            odom_from_body=Pose(pose.quat_wxyz, pose.translation_m + self._release.left_m(stamp_s)),
+            odom_from_body=Pose(pose.quat_wxyz, pose.translation_m + left_m),
             reset_counter=(seen.reset_counter + self._resets) % 256,
             map_epoch=0 if self._last is None else self._last.map_epoch,
             health=PoseHealth.DEGRADED if good else seen.health,
-            health_reason=Reason(ReasonCode.SOURCE_EXCLUDED) if good else seen.health_reason,
+            health_reason=why if good else seen.health_reason,
             correction=self._source.correction,
         )
 
@@ -159,7 +166,7 @@ class CheckedOdometry:
             self._view.tracker.accelerometer_used = False
         if self._excluded:
             self._right_since_s = min(self._right_since_s, self._comparison.compared_s) if excess < _RIGHT_SHARE else math.inf
-            if self._comparison.compared_s - self._right_since_s >= _RIGHT_S:
+            if self._comparison.compared_s - self._right_since_s >= _RIGHT_S * 2 ** (self._exclusions - 1):
                 self._include(now_s)
             return
         self._judge_view(excess)
@@ -168,7 +175,10 @@ class CheckedOdometry:
         self._judged_s = self._comparison.compared_s
         unchecked = self._view.newest_pose_s - self._view.check.judged_s > _CHECKED_S
         suspect = self._view_at_fault or self._inertial_at_fault or unchecked or not self._view.sure
-        self._row = self._row + 1 if excess > 1.0 and not suspect else 0
+        seen, said = self._view.check.accelerometer.excess, self._check.accelerometer.excess
+        limit = 1.0 if said > max(_ONE_SHARE, _ONE_FACTOR * seen) else _ALONE_SHARE
+        apart = excess > limit or self._comparison.drift_excess > 1.0
+        self._row = self._row + 1 if apart and not suspect else 0
         if self._row >= _IN_A_ROW:
             self._exclude(now_s)
 
@@ -186,7 +196,7 @@ class CheckedOdometry:
         """Judge the view: the inertial samples contradict it, or it has been right for a while."""
         seen, said = self._view.check.accelerometer.excess, self._check.accelerometer.excess
         compared_s = self._comparison.compared_s
-        self._view_at_fault |= excess > 1.0 and seen > max(_VIEW_SHARE, _VIEW_FACTOR * said)
+        self._view_at_fault |= excess > 1.0 and seen > max(_ONE_SHARE, _ONE_FACTOR * said)
         self._view_right_since_s = min(self._view_right_since_s, compared_s) if excess < _RIGHT_SHARE else math.inf
         self._view_at_fault &= compared_s - self._view_right_since_s < _RIGHT_S
 
@@ -203,6 +213,7 @@ class CheckedOdometry:
         self._resets = (shown.reset_counter - seen.reset_counter) % 256
         self._switched_s = now_s
         self._excluded, self._right_since_s, self._row = True, math.inf, 0
+        self._exclusions = min(self._exclusions + 1, _MOST_EXCLUSIONS)
 
     def _include(self, now_s: float) -> None:
         """Use the source again, from where odometry is by the view."""
@@ -211,3 +222,4 @@ class CheckedOdometry:
         if pose is None or odom is None or not self._source.rejoin(pose, odom):
             return
         self._excluded, self._row = False, 0
+        self._comparison.forget()

@@ -13,6 +13,10 @@ from uav_recon.types.pose import Pose
 
 #: reject: windows (s), and the difference (m) of the ways over them that no two honest tracks have
 _LIMITS = ((0.3, 0.03), (1.0, 0.06))
+#: reject: the same for a slow drift; honest tracks differ by up to 0.21 m, one that drifts by 0.05 m/s by 0.4 m
+_DRIFT_WINDOW_S = 8.0
+_DRIFT_LIMIT_M = 0.30
+_SHOWN_ALWAYS_SHARE = 0.6  #: internal: share of every position of such a window that was measured
 _SIGMAS = 4.0  #: reject: the same, but never within this many standard deviations of the white noise of both
 _GAP_S = 0.25  #: internal: a track is interpolated between poses that are not farther apart
 _SHOWN_SHARE = 0.75  #: internal: share of a position that a pose has measured itself, from which on a direction is compared
@@ -22,22 +26,27 @@ _NOISE_MEMORY = 0.05  # share of the newest pair in the mean of the squared nois
 
 
 class _Pair(NamedTuple):
-    """Both tracks at one instant. shown (3, 3): see MotionComparison.add_second."""
+    """Both tracks at one instant.
+
+    shown (3, 3): see MotionComparison.add_second. least_shown: in its worst direction.
+    """
 
     stamp_s: float
     first: Pose
     second: Pose
     shown: FloatArray
+    least_shown: float
 
 
 class MotionComparison:
     """Compares two tracks at the instants of the second. Not thread-safe.
 
-    ``excess``: difference of the ways as a multiple of its limit, the largest of all windows.
+    ``excess``: difference of the ways as a multiple of its limit, the largest of the short windows. ``drift_excess``: the same
+    of the long window.
     """
 
     def __init__(self) -> None:
-        self.excess = 0.0
+        self.excess = self.drift_excess = 0.0
         self.compared_s = -np.inf
         self._first: deque[tuple[float, Pose]] = deque(maxlen=_MOST_POSES)
         self._second: deque[tuple[float, Pose, FloatArray]] = deque(maxlen=_MOST_POSES)
@@ -49,7 +58,7 @@ class MotionComparison:
         self._first.clear()
         self._second.clear()
         self._pairs.clear()
-        self.excess = 0.0
+        self.excess = self.drift_excess = 0.0
 
     def add_first(self, stamp_s: float, pose: Pose) -> bool:
         """Add a pose of the first track. Return True if something new was compared."""
@@ -75,11 +84,11 @@ class MotionComparison:
             stamp_s, second, shown = self._second.popleft()
             first = self._first_at(stamp_s)
             if first is not None:
-                self._pairs.append(_Pair(stamp_s, first, second, shown))
+                self._pairs.append(_Pair(stamp_s, first, second, shown, float(np.linalg.eigvalsh(shown + shown.T)[0]) / 2.0))
                 found = True
         while len(self._first) > 2 and self._pairs and self._first[1][0] < self._pairs[-1].stamp_s:
             self._first.popleft()
-        while self._pairs and self._pairs[-1].stamp_s - self._pairs[0].stamp_s > _LIMITS[-1][0] + 1e-6:
+        while self._pairs and self._pairs[-1].stamp_s - self._pairs[0].stamp_s > _DRIFT_WINDOW_S + 1e-6:
             self._pairs.popleft()
         if found:
             self._compare()
@@ -102,8 +111,10 @@ class MotionComparison:
         newest = self._pairs[-1]
         self.compared_s = newest.stamp_s
         if len(self._pairs) >= 3:
-            self._learn_noise(*list(self._pairs)[-3:])
-        self.excess = max(self._excess(window_s, limit_m) for window_s, limit_m in _LIMITS)
+            self._learn_noise(self._pairs[-3], self._pairs[-2], newest)
+        self.excess = max(self._excess(window_s, limit_m, _SHOWN_SHARE) for window_s, limit_m in _LIMITS)
+        always = all(pair.least_shown >= _SHOWN_ALWAYS_SHARE for pair in self._pairs)
+        self.drift_excess = self._excess(_DRIFT_WINDOW_S, _DRIFT_LIMIT_M, _SHOWN_ALWAYS_SHARE**2) if always else 0.0
 
     def _learn_noise(self, before: _Pair, here: _Pair, after: _Pair) -> None:
         """Learn the white noise from three pairs: what is left after the velocity."""
@@ -114,7 +125,7 @@ class MotionComparison:
             self._noise_m2 + share * (min(second_m2, 25.0 * self._noise_m2) - self._noise_m2), _LEAST_NOISE_M**2
         )
 
-    def _excess(self, window_s: float, limit_m: float) -> float:
+    def _excess(self, window_s: float, limit_m: float, shown_share: float) -> float:
         newest = self._pairs[-1]
         seen = [pair for pair in self._pairs if newest.stamp_s - pair.stamp_s <= window_s + 1e-6]
         first = seen[0]
@@ -123,7 +134,7 @@ class MotionComparison:
         off_m = _apart_m(newest, first) - _apart_m(first, first)
         shown = first.shown @ newest.shown
         values, directions = np.linalg.eigh(0.5 * (shown + shown.T))
-        kept = directions[:, values > _SHOWN_SHARE]
+        kept = directions[:, values > shown_share]
         along_m = float(np.linalg.norm(kept.T @ (_second_from_first(first) @ off_m)))
         return along_m / max(limit_m, _SIGMAS * float(np.sqrt(2.0 * self._noise_m2)))
 

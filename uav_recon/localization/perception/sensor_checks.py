@@ -24,6 +24,7 @@ class SensorChecks:
             ReconciledConsistency() if corrects_drift(config) else DepthConsistencyMonitor(corrects=config.source != "slam")
         )
         self._axes = AxisMonitor()
+        self._excluded = False  # the pose source, at the newest frame
 
     def add_imu(self, samples: list[ImuSample]) -> None:
         """Add inertial samples, oldest first."""
@@ -45,8 +46,12 @@ class SensorChecks:
         """Return why a frame may not be used, None if it may.
 
         It is checked with the pose extrapolated to its stamp: its own pose arrives later. Where the source doubts the place,
-        earlier views would show nothing but that, and what it finds then is no drift.
+        earlier views would show nothing but that, and what it finds then is no drift. What was seen until a source was excluded
+        is forgotten: the newest of it has wrong poses.
         """
+        if odometry.source_excluded and not self._excluded:
+            self._consistency.forget()
+        self._excluded = odometry.source_excluded
         self._axes.add_frame(frame, body_from_depth)
         estimate, fused = odometry.fused(frame.stamp_s), odometry.fused_motion(frame.stamp_s)
         if estimate is None or fused is None or estimate.quality == 0:
