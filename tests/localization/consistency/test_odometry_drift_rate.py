@@ -159,6 +159,21 @@ def test_a_reported_drift_fades_and_a_new_odom_begins_again() -> None:
     assert not flight.estimator.velocity_mps.any()
 
 
+def test_what_the_last_seconds_said_of_the_camera_is_taken_back() -> None:
+    """A pose source was wrong and excluded; the camera is as it was."""
+    flight = Flight((1.0, 0.0, 0.0), begins_s=12.0)
+    flight.look_about(9.0)
+    known = flight.estimator.calibration.summary()
+    flight.look_about(3.0)
+    flight.see(camera_at(0.0, 0.0, 1.2, 0.0), SMALL_M, CABINET_M)
+    flight.look_about(0.5)
+    wrong = flight.estimator.calibration.summary()
+    flight.estimator.undo()
+    assert not flight.estimator.velocity_mps.any()
+    values = np.array([[value for _, value, _ in each] for each in (known, wrong, flight.estimator.calibration.summary())])
+    assert np.abs(values[2] - values[0]).max() < 0.2 * np.abs(values[1] - values[0]).max()
+
+
 def test_a_pause_counts_as_a_moment() -> None:
     flight = Flight()
     flight.look_about(4.0)

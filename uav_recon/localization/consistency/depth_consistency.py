@@ -117,7 +117,9 @@ class DepthConsistencyMonitor:
             return None
         if reset_counter != self._reset_counter:
             self._reset_counter = reset_counter
-            self.forget()
+            self._past_views.forget()
+            self._drift_rate.forget()
+            self._doubt = None
         repeats_s = self._images.repeats_s(frame.stamp_s, frame.depth_m)
         if 0.0 < repeats_s <= FROZEN_S:
             return Reason(ReasonCode.DEPTH_FRAME_REPEATS)
@@ -187,9 +189,9 @@ class DepthConsistencyMonitor:
         return _fits(comparison) and self._past_views.loss_aside(comparison, *seen[1:]) >= _MIN_SHIFT_LOSS_SHARE
 
     def forget(self) -> None:
-        """Forget all that was seen: odom jumped, or was wrong for a while."""
+        """Forget all that was seen, and the newest that was learnt of the camera: odom was wrong."""
         self._past_views.forget()
-        self._drift_rate.forget()
+        self._drift_rate.undo()
         self._doubt = None
         self._drift_run = 0
 

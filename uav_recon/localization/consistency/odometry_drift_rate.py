@@ -32,6 +32,7 @@ _REST_S = 5.0  #: internal: time without motion after which the camera rests
 _LONGEST_STEP_S = 0.5  #: internal: a longer pause between frames counts as this
 _SETTLES_S = 3.0  #: land: no drift is measured for this time after odom begins: it settles
 _EVERY_S = 1.0  #: internal: interval of stored views
+_UNDONE = 3  #: internal: seconds of comparisons that are taken back when odom was wrong
 _MEMORY_S = 3.0  #: internal: max. age of stored views: while the camera turns, some of them stay in view
 _FEWEST = 40  #: land: min. patches that both views see, for a comparison to count
 _WITHIN_SHARE = 0.6  #: land: min. share of them within reach: beside a person it is 70 %
@@ -70,6 +71,15 @@ class DriftRateEstimator:
         self._moved_s = -math.inf
         self._views: deque[_View] = deque()
         self._flow = FeatureTracker()
+        self._known: deque[tuple[float, FloatArray, FloatArray]] = deque(maxlen=_UNDONE + 1)  # of the calibration, each second
+
+    def undo(self) -> None:
+        """Forget all views, and what the newest seconds have said of the camera: odom was wrong."""
+        if self._known:
+            _, state, covariance = self._known[0]
+            self.calibration.state, self.calibration.covariance = state.copy(), covariance.copy()
+        self._known.clear()
+        self.forget()
 
     def forget(self) -> None:
         """Forget all views after a jump of odom: none of them was seen in the new odom."""
@@ -86,6 +96,8 @@ class DriftRateEstimator:
         step_s = min(max(frame.stamp_s - self._stamp_s, 0.0), _LONGEST_STEP_S)
         self._stamp_s = frame.stamp_s
         self._since_s = min(self._since_s, frame.stamp_s)
+        if not self._known or frame.stamp_s - self._known[-1][0] >= _EVERY_S:
+            self._known.append((frame.stamp_s, self.calibration.state.copy(), self.calibration.covariance.copy()))
         if float(np.linalg.norm(motion.velocity_mps)) > _REST_MPS or float(np.linalg.norm(motion.rate_radps)) > _REST_RADPS:
             self._moved_s = frame.stamp_s
         self.calibration.predict(step_s, at_rest=self.at_rest)
