@@ -59,6 +59,13 @@ def test_it_turns_back_below_the_hover_height() -> None:
     np.testing.assert_allclose(way.position_m[:, 2], 0.8)
 
 
+def test_a_view_a_little_lower_does_not_end_the_way_back() -> None:
+    """As in a low room: the flight dipped on the way to the bare wall."""
+    way = _back(_flown((0.0, 0.0, 1.1, 0.0), (1.0, 0.0, 0.8, 0.0), (2.0, 0.0, 1.1, 0.0)), 2.0, 0.0)
+    assert way.position_m[-1][0] < 0.1
+    assert way.position_m[:, 2].min() >= HEIGHT_M - 1e-9
+
+
 def test_headings_are_followed_the_short_way_round() -> None:
     way = _back(_flown((0.0, 0.0, 1.1, math.pi - 0.2), (0.0, 0.0, 1.1, math.pi + 0.4)), 0.0, -math.pi + 0.4)
     assert np.ptp(way.yaw_rad) < 0.7

@@ -199,6 +199,17 @@ def test_nothing_is_compared_while_odometry_leaves_an_excluded_source(bench: Ben
     assert after(bench, 0.6) == (ReasonCode.ESTIMATE_POSITION, None)
 
 
+@pytest.mark.parametrize("code", [ReasonCode.PLACE_UNSURE, ReasonCode.NO_POSE])
+def test_nothing_is_compared_while_odometry_is_dead_reckoning(bench: Bench, code: ReasonCode) -> None:
+    """What is found wrong then leaves odometry, and the autopilot follows."""
+    bench.health, bench.health_reason = PoseHealth.DEGRADED, Reason(code, (0.3,))
+    bench.off_m = np.array([0.5, 0.0, 0.0])
+    assert after(bench, 5.0) == (None, None)
+    bench.health, bench.health_reason = PoseHealth.GOOD, None
+    assert after(bench, 2.2) == (None, None)
+    assert after(bench, 0.6) == (ReasonCode.ESTIMATE_POSITION, None)
+
+
 def test_a_jump_of_odom_and_a_landing_end_what_was_compared(bench: Bench) -> None:
     bench.off_m = np.array([0.0, 0.0, 0.5])
     bench.run(2.0)

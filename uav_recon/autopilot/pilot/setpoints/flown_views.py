@@ -18,6 +18,7 @@ _APART_M = 0.05  #: internal: distance between remembered views
 _APART_RAD = math.radians(3.0)  #: internal: or turn between them
 _MOST = 400  #: internal: remembered views, the newest: 20 m, or three turns
 _NEAR_M = 0.5  #: retreat: a heading shows from here what it showed from within this distance: no need to fly there
+_LIFTED_M = 0.3  #: retreat: a view this much below the least height is flown at that height; it shows nearly the same
 _SHARE = 0.9  # of the allowed speed: sampling adds the rest
 _TURN_SHARE = 0.7  #: retreat: share of the guard's yaw rate on the way back
 _TURN_SMOOTH_S = 0.2  #: retreat: as the corners of a path back, of turns: the place is lost after two seconds
@@ -50,14 +51,14 @@ class FlownViews:
     ) -> Trajectory:
         """Return a trajectory from rest back through the views, newest first; a hold without any.
 
-        It turns on the spot while the views are near. It does not go below a height, or the present one. It stays
-        below a speed and a yaw rate. Corners are rounded as on the path along breadcrumbs.
+        It turns on the spot while the views are near. It does not go below a height, or the present one: it ends at a view
+        that is far below. It stays below a speed and a yaw rate. Corners are rounded as on the path along breadcrumbs.
         """
         here, turn_radps = tuple(rest.position_m.tolist()), _TURN_SHARE * yaw_rate_radps
-        corners, at_s = [(*here, rest.yaw_rad)], [0.0]
+        corners, at_s, least_m = [(*here, rest.yaw_rad)], [0.0], min(height_m, here[2])
         for *place, yaw_rad in reversed(self._views):
-            before, there = corners[-1], here if math.dist(place, here) < _NEAR_M else place
-            if there[2] < min(height_m, here[2]) or at_s[-1] > _LONGEST_S:
+            before, there = corners[-1], here if math.dist(place, here) < _NEAR_M else (*place[:2], max(place[2], least_m))
+            if place[2] < least_m - _LIFTED_M or at_s[-1] > _LONGEST_S:
                 break
             turn_rad = math.remainder(yaw_rad - before[3], math.tau)
             way_m = math.dist(there, before[:3])

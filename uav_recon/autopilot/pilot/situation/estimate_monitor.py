@@ -38,7 +38,9 @@ _MAX_HEADING_RAD = math.radians(10.0)  #: hold: its heading is farther off the p
 _TURNED_RAD = math.radians(20.0)
 _STEADY_S = 3.0  #: refuse: its heading was off by _MAX_HEADING_RAD within this time on the ground: it may turn slowly
 _AVERAGED_S = 1.0  #: internal: time constant of the offset on the ground
-_SETTLES_S = 1.5  #: hold: nothing is compared for this time after a sensor of odometry was excluded
+#: hold: nothing is compared for this time after a sensor of odometry was excluded, or odometry was dead reckoning
+_SETTLES_S = 1.5
+_DOUBTS = (ReasonCode.PLACE_UNSURE, ReasonCode.NO_POSE)  # odometry is dead reckoning
 _EXCLUSIONS = (ReasonCode.SOURCE_EXCLUDED, ReasonCode.ACCELEROMETER_REJECTED, ReasonCode.GYRO_REJECTED)
 _WINDOW_S = 0.5  #: internal: time over which velocities are averaged
 _PAST_S = 1.0  #: internal: poses and estimates are kept for this time, until they can be compared
@@ -161,8 +163,10 @@ class EstimateMonitor:
         if pose.health in (PoseHealth.LOST, PoseHealth.WRONG):  # the failsafe acts on them, and the autopilot need not follow
             self.forget()
             return
-        excluded = pose.health_reason is not None and pose.health_reason.code in _EXCLUSIONS
-        if excluded and not self._excluded:  # odometry moves to where the vehicle is, and the autopilot follows
+        code = None if pose.health_reason is None else pose.health_reason.code
+        excluded = code in _EXCLUSIONS
+        # odometry moves to where the vehicle is, and the autopilot follows
+        if code in _DOUBTS or (excluded and not self._excluded):
             self._settled_s = pose.stamp_s + _SETTLES_S
         self._excluded = excluded
         if pose.stamp_s < self._settled_s:
