@@ -270,7 +270,7 @@ TABLE_B = (
         "6 poses per second",
         lambda n: [ThinnedPoses(6.0)],
         (
-            Limit("ODOMETRY in a second", odometry_metrics.pose_rate, 28.0, "1/s", at_least=True),
+            Limit("ODOMETRY in a second", odometry_metrics.pose_rate, 25.0, "1/s", at_least=True),
             Limit("speed 1 s later", m.speed_from(2.0), 0.3, "m/s"),  # after the one second over which the rate is measured
         ),
         observe_s=15.0,
