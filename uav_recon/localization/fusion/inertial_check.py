@@ -24,6 +24,7 @@ _SIGMAS = 5.0  #: reject: the same, but never within this many standard deviatio
 _IN_A_ROW = 2  #: reject: number of poses in a row that must show it
 _RIGHT_SHARE = 0.6  #: reject: share of the limit of the longest window, below which a sensor is right again ...
 _RIGHT_S = 3.0  #: reject: ... for this time
+_SLACK_S = 0.05  #: internal: a window may be longer by this: at 6 Hz stamps that jitter would leave one pose too few
 _LEAST_POSES = 4  #: internal: a window of fewer poses shows nothing
 _SPAN_SHARE = 0.8  #: internal: nor one that spans a smaller share of its time
 _LEARNT_SHARE = 0.3  # of the limit: least standard deviation of an error that the usual one is learnt from
@@ -148,7 +149,7 @@ class InertialCheck:
         """
         step_s = stamp_s - self._samples[-1].stamp_s if self._samples else 0.0
         self._samples.append(_Sample(stamp_s, pose, shown, noise_m))
-        while stamp_s - self._samples[0].stamp_s > _LIMITS[-1][0] + 1e-6:
+        while stamp_s - self._samples[0].stamp_s > _LIMITS[-1][0] + _SLACK_S:
             self._samples.popleft()
         found = [self._errors(*limits) for limits in _LIMITS]
         known = [errors for errors in found if errors is not None]
@@ -160,7 +161,7 @@ class InertialCheck:
     def _errors(self, window_s: float, force_limit: float, rate_limit: float) -> tuple[_Measured, _Measured] | None:
         """Return what the sensors measure too much over the newest window; None if it shows nothing."""
         newest_s = self._samples[-1].stamp_s
-        seen = [sample for sample in self._samples if newest_s - sample.stamp_s <= window_s + 1e-6]
+        seen = [sample for sample in self._samples if newest_s - sample.stamp_s <= window_s + _SLACK_S]
         first, last = seen[0], seen[-1]
         span_s = newest_s - first.stamp_s
         if len(seen) < _LEAST_POSES or span_s < _SPAN_SHARE * window_s:
