@@ -84,3 +84,12 @@ def test_a_pose_that_is_not_newer_changes_nothing() -> None:
     comparison.add_first(1.0, Pose.identity())
     assert not comparison.add_first(1.0, Pose.from_yaw(1.0, np.ones(3)))
     assert not comparison.add_first(0.5, Pose.from_yaw(1.0, np.ones(3)))
+
+
+def test_a_pose_that_is_given_again_is_compared_once() -> None:
+    """The newest pose of the view is shown a hundred times a second."""
+    comparison = MotionComparison()
+    comparison.add_first(0.0, Pose.identity())
+    comparison.add_first(0.2, Pose.identity())
+    assert comparison.add_second(0.1, Pose.identity(), ALL)
+    assert not comparison.add_second(0.1, Pose.identity(), ALL)

@@ -175,8 +175,7 @@ class CheckedOdometry:
         self._judged_s = self._comparison.compared_s
         unchecked = self._view.newest_pose_s - self._view.check.judged_s > _CHECKED_S
         suspect = self._view_at_fault or self._inertial_at_fault or unchecked or not self._view.sure
-        seen, said = self._view.check.accelerometer.excess, self._check.accelerometer.excess
-        limit = 1.0 if said > max(_ONE_SHARE, _ONE_FACTOR * seen) else _ALONE_SHARE
+        limit = 1.0 if _blamed(self._check, self._view.check) else _ALONE_SHARE
         apart = excess > limit or self._comparison.drift_excess > 1.0
         self._row = self._row + 1 if apart and not suspect else 0
         if self._row >= _IN_A_ROW:
@@ -194,9 +193,8 @@ class CheckedOdometry:
 
     def _judge_view(self, excess: float) -> None:
         """Judge the view: the inertial samples contradict it, or it has been right for a while."""
-        seen, said = self._view.check.accelerometer.excess, self._check.accelerometer.excess
         compared_s = self._comparison.compared_s
-        self._view_at_fault |= excess > 1.0 and seen > max(_ONE_SHARE, _ONE_FACTOR * said)
+        self._view_at_fault |= excess > 1.0 and _blamed(self._view.check, self._check)
         self._view_right_since_s = min(self._view_right_since_s, compared_s) if excess < _RIGHT_SHARE else math.inf
         self._view_at_fault &= compared_s - self._view_right_since_s < _RIGHT_S
 
@@ -223,3 +221,8 @@ class CheckedOdometry:
             return
         self._excluded, self._row = False, 0
         self._comparison.forget()
+
+
+def _blamed(one: InertialCheck, other: InertialCheck) -> bool:
+    """Return True if the inertial samples contradict one track, and clearly less the other one."""
+    return one.accelerometer.excess > max(_ONE_SHARE, _ONE_FACTOR * other.accelerometer.excess)

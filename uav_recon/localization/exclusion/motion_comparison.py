@@ -52,6 +52,7 @@ class MotionComparison:
         self._second: deque[tuple[float, Pose, FloatArray]] = deque(maxlen=_MOST_POSES)
         self._pairs: deque[_Pair] = deque()
         self._noise_m2 = _LEAST_NOISE_M**2
+        self._paired_s = -np.inf  # newest instant of the second track that was taken out
 
     def forget(self) -> None:
         """Forget both tracks."""
@@ -72,7 +73,8 @@ class MotionComparison:
 
         shown (3, 3): share of its position, in its axes, that the pose has measured itself.
         """
-        if self._second and stamp_s <= self._second[-1][0]:
+        newest_s = self._second[-1][0] if self._second else self._paired_s
+        if stamp_s <= newest_s:
             return False
         self._second.append((stamp_s, pose, shown))
         return self._pair()
@@ -82,6 +84,7 @@ class MotionComparison:
         found = False
         while self._second and self._first and self._second[0][0] <= self._first[-1][0]:
             stamp_s, second, shown = self._second.popleft()
+            self._paired_s = stamp_s
             first = self._first_at(stamp_s)
             if first is not None:
                 self._pairs.append(_Pair(stamp_s, first, second, shown, float(np.linalg.eigvalsh(shown + shown.T)[0]) / 2.0))

@@ -94,15 +94,11 @@ class FlowOdometry:
     def add_reference(self, stamp_s: float, odom_from_body: Pose, sigma_m: float) -> None:
         """Learn scale and delay from a pose of a track that is sure.
 
-        sigma_m: rms error of a position against the one before. Call forget_reference() after a jump of the track.
+        sigma_m: rms error of a position against the one before.
         """
         if not self._reference or stamp_s > self._reference[-1][0]:
             self._reference.append((stamp_s, odom_from_body, sigma_m))
             self._calibrate()
-
-    def forget_reference(self) -> None:
-        """Forget the poses that are not used yet: the track jumped, or was not sure for a time."""
-        self._reference.clear()
 
     def moved(self, from_s: float, to_s: float, odom_from_body: Pose) -> MeasuredMotion | None:
         """Return the motion of the body's origin, None if the readings do not tell it.
