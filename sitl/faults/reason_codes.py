@@ -15,6 +15,7 @@ DEPTH_NOT_BELIEVED = "depth-not-believed"
 ODOMETRY_DRIFT = "odometry-drift"
 SURFACES_MOVED = "surfaces-moved"
 SURFACES_GONE = "surfaces-gone"
+SOURCE_EXCLUDED = "source-excluded"
 NO_IMU = ("no-imu", "autopilot-gyro")  # the second while the autopilot's gyro takes its place
 IMU_FROZEN = ("imu-frozen", "accelerometer-frozen", "autopilot-gyro")
 ACCELEROMETER_WRONG = ("accelerometer-rejected", "imu-disagrees")

@@ -24,6 +24,11 @@ class MotionEstimator(Protocol):
         ...
 
     @property
+    def confirmed_s(self) -> float:
+        """Instant at which the tracked images have last confirmed over seconds that the source does not drift; -inf before."""
+        ...
+
+    @property
     def rejected(self) -> Mapping[PoseRejection, int]:
         """Counts of rejected poses and inertial samples."""
         ...

@@ -171,7 +171,7 @@ TABLE_B = (
         "pose drifts",
         "0.05 m/s for a minute along either axis",
         lambda n: [AlteredPoses(drifting(*((0.05, 0.0), (0.0, 0.05), (-0.05, 0.0), (0.0, -0.05))[n % 4]))],
-        (clear(0.10), Limit("alarm", statustext_delay(*codes.DRIFT), 10.0, "s")),
+        (clear(0.10), reports(codes.SOURCE_EXCLUDED, *codes.DRIFT, within_s=10.0)),
         observe_s=80.0,
         camera="small",
     ),

@@ -195,6 +195,10 @@ class DepthConsistencyMonitor:
         self._doubt = None
         self._drift_run = 0
 
+    def hold_valid(self, stamp_s: float) -> None:
+        """Take odom as valid up to an instant; see DriftRateEstimator.hold_valid()."""
+        self._drift_rate.hold_valid(stamp_s)
+
     def forget_drift(self) -> None:
         """Forget the drift that was measured: the source of the poses corrects its place."""
         self._drift_rate.forget()

@@ -109,6 +109,10 @@ class DriftRateEstimator:
         if self._excess(corrected_mps) <= 1.0:
             self._valid_s = frame.stamp_s
 
+    def hold_valid(self, stamp_s: float) -> None:
+        """Take odom as valid up to an instant: another comparison, over the whole map, has shown that it does not drift."""
+        self._valid_s = max(self._valid_s, stamp_s)
+
     @property
     def drifts(self) -> bool:
         """True if odom surely drifts, and has for a while."""

@@ -34,6 +34,8 @@ _LOST_S = 1.0  #: internal: a view without a pose for longer begins again beside
 _IN_A_ROW = 2  #: reject: number of comparisons in a row that must show a fault of the source
 _RIGHT_SHARE = 0.6  #: reject: an excluded source until its ways differ by less, as a share of the limit ...
 _RIGHT_S = 3.0  #: reject: ... for this time, which doubles with each exclusion
+#: land: the view confirms a source whose way over the long window differs by less, as a share of its limit (0.15 m in 8 s)
+_CONFIRMED_SHARE = 0.5
 _MOST_EXCLUSIONS = 6  #: internal: exclusions up to which it doubles
 #: reject: the source, if the ways differ by this share of the limit and the inertial samples contradict neither: honest ones
 #: differ by up to 1.3, where the tracked images are off
@@ -64,8 +66,9 @@ class CheckedOdometry:
         self._source_resets = 0
         self._row = self._exclusions = 0
         self._judged_s = -math.inf  # newest comparison that was judged
+        self._confirmed_s = -math.inf
         self._restarted_s = math.nan  # before the first call
-        self._excluded = self._view_at_fault = False
+        self._excluded = self._drifted = self._view_at_fault = False
         self._view_right_since_s = math.inf
         self._right_since_s = math.inf
         self._switched_s = math.inf
@@ -83,6 +86,11 @@ class CheckedOdometry:
     def source_excluded(self) -> bool:
         """True while the view is used in place of the source."""
         return self._excluded
+
+    @property
+    def confirmed_s(self) -> float:
+        """Instant at which the view has last confirmed the source over the long window; -inf before."""
+        return self._confirmed_s
 
     @property
     def rejected(self) -> Mapping[PoseRejection, int]:
@@ -160,12 +168,14 @@ class CheckedOdometry:
 
     def _judge(self, now_s: float) -> None:
         """Exclude the source, or use it again, after a comparison."""
-        excess = self._comparison.excess
+        excess, drift = self._comparison.excess, self._comparison.drift_excess
         self._source.exclude_accelerometer(self._accelerometer_at_fault and excess <= 1.0)
         if self._check.accelerometer.fault and not self._excluded:
             self._view.tracker.accelerometer_used = False
         if self._excluded:
-            self._right_since_s = min(self._right_since_s, self._comparison.compared_s) if excess < _RIGHT_SHARE else math.inf
+            drifts = not drift < _RIGHT_SHARE if self._drifted else drift > _RIGHT_SHARE
+            right = excess < _RIGHT_SHARE and not drifts
+            self._right_since_s = min(self._right_since_s, self._comparison.compared_s) if right else math.inf
             if self._comparison.compared_s - self._right_since_s >= _RIGHT_S * 2 ** (self._exclusions - 1):
                 self._include(now_s)
             return
@@ -176,7 +186,9 @@ class CheckedOdometry:
         unchecked = self._view.newest_pose_s - self._view.check.judged_s > _CHECKED_S
         suspect = self._view_at_fault or self._inertial_at_fault or unchecked or not self._view.sure
         limit = 1.0 if _blamed(self._check, self._view.check) else _ALONE_SHARE
-        apart = excess > limit or self._comparison.drift_excess > 1.0
+        self._confirmed_s = self._judged_s if drift < _CONFIRMED_SHARE and self._view.sure else self._confirmed_s
+        apart = excess > limit or drift > 1.0
+        self._drifted = not excess > limit
         self._row = self._row + 1 if apart and not suspect else 0
         if self._row >= _IN_A_ROW:
             self._exclude(now_s)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections import deque
 from typing import NamedTuple
 
@@ -42,11 +43,11 @@ class MotionComparison:
     """Compares two tracks at the instants of the second. Not thread-safe.
 
     ``excess``: difference of the ways as a multiple of its limit, the largest of the short windows. ``drift_excess``: the same
-    of the long window.
+    of the long window; NaN unless the second track has measured itself in every direction all the time.
     """
 
     def __init__(self) -> None:
-        self.excess = self.drift_excess = 0.0
+        self.excess, self.drift_excess = 0.0, math.nan
         self.compared_s = -np.inf
         self._first: deque[tuple[float, Pose]] = deque(maxlen=_MOST_POSES)
         self._second: deque[tuple[float, Pose, FloatArray]] = deque(maxlen=_MOST_POSES)
@@ -59,7 +60,7 @@ class MotionComparison:
         self._first.clear()
         self._second.clear()
         self._pairs.clear()
-        self.excess = self.drift_excess = 0.0
+        self.excess, self.drift_excess = 0.0, math.nan
 
     def add_first(self, stamp_s: float, pose: Pose) -> bool:
         """Add a pose of the first track. Return True if something new was compared."""
@@ -117,7 +118,9 @@ class MotionComparison:
             self._learn_noise(self._pairs[-3], self._pairs[-2], newest)
         self.excess = max(self._excess(window_s, limit_m, _SHOWN_SHARE) for window_s, limit_m in _LIMITS)
         always = all(pair.least_shown >= _SHOWN_ALWAYS_SHARE for pair in self._pairs)
-        self.drift_excess = self._excess(_DRIFT_WINDOW_S, _DRIFT_LIMIT_M, _SHOWN_ALWAYS_SHARE**2) if always else 0.0
+        whole = newest.stamp_s - self._pairs[0].stamp_s >= 0.5 * _DRIFT_WINDOW_S
+        known = always and whole
+        self.drift_excess = self._excess(_DRIFT_WINDOW_S, _DRIFT_LIMIT_M, _SHOWN_ALWAYS_SHARE**2) if known else math.nan
 
     def _learn_noise(self, before: _Pair, here: _Pair, after: _Pair) -> None:
         """Learn the white noise from three pairs: what is left after the velocity."""

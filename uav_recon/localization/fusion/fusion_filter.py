@@ -62,6 +62,7 @@ class FusionFilter:
         self.rejected: Counter[PoseRejection] = Counter()
         self.correction = WorldFromOdom.start()
         self.source_excluded = False
+        self.confirmed_s = -math.inf
         self._lost_s = pose_lost_s
         self._gates = gates or PoseGates()
         self._frozen = FrozenPoseGate()

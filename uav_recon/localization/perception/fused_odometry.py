@@ -53,6 +53,11 @@ class FusedOdometry:
         return self._fusion.source_excluded
 
     @property
+    def confirmed_s(self) -> float:
+        """Instant at which the tracked images have last confirmed over seconds that the source does not drift; -inf before."""
+        return self._fusion.confirmed_s
+
+    @property
     def rejected(self) -> Mapping[PoseRejection, int]:
         """Counts of rejected poses and inertial samples."""
         return self._fusion.rejected

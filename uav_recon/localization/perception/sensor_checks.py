@@ -53,6 +53,7 @@ class SensorChecks:
             self._consistency.forget()
         self._excluded = odometry.source_excluded
         self._axes.add_frame(frame, body_from_depth)
+        self._consistency.hold_valid(odometry.confirmed_s)
         estimate, fused = odometry.fused(frame.stamp_s), odometry.fused_motion(frame.stamp_s)
         if estimate is None or fused is None or estimate.quality == 0:
             return self._consistency.rejection(frame, None)

@@ -67,6 +67,7 @@ class ViewOdometry:
         self.check = InertialCheck(tracker.gyro.at)
         self._gate = ImuSampleGate(self.rejected)
         self.source_excluded = False
+        self.confirmed_s = -math.inf
         self.newest_pose_s = -math.inf
         self._world_from_tracker = world_from_tracker
         self._nodes: deque[_Node] = deque()
