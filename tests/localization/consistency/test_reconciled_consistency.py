@@ -42,3 +42,11 @@ def test_both_must_say_so(monkeypatch: pytest.MonkeyPatch, map_says: Reason | No
     assert both.rejection(FRAME, IN_MAP, 0, CorrectedDrift(IN_ODOM, np.zeros(3))) is (WRONG if sure else None)
     assert asked == [IN_MAP, IN_ODOM]
     assert both.drift(1.0) is (WRONG if sure else None)
+
+
+def test_both_take_odom_as_valid_up_to_an_instant(monkeypatch: pytest.MonkeyPatch) -> None:
+    both, held_s = ReconciledConsistency(), list[float]()
+    for monitor in (both._mapped, both._plain):
+        monkeypatch.setattr(monitor, "hold_valid", held_s.append)
+    both.hold_valid(3.0)
+    assert held_s == [3.0, 3.0]

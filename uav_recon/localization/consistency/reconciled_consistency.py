@@ -46,6 +46,11 @@ class ReconciledConsistency:
         self._mapped.forget_drift()
         self._plain.forget_drift()
 
+    def hold_valid(self, stamp_s: float) -> None:
+        """Take odom as valid up to an instant; see DriftRateEstimator.hold_valid()."""
+        self._mapped.hold_valid(stamp_s)
+        self._plain.hold_valid(stamp_s)
+
     def drift(self, now_s: float) -> Reason | None:
         """Return the drift of the pose that depth shows in both, None for nothing."""
         in_map = self._mapped.drift(now_s)
