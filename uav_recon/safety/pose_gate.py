@@ -23,8 +23,9 @@ _PUSH_MPS2 = 1.0  #: reject: acceleration that a pose may show beyond its predic
 _FASTEST_MPS = 2.0  #: reject: a distance between poses that only a faster vehicle flies
 _LARGEST_SI = 1e4  #: reject: a pose with a larger number in any unit, or NaN
 _PATIENCE = 3  #: reject: after this many rejections in a row the track is lost, and a new one must be proved
-_PROOF = 20  #: reject: a new track of fewer poses that agree
-_PROOF_S = 1.0  #: reject: a new track that agrees for less time
+_PROOF = 10  #: reject: a new track of fewer poses that agree
+#: reject: a new track that agrees for less time; with the three poses before it is believed before pose_land_s ends the flight
+_PROOF_S = 0.4
 
 
 @dataclass(frozen=True, slots=True)

@@ -173,7 +173,7 @@ class CheckedOdometry:
         if self._check.accelerometer.fault and not self._excluded:
             self._view.tracker.accelerometer_used = False
         if self._excluded:
-            drifts = not drift < _RIGHT_SHARE if self._drifted else drift > _RIGHT_SHARE
+            drifts = self._drifted and not drift < _RIGHT_SHARE
             right = excess < _RIGHT_SHARE and not drifts
             self._right_since_s = min(self._right_since_s, self._comparison.compared_s) if right else math.inf
             if self._comparison.compared_s - self._right_since_s >= _RIGHT_S * 2 ** (self._exclusions - 1):

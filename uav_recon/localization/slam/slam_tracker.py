@@ -423,8 +423,7 @@ class SlamTracker:
         self._attitude.update(self._turned, odom_from_body, registration.covariance[:3, :3])
         self._landmarks.shift(registration.shift_m, _left(registration.track_variance, prior.track_variance))
         self._track_variance = registration.track_variance
-        left = np.linalg.solve(prior.covariance[3:, 3:], registration.covariance[3:, 3:])
-        self.determined = np.eye(3) - 0.5 * (left + left.T)
+        self.determined = _determined_share(prior.covariance[3:, 3:], registration.covariance[3:, 3:])
         velocity = self._motion.velocity_mps
         between = state.odom_from_body.inverse() @ odom_from_body
         self.gyro.update(state.stamp_s, stamp_s, between.rotation_vector())
@@ -473,7 +472,6 @@ class SlamTracker:
         way_back_s = _LONG_WAY_BACK_S if self._moved_outside(stamp_s) else _WAY_BACK_S
         most_m = _MOST_ON_WAY_BACK_M if stamp_s - self._sure_s <= way_back_s else _MOST_SIGMA_M
         if sigma_m > most_m or self._unproven:
-            self._unreleased_m = np.zeros(3)
             return None
         quality = max(round(_quality(registration) * min(_DOUBT_M / sigma_m, 1.0)), 1)
         pose = replace(self._stamped(stamp_s, sigma_m), quality=quality)
@@ -510,6 +508,16 @@ def _reach_m(prior: MotionPrior) -> FloatArray:
     """Return the reach (3,) of a search along each axis."""
     variance = np.diagonal(prior.covariance)[3:] + prior.track_variance
     return np.minimum(_SEARCH_SIGMAS * np.sqrt(variance), _MOST_SEARCH_M)
+
+
+def _determined_share(before: FloatArray, after: FloatArray) -> FloatArray:
+    """Return the share (3, 3) of a place that a frame has determined, from the covariances (3, 3) before and after it.
+
+    Its eigenvalues are between 0 and 1, whatever the directions of the two covariances.
+    """
+    values, axes = np.linalg.eigh(before)
+    whiten = (axes / np.sqrt(values)) @ axes.T
+    return np.eye(3) - whiten @ after @ whiten
 
 
 def _determined(registration: Registration) -> bool:

@@ -38,6 +38,8 @@ _FADES_S = 0.5  #: hold: quality falls to zero within this time after the place 
 #: reject: after a loss, a place that does not fit dead reckoning until this many frames are accepted
 _RETURN_FRAMES = 8
 _JUMP_M = 0.15  #: reject: such a place is farther from dead reckoning than this, and odom restarts there
+#: internal: a frame after a gap, or after one that was wrong, moves odometry at once by no more
+_STEP_M = 0.03
 _LEFT_M = 0.05  #: retreat: while more than this of an error found after a gap is not yet in odometry
 _POSITION_SIGMA_M = 0.01
 _ROTATION_SIGMA_RAD = math.radians(0.3)
@@ -93,7 +95,7 @@ class ViewOdometry:
         if self._nodes and stamp_s <= self._nodes[-1].stamp_s:
             return None
         if pose is not None:
-            before = self.odom_at(stamp_s) if stamp_s - self.newest_pose_s > _LATE_S else None
+            before = self.odom_at(stamp_s)
             self._accept(pose)
             self._continue(before, pose)
             self.shown = self.tracker.determined
@@ -183,14 +185,17 @@ class ViewOdometry:
         self.tracker.gyro.used = not gyro.fault
 
     def _continue(self, before: StampedPose | None, pose: StampedPose) -> None:
-        """Let odometry go on from where dead reckoning was after a gap.
+        """Let odometry go on from where it was, if a pose is a step away from it.
 
-        before: odometry without the pose; None without a gap.
+        before: odometry without the pose; None if it was not known.
         """
         if before is None or self._world_from_tracker is None or before.reset_counter != self._reset_counter:
             return
         found = self._world_from_tracker @ pose.odom_from_body
-        self._release.begin(pose.stamp_s, before.odom_from_body.translation_m - found.translation_m)
+        step_m = before.odom_from_body.translation_m - found.translation_m
+        left_m = self._release.left_m(pose.stamp_s)
+        if float(np.linalg.norm(step_m - left_m)) > _STEP_M:
+            self._release.begin(pose.stamp_s, step_m)
 
     def _propagated(self, node: _Node, stamp_s: float) -> tuple[PredictedMotion, Pose]:
         """Return motion and attitude at an instant after a node, by dead reckoning."""

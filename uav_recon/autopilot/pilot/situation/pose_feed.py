@@ -21,8 +21,8 @@ from uav_recon.types.reason_code import AXES, ReasonCode
 T = TypeVar("T")
 
 _UNSOUND = (PoseHealth.LOST, PoseHealth.WRONG)
-# why a lost pose is not sent: no pose of the source stands behind it any more; few poses are better than none
-_DEAD_RECKONED = (ReasonCode.NO_POSE, ReasonCode.POSES_DISAGREE)
+# why a lost pose is not sent: nothing that is sure stands behind it any more; few poses are better than none
+_DEAD_RECKONED = (ReasonCode.NO_POSE, ReasonCode.POSES_DISAGREE, ReasonCode.PLACE_UNSURE)
 
 
 class PoseFeed:
