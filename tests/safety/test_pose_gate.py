@@ -163,18 +163,18 @@ def test_three_bad_ones_in_a_row_put_the_old_track_on_trial_too() -> None:
     assert judge(gate, pose(7 * STEP_S)) == PoseVerdict(False, why=Reason(ReasonCode.POSE_ON_TRIAL))
 
 
-def test_a_slow_track_has_to_send_twenty() -> None:
+def test_a_slow_track_has_to_send_ten() -> None:
     gate = settled()
     answers = [judge(gate, pose(0.2 * n, (0.9, 0.9, 1.0))).good for n in range(1, 30)]
-    assert answers.index(True) == 19
+    assert answers.index(True) == 9
 
 
 def test_a_new_track_that_breaks_begins_again() -> None:
     gate = settled()
-    for n in range(1, 26):
+    for n in range(1, 11):
         assert not judge(gate, pose(n * STEP_S, (0.5, 0.0, 1.0))).good
-    answers = [judge(gate, pose(n * STEP_S, (1.5, 0.0, 1.0))).good for n in range(26, 70)]
-    assert answers.index(True) == 30
+    answers = [judge(gate, pose(n * STEP_S, (1.5, 0.0, 1.0))).good for n in range(11, 70)]
+    assert answers.index(True) in (12, 13)
 
 
 @pytest.mark.parametrize(("speed_mps", "good"), [(0.0, True), (0.44, True), (0.46, False), (-0.44, True), (-0.46, False)])
@@ -200,10 +200,10 @@ def test_a_turn_is_counted_from_the_last_heading_and_across_the_cut() -> None:
         assert judge(gate, pose(STEP_S, yaw_rad=second)).good is good
 
 
-def test_a_second_of_agreement_is_enough_to_the_last_digit() -> None:
+def test_no_more_than_moments_of_agreement_are_needed() -> None:
     gate = settled()
     answers = [judge(gate, pose(n / 32, (0.5, 0.0, 1.0))).good for n in range(1, 40)]
-    assert answers.index(True) == 32
+    assert answers.index(True) == 13
 
 
 @pytest.mark.parametrize("back_s", [0.0, 0.1])
@@ -241,7 +241,7 @@ def test_a_negative_variance_is_none() -> None:
 def test_a_track_that_goes_back_in_time_begins_again() -> None:
     gate, t, counted = settled(), 1.0, 0
     for _ in range(3):
-        for n in range(15):  # too few at a time
+        for n in range(8):  # too few at a time
             counted += judge(gate, pose(t + n * 0.05, (3.0, 0.0, 1.0))).good
         t += 0.1
     assert counted == 0

@@ -44,7 +44,7 @@ from sitl.faults.injectors.wrong_axes import (
 from sitl.faults.judges import odometry_metrics
 from sitl.faults.judges import reaction_metrics as m
 from sitl.faults.judges.invariants import Room
-from sitl.faults.judges.statustext_checks import statustext_after_arm_command, statustext_delay
+from sitl.faults.judges.statustext_checks import statustext_after_arm_command
 from sitl.faults.table.acceptance_limits import (
     COMPLETES,
     NEVER_ARMED,

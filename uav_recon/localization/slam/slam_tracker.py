@@ -472,6 +472,7 @@ class SlamTracker:
         way_back_s = _LONG_WAY_BACK_S if self._moved_outside(stamp_s) else _WAY_BACK_S
         most_m = _MOST_ON_WAY_BACK_M if stamp_s - self._sure_s <= way_back_s else _MOST_SIGMA_M
         if sigma_m > most_m or self._unproven:
+            self._unreleased_m = np.zeros(3)
             return None
         quality = max(round(_quality(registration) * min(_DOUBT_M / sigma_m, 1.0)), 1)
         pose = replace(self._stamped(stamp_s, sigma_m), quality=quality)
@@ -517,7 +518,7 @@ def _determined_share(before: FloatArray, after: FloatArray) -> FloatArray:
     """
     values, axes = np.linalg.eigh(before)
     whiten = (axes / np.sqrt(values)) @ axes.T
-    return np.eye(3) - whiten @ after @ whiten
+    return np.asarray(np.eye(3) - whiten @ after @ whiten)
 
 
 def _determined(registration: Registration) -> bool:
