@@ -184,6 +184,8 @@ def test_where_the_inertial_samples_contradict_neither_the_ways_differ_by_twice_
 def test_a_source_that_drifts_slowly_is_excluded() -> None:
     out = excluded(fly(sliding(0.05, 60.0), until_s=18.0))
     assert FAULT_S + 5.0 < out[0] < FAULT_S + 8.5
+    assert np.diff(out).max() < 0.1, "over short windows it does not show, and is not used again"
+    assert out[-1] > 17.9
 
 
 def test_each_exclusion_doubles_the_time_of_the_next_one() -> None:

@@ -76,6 +76,8 @@ def test_a_reset_that_the_source_counts_is_counted_once() -> None:
         (PoseHealth.DEGRADED, ReasonCode.POSES_DISAGREE, True),
         (PoseHealth.LOST, ReasonCode.NO_POSE, False),
         (PoseHealth.LOST, ReasonCode.POSES_DISAGREE, False),
+        (PoseHealth.DEGRADED, ReasonCode.PLACE_UNSURE, True),
+        (PoseHealth.LOST, ReasonCode.PLACE_UNSURE, False),
         (PoseHealth.LOST, ReasonCode.FEW_POSES, True),
         (PoseHealth.WRONG, ReasonCode.ODOMETRY_DRIFT, True),
     ],
