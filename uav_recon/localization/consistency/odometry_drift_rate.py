@@ -110,7 +110,10 @@ class DriftRateEstimator:
             self._valid_s = frame.stamp_s
 
     def hold_valid(self, stamp_s: float) -> None:
-        """Take odom as valid up to an instant: another comparison, over the whole map, has shown that it does not drift."""
+        """Take odom as valid up to an instant.
+
+        Another comparison, over seconds, has shown that it does not drift.
+        """
         self._valid_s = max(self._valid_s, stamp_s)
 
     @property

@@ -54,7 +54,10 @@ class FusedOdometry:
 
     @property
     def confirmed_s(self) -> float:
-        """Instant at which the tracked images have last confirmed over seconds that the source does not drift; -inf before."""
+        """Instant at which the view has last confirmed the source; -inf before.
+
+        It compares their ways over seconds: the source did not drift.
+        """
         return self._fusion.confirmed_s
 
     @property

@@ -512,9 +512,9 @@ def _reach_m(prior: MotionPrior) -> FloatArray:
 
 
 def _determined_share(before: FloatArray, after: FloatArray) -> FloatArray:
-    """Return the share (3, 3) of a place that a frame has determined, from the covariances (3, 3) before and after it.
+    """Return the share (3, 3) of a place that a frame has determined.
 
-    Its eigenvalues are between 0 and 1, whatever the directions of the two covariances.
+    before, after: covariances (3, 3) of the place without and with the frame. Its eigenvalues are between 0 and 1, whatever the directions of the two covariances.
     """
     values, axes = np.linalg.eigh(before)
     whiten = (axes / np.sqrt(values)) @ axes.T

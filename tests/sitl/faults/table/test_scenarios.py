@@ -148,7 +148,7 @@ def test_setpoints_that_do_not_arrive_break_d3() -> None:
 TELLING = {
     "A1": ("reported", (codes.MISSION_SILENT,)),
     "B1": ("reported", (codes.NO_POSE,)),
-    "B5": ("alarm", (codes.ODOMETRY_DRIFT,)),
+    "B5": ("reported", (codes.SOURCE_EXCLUDED,)),
     "C1b": ("reported", (codes.NO_DEPTH,)),
     "D2": ("reported", (codes.AUTOPILOT_LANDS,)),
     "E4": ("reported", (codes.INTRUDER_STATE,)),
