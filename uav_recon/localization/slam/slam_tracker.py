@@ -514,7 +514,8 @@ def _reach_m(prior: MotionPrior) -> FloatArray:
 def _determined_share(before: FloatArray, after: FloatArray) -> FloatArray:
     """Return the share (3, 3) of a place that a frame has determined.
 
-    before, after: covariances (3, 3) of the place without and with the frame. Its eigenvalues are between 0 and 1, whatever the directions of the two covariances.
+    before, after: covariances (3, 3) of the place without and with the frame. The eigenvalues are between 0 and 1, whatever the
+    directions of the two.
     """
     values, axes = np.linalg.eigh(before)
     whiten = (axes / np.sqrt(values)) @ axes.T
