@@ -55,7 +55,8 @@ _EVERYTHING: FloatArray = np.eye(3)
 class CheckedOdometry:
     """Estimator with a pose source, and with the view in its place while that is excluded.
 
-    Not thread-safe. view: in its tracker's frame.
+    Not thread-safe. view: in its tracker's frame. ``confirmed_s``: instant at which the view has last confirmed the source over
+    the long window, -inf before.
     """
 
     def __init__(self, source: FusionFilter, view: ViewOdometry) -> None:
@@ -66,7 +67,7 @@ class CheckedOdometry:
         self._source_resets = 0
         self._row = self._exclusions = 0
         self._judged_s = -math.inf  # newest comparison that was judged
-        self._confirmed_s = -math.inf
+        self.confirmed_s = -math.inf
         self._restarted_s = math.nan  # before the first call
         self._excluded = self._drifted = self._view_at_fault = False
         self._view_right_since_s = math.inf
@@ -86,11 +87,6 @@ class CheckedOdometry:
     def source_excluded(self) -> bool:
         """True while the view is used in place of the source."""
         return self._excluded
-
-    @property
-    def confirmed_s(self) -> float:
-        """Instant at which the view has last confirmed the source over the long window; -inf before."""
-        return self._confirmed_s
 
     @property
     def rejected(self) -> Mapping[PoseRejection, int]:
@@ -186,11 +182,11 @@ class CheckedOdometry:
         unchecked = self._view.newest_pose_s - self._view.check.judged_s > _CHECKED_S
         suspect = self._view_at_fault or self._inertial_at_fault or unchecked or not self._view.sure
         limit = 1.0 if _blamed(self._check, self._view.check) else _ALONE_SHARE
-        self._confirmed_s = self._judged_s if drift < _CONFIRMED_SHARE and self._view.sure else self._confirmed_s
+        self.confirmed_s = self._judged_s if drift < _CONFIRMED_SHARE and self._view.sure else self.confirmed_s
         apart = excess > limit or drift > 1.0
-        self._drifted = not excess > limit
         self._row = self._row + 1 if apart and not suspect else 0
         if self._row >= _IN_A_ROW:
+            self._drifted = not excess > limit
             self._exclude(now_s)
 
     @property

@@ -95,7 +95,7 @@ class ViewOdometry:
         if self._nodes and stamp_s <= self._nodes[-1].stamp_s:
             return None
         if pose is not None:
-            before = self.odom_at(stamp_s)
+            before = self.odom_at(stamp_s) if self._goes_on(stamp_s) else None
             self._accept(pose)
             self._continue(before, pose)
             self.shown = self.tracker.determined
@@ -184,10 +184,17 @@ class ViewOdometry:
             self.tracker.accelerometer_used = not accelerometer.fault
         self.tracker.gyro.used = not gyro.fault
 
+    def _goes_on(self, stamp_s: float) -> bool:
+        """Return True if odometry goes on from its prediction where a frame is a step away from it.
+
+        After a gap always, else with all inertial sensors: without them each frame is a step, and odometry would lag behind.
+        """
+        return stamp_s - self.newest_pose_s > _LATE_S or (bool(self._nodes) and self._sensor_fault() is None)
+
     def _continue(self, before: StampedPose | None, pose: StampedPose) -> None:
         """Let odometry go on from where it was, if a pose is a step away from it.
 
-        before: odometry without the pose; None if it was not known.
+        before: odometry without the pose; None if odometry takes the pose at once.
         """
         if before is None or self._world_from_tracker is None or before.reset_counter != self._reset_counter:
             return
