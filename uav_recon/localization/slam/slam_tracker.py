@@ -8,6 +8,7 @@ the track on.
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -73,6 +74,8 @@ _DETERMINED_M = 0.02  # standard deviation of a place that depth alone determine
 _DETERMINED_FIT_SHARE = 0.85  # of its points in known space, those on a known surface
 _DETERMINED_POINTS = 250  # number of its points on known surfaces
 _UNSURE_M = 0.06  # standard deviation of a place that is not sure
+#: reject: the frame before, if this one contradicts it, and surprises the track without it by less than this share of its own
+_LESS_SURPRISED = 0.5
 _BETTER = 1.02  # share of inliers by which another place must be better
 #: reject: after doubt, a frame with fewer of its depth points on known surfaces and fewer known landmarks than below
 _PROOF_SHARE = 0.4
@@ -111,6 +114,19 @@ class TrackerState:
     odom_from_body: Pose
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _WithoutFrame:
+    """The track at an accepted frame, as if it had not been accepted.
+
+    surprise: squared innovation of the frame's place, in standard deviations.
+    """
+
+    state: TrackedState
+    motion: MotionFilter
+    attitude: AttitudeFilter
+    surprise: float
+
+
 OdomAt = Callable[[float], StampedPose | None]  # odometry at an instant, None if it is not known
 
 
@@ -145,6 +161,7 @@ class SlamTracker:
         self._predicted = self._motion.predict(0.0, Pose.identity(), None)
         self._fused: Pose | None = None
         self._begin_at: OdomAt | None = None
+        self._without_frame: _WithoutFrame | None = None  # the newest accepted one
         self._accepted_frames = 0
         self._launched = self._unsure = False
         self._sure_s = -math.inf
@@ -214,6 +231,8 @@ class SlamTracker:
             return self._stay(view, self._state, body_from_depth)
         frozen = repeats_s > FROZEN_S
         self.fault = TrackingFault.FROZEN if frozen else self._monitor.fault(found, prior)
+        if self.fault in _SEARCHED:
+            found, prior = self._without_frame_before(view, landmarks, found, prior, body_from_depth)
         if self.fault in _SEARCHED and self.accelerometer_used:
             found, prior = self._without_accelerometer(view, self._state, landmarks, found, prior, body_from_depth)
         if self.fault in _SEARCHED or (self._unproven and not frozen):
@@ -227,6 +246,33 @@ class SlamTracker:
         found = self._search_map(view, found, prior)
         self._settle(view, found, prior, self._state, body_from_depth)
         return self._pose(frame.stamp_s, found)
+
+    def _without_frame_before(
+        self,
+        view: PreparedView,
+        landmarks: Landmarks,
+        registration: Registration,
+        prior: MotionPrior,
+        body_from_depth: Pose,
+    ) -> tuple[Registration, MotionPrior]:
+        """Register a frame that contradicts the predicted motion again, without the accepted frame before.
+
+        If it fits then, that frame is what was wrong, and the track goes on without it. Sets ``fault``.
+        """
+        without, stamp_s = self._without_frame, view.frame.stamp_s
+        if without is None or stamp_s - without.state.stamp_s > _BRIEF_GAP_S:
+            return registration, prior
+        kept = self._state, self._motion, self._attitude, self._predicted, self._turned
+        self._state, self._motion, self._attitude = without.state, without.motion, without.attitude
+        self._motion.accelerometer_used = kept[1].accelerometer_used
+        other = self._predict(without.state, stamp_s, body_from_depth)
+        found = register(view, self.volume, landmarks, other)
+        fault = self._monitor.fault(found, other)
+        if fault is None and _surprise(found, other) < _LESS_SURPRISED * without.surprise:
+            self.fault, self._without_frame = None, None
+            return found, other
+        self._state, self._motion, self._attitude, self._predicted, self._turned = kept
+        return registration, prior
 
     def _without_accelerometer(
         self,
@@ -309,6 +355,7 @@ class SlamTracker:
         self.volume, self._landmarks = TsdfVolume(), LandmarkTracker()
         self._state, self._fused, self._begin_at = None, None, odom_at
         self._unreleased_m, self._track_variance, self._drifted_m = np.zeros(3), np.zeros(3), 0.0
+        self._without_frame = None
         self._unsure, self._unproven, self._sure_s, self._judged_s = False, 0, -math.inf, math.inf
 
     def _start_moving(self, view: PreparedView, body_from_depth: Pose, odom_at: OdomAt) -> StampedPose | None:
@@ -414,6 +461,7 @@ class SlamTracker:
         stamp_s = view.frame.stamp_s
         step_s = stamp_s - state.stamp_s
         odom_from_body = registration.odom_from_depth @ body_from_depth.inverse()
+        self._without_frame = self._as_if_not(stamp_s, registration, prior, body_from_depth)
         self._motion.update(
             self._predicted, odom_from_body.translation_m - registration.shift_m, registration.covariance[3:, 3:]
         )
@@ -439,6 +487,19 @@ class SlamTracker:
         else:
             variance = registration.variance + _PLACED_M**2
             self._add_to_map(view, registration.odom_from_depth, np.concatenate((prior.rate_radps, velocity)), variance)
+
+    def _as_if_not(
+        self, stamp_s: float, registration: Registration, prior: MotionPrior, body_from_depth: Pose
+    ) -> _WithoutFrame:
+        """Return the track at a frame that is about to be accepted, as if it were not."""
+        motion, attitude = copy.copy(self._motion), copy.copy(self._attitude)
+        motion.coast(self._predicted.shifted(registration.shift_m))
+        attitude.coast(self._turned)
+        carried = prior.odom_from_depth @ body_from_depth.inverse()
+        place = Pose(carried.quat_wxyz, carried.translation_m + registration.shift_m)
+        return _WithoutFrame(
+            TrackedState(stamp_s, place, motion.velocity_mps), motion, attitude, _surprise(registration, prior)
+        )
 
     def _add_to_map(self, view: PreparedView, odom_from_depth: Pose, motion: FloatArray, variance: FloatArray) -> None:
         self._landmarks.settle(view, odom_from_depth, motion, self._slow, variance)
@@ -509,6 +570,12 @@ def _reach_m(prior: MotionPrior) -> FloatArray:
     """Return the reach (3,) of a search along each axis."""
     variance = np.diagonal(prior.covariance)[3:] + prior.track_variance
     return np.minimum(_SEARCH_SIGMAS * np.sqrt(variance), _MOST_SEARCH_M)
+
+
+def _surprise(registration: Registration, prior: MotionPrior) -> float:
+    """Return the squared innovation of a frame's place, in standard deviations of the predicted one."""
+    moved_m = registration.odom_from_depth.translation_m - prior.odom_from_depth.translation_m - registration.shift_m
+    return float(moved_m @ np.linalg.solve(prior.covariance[3:, 3:], moved_m))
 
 
 def _determined_share(before: FloatArray, after: FloatArray) -> FloatArray:

@@ -94,13 +94,13 @@ class ViewOdometry:
         stamp_s = state.stamp_s
         if self._nodes and stamp_s <= self._nodes[-1].stamp_s:
             return None
+        before = self.odom_at(stamp_s) if self._goes_on(stamp_s) else None
         if pose is not None:
-            before = self.odom_at(stamp_s) if self._goes_on(stamp_s) else None
             self._accept(pose)
-            self._continue(before, pose)
             self.shown = self.tracker.determined
             self._check_inertial(pose)
         self._nodes.append(_Node(stamp_s, state.motion, state.odom_from_body, pose))
+        self._continue(before)
         while stamp_s - self._nodes[0].stamp_s > _KEPT_S:
             self._nodes.popleft()
         return pose
@@ -191,18 +191,19 @@ class ViewOdometry:
         """
         return stamp_s - self.newest_pose_s > _LATE_S or (bool(self._nodes) and self._sensor_fault() is None)
 
-    def _continue(self, before: StampedPose | None, pose: StampedPose) -> None:
-        """Let odometry go on from where it was, if a pose is a step away from it.
+    def _continue(self, before: StampedPose | None) -> None:
+        """Let odometry go on from where it was, if the newest frame is a step away from it, accepted or not.
 
-        before: odometry without the pose; None if odometry takes the pose at once.
+        before: odometry without the frame; None if odometry takes the frame at once.
         """
         if before is None or self._world_from_tracker is None or before.reset_counter != self._reset_counter:
             return
-        found = self._world_from_tracker @ pose.odom_from_body
+        node = self._nodes[-1]
+        found = self._world_from_tracker @ Pose(node.odom_from_body.quat_wxyz, node.motion.place_m)
         step_m = before.odom_from_body.translation_m - found.translation_m
-        left_m = self._release.left_m(pose.stamp_s)
+        left_m = self._release.left_m(node.stamp_s)
         if float(np.linalg.norm(step_m - left_m)) > _STEP_M:
-            self._release.begin(pose.stamp_s, step_m)
+            self._release.begin(node.stamp_s, step_m)
 
     def _propagated(self, node: _Node, stamp_s: float) -> tuple[PredictedMotion, Pose]:
         """Return motion and attitude at an instant after a node, by dead reckoning."""

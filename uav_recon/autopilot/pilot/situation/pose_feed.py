@@ -50,6 +50,12 @@ class PoseFeed:
         return self._why(PoseHealth.LOST)
 
     @property
+    def late(self) -> Reason | None:
+        """Reason why the newest pose is carried on without the view, None if it is not."""
+        reason = self._why(PoseHealth.DEGRADED)
+        return reason if reason is not None and reason.code is ReasonCode.NO_POSE else None
+
+    @property
     def wrong(self) -> Reason | None:
         """Reason why the newest pose is wrong, None if it is not."""
         return self._why(PoseHealth.WRONG)

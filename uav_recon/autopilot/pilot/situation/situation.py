@@ -99,7 +99,8 @@ class Situation:
         """
         inside = self._guard.envelope.fence.holds(self._position_m)
         pose_s = min(self.poses.sound_s, self._link.status.pose_fed_s)  # no other poses are used for flight
-        lost = self._link.status.duplicate_fault or parameter_changed or self.poses.lost or self.estimate.hold_reason
+        unseen = self.poses.lost or self.poses.late  # the velocity is still known: to rest before it is not
+        lost = self._link.status.duplicate_fault or parameter_changed or unseen or self.estimate.hold_reason
         wrong = self.poses.wrong or self.estimate.land_reason
         ages_s = (now_s - pose_s, self.mission.age_s(now_s), self.surroundings.depth_age_s(now_s))
         rejected = self.surroundings.rejects_depth(now_s, self._guard.bounds.depth_timeout_s)
