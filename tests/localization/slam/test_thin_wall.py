@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from uav_recon.localization.slam.depth_points import add_depth_equations, depth_points
 from uav_recon.localization.slam.landmarks import SIZE
@@ -31,3 +32,19 @@ def test_the_other_side_of_a_wall_is_unknown() -> None:
         )  # fmt: skip
         assert (known > 800, inliers > 800) == (seen, seen)
         assert bool(information.any()) == seen
+
+
+@pytest.mark.parametrize("thick_m", [0.05, 0.08, 0.10, 0.12, 0.15, 0.20])
+@pytest.mark.parametrize("far_frames", [2, 3, 6, 12])
+def test_a_wall_seen_from_both_sides_does_not_contradict_a_view_of_it(thick_m: float, far_frames: int) -> None:
+    """Where the fields of both sides cancel out no surface is known, and no free space either."""
+    volume, near, far = TsdfVolume(), _frame(2.0), _frame(2.0 - thick_m)
+    for _ in range(6):
+        volume.integrate(near, Pose.identity(), np.zeros(3))
+    for _ in range(far_frames):
+        volume.integrate(far, BACK, np.zeros(3))
+    known, inliers = add_depth_equations(
+        depth_points(far.depth_m, LENS.pinhole_px()), BACK.rotation(), BACK.translation_m, volume.blocks, np.zeros(3), np.inf,
+        1.0, 1.0, np.zeros((SIZE, SIZE)), np.zeros(SIZE), np.zeros((2, 3)),
+    )  # fmt: skip
+    assert known - inliers <= 0.2 * known
