@@ -163,6 +163,26 @@ def test_three_bad_ones_in_a_row_put_the_old_track_on_trial_too() -> None:
     assert judge(gate, pose(7 * STEP_S)) == PoseVerdict(False, why=Reason(ReasonCode.POSE_ON_TRIAL))
 
 
+@pytest.mark.parametrize(
+    ("way_m", "again"), [(-0.09, False), (0.0, False), (0.2, False), (0.3, False), (0.49, False), (-0.12, True), (0.75, True)]
+)
+def test_a_track_that_goes_on_where_the_accepted_one_led_is_no_restart(way_m: float, again: bool) -> None:
+    """Between them some poses were wrong; the vehicle may have braked or flown on."""
+    gate = PoseGate(0.8)
+    assert judge(gate, pose(0.0, velocity=(1.0, 0.0, 0.0))).good
+    for n in range(1, 5):
+        assert not judge(gate, pose(n * STEP_S, (0.0, 0.5 * n, 1.0))).good
+    answers = [judge(gate, pose(n * STEP_S, (way_m, 0.0, 1.0))) for n in range(5, 30)]
+    first = next(verdict for verdict in answers if verdict.good)
+    assert first.again is again
+
+
+def test_a_track_that_goes_on_after_a_second_is_a_restart() -> None:
+    gate = settled()
+    answers = [judge(gate, pose(0.2 * n, (0.9 if n < 4 else 0.0, 0.0, 1.0))) for n in range(1, 30)]
+    assert next(verdict for verdict in answers if verdict.good).again
+
+
 def test_a_slow_track_has_to_send_ten() -> None:
     gate = settled()
     answers = [judge(gate, pose(0.2 * n, (0.9, 0.9, 1.0))).good for n in range(1, 30)]

@@ -26,6 +26,7 @@ _PATIENCE = 3  #: reject: after this many rejections in a row the track is lost,
 _PROOF = 10  #: reject: a new track of fewer poses that agree
 #: reject: a new track that agrees for less time; with the three poses before it is believed before pose_land_s ends the flight
 _PROOF_S = 0.4
+_GAP_S = 1.0  #: reject: a track that continues the accepted one after a longer time: it counts as a restart of odom
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,8 +78,22 @@ class PoseGate:
             self._since_s = pose.stamp_s
         self._agreed += 1
         if self._agreed >= _PROOF and pose.stamp_s - self._since_s >= _PROOF_S:
-            return self._accept(pose, again=True)
+            return self._accept(pose, again=not self._continues(pose))
         return self._refuse(why)
+
+    def _continues(self, pose: StampedPose) -> bool:
+        """Return True if a proved track is on the way of the accepted one: poses between them were wrong, odom has not jumped.
+
+        The way reaches from its last place to where its last velocity leads: the vehicle may have braked.
+        """
+        last = self._accepted
+        if last is None or pose.stamp_s - last.stamp_s > _GAP_S:
+            return False
+        way_m = last.velocity_odom_mps * (pose.stamp_s - last.stamp_s)
+        off_m = pose.odom_from_body.translation_m - last.odom_from_body.translation_m
+        share = np.clip(off_m @ way_m / max(float(way_m @ way_m), 1e-9), 0.0, 1.0)
+        turn_rad = abs(math.remainder(pose.odom_from_body.yaw_rad() - last.odom_from_body.yaw_rad(), math.tau))
+        return math.hypot(*(off_m - share * way_m).tolist()) <= _JUMP_M and turn_rad <= _TURN_RAD
 
     def _accept(self, pose: StampedPose, again: bool) -> PoseVerdict:
         self._accepted = pose
