@@ -126,6 +126,23 @@ def test_with_a_degraded_pose_nothing_fast_is_flown(hovering: Rig) -> None:
     assert (np.linalg.norm(np.diff(places, axis=0), axis=1) <= 0.3 * np.diff(times) + 1e-3).all()
 
 
+def test_a_vehicle_stops_while_the_view_is_missing_and_goes_on_with_it(hovering: Rig) -> None:
+    """Its velocity is still known; later it would not be."""
+    hovering.health_reason = Reason(ReasonCode.NO_POSE, (0.3,))
+    begin_s, place_m = hovering.clock.now_s(), hovering.px4.truth().position
+    hovering.intent = (Goal.FLY, smooth_way(begin_s + 0.1, [place_m, (2.5, 0.0, 1.1)], 2, 0.12))
+    hovering.run(8.0)
+    assert hovering.px4.truth().velocity[0] > 0.15, "no faster than with any degraded pose"
+    late_s, hovering.health = hovering.clock.now_s(), PoseHealth.DEGRADED
+    hovering.run(1.0)
+    _, places = setpoints(hovering, late_s + 0.7)
+    assert np.ptp(places, axis=0).max() < 1e-6, "held"
+    assert math.hypot(*hovering.px4.truth().velocity[:2]) < 0.1
+    hovering.health = PoseHealth.GOOD
+    hovering.run(0.5)
+    assert hovering.pilot.phase is FlightPhase.FLYING
+
+
 def test_the_reason_for_a_reduced_speed_is_reported_once_and_its_end(hovering: Rig) -> None:
     begin_s = hovering.clock.now_s()
     hovering.health = PoseHealth.DEGRADED

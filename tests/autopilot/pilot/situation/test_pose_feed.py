@@ -91,6 +91,23 @@ def test_dead_reckoning_is_not_fed_once_the_pose_is_lost(health: PoseHealth, cod
     assert feed.pose is not None, "the failsafe reads its health"
 
 
+@pytest.mark.parametrize(
+    ("health", "code", "late"),
+    [
+        (PoseHealth.DEGRADED, ReasonCode.NO_POSE, True),
+        (PoseHealth.DEGRADED, ReasonCode.PLACE_UNSURE, False),
+        (PoseHealth.DEGRADED, ReasonCode.NO_IMU, False),
+        (PoseHealth.LOST, ReasonCode.NO_POSE, False),
+    ],
+)
+def test_a_pose_that_is_carried_on_without_the_view_is_late(health: PoseHealth, code: ReasonCode, late: bool) -> None:
+    odom = MemoryChannel(StampedPose)
+    feed, _ = _feed(odom)
+    odom.publish(replace(_pose(0.0), health=health, health_reason=Reason(code, (0.3,))))
+    feed.step(0.01)
+    assert (feed.late is not None) is late
+
+
 def test_a_record_that_is_being_written_is_fed_once_it_is_whole(tmp_path: Path) -> None:
     """Its writer was preempted between the head and the data."""
     path = tmp_path / "odom.channel"
