@@ -217,8 +217,6 @@ class SimOptions:
             raise UsageError("--pose autopilot: needs the simulated autopilot; leave out --firmware")
         if self.range_up_deg is not None:
             raise UsageError("--range-up: needs the simulated autopilot; leave out --firmware")
-        if self.flow:
-            raise UsageError("--flow: needs the simulated autopilot; leave out --firmware")
         if self.mount == "gimbal":
             raise UsageError("--firmware: needs --mount fixed:DEG; the firmware's simulation has no gimbal")
         from sitl.real_firmware.px4 import COMPANION_PORT

@@ -130,7 +130,7 @@ def _assemble(
     tracker = SimulatedTracker(options.seed)
     if options.range_up_deg is not None and isinstance(flyer, Autopilot):
         flyer.mount_range_finder(SimulatedUpwardRangeFinder(scene, options.seed, math.radians(options.range_up_deg)))
-    if options.flow and isinstance(flyer, Autopilot):
+    if options.flow and isinstance(flyer, (Autopilot, FirmwareVehicle)):
         flyer.mount_flow_module(SimulatedFlowModule(scene, options.seed))
     onboard = OnboardTracker(options.seed, flyer.fuse_own) if options.onboard_poses and isinstance(flyer, Autopilot) else None
     return OutsideWorld(flyer, camera, tracker, clearance, stream, now_s(), pitch_rad, pace, errors, onboard)
@@ -165,9 +165,9 @@ def _renderer(scene: Scene, camera: d435i.Model) -> Renderer:
     return Renderer(vertices, faces, np.zeros(vertices.shape, np.uint8))
 
 
-def binary_of(autopilot: str, firmware: Path) -> ArduPilotBinary | Px4Binary:
-    """Return the firmware adapter for a binary."""
-    return ArduPilotBinary(firmware) if autopilot == "ardupilot" else Px4Binary(firmware)
+def binary_of(autopilot: str, firmware: Path, flow: bool = False) -> ArduPilotBinary | Px4Binary:
+    """Return the firmware adapter for a binary. flow: a flow module is mounted."""
+    return ArduPilotBinary(firmware, flow=flow) if autopilot == "ardupilot" else Px4Binary(firmware, flow=flow)
 
 
 def _firmware(options: WorldOptions, firmware: Path, scene: Scene, companion_port: int) -> FirmwareVehicle:
@@ -175,7 +175,7 @@ def _firmware(options: WorldOptions, firmware: Path, scene: Scene, companion_por
 
     Raises FirmwareError.
     """
-    binary = binary_of(options.autopilot, firmware)
+    binary = binary_of(options.autopilot, firmware, options.flow)
     folder, log = Path(options.stream).with_name("firmware"), Path(options.truth).parent / "logs" / "firmware.log"
     return FirmwareVehicle(binary, companion_port, scene.start_yaw_rad, folder, log)
 

@@ -8,10 +8,12 @@ from pathlib import Path
 from pymavlink.dialects.v20 import common as mavlink
 
 from sitl.autopilots.ardupilot.modes import ArduPilotMode
-from sitl.autopilots.ardupilot.parameters import DEFAULT_FILE
-from sitl.autopilots.mavlink_codec import ReceivedMessage
+from sitl.autopilots.ardupilot.parameters import DEFAULT_FILE, FLOW_FILE
+from sitl.autopilots.flow_parameters import flow_parameters
+from sitl.autopilots.mavlink_codec import Packet, ReceivedMessage, packet
 from sitl.real_firmware.rc_transmitter import RcTransmitter
 from sitl.real_firmware.true_trajectory import Inertial, PositionResolution, Reading, TrueTrajectory
+from sitl.world.flow_sensor import FlowMeasurement
 
 _HOME = "47.397742,8.545594,0,0"  # latitude, longitude, height, heading; arbitrary
 _SERIAL_PORTS = 9
@@ -34,6 +36,8 @@ _BENCH: dict[str, float] = {
     "FLTMODE_CH": 5, "FLTMODE5": ArduPilotMode.STABILIZE, "FLTMODE6": ArduPilotMode.STABILIZE,
     **{f"FLTMODE{place}": mode for place, mode in enumerate(_SWITCH, 1)},
 }  # fmt: skip
+# its drivers of a flow sensor and a range finder that send MAVLink
+_FLOW_DRIVERS: dict[str, float] = {"FLOW_TYPE": 5, "RNGFND1_TYPE": 10}
 
 
 class ArduPilotBinary:
@@ -50,9 +54,11 @@ class ArduPilotBinary:
     parameters_after_start = ()  # all parameters are read from a file at the start
     truth_port = companion_port = 0  # any free port
 
-    def __init__(self, binary: Path, parameters: Path = DEFAULT_FILE) -> None:
+    def __init__(self, binary: Path, parameters: Path = DEFAULT_FILE, *, flow: bool = False) -> None:
+        """flow: a flow module is mounted; its parameters are set, too."""
         self._binary = binary
         self._parameters = parameters
+        self._flow = flow
         self.transmitter = RcTransmitter({mode.name: pulse_us for mode, pulse_us in _SWITCH.items()})
 
     def command(self, folder: Path, companion_port: int, truth_port: int) -> list[str]:
@@ -74,12 +80,10 @@ class ArduPilotBinary:
 
         If a file has two values for a name, the parts of ArduPilot disagree on which one is valid.
         """
-        flown = {}
-        for line in self._parameters.read_text(encoding="ascii").splitlines():
-            name, comma, value = line.partition(",")
-            if comma and not line.startswith("#"):
-                flown[name] = float(value)
-        return {**_AIRFRAME, **flown, **_BENCH}
+        if not self._flow:
+            return {**_AIRFRAME, **_read(self._parameters), **_BENCH}
+        module = {**flow_parameters("ardupilot"), **_read(FLOW_FILE), **_FLOW_DRIVERS}
+        return {**_AIRFRAME, **_read(self._parameters), **module, **_BENCH}
 
     def environment(self) -> dict[str, str]:
         """Return additional environment variables: none."""
@@ -97,3 +101,18 @@ class ArduPilotBinary:
     def mode(self, custom_mode: int) -> str:
         """Return the name of a heartbeat's custom_mode, or the number if it has no name."""
         return _NAMES.get(custom_mode, str(custom_mode))
+
+    def optical_flow(self, measured: FlowMeasurement) -> Packet:
+        """Return OPTICAL_FLOW.
+
+        From the sources (AP_OpticalFlow_MAV.cpp): only flow_rate (rad/s) and quality are used. The turn is that of its own gyro
+        since the reading before, and the time is that of arrival.
+        """
+        x, y = (angle / measured.interval_s for angle in measured.flow_rad)
+        return packet(mavlink.MAVLink_optical_flow_message, 0, 0, 0, 0, 0.0, 0.0, measured.quality, -1.0, x, y)
+
+
+def _read(path: Path) -> dict[str, float]:
+    """Return the values of a parameter file."""
+    fields = (line.partition(",") for line in path.read_text(encoding="ascii").splitlines() if not line.startswith("#"))
+    return {name: float(value) for name, comma, value in fields if comma}

@@ -12,13 +12,15 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from sitl.autopilots.base_autopilot import VehicleTruth
 from sitl.autopilots.byte_links import UdpPeer
-from sitl.autopilots.mavlink_codec import MessageDecoder, MessageEncoder, ReceivedMessage
+from sitl.autopilots.mavlink_codec import MessageDecoder, MessageEncoder, Packet, ReceivedMessage
+from sitl.real_firmware.flow_feed import FlowFeed
 from sitl.real_firmware.process import FirmwareError, FirmwareProcess
 from sitl.real_firmware.rc_transmitter import RcTransmitter
 from sitl.real_firmware.request_queue import COMPONENT, SYSTEM, RequestQueue
 from sitl.real_firmware.true_trajectory import PositionResolution, TrueTrajectory
+from sitl.world.flow_sensor import FlowMeasurement, SimulatedFlowModule
 
-_SIMULATOR_IDS = (251, 1)  # system and component id of the simulator, which only requests messages and sets parameters
+_SIMULATOR_IDS = (251, 1)  # of the simulator, which requests messages and sets parameters, and of its flow module
 _BOOT_S = 60.0
 _SILENT_S = 5.0
 _ASK_S = 1.0
@@ -82,6 +84,10 @@ class Binary(Protocol):
         """Return the name of a heartbeat's custom_mode, or the number if it has no name."""
         ...
 
+    def optical_flow(self, measured: FlowMeasurement) -> Packet:
+        """Return a reading of a flow sensor as the message that it takes."""
+        ...
+
 
 class FirmwareVehicle:
     """Vehicle of a real firmware, in place of the simulated autopilot.
@@ -111,6 +117,7 @@ class FirmwareVehicle:
             self._requests.stream(kind, rate_hz)
         self._requests.message(mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
         self._requests.parameters(binary.parameters_after_start)
+        self._flow: FlowFeed | None = None
         self._armed = False
         self._mode = ""
         self.setpoint_arrivals_s: list[float] = []
@@ -122,6 +129,10 @@ class FirmwareVehicle:
         command = binary.command(folder, companion_port, self._link.local_port)
         self._process = FirmwareProcess(command, binary.environment(), folder, log)
         self._wait()
+
+    def mount_flow_module(self, module: SimulatedFlowModule) -> None:
+        """Connect an optical flow sensor and a range finder that look down."""
+        self._flow = FlowFeed(module, self._binary.optical_flow)
 
     def step(self, now_s: float) -> None:
         """Process all messages received by now_s. Raises FirmwareError if it has ended or is silent."""
@@ -140,8 +151,8 @@ class FirmwareVehicle:
             for kind in self._binary.polled_messages:
                 self._requests.message(kind)
             self._ask()
-        if self._path.begun and self._binary.transmitter is not None:
-            self._binary.transmitter.hold(self.truth())
+        if self._path.begun:
+            self._move_instruments(self.truth())
         if self._path.begun and now_s - self._received_s > _SILENT_S:
             self._process.check()
             raise FirmwareError(f"the firmware sends no position any more; its last output: {self._process.last_line()}")
@@ -181,6 +192,14 @@ class FirmwareVehicle:
         except FirmwareError:
             self.close()
             raise
+
+    def _move_instruments(self, truth: VehicleTruth) -> None:
+        """Let the transmitter and the flow module send for this state."""
+        if self._binary.transmitter is not None:
+            self._binary.transmitter.hold(truth)
+        if self._flow is not None:
+            for message in self._flow.step(truth):
+                self._link.write(self._speaker.frame(message))
 
     def _ask(self) -> None:
         if (wish := self._requests.due()) is not None:

@@ -40,6 +40,7 @@ _DEFAULTS: dict[str, int | float] = {
 }  # fmt: skip
 
 DEFAULT_FILE = Path(__file__).resolve().parents[3] / "firmware_params" / "ardupilot_indoor.param"
+FLOW_FILE = DEFAULT_FILE.with_name("ardupilot_flow.param")  # in addition, with a flow module
 
 
 class ArduPilotParameters(ParameterTable):

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from sitl.autopilots.parameter_table import INT32, REAL32, ParameterError, ParameterTable
 
-__all__ = ["DEFAULT_FILE", "INT32", "REAL32", "ParameterError", "Px4Parameters"]
+__all__ = ["DEFAULT_FILE", "FLOW_FILE", "INT32", "REAL32", "ParameterError", "Px4Parameters"]
 
 # defaults of PX4 v1.17 for parameters that the simulation uses or a companion reads before arming
 _DEFAULTS: dict[str, int | float] = {
@@ -42,6 +42,7 @@ _DEFAULTS: dict[str, int | float] = {
 }  # fmt: skip
 
 DEFAULT_FILE = Path(__file__).resolve().parents[3] / "firmware_params" / "px4_indoor.params"
+FLOW_FILE = DEFAULT_FILE.with_name("px4_flow.params")  # in addition, with a flow module
 
 
 class Px4Parameters(ParameterTable):

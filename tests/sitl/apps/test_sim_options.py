@@ -69,7 +69,6 @@ def test_an_unusable_firmware_is_a_one_line_error(tmp_path: Path) -> None:
         ({"firmware": program, "mount": "gimbal"}, "fixed:DEG"),
         ({"firmware": program, "port": 15000}, "14540"),
         ({"firmware": program, "range_up_deg": 27.0}, "--range-up: needs the simulated autopilot"),
-        ({"firmware": program, "flow": True}, "--flow: needs the simulated autopilot"),
     ):
         with pytest.raises(UsageError, match=named) as failure:
             SimOptions(**words)  # type: ignore[arg-type]  # wrong on purpose
