@@ -31,6 +31,7 @@ def flow_parameters(autopilot: str) -> dict[str, float]:
         }
     return {
         "EKF2_OF_CTRL": 1,
+        "EKF2_RNG_A_HMAX": 0.0,
         "EKF2_RNG_CTRL": 1,
         "SENS_FLOW_MAXHGT": RANGE_M[1],
         **_positions("EKF2_OF_POS_", "EKF2_RNG_POS_"),

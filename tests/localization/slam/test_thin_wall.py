@@ -7,7 +7,7 @@ import pytest
 
 from uav_recon.localization.slam.depth_points import add_depth_equations, depth_points
 from uav_recon.localization.slam.landmarks import SIZE
-from uav_recon.localization.slam.tsdf_volume import TsdfVolume
+from uav_recon.localization.slam.tsdf_volume import TsdfVolume, sample
 from uav_recon.types.camera import Frame, Intrinsics
 from uav_recon.types.pose import Pose
 
@@ -34,13 +34,10 @@ def test_the_other_side_of_a_wall_is_unknown() -> None:
         assert bool(information.any()) == seen
 
 
-@pytest.mark.parametrize("thick_m", [0.05, 0.10, 0.12, 0.15, 0.20])
-@pytest.mark.parametrize("far_frames", [2, 3, 6, 12])
+@pytest.mark.parametrize("thick_m", [0.08, 0.10, 0.12, 0.15, 0.20])
+@pytest.mark.parametrize("far_frames", [1, 2, 3, 6, 12])
 def test_a_wall_seen_from_both_sides_does_not_contradict_a_view_of_it(thick_m: float, far_frames: int) -> None:
-    """Where the fields of both sides cancel out no surface is known, and no free space either.
-
-    One view of the far side is not enough, nor are two of a wall of 8 cm: they still contradict.
-    """
+    """Its two surfaces both stay where they are: they do not cancel out, and none moves the other."""
     volume, near, far = TsdfVolume(), _frame(2.0), _frame(2.0 - thick_m)
     for _ in range(6):
         volume.integrate(near, Pose.identity(), np.zeros(3))
@@ -50,4 +47,8 @@ def test_a_wall_seen_from_both_sides_does_not_contradict_a_view_of_it(thick_m: f
         depth_points(far.depth_m, LENS.pinhole_px()), BACK.rotation(), BACK.translation_m, volume.blocks, np.zeros(3), np.inf,
         1.0, 1.0, np.zeros((SIZE, SIZE)), np.zeros(SIZE), np.zeros((2, 3)),
     )  # fmt: skip
-    assert known - inliers <= 0.2 * known
+    assert known - inliers <= 0.25 * known
+    found = np.empty(5)
+    for at_m in (2.0, 2.0 + thick_m):
+        assert sample(np.array([0.01, 0.01, at_m]), volume.index, volume.distance, volume.weight, found)
+        assert abs(found[0]) < 0.02

@@ -24,7 +24,6 @@ _FACING_COS = 0.3  # of a normal to an axis: with less, noise of the normal says
 # length of the gradient of a field that is a distance; elsewhere it is the average of two surfaces
 _MIN_SLOPE = 0.35
 _MAX_SLOPE = 1.5
-_FREE_SHARE = 0.5  # of the truncation: an average of two surfaces is free space beyond it, and nothing is known below it
 
 
 @kernel
@@ -84,8 +83,8 @@ def add_depth_equations(
         if max(variance[block, 0], variance[block, 1], variance[block, 2]) > most_variance:
             continue
         slope = np.sqrt(found[1] * found[1] + found[2] * found[2] + found[3] * found[3])
-        if not _MIN_SLOPE < slope < _MAX_SLOPE:  # free space, unless it is inside a wall whose two sides were seen
-            known += int(found[0] > _FREE_SHARE * TRUNCATION_M)
+        if not _MIN_SLOPE < slope < _MAX_SLOPE:  # free space: no surface is there
+            known += 1
             continue
         towards = (place_m[0] - point[0]) * found[1] + (place_m[1] - point[1]) * found[2] + (place_m[2] - point[2]) * found[3]
         if towards < 0.0:  # the other side of a thin wall

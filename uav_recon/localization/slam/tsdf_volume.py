@@ -34,6 +34,8 @@ _STRIDE_PX = 4  # of the pixels that create blocks
 _FIRST_BLOCKS = 1024
 _UNIT_M2 = 1.0  # a depth of one metre, seen at a right angle, has weight one
 _NONE = -1
+# a field that grows along the ray by more was measured from the other side of a wall: inside, the nearer surface counts
+_MIN_AWAY = 0.3
 # a normal is measured between pixels this far apart: more where depth is noisier
 _SPAN_PX = 2
 _SPAN_PER_M = 1.5
@@ -233,21 +235,55 @@ def fuse_blocks(
                     if not (0 <= u < width and 0 <= v < height):
                         continue
                     seen_m, along = float(depth_m[v, u]), float(slope[v, u])
-                    if along <= 0.0:
-                        continue
                     off_m = along * (seen_m - deep)
-                    if off_m < -TRUNCATION_M:
+                    if along <= 0.0 or not off_m >= -TRUNCATION_M:
                         continue
                     new = _UNIT_M2 * min(along, 1.0) / max(seen_m * seen_m, 0.25)
                     if off_m < -VOXEL_M:  # behind the surface: less, for another surface may be there
                         new *= (off_m + TRUNCATION_M) / (TRUNCATION_M - VOXEL_M)
-                    old = weight[block, i, j, k]
+                    old = _kept(distance[block], weight[block], i, j, k, x, y, z, off_m)
+                    if old < 0.0:
+                        continue
                     distance[block, i, j, k] = (old * distance[block, i, j, k] + new * min(off_m, TRUNCATION_M)) / (old + new)
                     weight[block, i, j, k] = min(old + new, MAX_WEIGHT)
                     added += new
                     whole += old + new
         share[number] = added / max(whole, MIN_WEIGHT)
     return share
+
+
+@kernel
+def _kept(distance: AnyArray, weight: AnyArray, i: int, j: int, k: int, x: float, y: float, z: float, off_m: float) -> float:
+    """Return the weight that a voxel of a block keeps beside a new distance off_m, seen along (x, y, z).
+
+    Negative: the new one does not count. What was measured from the other side of a wall is replaced by a larger distance, and
+    stays beside a smaller one: between two surfaces the nearer one counts.
+    """
+    old = weight[i, j, k]
+    if old <= 0.0 or _slope_along(distance, weight, i, j, k, x, y, z) <= _MIN_AWAY:
+        return float(old)
+    return 0.0 if off_m > distance[i, j, k] else -1.0
+
+
+@kernel
+def _slope_along(distance: AnyArray, weight: AnyArray, i: int, j: int, k: int, x: float, y: float, z: float) -> float:
+    """Return the growth of the distances of a block at a voxel along a direction (x, y, z), by its known neighbours."""
+    along, length = 0.0, np.sqrt(x * x + y * y + z * z)
+    for axis in range(3):
+        low = high = distance[i, j, k]
+        steps = 0
+        for side in range(-1, 2, 2):
+            p, q, r = i + side * (axis == 0), j + side * (axis == 1), k + side * (axis == 2)
+            if min(p, q, r) < 0 or max(p, q, r) >= SIDE or weight[p, q, r] <= 0.0:
+                continue
+            steps += 1
+            if side < 0:
+                low = distance[p, q, r]
+            else:
+                high = distance[p, q, r]
+        if steps:
+            along += (x, y, z)[axis] / length * (high - low) / (steps * VOXEL_M)
+    return along
 
 
 @kernel
