@@ -180,6 +180,19 @@ def test_an_accelerometer_that_lies_is_left_out_until_it_is_told_to_be_right(lyi
     assert flight.error_mps() < 0.1
 
 
+@pytest.mark.parametrize(("share", "used"), [(0.5, False), (0.6, False), (0.7, True), (1.0, True), (1.45, True), (1.55, False)])
+def test_a_specific_force_that_no_flight_has_is_left_out_before_any_frame(share: float, used: bool) -> None:
+    motion, track = MotionFilter(Pose.identity(), np.zeros(3)), InertialTrack()
+    for n in range(-2, 13):
+        track.push(0.01 * n, (0.0, 0.0, 0.0), (0.0, 0.0, share * GRAVITY_MPS2))
+    a, b = track.at(0.0), track.at(0.1)
+    assert a is not None and b is not None
+    moved = motion.predict(0.1, Pose.identity(), (a, b))
+    assert motion.accelerometer_used is used
+    if not used:
+        np.testing.assert_array_equal(moved.place_m, np.zeros(3))
+
+
 def test_without_inertial_samples_the_velocity_comes_from_the_frames() -> None:
     flight = Flight(inertial=False)
     flight.fly(6.0)

@@ -8,6 +8,7 @@ contradict is left out.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -38,6 +39,9 @@ _SURPRISE = 25.0  # squared innovation of a place, in standard deviations; a lar
 _STEP_SURPRISE = 25.0  # squared innovation of a measured step, in standard deviations, beyond which it is not used
 _MEAN_SURPRISE = 5.0  # mean over _MEAN_FRAMES that contradicts the accelerometer: after four large ones, or more small ones
 _MEAN_FRAMES = 15
+#: reject: the accelerometer, if its mean between two frames is less or more: no commanded motion reaches it
+_LEAST_FORCE_MPS2 = 0.65 * GRAVITY_MPS2
+_MOST_FORCE_MPS2 = 1.5 * GRAVITY_MPS2
 _GRAVITY = np.array([0.0, 0.0, -GRAVITY_MPS2])
 
 
@@ -126,6 +130,8 @@ class MotionFilter:
         odom_from_body: attitude now. track: the inertial track now and then, None without an accelerometer. measured: the same
         step by another source; it is left out where the prediction contradicts it.
         """
+        if track is not None and not _flyable(track, step_s):
+            self.accelerometer_used = False
         state, transition, noise = _propagated(self._now, step_s, odom_from_body, track if self.accelerometer_used else None)
         noise[PLACE, PLACE] += _STEP_M**2 * np.eye(3)
         noise[BIAS, BIAS] += _BIAS_WALK**2 * step_s * np.eye(3)
@@ -200,6 +206,13 @@ def _propagated(
     transition[VELOCITY, OFFSETS] = -step_s * by_offsets
     _add_white_acceleration(noise, _FORCE_DENSITY**2, step_s)
     return state, transition, noise
+
+
+def _flyable(track: tuple[InertialState, InertialState], step_s: float) -> bool:
+    """Return True if the mean specific force of a step is one of flight."""
+    before, after = track
+    mean_mps2 = math.dist(after.velocity_integral, before.velocity_integral) / max(step_s, 1e-6)
+    return _LEAST_FORCE_MPS2 < mean_mps2 < _MOST_FORCE_MPS2
 
 
 def _resting(place_m: FloatArray, offsets: FloatArray, covariance: FloatArray) -> PredictedMotion:
