@@ -82,9 +82,10 @@ class PoseGate:
         return self._refuse(why)
 
     def _continues(self, pose: StampedPose) -> bool:
-        """Return True if a proved track is on the way of the accepted one: poses between them were wrong, odom has not jumped.
+        """Return True if a proved track is on the way of the accepted one.
 
-        The way reaches from its last place to where its last velocity leads: the vehicle may have braked.
+        Then poses between them were wrong, and odom has not jumped. The way reaches from the last place of the
+        accepted track to where its last velocity leads: the vehicle may have braked.
         """
         last = self._accepted
         if last is None or pose.stamp_s - last.stamp_s > _GAP_S:

@@ -39,9 +39,8 @@ _SURPRISE = 25.0  # squared innovation of a place, in standard deviations; a lar
 _STEP_SURPRISE = 25.0  # squared innovation of a measured step, in standard deviations, beyond which it is not used
 _MEAN_SURPRISE = 5.0  # mean over _MEAN_FRAMES that contradicts the accelerometer: after four large ones, or more small ones
 _MEAN_FRAMES = 15
-#: reject: the accelerometer, if its mean between two frames is less or more: no commanded motion reaches it
-_LEAST_FORCE_MPS2 = 0.65 * GRAVITY_MPS2
-_MOST_FORCE_MPS2 = 1.5 * GRAVITY_MPS2
+_LEAST_FORCE_MPS2 = 6.4  #: reject: the accelerometer, if its mean between two frames is less: no commanded motion reaches it
+_MOST_FORCE_MPS2 = 14.7  #: reject: the accelerometer, if its mean between two frames is more
 _GRAVITY = np.array([0.0, 0.0, -GRAVITY_MPS2])
 
 

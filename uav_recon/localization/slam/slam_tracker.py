@@ -75,7 +75,7 @@ _DETERMINED_FIT_SHARE = 0.85  # of its points in known space, those on a known s
 _DETERMINED_POINTS = 250  # number of its points on known surfaces
 _UNSURE_M = 0.06  # standard deviation of a place that is not sure
 #: reject: the frame before, if this one contradicts it, and surprises the track without it by less than this share of its own
-_LESS_SURPRISED = 0.5
+_LESS_SURPRISED_SHARE = 0.5
 _BETTER = 1.02  # share of inliers by which another place must be better
 #: reject: after doubt, a frame with fewer of its depth points on known surfaces and fewer known landmarks than below
 _PROOF_SHARE = 0.4
@@ -255,7 +255,7 @@ class SlamTracker:
         prior: MotionPrior,
         body_from_depth: Pose,
     ) -> tuple[Registration, MotionPrior]:
-        """Register a frame that contradicts the predicted motion again, without the accepted frame before.
+        """Register a frame again without the accepted frame before, which it contradicts.
 
         If it fits then, that frame is what was wrong, and the track goes on without it. Sets ``fault``.
         """
@@ -268,7 +268,7 @@ class SlamTracker:
         other = self._predict(without.state, stamp_s, body_from_depth)
         found = register(view, self.volume, landmarks, other)
         fault = self._monitor.fault(found, other)
-        if fault is None and _surprise(found, other) < _LESS_SURPRISED * without.surprise:
+        if fault is None and _surprise(found, other) < _LESS_SURPRISED_SHARE * without.surprise:
             self.fault, self._without_frame = None, None
             return found, other
         self._state, self._motion, self._attitude, self._predicted, self._turned = kept
@@ -573,7 +573,7 @@ def _reach_m(prior: MotionPrior) -> FloatArray:
 
 
 def _surprise(registration: Registration, prior: MotionPrior) -> float:
-    """Return the squared innovation of a frame's place, in standard deviations of the predicted one."""
+    """Return the squared innovation of a frame's place, in standard deviations."""
     moved_m = registration.odom_from_depth.translation_m - prior.odom_from_depth.translation_m - registration.shift_m
     return float(moved_m @ np.linalg.solve(prior.covariance[3:, 3:], moved_m))
 

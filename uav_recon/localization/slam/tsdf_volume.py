@@ -254,10 +254,11 @@ def fuse_blocks(
 
 @kernel
 def _kept(distance: AnyArray, weight: AnyArray, i: int, j: int, k: int, x: float, y: float, z: float, off_m: float) -> float:
-    """Return the weight that a voxel of a block keeps beside a new distance off_m, seen along (x, y, z).
+    """Return the weight that a voxel of a block keeps beside a new distance.
 
-    Negative: the new one does not count. What was measured from the other side of a wall is replaced by a larger distance, and
-    stays beside a smaller one: between two surfaces the nearer one counts.
+    off_m: the new distance, seen along (x, y, z). Negative: the new one does not count. What was measured from the other
+    side of a wall is replaced by a larger distance, and stays beside a smaller one: between two surfaces the nearer one
+    counts.
     """
     old = weight[i, j, k]
     if old <= 0.0 or _slope_along(distance, weight, i, j, k, x, y, z) <= _MIN_AWAY:
@@ -267,7 +268,10 @@ def _kept(distance: AnyArray, weight: AnyArray, i: int, j: int, k: int, x: float
 
 @kernel
 def _slope_along(distance: AnyArray, weight: AnyArray, i: int, j: int, k: int, x: float, y: float, z: float) -> float:
-    """Return the growth of the distances of a block at a voxel along a direction (x, y, z), by its known neighbours."""
+    """Return the growth of the distances at a voxel along a direction (x, y, z).
+
+    It is measured between the known neighbours in its block.
+    """
     along, length = 0.0, np.sqrt(x * x + y * y + z * z)
     for axis in range(3):
         low = high = distance[i, j, k]

@@ -192,9 +192,9 @@ class ViewOdometry:
         return stamp_s - self.newest_pose_s > _LATE_S or (bool(self._nodes) and self._sensor_fault() is None)
 
     def _continue(self, before: StampedPose | None) -> None:
-        """Let odometry go on from where it was, if the newest frame is a step away from it, accepted or not.
+        """Let odometry go on from where it was if the newest frame is a step away.
 
-        before: odometry without the frame; None if odometry takes the frame at once.
+        The frame need not be accepted. before: odometry without the frame; None if odometry takes the frame at once.
         """
         if before is None or self._world_from_tracker is None or before.reset_counter != self._reset_counter:
             return
