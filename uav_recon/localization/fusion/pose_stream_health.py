@@ -11,7 +11,7 @@ from uav_recon.types.reason_code import ReasonCode
 
 _USUAL_S = 1.0 / 15.0  #: internal: usual interval of poses
 _SLOWER_S = 0.2  #: hold: _LATE_S and _SILENT_S are longer by at most this where poses come less often than usual
-_LATE_S = 0.20  #: brake: retreat_speed_mps while the newest pose is older
+_LATE_S = 0.20  #: hold: the newest pose is older: the vehicle stops while its velocity is known
 _SILENT_S = 0.25  #: hold: the newest pose is older: it counts as lost, and pose_timeout_s and pose_land_s run
 _WINDOW_S = 1.0  #: internal: time over which the rate of poses is measured
 _FEW_HZ = 8.0  #: brake: retreat_speed_mps while fewer poses come

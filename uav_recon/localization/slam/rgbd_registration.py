@@ -46,6 +46,9 @@ _LEAST_SHOWN = 1.0  # keeps the shares finite in directions that no landmark cou
 _SHIFT = slice(SIZE, SIZE + 3)
 _PLACE = slice(3, 6)
 _UNSHIFTED_M2 = 1e-4**2  # variance of a track that is as certain as the surfaces
+_DETERMINED_M = 0.02  # standard deviation of a place that depth alone determines
+_DETERMINED_FIT_SHARE = 0.85  # of its points in known space, those on a known surface
+_DETERMINED_POINTS = 250  # number of its points on known surfaces
 _TINY = 1e-9
 _NO_SURFACE = 0.01**-2  # weight of the track's own variance in that of the surfaces, which few or none may show
 
@@ -118,6 +121,22 @@ class Registration:
     def fit(self) -> float:
         """Share of the points in known space that lie on a known surface."""
         return self.inliers / max(self.known, 1)
+
+    @property
+    def determined(self) -> bool:
+        """True if depth alone shows the place."""
+        return self.depth_sigma_m <= _DETERMINED_M and self.fit >= _DETERMINED_FIT_SHARE and self.inliers >= _DETERMINED_POINTS
+
+    @property
+    def quality(self) -> int:
+        """Quality 1 to 100 of an accepted frame."""
+        support = min(1.0, self.known / 400.0) * self.fit + min(1.0, self.landmarks / 60.0)
+        return int(np.clip(round(100.0 * min(1.0, support)), 1, 100))
+
+    def surprise(self, prior: MotionPrior) -> float:
+        """Return the squared innovation of the place, in standard deviations."""
+        moved_m = self.odom_from_depth.translation_m - prior.odom_from_depth.translation_m - self.shift_m
+        return float(moved_m @ np.linalg.solve(prior.covariance[_PLACE, _PLACE], moved_m))
 
 
 def search(

@@ -70,9 +70,6 @@ _AGREEING_SEARCHES = 3  # searches in a row that must find the same place
 _OLD_SHARE = 0.25  # of the variance of the track, up to which a surface is one from before
 _SAME_M = 0.04  # between two registrations of the same place
 _ALIKE_SHARE = 0.95  # of the match of a place: if another reaches it, the view does not tell them apart
-_DETERMINED_M = 0.02  # standard deviation of a place that depth alone determines
-_DETERMINED_FIT_SHARE = 0.85  # of its points in known space, those on a known surface
-_DETERMINED_POINTS = 250  # number of its points on known surfaces
 _UNSURE_M = 0.06  # standard deviation of a place that is not sure
 #: reject: the frame before, if this one contradicts it, and surprises the track without it by less than this share of its own
 _LESS_SURPRISED_SHARE = 0.5
@@ -268,7 +265,7 @@ class SlamTracker:
         other = self._predict(without.state, stamp_s, body_from_depth)
         found = register(view, self.volume, landmarks, other)
         fault = self._monitor.fault(found, other)
-        if fault is None and _surprise(found, other) < _LESS_SURPRISED_SHARE * without.surprise:
+        if fault is None and found.surprise(other) < _LESS_SURPRISED_SHARE * without.surprise:
             self.fault, self._without_frame = None, None
             return found, other
         self._state, self._motion, self._attitude, self._predicted, self._turned = kept
@@ -318,7 +315,7 @@ class SlamTracker:
         other, next_best = search(
             view, self.volume, prior, _reach_m(prior), _OLD_SHARE * float(registration.track_variance.max())
         )
-        if next_best > _ALIKE_SHARE or not _determined(other):
+        if next_best > _ALIKE_SHARE or not other.determined:
             self._agreeing = 0
             return registration
         moved_m, before_m = other.shift_m - registration.shift_m, self._moved_m
@@ -497,9 +494,7 @@ class SlamTracker:
         attitude.coast(self._turned)
         carried = prior.odom_from_depth @ body_from_depth.inverse()
         place = Pose(carried.quat_wxyz, carried.translation_m + registration.shift_m)
-        return _WithoutFrame(
-            TrackedState(stamp_s, place, motion.velocity_mps), motion, attitude, _surprise(registration, prior)
-        )
+        return _WithoutFrame(TrackedState(stamp_s, place, motion.velocity_mps), motion, attitude, registration.surprise(prior))
 
     def _add_to_map(self, view: PreparedView, odom_from_depth: Pose, motion: FloatArray, variance: FloatArray) -> None:
         self._landmarks.settle(view, odom_from_depth, motion, self._slow, variance)
@@ -535,7 +530,7 @@ class SlamTracker:
         if sigma_m > most_m or self._unproven:
             self._unreleased_m = np.zeros(3)
             return None
-        quality = max(round(_quality(registration) * min(_DOUBT_M / sigma_m, 1.0)), 1)
+        quality = max(round(registration.quality * min(_DOUBT_M / sigma_m, 1.0)), 1)
         pose = replace(self._stamped(stamp_s, sigma_m), quality=quality)
         left_m = float(np.linalg.norm(self._unreleased_m))
         if not self._unsure and left_m <= _LEFT_M:
@@ -572,12 +567,6 @@ def _reach_m(prior: MotionPrior) -> FloatArray:
     return np.minimum(_SEARCH_SIGMAS * np.sqrt(variance), _MOST_SEARCH_M)
 
 
-def _surprise(registration: Registration, prior: MotionPrior) -> float:
-    """Return the squared innovation of a frame's place, in standard deviations."""
-    moved_m = registration.odom_from_depth.translation_m - prior.odom_from_depth.translation_m - registration.shift_m
-    return float(moved_m @ np.linalg.solve(prior.covariance[3:, 3:], moved_m))
-
-
 def _determined_share(before: FloatArray, after: FloatArray) -> FloatArray:
     """Return the share (3, 3) of a place that a frame has determined.
 
@@ -589,15 +578,6 @@ def _determined_share(before: FloatArray, after: FloatArray) -> FloatArray:
     return np.asarray(np.eye(3) - whiten @ after @ whiten)
 
 
-def _determined(registration: Registration) -> bool:
-    """Return True if depth alone shows the place."""
-    return (
-        registration.depth_sigma_m <= _DETERMINED_M
-        and registration.fit >= _DETERMINED_FIT_SHARE
-        and registration.inliers >= _DETERMINED_POINTS
-    )
-
-
 def _left(variance: FloatArray, before: FloatArray) -> FloatArray:
     """Return the share (3,) of a variance that is left, at most one."""
     return np.minimum(variance / np.maximum(before, 1e-12), 1.0)
@@ -606,9 +586,3 @@ def _left(variance: FloatArray, before: FloatArray) -> FloatArray:
 def _proves(registration: Registration) -> bool:
     """Return True if enough of the map from before the doubt is in view."""
     return registration.inliers >= _PROOF_SHARE * registration.points or registration.landmarks >= _PROOF_LANDMARKS
-
-
-def _quality(registration: Registration) -> int:
-    """Return the quality 1 to 100 of an accepted frame."""
-    support = min(1.0, registration.known / 400.0) * registration.fit + min(1.0, registration.landmarks / 60.0)
-    return int(np.clip(round(100.0 * min(1.0, support)), 1, 100))

@@ -81,7 +81,7 @@ class TsdfVolume:
         return TsdfBlocks(block_index=self.index, distance=self.distance, weight=self.weight, variance=self.variance)
 
     def integrate(self, frame: Frame, odom_from_depth: Pose, variance: FloatArray) -> None:
-        """Fuse a depth image; about 3 ms for 424x240.
+        """Fuse a depth image; about 4 ms for 424x240.
 
         variance (3,): of the place of the camera, m² along the axes of odom. A block that is known much better stays as it is.
         """

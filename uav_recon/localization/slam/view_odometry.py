@@ -26,7 +26,7 @@ from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
 
 _KEPT_S = 2.0  #: reject: late frames are possible for this time
-_LATE_S = 0.25  #: brake: retreat_speed_mps while the newest accepted frame is older
+_LATE_S = 0.25  #: hold: the newest accepted frame is older: the vehicle stops while its velocity is known
 #: hold: the newest accepted frame is older: the place counts as lost, and pose_timeout_s and pose_land_s run
 _SILENT_S = 1.5
 _SILENT_BLIND_S = 1.0  #: hold: the same without an accelerometer
