@@ -12,25 +12,25 @@ from hypothesis import strategies as st
 from slam_flight import BODY_FROM_DEPTH, CABINET_M, LENS, RGB_LENS, ROOM_M, frame, truth
 from textured_room import ranges_m
 
-from uav_recon.localization.slam.depth_points import add_depth_equations, depth_points
+from uav_recon.localization.slam.depth_points import add_depth_equations
+from uav_recon.localization.slam.keyframe_map import KeyframeMap, Keyframes
 from uav_recon.localization.slam.landmarks import (
     SIZE,
-    LandmarkTracker,
+    Corners,
+    Landmarks,
     MovingImager,
     add_landmark_equations,
     moving_imager,
     project,
 )
 from uav_recon.localization.slam.prepared_view import PreparedView
-from uav_recon.localization.slam.tsdf_volume import TsdfBlocks, TsdfVolume, sample
-from uav_recon.types.camera import Frame, Intrinsics
+from uav_recon.types.camera import Frame
 from uav_recon.types.frames import BoolArray, FloatArray
 from uav_recon.types.pose import Pose
 
 CAMERA = RGB_LENS.pinhole_px()
 STEP = 1e-5
 CORNER = np.eye(2)
-EXACT = np.zeros(3), np.inf  # nothing known better, and no surface is unknown
 # of a camera: rotation, eye, the depth imager's place beside it
 TURN = Pose.from_rotation_vector(np.array([0.4, -0.7, 0.2]), np.array([0.3, -0.2, 0.5]))
 EYE_M = TURN.translation_m + np.array([0.01, -0.02, 0.015])
@@ -64,12 +64,13 @@ def _projected(places: FloatArray, imager: MovingImager) -> FloatArray:
 def _equations(
     places: FloatArray, at_px: FloatArray, slope: FloatArray, texture: FloatArray, slow: FloatArray, change: FloatArray
 ) -> tuple[FloatArray, FloatArray, int]:
-    information, gradient = np.zeros((SIZE, SIZE)), np.zeros(SIZE)
+    information, gradient = np.zeros((2, SIZE, SIZE)), np.zeros((2, SIZE))
     fitting = add_landmark_equations(
-        places, slope, texture, at_px.astype(np.float32), _imager(TURN.rotation(), EYE_M, TURN.translation_m, slow), change,
-        information, gradient, np.zeros((3, 3)),
+        places, slope, texture, at_px.astype(np.float32), _imager(TURN.rotation(), EYE_M, TURN.translation_m, slow),
+        np.arange(len(places)) % 2, change, 1.0, 1.0, information, gradient, np.zeros((3, 3)),
     )  # fmt: skip
-    return information, gradient, fitting
+    assert len(places) < 2 or information[1].any() == information[0].any(), "each keyframe has its own equations"
+    return information.sum(axis=0), gradient.sum(axis=0), fitting
 
 
 def test_projection_is_that_of_opencv_and_nan_behind_the_camera() -> None:
@@ -158,90 +159,88 @@ def test_a_far_residual_counts_little_and_a_place_behind_the_camera_nothing() ->
     assert fitting == 0
 
 
-def _corner_volume() -> tuple[TsdfVolume, FloatArray, Pose]:
-    """The field of one view into a corner of the room, the depth points of another, and its pose."""
-    volume = TsdfVolume()
+def _corner_of_the_room() -> tuple[Keyframes, FloatArray, Pose]:
+    """One keyframe of a view into a corner of the room, the depth points of the view, and its pose."""
+    surfaces = KeyframeMap()
     camera = Pose.from_yaw(0.7, np.array([0.5, 0.3, 0.8])) @ BODY_FROM_DEPTH
     depth = ranges_m(camera, LENS, ROOM_M, (CABINET_M,)).astype(np.float32)
-    image = Frame(0.0, 0, depth, LENS, np.zeros((2, 2, 3), np.uint8), RGB_LENS, Pose.identity())
-    volume.integrate(image, camera, np.zeros(3))
-    points: FloatArray = depth_points(depth, LENS.pinhole_px())
-    return volume, points, camera
+    view = PreparedView(Frame(0.0, 0, depth, LENS, np.zeros((2, 2, 3), np.uint8), RGB_LENS, Pose.identity()))
+    surfaces.add(view, camera, np.zeros(6), np.zeros(2), np.zeros(3), 0, None)
+    return surfaces.near(view.depth, camera, 0.0, np.inf), view.points, camera
 
 
-def _exact(volume: TsdfVolume) -> TsdfBlocks:
-    """The surfaces of a volume, without errors of place."""
-    return volume.blocks._replace(variance=np.zeros((1024, 3)))
+def _residuals(keyframes: Keyframes, there: FloatArray) -> tuple[FloatArray, BoolArray]:
+    """Return the distances (N,) of points in odom to the plane at the pixel that shows each, and which have one."""
+    seen = (there - keyframes.place_m[0]) @ keyframes.rotation[0]
+    fx, fy, cx, cy = keyframes.camera[0]
+    u, v = np.floor(seen[:, 0] / seen[:, 2] * fx + cx + 0.5), np.floor(seen[:, 1] / seen[:, 2] * fy + cy + 0.5)
+    height, width = keyframes.depth_m.shape[1:]
+    inside = (u >= 0) & (v >= 0) & (u < width) & (v < height)
+    column, row = np.where(inside, u, 0).astype(int), np.where(inside, v, 0).astype(int)
+    z, normal = keyframes.depth_m[0][row, column].astype(float), keyframes.normal[0][row, column].astype(float)
+    surface = np.column_stack(((column - cx) / fx * z, (row - cy) / fy * z, z))
+    off = np.einsum("na,na->n", normal, seen - surface)
+    return off, inside & (normal[:, 2] != 0.0) & (np.abs(off) <= 0.2)
 
 
-def test_depth_points_lie_on_the_rays_of_their_pixels() -> None:
-    depth = ranges_m(Pose.identity(), LENS, ROOM_M, ()).astype(np.float32)
-    depth[:, :40] = np.nan
-    depth[:20] = 0.0
-    depth[20:40] = 9.0
-    points = depth_points(depth, LENS.pinhole_px())
-    assert 0 < len(points) < 30 * 48
-    u, v = (points[:, :2] / points[:, 2:] * LENS.pinhole_px()[:2] + LENS.pinhole_px()[2:]).T
-    np.testing.assert_allclose(u, np.rint(u), atol=1e-9)
-    np.testing.assert_allclose(depth[np.rint(v).astype(int), np.rint(u).astype(int)], points[:, 2], rtol=1e-6)
-    assert u.min() >= 40.0
-    assert v.min() >= 40.0
-    small = depth_points(np.ones((4, 5), np.float32), Intrinsics.from_fov(5, 4, 1.0, 0.8).pinhole_px())
-    assert len(small) == 20
+def _depth_equations(
+    keyframes: Keyframes, points: FloatArray, camera: Pose, wider: float
+) -> tuple[FloatArray, FloatArray, int, int]:
+    information, gradient = np.zeros((1, SIZE, SIZE)), np.zeros((1, SIZE))
+    known, inliers = add_depth_equations(
+        points, camera.rotation(), camera.translation_m, keyframes, np.zeros(3), 1.0, wider, information, gradient,
+        np.zeros((1, 3)),
+    )  # fmt: skip
+    return information[0], gradient[0], known, inliers
 
 
 def test_the_gradient_of_depth_is_that_of_its_squared_residuals() -> None:
     """Off by a little, weights hardly change: the gradient is the numeric one of half the weighted sum of squares."""
-    volume, points, camera = _corner_volume()
+    keyframes, points, exact = _corner_of_the_room()
+    camera = Pose(exact.quat_wxyz, exact.translation_m + np.array([0.01, -0.006, 0.004]))
 
     def cost(moved: FloatArray) -> tuple[FloatArray, BoolArray]:
         turn = Pose.from_rotation_vector(moved[:3], np.zeros(3)).rotation()
-        there = points @ (turn @ camera.rotation()).T + camera.translation_m + moved[3:]
-        out, off, known = np.empty(5), np.zeros(len(points)), np.zeros(len(points), bool)
-        for n, point in enumerate(there):
-            if sample(point, volume.index, volume.distance, volume.weight, out):
-                slope = np.linalg.norm(out[1:4])
-                known[n], off[n] = 0.35 < slope < 1.5, out[0] / slope
-        return off, known
+        return _residuals(keyframes, points @ (turn @ camera.rotation()).T + camera.translation_m + moved[3:])
 
-    information, gradient = np.zeros((SIZE, SIZE)), np.zeros(SIZE)
-    known, inliers = add_depth_equations(
-        points, camera.rotation(), camera.translation_m, _exact(volume), *EXACT, 1.0, 1e6, information, gradient,
-        np.zeros((2, 3)),
-    )  # fmt: skip
-    sigma = 0.012 + 0.004 * points[:, 2] ** 2
+    information, gradient, known, inliers = _depth_equations(keyframes, points, camera, 1e6)
     off, valid = cost(np.zeros(6))
     assert known >= valid.sum() > 800
     assert inliers > 0.95 * known
     columns = np.zeros((len(points), 6))
     for a in range(6):
         step = np.zeros(6)
-        step[a] = 1e-4
+        step[a] = 1e-5
         ahead, back = cost(step), cost(-step)
-        columns[:, a] = np.where(valid & ahead[1] & back[1], (ahead[0] - back[0]) / 2e-4, 0.0)
-    smooth = np.abs(columns).max(axis=1) < 5.0  # a step over the edge of a voxel changes the normal
-    weight = np.where(valid & smooth, sigma**-2, 0.0)
+        columns[:, a] = np.where(valid & ahead[1] & back[1], (ahead[0] - back[0]) / 2e-5, 0.0)
+    smooth = np.abs(columns).max(axis=1) < 5.0  # a step over the edge of a pixel changes the normal
+    weight = np.where(valid & smooth, (0.008 + 0.003 * points[:, 2] ** 2) ** -2, 0.0)
     expected = (columns * weight[:, None]).T @ columns
-    np.testing.assert_allclose(np.diagonal(information)[:6], np.diagonal(expected), rtol=0.05)
-    np.testing.assert_allclose(information[:6, :6], expected, atol=0.05 * np.diagonal(expected).max())
+    np.testing.assert_allclose(information[:6, :6], expected, atol=0.03 * np.diagonal(expected).max())
     slip = -columns.T @ (weight * off)
-    np.testing.assert_allclose(gradient[:6], slip, atol=float(0.1 * np.linalg.norm(slip) + 100.0))
+    np.testing.assert_allclose(gradient[:6], slip, atol=float(0.05 * np.linalg.norm(slip)))
     assert not information[6:].any()
 
 
 def test_depth_pulls_back_what_was_moved() -> None:
-    volume, points, camera = _corner_volume()
+    keyframes, points, camera = _corner_of_the_room()
     for moved in (np.array([0.03, 0.0, 0.0]), np.array([0.0, -0.03, 0.0]), np.array([0.0, 0.0, 0.03])):
-        information, gradient = np.zeros((SIZE, SIZE)), np.zeros(SIZE)
-        add_depth_equations(
-            points, camera.rotation(), camera.translation_m + moved, _exact(volume), *EXACT, 1.0, 1.0, information, gradient,
-            np.zeros((2, 3)),
-        )  # fmt: skip
+        there = Pose(camera.quat_wxyz, camera.translation_m + moved)
+        information, gradient, _, _ = _depth_equations(keyframes, points, there, 1.0)
         step = np.linalg.solve(information[:6, :6], gradient[:6])
         np.testing.assert_allclose(step[3:], -moved, atol=0.012)
 
 
 RGB_FROM_DEPTH = Pose.from_rotation_vector(np.array([0.01, -0.02, 0.015]), np.array([0.03, 0.005, -0.03]))
+
+
+def _places(view: PreparedView, odom_from_depth: Pose, at_px: FloatArray, motion: FloatArray, slow: FloatArray) -> FloatArray:
+    """Return the places (N, 3) in odom that a view gives to pixels (N, 2) as corners."""
+    corners = Corners.of(view, odom_from_depth, motion, slow)
+    count = len(at_px)
+    chosen = replace(corners, at_px=at_px.astype(np.float32), place_m=np.full((count, 3), np.nan))
+    chosen.place(view.depth)
+    return np.asarray(odom_from_depth.apply(chosen.place_m))
 
 
 @given(yaw=st.floats(-3.1, 3.1), x=st.floats(-0.8, 0.8), y=st.floats(-0.7, 0.7), z=st.floats(0.3, 1.6), seed=st.integers(0, 99))
@@ -255,7 +254,7 @@ def test_corners_lie_where_exact_rays_meet_the_room(yaw: float, x: float, y: flo
     at_px = np.random.default_rng(seed).integers([10, 10], [202, 110], (40, 2))
     far = exact[at_px[:, 1], at_px[:, 0]]
     expected = odom_from_rgb.apply(RGB_LENS.bearings()[at_px[:, 1], at_px[:, 0]] * far[:, None])
-    places = view.places(at_px.astype(np.float32), odom_from_depth, np.zeros(6), np.zeros(2))
+    places = _places(view, odom_from_depth, at_px, np.zeros(6), np.zeros(2))
     known = np.isfinite(places[:, 0])
     assert known.sum() >= 4  # not on a floor at a grazing angle
     # half a pixel of the depth image on a wall at a grazing angle
@@ -273,9 +272,9 @@ def test_a_late_colour_image_places_its_corners_from_where_the_camera_was() -> N
     odom_from_rgb, at_px = there @ RGB_FROM_DEPTH.inverse(), np.array([[60, 60], [106, 59], [150, 50]])
     exact = ranges_m(odom_from_rgb, RGB_LENS, ROOM_M, ())[at_px[:, 1], at_px[:, 0]]
     expected = odom_from_rgb.apply(RGB_LENS.bearings()[at_px[:, 1], at_px[:, 0]] * exact[:, None])
-    found = view.places(at_px.astype(np.float32), here, motion, np.array([late_s, 0.0]))
+    found = _places(view, here, at_px, motion, np.array([late_s, 0.0]))
     np.testing.assert_allclose(found, expected, atol=0.01)
-    assert np.abs(view.places(at_px.astype(np.float32), here, motion, np.zeros(2)) - expected).max() > 0.02
+    assert np.abs(_places(view, here, at_px, motion, np.zeros(2)) - expected).max() > 0.02
 
 
 def test_there_is_no_place_at_an_edge_of_depth_or_without_depth() -> None:
@@ -286,7 +285,7 @@ def test_there_is_no_place_at_an_edge_of_depth_or_without_depth() -> None:
     at_px = np.array(
         [[u, 60.0] for u in range(96, 116)] + [[50.0, 20.0], [50.0, 31.0], [-5.0, 60.0], [400.0, 60.0]], np.float32
     )
-    places = view.places(at_px, Pose.identity(), np.zeros(6), np.zeros(2))
+    places = _places(view, Pose.identity(), at_px, np.zeros(6), np.zeros(2))
     known = np.isfinite(places[:, 0])
     np.testing.assert_array_equal(known[:20], [not 104 <= u <= 107 for u in range(96, 116)])
     assert not known[20:].any()
@@ -294,52 +293,66 @@ def test_there_is_no_place_at_an_edge_of_depth_or_without_depth() -> None:
     np.testing.assert_allclose(places[19, 2], 1.5)
 
 
+def _seen(corners: Corners, here: Pose, view: PreparedView, predicted: Pose) -> Landmarks:
+    """Return the landmarks that a view shows, looked for from a predicted pose."""
+    expected = corners.expected(here, view, moving_imager(view, predicted, np.zeros(6), np.zeros(2)), np.zeros(2))
+    return corners.follow(view, 0, here, expected)
+
+
 def test_corners_are_followed_to_where_the_room_shows_them() -> None:
-    """Landmarks of the first image, seen again from the next pose: the pixels are those of their places."""
-    tracker, motion, slow = LandmarkTracker(), np.zeros(6), np.zeros(2)
-
-    poses = [truth(n / 15) @ BODY_FROM_DEPTH for n in (60, 61)]
-    first, second = PreparedView(frame(60)), PreparedView(frame(61))
-    assert len(tracker.follow(first, np.empty((0, 2))).place_m) == 0
-    tracker.settle(first, poses[0], motion, slow, np.zeros(3))
-    points = tracker.points
-    assert len(points.place_m) > 25
-    imager = moving_imager(second, poses[1], motion, slow)
-    expected = _projected(points.place_m, imager)
-    # the prediction is off by two pixels; the images are not
-    found = tracker.follow(second, expected + 2.0)
-    assert len(found.place_m) > 0.6 * len(points.place_m)
-    shown = _projected(found.place_m, imager)
-    off = np.linalg.norm(found.at_px - shown, axis=1)
-    assert np.median(off) < 0.5
-    assert np.quantile(off, 0.9) < 1.5
+    """Corners of one image, seen again 0.3 s later: the pixels are those of their places."""
+    poses = [truth(n / 15) @ BODY_FROM_DEPTH for n in (60, 64)]
+    corners, second = Corners.of(PreparedView(frame(60)), poses[0], np.zeros(6), np.zeros(2)), PreparedView(frame(64))
+    known = int(np.isfinite(corners.place_m[:, 0]).sum())
+    assert known > 25
+    off = Pose(poses[1].quat_wxyz, poses[1].translation_m + np.array([0.0, 0.02, 0.0]))  # two pixels
+    found = _seen(corners, poses[0], second, off)
+    assert len(found.place_m) > 0.5 * known
+    shown = _projected(found.place_m, moving_imager(second, poses[1], np.zeros(6), np.zeros(2)))
+    off_px = np.linalg.norm(found.at_px - shown, axis=1)
+    assert np.median(off_px) < 0.5
+    assert np.quantile(off_px, 0.9) < 2.0
 
 
-def test_corners_that_the_image_no_longer_shows_are_dropped() -> None:
-    """The right half of the next image shows something else."""
-    tracker, first = LandmarkTracker(), PreparedView(frame(90))
-    tracker.follow(first, np.empty((0, 2)))
-    tracker.settle(first, truth(6.0) @ BODY_FROM_DEPTH, np.zeros(6), np.zeros(2), np.zeros(3))
-    before = tracker.points.at_px
+def test_corners_that_the_image_no_longer_shows_are_not_found() -> None:
+    """The right half of the image shows something else."""
+    pose = truth(6.0) @ BODY_FROM_DEPTH
+    corners = Corners.of(PreparedView(frame(90)), pose, np.zeros(6), np.zeros(2))
+    same = _seen(corners, pose, PreparedView(frame(90)), pose)
     rgb = frame(90).rgb.copy()
     rgb[:, 106:] = np.kron(np.random.default_rng(0).integers(0, 255, (24, 22, 1)), np.ones((5, 5, 3)))[:120, :106]
-    found = tracker.follow(PreparedView(replace(frame(90), rgb=rgb)), before.astype(np.float64))
-    left, right = before[:, 0] < 90.0, before[:, 0] > 120.0
+    found = _seen(corners, pose, PreparedView(replace(frame(90), rgb=rgb)), pose)
+    left, right = same.at_px[:, 0] < 90.0, same.at_px[:, 0] > 120.0
     assert right.sum() > 10
     assert (found.at_px[:, 0] < 90.0).sum() > 0.9 * left.sum()
     assert (found.at_px[:, 0] > 120.0).sum() < 0.2 * right.sum()
 
 
-def test_recalled_landmarks_are_those_of_the_newest_settled_image() -> None:
-    tracker, view = LandmarkTracker(), PreparedView(frame(60))
+def test_a_dark_image_loses_no_corner_for_the_next_one() -> None:
+    pose, view = truth(4.0) @ BODY_FROM_DEPTH, PreparedView(frame(60))
+    corners = Corners.of(view, pose, np.zeros(6), np.zeros(2))
+    before = _seen(corners, pose, view, pose)
+    dark = PreparedView(replace(frame(61), rgb=np.zeros_like(frame(61).rgb)))
+    assert not len(_seen(corners, pose, dark, pose).place_m)
+    assert len(_seen(corners, pose, view, pose).place_m) == len(before.place_m) > 25
 
-    tracker.settle(view, truth(4.0) @ BODY_FROM_DEPTH, np.zeros(6), np.zeros(2), np.zeros(3))
-    tracker.follow(view, np.empty((0, 2)))
-    tracker.settle(view, truth(4.0) @ BODY_FROM_DEPTH, np.zeros(6), np.zeros(2), np.zeros(3))
-    before = tracker.points
-    dark = PreparedView(Frame(4.1, 61, frame(61).depth_m, LENS, np.zeros((120, 212, 3), np.uint8), RGB_LENS, Pose.identity()))
-    assert len(tracker.follow(dark, before.at_px.astype(np.float64)).place_m) == 0
-    tracker.recall()
-    assert tracker.points is before
-    again = tracker.follow(view, before.at_px.astype(np.float64))
-    assert len(again.place_m) == len(before.place_m)
+
+def test_a_corner_is_not_looked_for_from_another_side_or_distance() -> None:
+    pose, view = truth(4.0) @ BODY_FROM_DEPTH, PreparedView(frame(60))
+    corners = Corners.of(view, pose, np.zeros(6), np.zeros(2))
+    middle = np.nanmean(pose.apply(corners.place_m), axis=0)
+    half = Pose(pose.quat_wxyz, 0.4 * pose.translation_m + 0.6 * middle)
+    assert len(_seen(corners, pose, view, pose).place_m) > 25
+    assert len(_seen(corners, pose, view, half).place_m) < 8
+
+
+def test_a_remembered_difference_is_where_the_search_begins() -> None:
+    pose, view = truth(4.0) @ BODY_FROM_DEPTH, PreparedView(frame(60))
+    corners = Corners.of(view, pose, np.zeros(6), np.zeros(2))
+    imager, which = moving_imager(view, pose, np.zeros(6), np.zeros(2)), np.arange(3)
+    plain = corners.expected(pose, view, imager, np.zeros(2))
+    corners.remember(plain.which[:3], np.full((3, 2), 1.5, np.float32), view.frame.stamp_s - 0.1)
+    moved = corners.expected(pose, view, imager, np.zeros(2))
+    np.testing.assert_allclose(moved.at_px[which] - plain.at_px[which], 1.5, atol=1e-4)
+    later = PreparedView(replace(view.frame, stamp_s=view.frame.stamp_s + 1.0))
+    np.testing.assert_allclose(corners.expected(pose, later, imager, np.zeros(2)).at_px, plain.at_px, atol=1e-4)

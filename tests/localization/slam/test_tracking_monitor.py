@@ -9,11 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from uav_recon.localization.slam.pose_graph import Measured
 from uav_recon.localization.slam.rgbd_registration import MotionPrior, Registration
 from uav_recon.localization.slam.tracking_monitor import TrackingFault, TrackingMonitor
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.pose import Pose
 
+NONE = Measured(np.zeros(0, np.int64), np.zeros((0, 6, 6)), np.zeros((0, 6)), np.zeros(0, np.bool_))
 HERE = Pose.from_yaw(0.4, np.array([1.0, 2.0, 0.5]))
 
 
@@ -26,7 +28,7 @@ def _found(step_m: float = 0.0, turn_rad: float = 0.0, **values: Any) -> Registr
     pose = Pose.from_rotation_vector(np.array([0.0, turn_rad, 0.0]), np.zeros(3)) @ HERE
     good = Registration(
         Pose(pose.quat_wxyz, HERE.translation_m + np.array([step_m, 0.0, 0.0])), 1e-6 * np.eye(6), np.zeros(3), np.zeros(3),
-        1000, 900, 850, 60, np.zeros(2), np.eye(2), 0.01, 1e4,
+        1000, 900, 850, 60, np.zeros(2), np.eye(2), 0.01, 1e4, NONE,
     )  # fmt: skip
     return dataclasses.replace(good, **values)
 

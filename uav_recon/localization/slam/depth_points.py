@@ -1,112 +1,142 @@
-"""Points of a depth image, and their distances to the surfaces of a map."""
+"""Points of a depth image, and their distances to the surfaces of keyframes."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from uav_recon.geometry.jit import kernel
-from uav_recon.localization.slam.tsdf_volume import REACH_M, TRUNCATION_M, TsdfBlocks, sample
+from uav_recon.geometry.jit import fast_kernel, kernel
+from uav_recon.localization.slam.keyframe_map import NEAREST_M, Keyframes
 from uav_recon.types.frames import AnyArray
 
-ROWS = 30
-COLUMNS = 48
+SURFACE_M = 0.2  # a point farther from the surface of a keyframe belongs to another one
 # standard deviation of a depth: _FLOOR_M, and _PER_M2 times the square of the range (a D435i's is 3.5 mm at 1 m)
-_FLOOR_M = 0.012
-_PER_M2 = 0.004
+_FLOOR_M = 0.008
+_PER_M2 = 0.003
 _ROBUST_SIGMAS = 2.0  # scale of the robust weight
-_ROBUST_M = 0.03  # its minimum
-_INLIER_SHARE = 0.5  # of the truncation: a residual below it is that of the same surface
+_ROBUST_M = 0.02  # its minimum
+_INLIER_M = 0.08  # a residual below it is that of the same surface
 # a surface is placed worse than what the camera is otherwise compared with if its variance is larger by this factor, and this
 _WORSE = 1.5
 _ALIKE_M2 = 0.01**2
 _ALIKE_POINTS = 100.0  # points whose surfaces have the same error of place
 _FACING_COS = 0.3  # of a normal to an axis: with less, noise of the normal says more about the axis than the surface does
-# length of the gradient of a field that is a distance; elsewhere it is the average of two surfaces
-_MIN_SLOPE = 0.35
-_MAX_SLOPE = 1.5
+_MOST_DEEP_M = 0.6  # along the axis: a point farther behind a surface is hidden by it, in whatever direction that faces
 
 
-@kernel
-def depth_points(depth_m: AnyArray, camera: AnyArray) -> AnyArray:
-    """Return points (N, 3) of a depth image (H, W) in its own frame, from a grid of pixels."""
-    height, width = depth_m.shape
-    rows, columns = min(ROWS, height), min(COLUMNS, width)
-    out, number = np.empty((rows * columns, 3)), 0
-    for row in range(rows):
-        v = (2 * row + 1) * height // (2 * rows)
-        for column in range(columns):
-            u = (2 * column + 1) * width // (2 * columns)
-            z = float(depth_m[v, u])
-            if not 0.0 < z <= REACH_M:
-                continue
-            out[number, 0], out[number, 1], out[number, 2] = (u - camera[2]) / camera[0] * z, (v - camera[3]) / camera[1] * z, z
-            number += 1
-    return out[:number]
-
-
-@kernel
+@fast_kernel
 def add_depth_equations(
     points: AnyArray,
     rotation: AnyArray,
     place_m: AnyArray,
-    blocks: TsdfBlocks,
+    keyframes: Keyframes,
     known_variance: AnyArray,
-    most_variance: float,
     share: float,
     wider: float,
     information: AnyArray,
     gradient: AnyArray,
-    errors: AnyArray,
+    shown: AnyArray,
 ) -> tuple[int, int]:
-    """Add the normal equations of points (N, 3) against the field.
+    """Add the normal equations of points (N, 3) against the surfaces of keyframes.
 
     rotation (3, 3), place_m (3,): pose of the depth imager in odom. known_variance (3,): of what the camera is otherwise
-    compared with; a surface whose place has a larger error counts less. most_variance: a block with a larger one is unknown.
-    errors (2, 3): sums of the variances of the surfaces, weighted by what they say along each axis, and of these weights.
+    compared with; a surface whose place has a larger error counts less. shown (M, 3): information of each keyframe along each
+    axis that its surfaces face.
 
-    information (>= 6, >= 6) and gradient (>= 6): of a small rotation in odom axes about the camera and of its translation, in
-    units of standard deviations. share: weight of one point, since the errors of neighbours are alike. wider: factor on the
-    scale of the robust weight.
-    Returns the number of points in known space, and of those that lie on a known surface.
+    information (M, >= 6, >= 6) and gradient (M, >= 6): of a small rotation in odom axes about the camera and of its
+    translation, in units of standard deviations, from each keyframe. share: weight of one point, since the errors of neighbours
+    are alike; the keyframes that show the same point divide it. wider: factor on the scale of the robust weight. Returns the
+    number of points in known space, and of those that lie on a known surface. A point behind a surface is hidden, which says
+    nothing; one in front of it is in known space.
     """
-    index, distance, weight, variance = blocks.block_index, blocks.distance, blocks.weight, blocks.variance
-    known, inliers = 0, 0
-    point, found, row = np.empty(3), np.empty(5), np.empty(6)
+    known, inliers, most = 0, 0, keyframes.number.shape[0]
+    turn, moved_m = _poses_in(keyframes, rotation, place_m)
+    row, off_m, normal, number = np.empty(6), np.empty(most), np.empty((most, 3)), np.empty(most, np.int64)
     for n in range(points.shape[0]):
-        for a in range(3):
-            point[a] = (
-                rotation[a, 0] * points[n, 0] + rotation[a, 1] * points[n, 1] + rotation[a, 2] * points[n, 2] + place_m[a]
-            )
-        if not sample(point, index, distance, weight, found):
-            continue
-        block = int(found[4])
-        if max(variance[block, 0], variance[block, 1], variance[block, 2]) > most_variance:
-            continue
-        slope = np.sqrt(found[1] * found[1] + found[2] * found[2] + found[3] * found[3])
-        if not _MIN_SLOPE < slope < _MAX_SLOPE:  # free space: no surface is there
-            known += 1
-            continue
-        towards = (place_m[0] - point[0]) * found[1] + (place_m[1] - point[1]) * found[2] + (place_m[2] - point[2]) * found[3]
-        if towards < 0.0:  # the other side of a thin wall
-            continue
-        known += 1
-        off_m = found[0] / slope
-        inliers += int(abs(off_m) < _INLIER_SHARE * TRUNCATION_M)
-        z = points[n, 2]
-        sigma_m = _FLOOR_M + _PER_M2 * z * z
+        p, q, r = points[n, 0], points[n, 1], points[n, 2]
+        found, is_known, is_inlier = _surfaces_at(p, q, r, turn, moved_m, keyframes, off_m, normal, number)
+        known += int(is_known)
+        inliers += int(is_inlier)
+        x = rotation[0, 0] * p + rotation[0, 1] * q + rotation[0, 2] * r
+        y = rotation[1, 0] * p + rotation[1, 1] * q + rotation[1, 2] * r
+        z = rotation[2, 0] * p + rotation[2, 1] * q + rotation[2, 2] * r
+        sigma_m = _FLOOR_M + _PER_M2 * r * r
         scale = wider * max(_ROBUST_M, _ROBUST_SIGMAS * sigma_m)
-        shrink = 1.0 / (1.0 + (off_m / scale) ** 2)
-        nx, ny, nz = found[1] / slope, found[2] / slope, found[3] / slope
-        row[3], row[4], row[5] = nx, ny, nz
-        w = share * shrink * shrink / (sigma_m * sigma_m + _ALIKE_POINTS * _worse(row[3:], variance[block], known_variance))
-        _add_errors(row[3:], w, variance[block], errors)
-        x, y, z = point[0] - place_m[0], point[1] - place_m[1], point[2] - place_m[2]
-        row[0], row[1], row[2] = y * nz - z * ny, z * nx - x * nz, x * ny - y * nx
-        for a in range(6):
-            gradient[a] -= w * row[a] * off_m
-            for b in range(6):
-                information[a, b] += w * row[a] * row[b]
+        for m in range(found):
+            shrink, k = 1.0 / (1.0 + (off_m[m] / scale) ** 2), number[m]
+            nx, ny, nz = normal[m, 0], normal[m, 1], normal[m, 2]
+            row[0], row[1], row[2] = y * nz - z * ny, z * nx - x * nz, x * ny - y * nx
+            row[3], row[4], row[5] = nx, ny, nz
+            placed = sigma_m * sigma_m + _ALIKE_POINTS * _worse(row[3:], keyframes.variance[k], known_variance)
+            w = share / found * shrink * shrink / placed
+            for a in range(3):
+                if abs(row[3 + a]) > _FACING_COS:
+                    shown[k, a] += w * row[3 + a] * row[3 + a]
+            for a in range(6):
+                gradient[k, a] -= w * row[a] * off_m[m]
+                for b in range(6):
+                    information[k, a, b] += w * row[a] * row[b]
     return known, inliers
+
+
+@fast_kernel
+def _surfaces_at(
+    p: float,
+    q: float,
+    r: float,
+    turn: AnyArray,
+    moved_m: AnyArray,
+    keyframes: Keyframes,
+    off_m: AnyArray,
+    normal: AnyArray,
+    number: AnyArray,
+) -> tuple[int, bool, bool]:
+    """Write distances off_m (M,) of a point to surfaces, their normals (M, 3) in odom, and number (M,) of their keyframes.
+
+    p, q, r: the point in the frame of the depth imager. turn, moved_m: of _poses_in(). Returns how many surfaces there are,
+    whether the point is in known space, and whether it lies on a surface.
+    """
+    found, in_front, on_surface = 0, False, False
+    for m in range(keyframes.number.shape[0]):
+        deep = turn[m, 2, 0] * p + turn[m, 2, 1] * q + turn[m, 2, 2] * r + moved_m[m, 2]
+        if deep < NEAREST_M:
+            continue
+        across = turn[m, 0, 0] * p + turn[m, 0, 1] * q + turn[m, 0, 2] * r + moved_m[m, 0]
+        down = turn[m, 1, 0] * p + turn[m, 1, 1] * q + turn[m, 1, 2] * r + moved_m[m, 1]
+        fx, fy, cx, cy = keyframes.camera[m, 0], keyframes.camera[m, 1], keyframes.camera[m, 2], keyframes.camera[m, 3]
+        u, v = int(np.floor(across / deep * fx + cx + 0.5)), int(np.floor(down / deep * fy + cy + 0.5))
+        if not (0 <= v < keyframes.depth_m.shape[1] and 0 <= u < keyframes.depth_m.shape[2]):
+            continue
+        k = keyframes.number[m]
+        z = float(keyframes.depth_m[k, v, u])
+        nx, ny, nz = keyframes.normal[k, v, u, 0], keyframes.normal[k, v, u, 1], keyframes.normal[k, v, u, 2]
+        if z <= 0.0 or nz == 0.0 or deep - z > _MOST_DEEP_M:
+            continue
+        off = nx * (across - (u - cx) / fx * z) + ny * (down - (v - cy) / fy * z) + nz * (deep - z)
+        towards = nx * (moved_m[m, 0] - across) + ny * (moved_m[m, 1] - down) + nz * (moved_m[m, 2] - deep)
+        in_front = in_front or off > SURFACE_M
+        if abs(off) > SURFACE_M or towards < 0.0:  # hidden, or the other side of a thin wall
+            continue
+        off_m[found], number[found] = off, m
+        for a in range(3):
+            turned = keyframes.rotation[m, a]
+            normal[found, a] = turned[0] * nx + turned[1] * ny + turned[2] * nz
+        on_surface = on_surface or abs(off) < _INLIER_M
+        found += 1
+    return found, found > 0 or in_front, on_surface
+
+
+@kernel
+def _poses_in(keyframes: Keyframes, rotation: AnyArray, place_m: AnyArray) -> tuple[AnyArray, AnyArray]:
+    """Return the rotation (M, 3, 3) and place (M, 3) of a depth imager in the frames of keyframes."""
+    most = keyframes.number.shape[0]
+    turn, moved_m = np.zeros((most, 3, 3)), np.zeros((most, 3))
+    for m in range(most):
+        for a in range(3):
+            for c in range(3):
+                moved_m[m, a] += keyframes.rotation[m, c, a] * (place_m[c] - keyframes.place_m[m, c])
+                for b in range(3):
+                    turn[m, a, b] += keyframes.rotation[m, c, a] * rotation[c, b]
+    return turn, moved_m
 
 
 @kernel
@@ -116,12 +146,3 @@ def _worse(normal: AnyArray, variance: AnyArray, known_variance: AnyArray) -> fl
     for a in range(3):
         worse += normal[a] * normal[a] * max(variance[a] - _WORSE * known_variance[a] - _ALIKE_M2, 0.0)
     return worse
-
-
-@kernel
-def _add_errors(normal: AnyArray, w: float, variance: AnyArray, errors: AnyArray) -> None:
-    """Add a surface to the sums (2, 3) along the axes that its normal (3,) faces."""
-    for a in range(3):
-        if abs(normal[a]) > _FACING_COS:
-            errors[0, a] += w * normal[a] * normal[a] * variance[a]
-            errors[1, a] += w * normal[a] * normal[a]

@@ -1,29 +1,35 @@
-"""Landmarks: corners of the colour image with places in odom, followed between images.
+"""Landmarks: corners of the colour image of a keyframe, with places in the frame of its depth imager.
 
-A corner is followed by pyramidal Lucas-Kanade (OpenCV) from where the predicted pose expects it. Its place is the mean of the
-depths measured at it.
+A corner is followed by pyramidal Lucas-Kanade (OpenCV) from the keyframe into a later image, from where the predicted pose
+expects it. So its track does not drift, and a frame that is not accepted loses none.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import cv2
 import numpy as np
 
 from uav_recon.geometry.jit import kernel
+from uav_recon.localization.slam.depth_image import DepthImage
 from uav_recon.localization.slam.optical_flow import followed, inside
-from uav_recon.localization.slam.prepared_view import PreparedView
-from uav_recon.types.frames import AnyArray, BoolArray, ByteArray, FloatArray
+from uav_recon.localization.slam.prepared_view import PreparedView, corner_places
+from uav_recon.types.frames import AnyArray, ByteArray, FloatArray, IntArray
 from uav_recon.types.pose import Pose
 
-MOST = 220
-_ENOUGH = 170  # landmarks; fewer are topped up
+MOST = 220  # corners of a keyframe
+FOLLOWED = 110  # number of them that are looked for in a frame
 _APART_PX = 9
 _CORNER_QUALITY = 0.01
-_MIN_TEXTURE = 3e-5  # smallest eigenvalue of a corner, as in feature_tracking; less is noise
+_MIN_TEXTURE = 7.5e-6  # smallest eigenvalue of structure(): a quarter of OpenCV's, as in feature_tracking; less is noise
+_GRID_PX = 16  # between places at which the noise of an image is measured ...
+_PLAIN_SHARE = 0.1  # ... as the texture that this share of them does not exceed
+_ABOVE_NOISE = 2.0
+_HALF_PX = 3  # around a corner, in which its texture is measured
 _BLOCK_PX = 3
-_WINDOW_PX = 15
+_WINDOW_PX = 11
 _LEVELS = 2
 _RETURNS_PX = 0.7  # a corner followed there and back again must return to this distance
 _NEAREST_M = 0.25
@@ -32,8 +38,9 @@ _ROBUST_PX = 2.0
 # eigenvalue of a corner's weaker direction against the stronger one, up to which it is an edge, and from which on a corner
 _EDGE_SHARE = 0.15
 _CORNER_SHARE = 0.5
-_FITS_PX = 3.0  # a landmark farther from where the pose expects it is dropped
-_MOST_SEEN = 15.0  # depths in a mean; more would keep the landmark where it was first seen
+_LEAST_SIZE = 0.7  # a corner that looks smaller by more than this factor, or larger, is not recognised
+_ALIKE_COS = 0.9  # nor one from a direction that differs by more
+_LATE_S = 0.3  # a difference from where the pose expects a corner is remembered for this time
 
 DELAY = 6  # element of the normal equations: delay of colour against depth, s
 WIDTH = 7  # share by which the colour image is too wide
@@ -41,141 +48,150 @@ SIZE = 8
 
 
 class Landmarks(NamedTuple):
-    """Landmarks that are in view.
+    """Landmarks that an image shows.
 
-    place_m (N, 3) in odom. slope (N, 3, 2): its derivatives by delay and width of the colour image. at_px (N, 2) float32:
-    where the newest image shows them. off_px (N, 2): difference from where the pose expected them. seen (N,): weight of the
-    depths in the place. texture (N, 2, 2): share of a displacement that the image shows: along an edge it
-    shows none (aperture problem). variance (N, 3): of the place, by that of the camera when it was measured, m² along the axes
-    of odom.
+    place_m (N, 3) in odom. slope (N, 3, 2): its derivatives by delay and width of the colour image. at_px (N, 2) float32: where
+    the image shows them. texture (N, 2, 2): share of a displacement that the image shows: along an edge it shows none (aperture
+    problem). keyframe (N,): which of the keyframes that the frame is compared with, 0 to M - 1. corner (N,): number of the
+    corner there.
     """
 
     place_m: FloatArray
     slope: FloatArray
     at_px: AnyArray
-    off_px: AnyArray
-    seen: FloatArray
     texture: FloatArray
-    variance: FloatArray
+    keyframe: IntArray
+    corner: IntArray
+
+    @property
+    def share(self) -> float:
+        """Weight of one: the keyframes that show the same corners divide it."""
+        return 1.0 / max(len(np.unique(self.keyframe)), 1)
 
     @staticmethod
     def none() -> Landmarks:
         """Return no landmarks."""
-        none_px = np.empty((0, 2), np.float32)
-        return Landmarks(
-            np.empty((0, 3)), np.empty((0, 3, 2)), none_px, none_px, np.empty(0), np.empty((0, 2, 2)), np.empty((0, 3))
-        )
-
-    def only(self, which: BoolArray) -> Landmarks:
-        """Return the landmarks of a mask (N,)."""
-        return Landmarks(*(values[which] for values in self))
+        none_px, none = np.empty((0, 2), np.float32), np.empty(0, np.int64)
+        return Landmarks(np.empty((0, 3)), np.empty((0, 3, 2)), none_px, np.empty((0, 2, 2)), none, none)
 
 
-class LandmarkTracker:
-    """Follows landmarks through the images. Not thread-safe; about 2 ms an image of 424x240."""
+class Expected(NamedTuple):
+    """Corners of a keyframe that a view is expected to show.
 
-    def __init__(self) -> None:
-        self._grey: ByteArray | None = None
-        self._slow = np.zeros(2)
-        self.points = Landmarks.none()
-        self._accepted: tuple[ByteArray | None, Landmarks] = None, self.points
+    which (N,): their numbers. place_m (N, 3): in odom. at_px (N, 2) float32: where they are expected.
+    """
 
-    def recall(self) -> None:
-        """Return to the image and the landmarks of the newest accepted frame: this one is not."""
-        self._grey, self.points = self._accepted
+    which: IntArray
+    place_m: FloatArray
+    at_px: AnyArray
 
-    def follow(self, view: PreparedView, predicted: FloatArray) -> Landmarks:
-        """Return the landmarks that the image shows.
 
-        predicted (N, 2): where the predicted pose expects each of ``points``.
+@dataclass(eq=False)
+class Corners:
+    """Corners of the colour image of a keyframe. Not thread-safe.
+
+    grey (h, w): the image. at_px (N, 2) float32: where it shows them. texture (N, 2, 2): as in Landmarks. place_m (N, 3): in
+    the frame of the depth imager. slope (N, 3, 2): derivatives of the places by delay and width of the image, of which they
+    were ``slow`` (2,) when the places were right. rgb_from_depth: pose of the depth imager in the colour imager at the later
+    instant of its image. camera (4,): of the colour image.
+    """
+
+    grey: ByteArray
+    at_px: AnyArray
+    texture: FloatArray
+    place_m: FloatArray
+    slope: FloatArray
+    slow: FloatArray
+    rgb_from_depth: Pose
+    camera: FloatArray
+    off_px: AnyArray
+    off_s: FloatArray
+
+    @staticmethod
+    def of(view: PreparedView, odom_from_depth: Pose, motion: FloatArray, slow: FloatArray) -> Corners:
+        """Return the corners of a view; none of a camera without colour.
+
+        motion (6,), slow (2,): as in MovingImager.
         """
-        points, grey = self.points, view.grey
-        self.points = Landmarks.none()
-        before, self._grey = self._grey, grey
-        if before is None or grey is None or not len(points.place_m) or before.shape != grey.shape:
-            return self.points
-        guess_px = (predicted + points.off_px).astype(np.float32)
-        shown = inside(guess_px, grey, _WINDOW_PX)
-        points, guess_px = points.only(shown), guess_px[shown]
-        if not len(guess_px):
-            return self.points
+        grey = np.zeros((1, 1), np.uint8) if view.grey is None else view.grey
+        at_px = corners_px(grey)
+        values, vectors = np.linalg.eigh(structure(grey, at_px, _HALF_PX))
+        turned = Pose.from_rotation_vector(slow[0] * motion[:3], np.zeros(3))
+        later = Pose((turned @ odom_from_depth).quat_wxyz, odom_from_depth.translation_m + slow[0] * motion[3:])
+        rgb_from_depth = (later @ view.depth_from_rgb).inverse() @ odom_from_depth
+        camera = view.camera * np.array([1.0 + slow[1], 1.0 + slow[1], 1.0, 1.0])
+        corners = Corners(
+            grey, at_px, _shown(values, vectors), np.full((len(at_px), 3), np.nan), np.empty((len(at_px), 3, 2)), slow.copy(),
+            rgb_from_depth, camera, np.zeros_like(at_px), np.full(len(at_px), -np.inf),
+        )  # fmt: skip
+        corners.place(view.depth)
+        turn = odom_from_depth.rotation()
+        swept = motion[3:] + np.cross(motion[:3], corners.place_m @ turn.T)
+        ahead = rgb_from_depth.apply(corners.place_m)
+        ahead[:, 2] = 0.0
+        corners.slope = np.stack((swept @ turn, -ahead @ rgb_from_depth.rotation()), axis=2)
+        return corners
+
+    def place(self, image: DepthImage) -> None:
+        """Take the places from the depth image of the keyframe, where it shows one surface."""
+        places = corner_places(
+            self.at_px,
+            self.camera,
+            image.depth_m,
+            image.camera,
+            self.rgb_from_depth.rotation(),
+            self.rgb_from_depth.translation_m,
+        )
+        places = self.rgb_from_depth.inverse().apply(places)
+        known = np.isfinite(places[:, 0])
+        self.place_m[known] = places[known]
+
+    def expected(self, odom_from_keyframe: Pose, view: PreparedView, imager: MovingImager, slow: FloatArray) -> Expected:
+        """Return the corners that a view is expected to show as the keyframe did.
+
+        slow (2,): as in MovingImager.
+        """
+        if view.grey is None or view.grey.shape != self.grey.shape:
+            return Expected(np.empty(0, np.int64), np.empty((0, 3)), np.empty((0, 2), np.float32))
+        place_m = odom_from_keyframe.apply(self.place_m + self.slope @ (slow - self.slow))
+        at_px = project(place_m, imager)
+        late = view.frame.stamp_s - self.off_s > _LATE_S
+        at_px = (at_px + np.where(late[:, None], 0.0, self.off_px)).astype(np.float32)
+        alike = seen_alike(place_m, odom_from_keyframe.translation_m, imager.eye_m)
+        which = np.flatnonzero(alike & inside(at_px, view.grey, _WINDOW_PX))[:FOLLOWED]
+        return Expected(which, place_m[which], at_px[which])
+
+    def follow(self, view: PreparedView, keyframe: int, odom_from_keyframe: Pose, expected: Expected) -> Landmarks:
+        """Return the landmarks that a view shows. About 1 ms.
+
+        keyframe: as in Landmarks.
+        """
+        if view.grey is None or not len(expected.which):
+            return Landmarks.none()
+        was_px = self.at_px[expected.which]
         at_px, found = followed(
-            before, grey, points.at_px, guess_px, window_px=_WINDOW_PX, levels=_LEVELS, returns_px=_RETURNS_PX
+            self.grey, view.grey, was_px, expected.at_px, window_px=_WINDOW_PX, levels=_LEVELS, returns_px=_RETURNS_PX
         )
-        self.points = points._replace(at_px=at_px).only(found)
-        return self.points
+        which = expected.which[found]
+        slope = np.einsum("ab,nbk->nak", odom_from_keyframe.rotation(), self.slope[which])
+        number = np.full(len(which), keyframe, np.int64)
+        return Landmarks(expected.place_m[found], slope, at_px[found], self.texture[which], number, which)
 
-    def shift(self, shift_m: FloatArray, share: FloatArray) -> None:
-        """Move all landmarks by the error (3,) of the track that has been found.
+    def remember(self, which: IntArray, off_px: AnyArray, stamp_s: float) -> None:
+        """Remember by how much (N, 2) an accepted image shows landmarks elsewhere than its pose expects them."""
+        self.off_px[which], self.off_s[which] = off_px, stamp_s
 
-        share (3,): of their variance that is left.
-        """
-        points = self.points
-        self.points = points._replace(place_m=points.place_m + shift_m, variance=points.variance * share)
 
-    def settle(
-        self, view: PreparedView, odom_from_depth: Pose, motion: FloatArray, slow: FloatArray, variance: FloatArray
-    ) -> None:
-        """Keep the landmarks that fit the pose of the image, refine their places, and add new ones.
-
-        motion (6,), slow (2,): as in MovingImager. variance (3,): of the place of the camera, m² along the axes of odom.
-        """
-        if view.grey is None:
-            return
-        eye = view.rgb_pose(odom_from_depth)
-        place_m = self.points.place_m + self.points.slope @ (slow - self._slow)
-        self._slow = slow
-        off_px = self.points.at_px - project(place_m, moving_imager(view, odom_from_depth, motion, slow))
-        fits = np.asarray(np.einsum("na,nab,nb->n", off_px, self.points.texture, off_px) < _FITS_PX**2)
-        points = self.points._replace(place_m=place_m, off_px=off_px.astype(np.float32)).only(fits)
-        places = view.places(points.at_px, odom_from_depth, motion, slow)
-        weight = _weight(points.place_m, eye[1])
-        slope = _slope(points.place_m, eye, odom_from_depth.translation_m, motion)
-        measured = np.isfinite(places[:, 0])
-        share = np.where(measured, weight / (points.seen + weight), 0.0)
-        place_m = points.place_m + share[:, None] * np.where(measured[:, None], places - points.place_m, 0.0)
-        slope = points.slope + share[:, None, None] * (slope - points.slope)
-        seen = np.minimum(points.seen + np.where(measured, weight, 0.0), _MOST_SEEN)
-        placed = points.variance + share[:, None] * (variance - points.variance)
-        self.points = points._replace(place_m=place_m, slope=slope, seen=seen, variance=placed)
-        if len(self.points.seen) < _ENOUGH:
-            self._add(view, odom_from_depth, motion, slow, variance)
-        self._accepted = self._grey, self.points
-
-    def _add(
-        self, view: PreparedView, odom_from_depth: Pose, motion: FloatArray, slow: FloatArray, variance: FloatArray
-    ) -> None:
-        grey = view.grey
-        assert grey is not None
-        free = np.full(grey.shape, 255, np.uint8)
-        for u, v in np.rint(self.points.at_px).astype(int).tolist():
-            cv2.circle(free, (u, v), _APART_PX, 0, -1)
-        corners = cv2.goodFeaturesToTrack(
-            grey, MOST - len(self.points.seen), _CORNER_QUALITY, _APART_PX, mask=free, blockSize=_BLOCK_PX
-        )
-        if corners is None:
-            return
-        at_px = corners.reshape(-1, 2).astype(np.float32)
-        at_px = at_px[inside(at_px, grey, _WINDOW_PX)]
-        column, row = np.rint(at_px).astype(np.int64).T
-        texture = cv2.cornerEigenValsAndVecs(grey, _WINDOW_PX // 2, 3)[row, column].astype(np.float64)
-        strong = np.minimum(texture[:, 0], texture[:, 1]) > _MIN_TEXTURE
-        at_px, texture = at_px[strong], texture[strong]
-        place_m = view.places(at_px, odom_from_depth, motion, slow)
-        known = np.isfinite(place_m[:, 0])
-        place_m, at_px, texture = place_m[known], at_px[known], texture[known]
-        eye = view.rgb_pose(odom_from_depth)
-        weight = _weight(place_m, eye[1])
-        new = Landmarks(
-            place_m,
-            _slope(place_m, eye, odom_from_depth.translation_m, motion),
-            at_px,
-            np.zeros_like(at_px),
-            weight,
-            _shown(texture),
-            np.tile(variance, (len(place_m), 1)),
-        )
-        self.points = Landmarks(*(np.concatenate(both) for both in zip(self.points, new, strict=True)))
+def corners_px(grey: ByteArray) -> AnyArray:
+    """Return the corners (N, 2) float32 of an image that are stronger than its noise."""
+    found = cv2.goodFeaturesToTrack(grey, MOST, _CORNER_QUALITY, _APART_PX, blockSize=_BLOCK_PX)
+    at_px = np.empty((0, 2), np.float32) if found is None else found.reshape(-1, 2).astype(np.float32)
+    at_px = at_px[inside(at_px, grey, _WINDOW_PX)]
+    grid = np.stack(np.meshgrid(*(np.arange(_GRID_PX // 2, size, _GRID_PX) for size in grey.shape[::-1])), axis=-1)
+    weaker = np.linalg.eigvalsh(structure(grey, grid.reshape(-1, 2).astype(np.float32), _HALF_PX))[:, 0]
+    noise = float(np.quantile(weaker, _PLAIN_SHARE)) if len(weaker) else 0.0
+    strong = np.linalg.eigvalsh(structure(grey, at_px, _HALF_PX))[:, 0] > max(_MIN_TEXTURE, _ABOVE_NOISE * noise)
+    return at_px[strong]
 
 
 class MovingImager(NamedTuple):
@@ -216,13 +232,30 @@ def project(place_m: AnyArray, imager: MovingImager) -> AnyArray:
 
 
 @kernel
+def seen_alike(place_m: AnyArray, eye_m: AnyArray, other_m: AnyArray) -> AnyArray:
+    """Return which places (N, 3) look alike from two points (3,): about as large, and from about the same side."""
+    out = np.zeros(place_m.shape[0], np.bool_)
+    for n in range(place_m.shape[0]):
+        along = one = other = 0.0
+        for a in range(3):
+            p, q = place_m[n, a] - eye_m[a], place_m[n, a] - other_m[a]
+            along, one, other = along + p * q, one + p * p, other + q * q
+        alike = _LEAST_SIZE * _LEAST_SIZE * one < other < one / (_LEAST_SIZE * _LEAST_SIZE)
+        out[n] = alike and along > _ALIKE_COS * np.sqrt(one * other)
+    return out
+
+
+@kernel
 def add_landmark_equations(
     place_m: AnyArray,
     slope: AnyArray,
     texture: AnyArray,
     at_px: AnyArray,
     imager: MovingImager,
+    keyframe: AnyArray,
     change: AnyArray,
+    weight: float,
+    wider: float,
     information: AnyArray,
     gradient: AnyArray,
     shown: AnyArray,
@@ -230,6 +263,7 @@ def add_landmark_equations(
     """Add the normal equations (SIZE) of landmarks that the image shows at at_px (N, 2).
 
     place_m (N, 3), slope (N, 3, 2), texture (N, 2, 2): of Landmarks; change (2,): of ``slow`` since the places were right.
+    keyframe (N,): of Landmarks. information (M, SIZE, SIZE), gradient (M, SIZE): from each keyframe. weight: of one landmark.
     shown (3, 3): information on the translation that the landmarks would give if each were a perfect corner. The first six
     elements are those of add_depth_equations. Returns the number of landmarks that fit.
     """
@@ -250,13 +284,13 @@ def add_landmark_equations(
         shown0, shown1 = t00 * off0 + t01 * off1, t01 * off0 + t11 * off1
         square = (off0 * shown0 + off1 * shown1) / (_ROBUST_PX * _ROBUST_PX)
         fitting += int(square < 1.0)
-        shrink = 1.0 / (1.0 + square)
-        w = shrink * shrink / (_SIGMA_PX * _SIGMA_PX)
+        shrink = 1.0 / (1.0 + square / (wider * wider))
+        k, w = keyframe[n], weight * shrink * shrink / (_SIGMA_PX * _SIGMA_PX)
         for a in range(SIZE):
-            gradient[a] += w * (columns[0, a] * shown0 + columns[1, a] * shown1)
+            gradient[k, a] += w * (columns[0, a] * shown0 + columns[1, a] * shown1)
             along0, along1 = t00 * columns[0, a] + t01 * columns[1, a], t01 * columns[0, a] + t11 * columns[1, a]
             for b in range(SIZE):
-                information[a, b] += w * (along0 * columns[0, b] + along1 * columns[1, b])
+                information[k, a, b] += w * (along0 * columns[0, b] + along1 * columns[1, b])
         for a in range(3):
             for b in range(3):
                 shown[a, b] += w * (columns[0, 3 + a] * columns[0, 3 + b] + columns[1, 3 + a] * columns[1, 3 + b])
@@ -297,29 +331,31 @@ def _row(place: AnyArray, imager: MovingImager, expected: AnyArray, columns: Any
     return float(deep)
 
 
-def _shown(texture: FloatArray) -> FloatArray:
-    """Return Landmarks.texture (N, 2, 2) of the brightness around corners.
+@kernel
+def structure(grey: AnyArray, at_px: AnyArray, half_px: int) -> AnyArray:
+    """Return the mean products of the gradients (N, 2, 2) of an image (h, w) around pixels (N, 2), of brightness 0 to 1."""
+    out = np.zeros((at_px.shape[0], 2, 2))
+    height, width = grey.shape
+    for n in range(at_px.shape[0]):
+        u, v, number = int(np.rint(at_px[n, 0])), int(np.rint(at_px[n, 1])), 0
+        for j in range(max(v - half_px, 1), min(v + half_px + 1, height - 1)):
+            for i in range(max(u - half_px, 1), min(u + half_px + 1, width - 1)):
+                dx = dy = 0.0
+                for k in range(-1, 2):  # Sobel
+                    w = (2 - abs(k)) / 2040.0
+                    dx += w * (float(grey[j + k, i + 1]) - float(grey[j + k, i - 1]))
+                    dy += w * (float(grey[j + 1, i + k]) - float(grey[j - 1, i + k]))
+                out[n, 0, 0] += dx * dx
+                out[n, 0, 1] += dx * dy
+                out[n, 1, 1] += dy * dy
+                number += 1
+        out[n, 1, 0] = out[n, 0, 1]
+        out[n] /= max(number, 1)
+    return out
 
-    texture (N, 6): its eigenvalues and eigenvectors.
-    """
-    values, first, second = texture[:, :2], texture[:, 2:4], texture[:, 4:6]
+
+def _shown(values: FloatArray, vectors: FloatArray) -> FloatArray:
+    """Return Landmarks.texture (N, 2, 2) of the eigenvalues (N, 2) and eigenvectors (N, 2, 2) of structure()."""
     ratio = values / values.max(axis=1, keepdims=True)
     share = np.clip((ratio - _EDGE_SHARE) / (_CORNER_SHARE - _EDGE_SHARE), 0.0, 1.0) ** 2
-    return np.asarray(
-        share[:, 0, None, None] * first[:, :, None] * first[:, None, :]
-        + share[:, 1, None, None] * second[:, :, None] * second[:, None, :]
-    )
-
-
-def _weight(place_m: FloatArray, eye_m: FloatArray) -> FloatArray:
-    """Return the weight (N,) of one depth: one at 1 m, less by the square of the distance."""
-    return np.asarray(1.0 / np.maximum(np.linalg.norm(place_m - eye_m, axis=1), 0.5) ** 2, dtype=np.float64)
-
-
-def _slope(place_m: FloatArray, eye: tuple[FloatArray, FloatArray], turn_m: FloatArray, motion: FloatArray) -> FloatArray:
-    """Return the derivatives (N, 3, 2) of measured places by the delay and width of the image."""
-    swept = motion[3:] + np.cross(motion[:3], place_m - turn_m)
-    rotation, eye_m = eye
-    ahead = (place_m - eye_m) @ rotation
-    ahead[:, 2] = 0.0
-    return np.stack((swept, -ahead @ rotation.T), axis=2)
+    return np.asarray(np.einsum("nak,nk,nbk->nab", vectors, share, vectors))

@@ -152,6 +152,18 @@ class MotionFilter:
         """Move the place by the error (3,) of the track that has been found."""
         self._now = self._now.shifted(shift_m)
 
+    def take_place_as_known(self) -> FloatArray:
+        """Take the place as that of the map from now on; returns the variance (3,) that it had, which is the map's now.
+
+        What is measured against a new keyframe says nothing of the error that the keyframe shares, nor of the velocity by it.
+        """
+        covariance = self._now.covariance.copy()
+        variance = np.diagonal(covariance)[PLACE].copy()
+        covariance[PLACE, :] = covariance[:, PLACE] = 0.0
+        covariance[PLACE, PLACE] = _PLACE_M**2 * np.eye(3)
+        self._now = PredictedMotion(self._now.state, covariance)
+        return variance
+
     def update(self, predicted: PredictedMotion, place_m: FloatArray, place_covariance: FloatArray) -> None:
         """Take the place (3,) of an accepted frame, with its covariance (3, 3).
 

@@ -9,6 +9,9 @@ import numpy as np
 
 from uav_recon.types.frames import AnyArray, BoolArray, ByteArray, FloatArray
 
+# ends after this many rounds, or a step of this many pixels
+_STOP = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 10, 0.03)
+
 
 def brightness(rgb: ByteArray, widest_px: int) -> tuple[ByteArray, FloatArray]:
     """Return the brightness (h, w) of an image, and the scale of its width and height (2,).
@@ -37,9 +40,9 @@ def followed(
     A point is found if tracking it back leads to within returns_px of where it was.
     """
     follow = functools.partial(
-        cv2.calcOpticalFlowPyrLK, winSize=(window_px, window_px), maxLevel=levels, flags=cv2.OPTFLOW_USE_INITIAL_FLOW
+        cv2.calcOpticalFlowPyrLK, winSize=(window_px, window_px), flags=cv2.OPTFLOW_USE_INITIAL_FLOW, criteria=_STOP
     )
-    at_px, there, _ = follow(before, now, was_px, guess_px.copy())
-    back_px, back, _ = follow(now, before, at_px, was_px.copy())
+    at_px, there, _ = follow(before, now, was_px, guess_px.copy(), maxLevel=levels)
+    back_px, back, _ = follow(now, before, at_px, was_px.copy(), maxLevel=0)
     returns = np.linalg.norm(back_px - was_px, axis=1) <= returns_px
     return at_px, np.asarray(returns & (there[:, 0] == 1) & (back[:, 0] == 1) & inside(at_px, now, window_px), dtype=np.bool_)

@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from uav_recon.geometry.jit import kernel
-from uav_recon.localization.slam.depth_points import depth_points
+from uav_recon.localization.slam.depth_image import DepthImage, grid_points
 from uav_recon.localization.slam.optical_flow import brightness
 from uav_recon.types.camera import Frame
 from uav_recon.types.frames import AnyArray, ByteArray, FloatArray
 from uav_recon.types.pose import Pose
 
+_POINTS = 1600  # of depth that are compared with the map
 _WIDEST_PX = 640
 _NARROWEST_PX = 32
 _FARTHEST_M = 6.0
@@ -25,13 +26,14 @@ _ROUNDS = 4
 class PreparedView:
     """A frame prepared once.
 
-    ``points`` (N, 3): of depth, in the depth imager's frame. ``grey`` (h, w): brightness, None for a camera without colour;
-    ``camera`` (4,): its fx, fy, cx, cy. ``depth_from_rgb``: pose of the colour imager.
+    ``depth``: smaller. ``points`` (N, 3): of depth, in the depth imager's frame. ``grey`` (h, w): brightness, None for a camera
+    without colour; ``camera`` (4,): its fx, fy, cx, cy. ``depth_from_rgb``: pose of the colour imager.
     """
 
     def __init__(self, frame: Frame) -> None:
         self.frame = frame
-        self.points = depth_points(frame.depth_m, frame.depth_intrinsics.pinhole_px())
+        self.depth = DepthImage.of(frame)
+        self.points = grid_points(self.depth.depth_m, self.depth.camera, _POINTS)
         self.depth_from_rgb = frame.rgb_from_depth.inverse()
         self.grey: ByteArray | None = None
         self.camera = frame.rgb_intrinsics.pinhole_px()
@@ -47,22 +49,6 @@ class PreparedView:
         """
         odom_from_rgb = odom_from_depth @ self.depth_from_rgb
         return odom_from_rgb.rotation(), odom_from_rgb.translation_m
-
-    def places(self, at_px: AnyArray, odom_from_depth: Pose, motion: FloatArray, slow: FloatArray) -> FloatArray:
-        """Return the places (N, 3) in odom of pixels (N, 2) of the brightness.
-
-        NaN where depth does not show one surface. motion (6,): turn rate and velocity of the camera in
-        odom. slow (2,): delay and width of the colour image (landmarks).
-        """
-        turned = Pose.from_rotation_vector(slow[0] * motion[:3], np.zeros(3))
-        later = Pose((turned @ odom_from_depth).quat_wxyz, odom_from_depth.translation_m + slow[0] * motion[3:])
-        odom_from_rgb = later @ self.depth_from_rgb
-        there = odom_from_rgb.inverse() @ odom_from_depth
-        camera = self.camera * np.array([1.0 + slow[1], 1.0 + slow[1], 1.0, 1.0])
-        found: FloatArray = corner_places(
-            at_px, camera, self.frame.depth_m, self.frame.depth_intrinsics.pinhole_px(), there.rotation(), there.translation_m
-        )
-        return np.asarray(odom_from_rgb.apply(found), dtype=np.float64)
 
 
 @kernel

@@ -19,14 +19,15 @@ from uav_recon.localization.repeated_image import FROZEN_S, RepeatedImage
 from uav_recon.localization.slam.attitude_filter import AttitudeFilter, PredictedAttitude
 from uav_recon.localization.slam.floor_level import level_by_floor
 from uav_recon.localization.slam.gyro_alignment import JITTER_S, GyroAlignment
-from uav_recon.localization.slam.landmarks import Landmarks, LandmarkTracker, moving_imager, project
+from uav_recon.localization.slam.keyframe_map import KeyframeMap, no_keyframes
+from uav_recon.localization.slam.landmarks import Landmarks
 from uav_recon.localization.slam.motion_filter import MotionFilter, PredictedMotion
 from uav_recon.localization.slam.outside_motion import NoOutsideMotion, OutsideMotion
+from uav_recon.localization.slam.pose_graph import Measured
 from uav_recon.localization.slam.prepared_view import PreparedView
 from uav_recon.localization.slam.rest_detection import RestDetector
-from uav_recon.localization.slam.rgbd_registration import MotionPrior, Registration, register, search
+from uav_recon.localization.slam.rgbd_registration import MotionPrior, Registration, confirm, register, search
 from uav_recon.localization.slam.tracking_monitor import TrackingFault, TrackingMonitor
-from uav_recon.localization.slam.tsdf_volume import TsdfVolume
 from uav_recon.types.camera import Frame, ImuSample, Intrinsics, body_from_camera
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.pose import Pose, PoseHealth, StampedPose
@@ -61,6 +62,7 @@ _LEFT_M = 0.05  #: retreat: while more than this of a found error is not yet in 
 _SURE_AGAIN_SHARE = 0.85  #: retreat: until both are less than this share of their limits
 # a found error is taken out of the poses at this speed: faster, they would contradict the inertial samples of the autopilot
 _RELEASE_MPS = 0.1
+_UNCERTAIN_M = 0.08  # standard deviation of a place from which registration may end at a wrong one
 _SEARCHED = (TrackingFault.FIT, TrackingFault.STEP, TrackingFault.TURN)
 _SEARCH_SIGMAS = 3.0  # reach of the search, in standard deviations of the predicted place
 _LEAST_SEARCH_M = 0.05
@@ -141,7 +143,7 @@ class SlamTracker:
 
     def __init__(self, outside: OutsideMotion | None = None) -> None:
         self._outside = outside or NoOutsideMotion()
-        self.volume = TsdfVolume()
+        self.surfaces = KeyframeMap()
         self.gyro = GyroAlignment()
         self._outside.begin(self.gyro)
         self.fault: TrackingFault | None = None
@@ -149,7 +151,7 @@ class SlamTracker:
         self.step_sigma_m = 0.0
         self.moved_outside_s = -math.inf
         self._rest = RestDetector()
-        self._landmarks = LandmarkTracker()
+        self._keyframes = no_keyframes()
         self._monitor = TrackingMonitor()
         self._state: TrackedState | None = None
         self._motion = MotionFilter(Pose.identity(), np.zeros(3))
@@ -222,8 +224,7 @@ class SlamTracker:
             self.fault = TrackingFault.REPEAT
             return None
         prior = self._predict(self._state, frame.stamp_s, body_from_depth)
-        landmarks = self._follow(view, prior)
-        found = register(view, self.volume, landmarks, prior)
+        landmarks, found = self._registered(view, prior)
         if self._rests(frame.stamp_s, found, prior):
             return self._stay(view, self._state, body_from_depth)
         frozen = repeats_s > FROZEN_S
@@ -241,8 +242,23 @@ class SlamTracker:
             self._coast(self._state, prior, frame.stamp_s, body_from_depth)
             return None
         found = self._search_map(view, found, prior)
-        self._settle(view, found, prior, self._state, body_from_depth)
+        self._settle(view, landmarks, found, prior, self._state, body_from_depth)
         return self._pose(frame.stamp_s, found)
+
+    def _registered(self, view: PreparedView, prior: MotionPrior) -> tuple[Landmarks, Registration]:
+        """Return the landmarks that a view shows, and its registration.
+
+        From a place that is too uncertain, keyframes from before count only if their landmarks and depth both confirm it: alone,
+        either may fit at a wrong place.
+        """
+        motion = np.concatenate((prior.rate_radps, prior.velocity_mps))
+        variance = float((np.diagonal(prior.covariance)[3:] + prior.track_variance).max())
+        self._keyframes, landmarks = self.surfaces.near_view(view, prior.odom_from_depth, motion, self._slow, 0.0)
+        found = register(view, self._keyframes, landmarks, prior)
+        if variance <= _UNCERTAIN_M**2 or found.confirmed(len(landmarks.place_m)):
+            return landmarks, found
+        self._keyframes, landmarks = self.surfaces.near_view(view, prior.odom_from_depth, motion, self._slow, variance)
+        return landmarks, register(view, self._keyframes, landmarks, prior)
 
     def _without_frame_before(
         self,
@@ -263,7 +279,7 @@ class SlamTracker:
         self._state, self._motion, self._attitude = without.state, without.motion, without.attitude
         self._motion.accelerometer_used = kept[1].accelerometer_used
         other = self._predict(without.state, stamp_s, body_from_depth)
-        found = register(view, self.volume, landmarks, other)
+        found = register(view, self._keyframes, landmarks, other)
         fault = self._monitor.fault(found, other)
         if fault is None and found.surprise(other) < _LESS_SURPRISED_SHARE * without.surprise:
             self.fault, self._without_frame = None, None
@@ -287,7 +303,7 @@ class SlamTracker:
         predicted, turned = self._predicted, self._turned
         self.accelerometer_used = False
         without = self._predict(state, view.frame.stamp_s, body_from_depth)
-        found = register(view, self.volume, landmarks, without)
+        found = register(view, self._keyframes, landmarks, without)
         fault = self._monitor.fault(found, without)
         if fault is None:
             self.fault = None
@@ -297,12 +313,16 @@ class SlamTracker:
         return registration, prior
 
     def _search(self, view: PreparedView, registration: Registration, prior: MotionPrior) -> Registration:
-        """Return the best registration from places around the predicted one, by depth alone."""
+        """Return the best registration from places around the predicted one, by corners or by depth alone."""
         reach_m = _reach_m(prior)
         if reach_m.max() < _LEAST_SEARCH_M:
             return registration
-        other, _ = search(view, self.volume, prior, reach_m)
-        return other if other.inliers > registration.inliers * _BETTER else registration
+        recognised = self._recognise(view, registration, prior)
+        if recognised is not None:
+            return recognised
+        other, _ = search(view, self.surfaces, prior, reach_m)
+        better = other.determined and other.inliers > registration.inliers * _BETTER
+        return other if better else registration
 
     def _search_map(self, view: PreparedView, registration: Registration, prior: MotionPrior) -> Registration:
         """Search the map from before while the track is not sure.
@@ -312,8 +332,11 @@ class SlamTracker:
         self._frames += 1
         if registration.sigma_m < _UNSURE_M or self._frames % _SEARCH_EVERY:
             return registration
+        recognised = self._recognise(view, registration, prior)
+        if recognised is not None:
+            return recognised
         other, next_best = search(
-            view, self.volume, prior, _reach_m(prior), _OLD_SHARE * float(registration.track_variance.max())
+            view, self.surfaces, prior, _reach_m(prior), _OLD_SHARE * float(registration.track_variance.max())
         )
         if next_best > _ALIKE_SHARE or not other.determined:
             self._agreeing = 0
@@ -327,12 +350,23 @@ class SlamTracker:
         self._agreeing = 0
         return other
 
+    def _recognise(self, view: PreparedView, registration: Registration, prior: MotionPrior) -> Registration | None:
+        """Return the registration at a place from before that the view's corners and depth show, None if they show none."""
+        most_variance = _OLD_SHARE * registration.sigma_m**2
+        reach_m = _SEARCH_SIGMAS * registration.sigma_m
+        pose = self.surfaces.recognise(view, registration.odom_from_depth, reach_m, most_variance)
+        if pose is None:
+            return None
+        there = Pose(registration.odom_from_depth.quat_wxyz, pose.translation_m)
+        motion = np.concatenate((prior.rate_radps, prior.velocity_mps))
+        keyframes, landmarks = self.surfaces.near_view(view, there, motion, self._slow, 0.0)
+        return confirm(view, keyframes, landmarks, prior, pose.translation_m)
+
     def _coast(self, state: TrackedState, prior: MotionPrior, stamp_s: float, body_from_depth: Pose) -> None:
         """Go on by the inertial samples alone: the frame is not accepted."""
         odom_from_body = prior.odom_from_depth @ body_from_depth.inverse()
         self._motion.coast(self._predicted)
         self._attitude.coast(self._turned)
-        self._landmarks.recall()
         self._state = TrackedState(stamp_s, odom_from_body, self._motion.velocity_mps)
         brief_s = _LONG_WAY_BACK_S if self._moved_outside(stamp_s) else _BRIEF_GAP_S
         if self.fault in _VIEWLESS and stamp_s - self._accepted_s <= brief_s:
@@ -349,7 +383,7 @@ class SlamTracker:
 
         For a track that is lost beside a source of poses. odom_at: that odometry at an instant.
         """
-        self.volume, self._landmarks = TsdfVolume(), LandmarkTracker()
+        self.surfaces = KeyframeMap()
         self._state, self._fused, self._begin_at = None, None, odom_at
         self._unreleased_m, self._track_variance, self._drifted_m = np.zeros(3), np.zeros(3), 0.0
         self._without_frame = None
@@ -438,21 +472,14 @@ class SlamTracker:
         variance = float(predicted.covariance[2, 2]) + _OUTSIDE_HEADING_RAD**2
         return predicted if off_rad**2 > _HEADING_SURPRISE * variance else predicted.with_heading(off_rad, variance)
 
-    def _follow(self, view: PreparedView, prior: MotionPrior) -> Landmarks:
-        points = self._landmarks.points
-        return self._landmarks.follow(
-            view, self._projected(view, points, prior.odom_from_depth, prior.rate_radps, prior.velocity_mps)
-        )
-
-    def _projected(
-        self, view: PreparedView, points: Landmarks, odom_from_depth: Pose, rate: FloatArray, velocity: FloatArray
-    ) -> FloatArray:
-        imager = moving_imager(view, odom_from_depth, np.concatenate((rate, velocity)), self._slow)
-        out: FloatArray = project(points.place_m, imager)
-        return out
-
     def _settle(
-        self, view: PreparedView, registration: Registration, prior: MotionPrior, state: TrackedState, body_from_depth: Pose
+        self,
+        view: PreparedView,
+        landmarks: Landmarks,
+        registration: Registration,
+        prior: MotionPrior,
+        state: TrackedState,
+        body_from_depth: Pose,
     ) -> None:
         """Take an accepted frame into motion, gyro, landmarks and map."""
         stamp_s = view.frame.stamp_s
@@ -466,7 +493,10 @@ class SlamTracker:
         unseen_m = odom_from_body.translation_m - self._predicted.place_m  # error of the time without a view
         self._release(unseen_m if self._unsure else registration.shift_m, step_s)
         self._attitude.update(self._turned, odom_from_body, registration.covariance[:3, :3])
-        self._landmarks.shift(registration.shift_m, _left(registration.track_variance, prior.track_variance))
+        measured = registration.measured
+        self.surfaces.shift(
+            registration.shift_m, prior.track_variance, registration.track_variance, measured.number[measured.before]
+        )
         self._track_variance = registration.track_variance
         self.determined = _determined_share(prior.covariance[3:, 3:], registration.covariance[3:, 3:])
         velocity = self._motion.velocity_mps
@@ -477,13 +507,15 @@ class SlamTracker:
         self._slow_covariance = grown + np.diag(np.maximum(_SLOW_FLOOR**2 - np.diagonal(grown), 0.0))
         self._state = TrackedState(stamp_s, odom_from_body, velocity)
         self._accepted_s = stamp_s
-        self._accepted_frames = self._accepted_frames + 1 if self.fault is None else 0
-        self._unproven = max(self._unproven - 1, 0) if self.fault is None else self._unproven
-        if self._unproven or self.fault is TrackingFault.DEPTH:  # new landmarks would confirm a wrong place in the next frame
-            self._landmarks.recall()
-        else:
+        self._accepted_frames = 0 if self.fault is TrackingFault.DEPTH else self._accepted_frames + 1
+        # a track that has been carried on for long is uncertain, and its map says so
+        carried = self.fault is TrackingFault.LOOSE and self._accepted_frames >= _FUSION_FRAMES
+        self._unproven = max(self._unproven - 1, 0) if self.fault is None or carried else self._unproven
+        motion = np.concatenate((prior.rate_radps, velocity))
+        self.surfaces.remember(view, self._keyframes, landmarks, registration.odom_from_depth, motion, self._slow)
+        if not self._unproven and self.fault is not TrackingFault.DEPTH:
             variance = registration.variance + _PLACED_M**2
-            self._add_to_map(view, registration.odom_from_depth, np.concatenate((prior.rate_radps, velocity)), variance)
+            self._add_to_map(view, registration.odom_from_depth, motion, variance, registration.landmarks, measured)
 
     def _as_if_not(
         self, stamp_s: float, registration: Registration, prior: MotionPrior, body_from_depth: Pose
@@ -496,17 +528,35 @@ class SlamTracker:
         place = Pose(carried.quat_wxyz, carried.translation_m + registration.shift_m)
         return _WithoutFrame(TrackedState(stamp_s, place, motion.velocity_mps), motion, attitude, registration.surprise(prior))
 
-    def _add_to_map(self, view: PreparedView, odom_from_depth: Pose, motion: FloatArray, variance: FloatArray) -> None:
-        self._landmarks.settle(view, odom_from_depth, motion, self._slow, variance)
-        if self._accepted_frames >= _FUSION_FRAMES and self._has_moved(odom_from_depth):
-            self.volume.integrate(view.frame, odom_from_depth, variance)
-            self._fused = odom_from_depth
+    def _add_to_map(
+        self,
+        view: PreparedView,
+        odom_from_depth: Pose,
+        motion: FloatArray,
+        variance: FloatArray,
+        landmarks: int = 0,
+        measured: Measured | None = None,
+    ) -> None:
+        if self._accepted_frames < _FUSION_FRAMES:
+            return
+        before = self.surfaces.count
+        correction = self.surfaces.add(view, odom_from_depth, motion, self._slow, variance, landmarks, measured)
+        if self.surfaces.count > before:
+            self._track_variance = self._track_variance + self._motion.take_place_as_known()
+        if correction is not None:
+            self._correct(correction, view.frame.stamp_s)
 
-    def _has_moved(self, odom_from_depth: Pose) -> bool:
-        if self._fused is None:
-            return True
-        between = self._fused.inverse() @ odom_from_depth
-        return bool(np.linalg.norm(between.translation_m) > _FUSE_M or np.linalg.norm(between.rotation_vector()) > _FUSE_RAD)
+    def _correct(self, correction: Pose, stamp_s: float) -> None:
+        """Move the track to where the keyframes have been moved. correction: in odom."""
+        assert self._state is not None
+        state = self._state
+        moved = correction @ state.odom_from_body
+        shift_m = moved.translation_m - state.odom_from_body.translation_m
+        self._motion.shift(shift_m)
+        self._unreleased_m = self._unreleased_m - shift_m
+        turned = Pose(correction.quat_wxyz, np.zeros(3))
+        self._attitude.odom_from_body = turned @ self._attitude.odom_from_body
+        self._state = replace(state, odom_from_body=moved)
 
     def _release(self, found_m: FloatArray, step_s: float) -> None:
         """Take a found error (3,) of the place into the poses, little by little."""
@@ -576,11 +626,6 @@ def _determined_share(before: FloatArray, after: FloatArray) -> FloatArray:
     values, axes = np.linalg.eigh(before)
     whiten = (axes / np.sqrt(values)) @ axes.T
     return np.asarray(np.eye(3) - whiten @ after @ whiten)
-
-
-def _left(variance: FloatArray, before: FloatArray) -> FloatArray:
-    """Return the share (3,) of a variance that is left, at most one."""
-    return np.minimum(variance / np.maximum(before, 1e-12), 1.0)
 
 
 def _proves(registration: Registration) -> bool:

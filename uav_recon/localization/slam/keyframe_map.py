@@ -1,0 +1,388 @@
+"""Map of the tracker: keyframes, each with a depth image, the normals of its surfaces, and its pose.
+
+A frame that adds to what the keyframes show becomes one; another one makes the depths of the keyframe that it resembles more
+exact. A keyframe holds the error of its place, too: that of the camera when it was taken.
+Newcombe et al. 2011, KinectFusion, for projective data association; Kerl, Sturm and Cremers 2013, Dense Visual SLAM for RGB-D
+Cameras, for the choice of keyframes.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from uav_recon.geometry.jit import fast_kernel
+from uav_recon.localization.slam.depth_image import DepthImage, grid_points, write_normals
+from uav_recon.localization.slam.landmarks import Corners, Landmarks, moving_imager, project
+from uav_recon.localization.slam.place_recognition import Description, UnplacedView
+from uav_recon.localization.slam.pose_graph import Measured, PoseGraph
+from uav_recon.localization.slam.prepared_view import PreparedView
+from uav_recon.types.frames import AnyArray, FloatArray, IntArray
+from uav_recon.types.pose import Pose
+
+NEAREST_M = 0.1  # a point nearer to the plane of an imager is not in its image
+_FIRST_CAPACITY = 32
+_NEW_SHARE = 0.75  # a frame of which no keyframe shows more than this becomes one
+_FEW_LANDMARKS = 60  # a frame in which fewer fit becomes a keyframe, if it is apart from the newest one ...
+_MORE, _FEWEST_LANDMARKS = 1.5, 10  # ... and shows more corners than this factor of them, and this number
+_APART_M = 0.1
+_APART_RAD = np.radians(5.0)
+_FEWEST_DEPTHS = 500  # a view with fewer returns shows no surface
+_TRIED_POINTS = 100  # number that is projected into each keyframe to find what it shows
+_SEEN_M = 0.10  # difference in depth of a point that a keyframe shows, and of one metre
+_SEEN_PER_M = 0.02
+_FAR_M = 9.0  # between cameras that show the same surfaces
+_MIN_SHARE = 0.3  # of the view, which a keyframe must show to be compared with it
+_LIKE = 1  # keyframes that a frame is compared with: those that show most of it ...
+_SURE = 2  # ... and those of the rest whose places are known best
+_CANDIDATES = 12  # keyframes that show most of a view, of which the one with most of its landmarks is one more
+_CARRIED_M = 0.01  # standard deviation of what the track says of the next keyframe, beside the growth of its variance
+_CARRIED_RAD = np.radians(0.15)
+_FOUND_M = 0.005  # found error of the track after which the graph is solved
+_TINY_M2 = 1e-8
+_ALIKE_SHARE = 0.5  # of the variance of a place, which a keyframe has that shares its error
+_TRIED_KEYFRAMES = 4  # that may show a view whose place is not known, and as many of the others
+_MOST_FUSED = 20.0  # depths in a mean
+_FUSED_M = 0.02  # difference of depths that are fused, and per square metre of range
+_FUSED_PER_M2 = 0.01
+# share of the variance of a view, less than which, and by at least how much, a keyframe is known better than the view shows it
+_BETTER_SHARE = 0.25
+_ALIKE_M2 = 0.02**2
+
+
+class Keyframes(NamedTuple):
+    """Keyframes that a frame is compared with, for kernels.
+
+    number (M,): of their images in depth_m (N, H, W) and normal (N, H, W, 3). camera (M, 4): as in DepthImage. rotation
+    (M, 3, 3), place_m (M, 3): pose of the depth imager in odom. variance (M, 3): of the place, m² along the axes of odom.
+    """
+
+    number: AnyArray
+    depth_m: AnyArray
+    normal: AnyArray
+    camera: AnyArray
+    rotation: AnyArray
+    place_m: AnyArray
+    variance: AnyArray
+
+
+class KeyframeMap:
+    """The keyframes in odom. Not thread-safe. ``count``: number of keyframes."""
+
+    def __init__(self) -> None:
+        self.count = 0
+        self._all = no_keyframes()
+        self._fused = np.zeros((0, 1, 1), np.float32)
+        self._looks = np.zeros(0, np.int64)
+        self._graph = PoseGraph()
+        self._shifted_m = 0.0  # since the graph was solved
+        self._corners: list[Corners] = []
+        self._descriptions: list[Description] = []
+        self._next = 0  # keyframe that is tried next
+
+    def near(self, image: DepthImage, odom_from_depth: Pose, reach_m: float, most_variance: float) -> Keyframes:
+        """Return the keyframes to compare a depth image with.
+
+        reach_m: by which its pose may be off. most_variance: of their places, m².
+        """
+        share = self._shares(image, odom_from_depth, reach_m).sum(axis=1)
+        share[self._all.variance[: self.count].max(axis=1, initial=0.0) > most_variance] = 0.0
+        return self._chosen(self._like_and_sure(share))
+
+    def near_view(
+        self, view: PreparedView, odom_from_depth: Pose, motion: FloatArray, slow: FloatArray, variance: float
+    ) -> tuple[Keyframes, Landmarks]:
+        """Return the keyframes to compare a view with, and their landmarks that it shows. About 1 ms a keyframe.
+
+        odom_from_depth: the predicted pose. motion (6,), slow (2,): as in MovingImager. variance: keyframes whose places are
+        known better than a half of this, m², are left out.
+        """
+        share = self._shares(view.depth, odom_from_depth, 0.0).sum(axis=1)
+        share[self._all.variance[: self.count].max(axis=1, initial=0.0) < _ALIKE_SHARE * variance] = 0.0
+        imager = moving_imager(view, odom_from_depth, motion, slow)
+        shown = {number: self._corners[number].expected(self.pose(number), view, imager, slow) for number in _most(share)}
+        chosen = self._like_and_sure(share)
+        if shown:
+            best = max(shown, key=lambda number: len(shown[number].which))
+            chosen = chosen if best in chosen else np.append(chosen, best)
+        keyframes = self._chosen(chosen)
+        followed = [
+            self._corners[number].follow(view, m, self.pose(number), shown[number])
+            for m, number in enumerate(chosen.tolist())
+            if number in shown
+        ]
+        found = [Landmarks.none(), *followed]
+        return keyframes, Landmarks(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
+
+    def recognise(self, view: PreparedView, predicted: Pose, reach_m: float, most_variance: float) -> Pose | None:
+        """Return odom_from_depth of a view whose place is not known, by the corners of one keyframe, None if none fits.
+
+        predicted: its pose, off by up to reach_m. Keyframes that may show the same are tried first, and a few of the others.
+        most_variance: of their places, m². About 10 ms.
+        """
+        share = self._shares(view.depth, predicted, reach_m)[:, 0]
+        others = (self._next + np.arange(min(_TRIED_KEYFRAMES, self.count))) % max(self.count, 1)
+        self._next += _TRIED_KEYFRAMES
+        unplaced = UnplacedView(view)
+        for number in np.concatenate((_most(share, _MIN_SHARE, _TRIED_KEYFRAMES), others)).tolist():
+            if self._all.variance[number].max() <= most_variance:
+                pose = unplaced.place(self._corners[number], self._descriptions[number], self.pose(number), predicted)
+                if pose is not None:
+                    return pose
+        return None
+
+    def _like_and_sure(self, share: FloatArray) -> IntArray:
+        """Return the numbers (M,) of keyframes that show most of a view, and of those of the rest that are known best."""
+        order = _most(share, _MIN_SHARE, len(share))
+        like, rest = order[:_LIKE], order[_LIKE:]
+        sure = rest[np.argsort(self._all.variance[rest].max(axis=1, initial=0.0), kind="stable")][:_SURE]
+        return np.concatenate((like, sure))
+
+    def pose(self, number: int) -> Pose:
+        """Return odom_from_depth of a keyframe."""
+        matrix = np.eye(4)
+        matrix[:3, :3], matrix[:3, 3] = self._all.rotation[number], self._all.place_m[number]
+        return Pose.from_matrix(matrix)
+
+    def remember(
+        self,
+        view: PreparedView,
+        keyframes: Keyframes,
+        landmarks: Landmarks,
+        odom_from_depth: Pose,
+        motion: FloatArray,
+        slow: FloatArray,
+    ) -> None:
+        """Remember where an accepted view shows landmarks of keyframes. Other arguments: as of near_view()."""
+        off_px = landmarks.at_px - project(landmarks.place_m, moving_imager(view, odom_from_depth, motion, slow))
+        for m, number in enumerate(keyframes.number.tolist()):
+            of = landmarks.keyframe == m
+            self._corners[number].remember(landmarks.corner[of], off_px[of], view.frame.stamp_s)
+
+    def add(
+        self,
+        view: PreparedView,
+        odom_from_depth: Pose,
+        motion: FloatArray,
+        slow: FloatArray,
+        variance: FloatArray,
+        landmarks: int,
+        measured: Measured | None,
+    ) -> Pose | None:
+        """Take an accepted view. About 1 ms, 5 ms for a keyframe.
+
+        Returns by what the view's pose is corrected, in odom, if the keyframes were moved.
+
+        motion (6,), slow (2,): as in MovingImager. variance (3,): of the place of the camera, m² along the axes of odom. A
+        keyframe that is known much better stays as it is. landmarks: number that fit. measured: what the keyframes say of its
+        pose.
+        """
+        image = view.depth
+        if np.count_nonzero(image.depth_m) < _FEWEST_DEPTHS:
+            return None
+        share = self._shares(image, odom_from_depth, 0.0)[:, 0]
+        best = int(np.argmax(share)) if self.count else 0
+        new = not self.count or share[best] < _NEW_SHARE
+        corners = None
+        if new or (landmarks < _FEW_LANDMARKS and self._is_apart(odom_from_depth)):
+            corners = Corners.of(view, odom_from_depth, motion, slow)
+            new = new or len(corners.at_px) > _MORE * landmarks + _FEWEST_LANDMARKS
+        if new and corners is not None:
+            self._append(image, odom_from_depth, variance)
+            self._corners.append(corners)
+            self._descriptions.append(Description.of(corners.grey, corners.at_px))
+            return None if measured is None else self._connect(odom_from_depth, measured)
+        if not self._all.variance[best].max() < _BETTER_SHARE * variance.max() - _ALIKE_M2:
+            self._fuse(best, image, odom_from_depth)
+        return None
+
+    def shift(self, shift_m: FloatArray, before: FloatArray, after: FloatArray, numbers: IntArray) -> None:
+        """Move the keyframes that share a found error of the track, each by its part, until the graph is solved.
+
+        shift_m (3,): the error. before, after (3,): variance of the track without and with it. numbers: of the keyframes from
+        before that have shown it; those that are newer share it.
+        """
+        if not len(numbers):
+            return
+        newer, found = slice(int(numbers.max()) + 1, self.count), np.maximum(before - after, _TINY_M2)
+        part = np.clip((self._all.variance[newer] - after) / found, 0.0, 1.0)
+        self._all.place_m[newer] += part * shift_m
+        self._all.variance[newer] -= part**2 * found
+        self._shifted_m += float(np.linalg.norm(shift_m))
+
+    def _connect(self, odom_from_depth: Pose, measured: Measured) -> Pose | None:
+        """Add the newest keyframe to the graph, and solve it after a found error."""
+        newest = self.count - 1
+        for number, information, step in zip(measured.number.tolist(), measured.information, measured.step, strict=True):
+            shown = Pose.from_rotation_vector(step[:3], np.zeros(3)) @ Pose(odom_from_depth.quat_wxyz, np.zeros(3))
+            there = Pose(shown.quat_wxyz, odom_from_depth.translation_m + step[3:])
+            self._graph.add(number, newest, self.pose(number), there, information)
+        grown = np.maximum(self._all.variance[newest] - self._all.variance[newest - 1], 0.0) + _CARRIED_M**2
+        information = np.diag(np.concatenate((np.full(3, _CARRIED_RAD**-2), 1.0 / grown)))
+        self._graph.add(newest - 1, newest, self.pose(newest - 1), odom_from_depth, information)
+        if self._shifted_m < _FOUND_M:
+            return None
+        self._shifted_m = 0.0
+        rotation, place_m = self._graph.solve(self._all.rotation[: self.count], self._all.place_m[: self.count])
+        self._all.rotation[: self.count], self._all.place_m[: self.count] = rotation, place_m
+        self._all.variance[: self.count] = self._graph.variances(rotation)
+        return self.pose(newest) @ odom_from_depth.inverse()
+
+    def _is_apart(self, odom_from_depth: Pose) -> bool:
+        """Return True if the newest keyframe was taken from elsewhere."""
+        moved = self.pose(self.count - 1).inverse() @ odom_from_depth
+        return bool(np.linalg.norm(moved.translation_m) > _APART_M or np.linalg.norm(moved.rotation_vector()) > _APART_RAD)
+
+    def _shares(self, image: DepthImage, odom_from_depth: Pose, reach_m: float) -> FloatArray:
+        """Return the shares (N, 2) of a view that each keyframe shows, and has looked through: this contradicts it."""
+        points_m = grid_points(image.depth_m, image.camera, _TRIED_POINTS)
+        keyframes = self._chosen(np.arange(self.count))
+        found: FloatArray = shown_shares(odom_from_depth.apply(points_m), odom_from_depth.translation_m, keyframes, reach_m)
+        return found
+
+    def _chosen(self, number: IntArray) -> Keyframes:
+        every = self._all
+        return Keyframes(
+            number, every.depth_m, every.normal, every.camera[number], every.rotation[number], every.place_m[number],
+            every.variance[number],
+        )  # fmt: skip
+
+    def _append(self, image: DepthImage, odom_from_depth: Pose, variance: FloatArray) -> None:
+        if not self.count:
+            self._all, self._fused = no_keyframes(image.depth_m.shape), np.zeros((0, *image.depth_m.shape), np.float32)
+        if self.count == len(self._all.place_m):
+            self._grow()
+        n, arrays = self.count, self._all
+        rows, columns = (min(a, b) for a, b in zip(image.depth_m.shape, arrays.depth_m.shape[1:], strict=True))
+        arrays.depth_m[n, :rows, :columns] = image.depth_m[:rows, :columns]
+        arrays.camera[n], arrays.rotation[n], arrays.place_m[n] = (
+            image.camera,
+            odom_from_depth.rotation(),
+            odom_from_depth.translation_m,
+        )
+        arrays.variance[n] = variance
+        write_normals(arrays.depth_m[n], image.camera, arrays.normal[n])
+        self._fused[n] = 1.0
+        self._looks[n] = 1
+        self.count += 1
+
+    def _grow(self) -> None:
+        more = max(len(self._all.place_m), _FIRST_CAPACITY)
+        self._all = Keyframes(
+            np.zeros(0, np.int64),
+            *(np.concatenate((array, np.zeros((more, *array.shape[1:]), array.dtype))) for array in self._all[1:]),
+        )
+        self._fused = np.concatenate((self._fused, np.zeros((more, *self._fused.shape[1:]), np.float32)))
+        self._looks = np.concatenate((self._looks, np.zeros(more, np.int64)))
+
+    def _fuse(self, number: int, image: DepthImage, odom_from_depth: Pose) -> None:
+        arrays = self._all
+        rotation, place_m = odom_from_depth.rotation(), odom_from_depth.translation_m
+        turn = rotation.T @ arrays.rotation[number]
+        moved_m = rotation.T @ (arrays.place_m[number] - place_m)
+        fuse_depth(
+            arrays.depth_m[number],
+            arrays.normal[number],
+            self._fused[number],
+            arrays.camera[number],
+            turn,
+            moved_m,
+            image.depth_m,
+            image.camera,
+        )
+        self._looks[number] += 1
+        looks = int(self._looks[number])
+        if looks & (looks - 1) == 0:
+            write_normals(arrays.depth_m[number], arrays.camera[number], arrays.normal[number])
+            self._corners[number].place(DepthImage(arrays.depth_m[number], arrays.camera[number]))
+
+
+def _most(share: FloatArray, least: float = _MIN_SHARE, most: int = _CANDIDATES) -> IntArray:
+    """Return the numbers of the largest shares (N,), largest first."""
+    order = np.argsort(-share, kind="stable")[:most]
+    return np.asarray(order[share[order] >= least])
+
+
+def no_keyframes(shape: tuple[int, ...] = (1, 1)) -> Keyframes:
+    """Return no keyframes, of images of this shape."""
+    images = np.zeros((0, *shape), np.float32)
+    return Keyframes(
+        number=np.zeros(0, np.int64), depth_m=images, normal=np.zeros((0, *shape, 3), np.float32), camera=np.zeros((0, 4)),
+        rotation=np.zeros((0, 3, 3)), place_m=np.zeros((0, 3)), variance=np.zeros((0, 3)),
+    )  # fmt: skip
+
+
+@fast_kernel
+def shown_shares(points_m: AnyArray, eye_m: AnyArray, keyframes: Keyframes, reach_m: float) -> AnyArray:
+    """Return the shares (M, 2) of points (N, 3) in odom, seen from eye_m (3,), that each keyframe shows, or has looked through.
+
+    reach_m: by which the points may be off.
+    """
+    out = np.zeros((keyframes.number.shape[0], 2))
+    for m in range(keyframes.number.shape[0]):
+        turn, place_m, camera = keyframes.rotation[m], keyframes.place_m[m], keyframes.camera[m]
+        depth_m, normal = keyframes.depth_m[keyframes.number[m]], keyframes.normal[keyframes.number[m]]
+        apart2 = (place_m[0] - eye_m[0]) ** 2 + (place_m[1] - eye_m[1]) ** 2 + (place_m[2] - eye_m[2]) ** 2
+        if apart2 > _FAR_M * _FAR_M:
+            continue
+        for n in range(points_m.shape[0]):
+            x, y, z = points_m[n, 0] - place_m[0], points_m[n, 1] - place_m[1], points_m[n, 2] - place_m[2]
+            deep = turn[0, 2] * x + turn[1, 2] * y + turn[2, 2] * z
+            if deep < NEAREST_M:
+                continue
+            u = int(np.floor((turn[0, 0] * x + turn[1, 0] * y + turn[2, 0] * z) / deep * camera[0] + camera[2] + 0.5))
+            v = int(np.floor((turn[0, 1] * x + turn[1, 1] * y + turn[2, 1] * z) / deep * camera[1] + camera[3] + 0.5))
+            if not (0 <= v < depth_m.shape[0] and 0 <= u < depth_m.shape[1]):
+                continue
+            seen, facing = float(depth_m[v, u]), 0.0  # not the other side of a thin wall
+            for a in range(3):
+                along = turn[a, 0] * normal[v, u, 0] + turn[a, 1] * normal[v, u, 1] + turn[a, 2] * normal[v, u, 2]
+                facing += along * (eye_m[a] - points_m[n, a])
+            near_m = _SEEN_M + reach_m + _SEEN_PER_M * seen
+            if facing >= 0.0 and seen > 0.0 and abs(seen - deep) < near_m:
+                out[m, 0] += 1.0 / points_m.shape[0]
+            elif seen - deep >= near_m:
+                out[m, 1] += 1.0 / points_m.shape[0]
+    return out
+
+
+@fast_kernel
+def fuse_depth(
+    depth_m: AnyArray,
+    normal: AnyArray,
+    fused: AnyArray,
+    camera: AnyArray,
+    turn: AnyArray,
+    moved_m: AnyArray,
+    other_m: AnyArray,
+    other: AnyArray,
+) -> None:
+    """Take another depth image into that of a keyframe, where both show the same surface.
+
+    normal (H, W, 3): of the keyframe. fused (H, W): number of depths in each mean. camera (4,), other (4,): of keyframe and
+    image. turn (3, 3), moved_m (3,): pose of the keyframe in the frame of the image.
+    """
+    for v in range(depth_m.shape[0]):
+        for u in range(depth_m.shape[1]):
+            z = float(depth_m[v, u])
+            if z <= 0.0:
+                continue
+            x, y = (u - camera[2]) / camera[0] * z, (v - camera[3]) / camera[1] * z
+            deep = turn[2, 0] * x + turn[2, 1] * y + turn[2, 2] * z + moved_m[2]
+            if deep < NEAREST_M:
+                continue
+            across = turn[0, 0] * x + turn[0, 1] * y + turn[0, 2] * z + moved_m[0]
+            down = turn[1, 0] * x + turn[1, 1] * y + turn[1, 2] * z + moved_m[1]
+            i = int(np.floor(across / deep * other[0] + other[2] + 0.5))
+            j = int(np.floor(down / deep * other[1] + other[3] + 0.5))
+            if not (0 <= j < other_m.shape[0] and 0 <= i < other_m.shape[1]):
+                continue
+            seen, facing = float(other_m[j, i]), 0.0  # not the other side of a thin wall
+            for a in range(3):
+                sight = turn[a, 0] * normal[v, u, 0] + turn[a, 1] * normal[v, u, 1] + turn[a, 2] * normal[v, u, 2]
+                facing -= sight * (across if a == 0 else down if a == 1 else deep)
+            if facing >= 0.0 and seen > 0.0 and abs(seen - deep) < _FUSED_M + _FUSED_PER_M2 * z * z:
+                number = fused[v, u]
+                depth_m[v, u] = z + (seen - deep) / (number + 1.0)
+                fused[v, u] = min(number + 1.0, _MOST_FUSED)
