@@ -103,6 +103,10 @@ def _false_wall(sequence: RgbdSequence, frames: Frames, rng: np.random.Generator
     return depth_mm, sequence.rgb
 
 
+def _black(sequence: RgbdSequence, frames: Frames, rng: np.random.Generator) -> tuple[U16, U8]:
+    return sequence.depth_mm, np.zeros_like(sequence.rgb)
+
+
 def _toned(sequence: RgbdSequence, gain: float, offset: float, noise: float, rng: np.random.Generator) -> tuple[U16, U8]:
     out = np.empty_like(sequence.rgb)
     for n, image in enumerate(sequence.rgb):
@@ -146,6 +150,7 @@ def _blurred(sequence: RgbdSequence, frames: Frames, rng: np.random.Generator) -
 
 
 FAULTS: dict[str, SequenceFault] = {
+    "black": SequenceFault(alter=_black),
     "dark": SequenceFault(alter=_dark),
     "low-contrast": SequenceFault(alter=_low_contrast),
     "blur": SequenceFault(alter=_blurred),

@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 AUTOPILOTS = ("px4", "ardupilot")
 TRACKERS = ("joint", "open3d")
-SEQUENCE_FAULTS = ("dark", "low-contrast", "blur", "fast-yaw", "glass", "covered", "frozen", "false-wall")
+SEQUENCE_FAULTS = ("black", "dark", "low-contrast", "blur", "fast-yaw", "glass", "covered", "frozen", "false-wall")
 DEVICES = ("auto", "cpu", "cuda")
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from sitl.bench.slam import slam_tables, tracking_run
+from sitl.bench.slam import recording_bench, slam_tables, tracking_run
 from sitl.bench.slam.frame_trackers import METHODS
 from sitl.bench.slam.tracking_metrics import TrackingFigures, figures_of
 from uav_recon.app.option_validation import UsageError, require_writable_file, require_writable_folder
@@ -33,6 +33,7 @@ SEEDS = (1, 100)
 PATHS = (1, 100)
 LENGTH_M = (2.0, 200.0)
 MOUNTS = ("fixed:15", "gimbal")
+GYROS = ("none", "reference")
 BUILT_IN = "built-in"  # as a --scene beside others
 
 Result = dict[str, Any]
@@ -52,6 +53,20 @@ class SlamBench:
     methods: tuple[str, ...]
     cache: Path | None
     json: Path | None
+    recordings: tuple[Path, ...] = ()
+    intrinsics: str | None = None
+    gyro: str = "none"
+
+    def check_recordings(self) -> None:
+        """Raise UserError with one line for options that do not suit recordings."""
+        require_writable_file("--json", self.json)
+        for method in self.methods:
+            _require_word("--method", method, tuple(METHODS))
+        _require_word("--gyro", self.gyro, GYROS)
+        if self.scenes:
+            raise UsageError("--scene and --recording: want one of them")
+        if self.fault not in (None, recording_bench.BLACK):
+            raise UsageError(f"--fault {self.fault}: want {recording_bench.BLACK} with --recording")
 
     def sequences(self) -> list[SequenceOptions]:
         """Return the options of all sequences. Raises UserError with one line for bad input."""
@@ -61,6 +76,8 @@ class SlamBench:
 
         require_writable_file("--json", self.json)
         require_writable_folder("--cache", self.cache)
+        if self.intrinsics is not None or self.gyro != GYROS[0]:
+            raise UsageError("--intrinsics and --gyro: want --recording")
         _require_between("--seeds", self.seeds, SEEDS)
         _require_between("--paths", self.paths, PATHS)
         if not LENGTH_M[0] <= self.length_m <= LENGTH_M[1]:
@@ -87,6 +104,11 @@ def bench_slam(wanted: SlamBench) -> int:
     """Record, track, print tables, write JSON. Raises UserError with one line for bad input."""
     from sitl.apps.sweep_case import one_thread
 
+    if wanted.recordings:
+        wanted.check_recordings()
+        one_thread()
+        cv2.setNumThreads(1)
+        return _bench_recordings(wanted)
     sequences = wanted.sequences()
     one_thread()  # before Open3D is loaded, which counts its threads then
     cv2.setNumThreads(1)
@@ -100,6 +122,32 @@ def bench_slam(wanted: SlamBench) -> int:
     slam_tables.show(Console(width=None if sys.stdout.isatty() else PRINTED_WIDTH), result)
     if wanted.json is not None:
         result_file.save(wanted.json, result)
+    return 0
+
+
+def _bench_recordings(wanted: SlamBench) -> int:
+    from uav_recon.app.replay import read_options
+    from uav_recon.sensors.recordings.bag_messages import BagTopics
+
+    console = Console(stderr=True)
+    machine_speed = measure_machine_speed()
+    k = read_options(tracking_run.DEPTH_RANGE_M, wanted.intrinsics, BagTopics()).k
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    rows = []
+    with Progress(*columns, console=console, transient=True, auto_refresh=False) as progress:
+        for folder in wanted.recordings:
+            sequence = recording_bench.RecordedSequence.of(folder, k, gyro=wanted.gyro == GYROS[1])
+            for method in wanted.methods:
+                with _bar(progress, f"{sequence.name}: {method}") as report:
+                    run = recording_bench.track(METHODS[method](), sequence, black=wanted.fault is not None, report=report)
+                row = {"recording": sequence.name, "method": method, "gyro": wanted.gyro, "fault": wanted.fault}
+                rows.append(row | recording_bench.figures(run, sequence))
+    factor = math.sqrt(machine_speed.cpu_slowdown * measure_machine_speed().cpu_slowdown)
+    about = {"calibration_cpu": factor, "machine": host_info.processor(), "commit": host_info.commit()}
+    slam_tables.show_recordings(Console(width=None if sys.stdout.isatty() else PRINTED_WIDTH), rows, about)
+    if wanted.json is not None:
+        by_name = {method: {row["recording"]: row for row in rows if row["method"] == method} for method in _methods(rows)}
+        result_file.save(wanted.json, {"summary": by_name, "recordings": rows, "about": about})
     return 0
 
 

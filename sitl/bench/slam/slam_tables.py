@@ -27,6 +27,30 @@ def show(console: Console, result: Result) -> None:
         console.print(_reactions(result["summary"]))
 
 
+def show_recordings(console: Console, rows: list[Result], about: Result) -> None:
+    """Print a row for each recording and method."""
+    console.print(
+        f"commit {about['commit']}, {about['machine']}, processor time of all threads, its processor "
+        f"{about['calibration_cpu']:.2f} times as slow as the reference machine.", highlight=False,
+    )  # fmt: skip
+    made = any(row["gyro"] == "reference" for row in rows)
+    title = "against the reference poses; RPE over 1 s; lost: without a pose for more than 0.1 s, after the first one"
+    table = narrow_table(
+        title + ("; GYRO MADE FROM THE REFERENCE" if made else ""), "recording", "method", *(name for name, *_ in _RECORDED)
+    )
+    for row in rows:
+        values = (_figure(row[key], digits, 1.0) for _, key, digits in _RECORDED)
+        table.add_row(row["recording"][-24:], row["method"] + (" (black)" if row["fault"] else ""), *values)
+    console.print(table)
+
+
+_RECORDED = (
+    ("path, m", "length_m", 1), ("ATE, cm", "ate_cm", 2), ("max", "ate_max_cm", 1), ("RPE, cm", "rpe_cm", 2),
+    ("scale", "scale", 3), ("start, s", "first_pose_s", 2), ("lost, s", "lost_s", 2), ("ms", "median_ms", 1),
+    ("p95", "p95_ms", 1),
+)  # fmt: skip
+
+
 def header(about: Result) -> str:
     """Return the conditions of the measurement as text."""
     fault = "no fault" if about["fault"] is None else f"fault {about['fault']}"

@@ -63,7 +63,7 @@ def run(
         took_s.append(time.process_time() - began_s)
         before = upto[number]
         report(number + 1, len(sequence.stamp_s))
-    return _tracking_run(sequence.stamp_s, answers, took_s)
+    return tracking_run(sequence.stamp_s, answers, took_s)
 
 
 class SequenceFrames:
@@ -86,7 +86,8 @@ class SequenceFrames:
         return Frame(float(s.stamp_s[number]), number, depth_m, self._depth, s.rgb[number], self._rgb, self._rgb_from_depth)
 
 
-def _tracking_run(stamp_s: FloatArray, answers: list[StampedPose | None], took_s: list[float]) -> TrackingRun:
+def tracking_run(stamp_s: FloatArray, answers: list[StampedPose | None], took_s: list[float]) -> TrackingRun:
+    """Return the run of answers to frames with stamps (N,)."""
     count = len(answers)
     poses, pose_stamp_s = np.full((count, 4, 4), np.nan), np.full(count, np.nan)
     quality = np.zeros(count, np.int64)

@@ -67,7 +67,7 @@ def _equations(
     information, gradient = np.zeros((SIZE, SIZE)), np.zeros(SIZE)
     fitting = add_landmark_equations(
         places, slope, texture, at_px.astype(np.float32), _imager(TURN.rotation(), EYE_M, TURN.translation_m, slow), change,
-        information, gradient, np.zeros((3, 3)),
+        1.0, information, gradient, np.zeros((3, 3)),
     )  # fmt: skip
     return information, gradient, fitting
 

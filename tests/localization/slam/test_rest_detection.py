@@ -79,8 +79,8 @@ def test_the_rest_after_a_motion_counts() -> None:
 def test_without_inertial_samples_the_body_is_level_after_a_while() -> None:
     rest = RestDetector()
     assert rest.level(5.0) is None
-    assert rest.level(6.4) is None
-    level = rest.level(6.5)
+    assert rest.level(5.2) is None
+    level = rest.level(5.3)
     assert level is not None
     np.testing.assert_array_equal(level.rotation(), np.eye(3))
 

@@ -116,6 +116,17 @@ def test_some_wrong_landmarks_do_little() -> None:
     assert _error(found)[0] < 0.01
 
 
+def test_landmarks_alone_bring_back_a_turn_that_was_not_predicted() -> None:
+    """A hand turns the camera at once by 4 degrees, and no gyro tells: the landmarks are 10 pixels off, all together."""
+    view, landmarks = _map()[1], _followed(HERE)
+    blind = PreparedView(replace(view.frame, depth_m=np.full_like(view.frame.depth_m, np.nan)))
+    start = _off(HERE, np.zeros(3), np.array([0.0, 0.0, math.radians(4.0)]))
+    prior = _prior(start, place_m=0.01, turn_rad=math.radians(0.3))
+    found = register(blind, TsdfVolume(), landmarks, replace(prior, turn_sigma_rad=math.radians(3.0)))
+    assert found.landmarks > 0.7 * len(landmarks.place_m)
+    assert _error(found)[1] < math.radians(1.5)
+
+
 def _bare_wall() -> tuple[TsdfVolume, PreparedView, Pose]:
     """A wall 1.5 m ahead that fills the image."""
     pose, volume = Pose.identity(), TsdfVolume()

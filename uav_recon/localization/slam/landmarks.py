@@ -28,7 +28,7 @@ _LEVELS = 2
 _RETURNS_PX = 0.7  # a corner followed there and back again must return to this distance
 _NEAREST_M = 0.25
 _SIGMA_PX = 1.0
-_ROBUST_PX = 2.0
+ROBUST_PX = 2.0  # scale of the robust weight
 # eigenvalue of a corner's weaker direction against the stronger one, up to which it is an edge, and from which on a corner
 _EDGE_SHARE = 0.15
 _CORNER_SHARE = 0.5
@@ -223,6 +223,7 @@ def add_landmark_equations(
     at_px: AnyArray,
     imager: MovingImager,
     change: AnyArray,
+    wider: float,
     information: AnyArray,
     gradient: AnyArray,
     shown: AnyArray,
@@ -230,8 +231,9 @@ def add_landmark_equations(
     """Add the normal equations (SIZE) of landmarks that the image shows at at_px (N, 2).
 
     place_m (N, 3), slope (N, 3, 2), texture (N, 2, 2): of Landmarks; change (2,): of ``slow`` since the places were right.
-    shown (3, 3): information on the translation that the landmarks would give if each were a perfect corner. The first six
-    elements are those of add_depth_equations. Returns the number of landmarks that fit.
+    wider: factor on the scale of the robust weight. shown (3, 3): information on the translation that the landmarks would give
+    if each were a perfect corner. The first six elements are those of add_depth_equations. Returns the number of landmarks that
+    fit.
     """
     fitting, expected, columns = 0, np.empty(2), np.empty((2, SIZE))
     for n in range(place_m.shape[0]):
@@ -248,9 +250,9 @@ def add_landmark_equations(
         off0, off1 = at_px[n, 0] - expected[0], at_px[n, 1] - expected[1]
         t00, t01, t11 = texture[n, 0, 0], texture[n, 0, 1], texture[n, 1, 1]
         shown0, shown1 = t00 * off0 + t01 * off1, t01 * off0 + t11 * off1
-        square = (off0 * shown0 + off1 * shown1) / (_ROBUST_PX * _ROBUST_PX)
+        square = (off0 * shown0 + off1 * shown1) / (ROBUST_PX * ROBUST_PX)
         fitting += int(square < 1.0)
-        shrink = 1.0 / (1.0 + square)
+        shrink = 1.0 / (1.0 + square / (wider * wider))
         w = shrink * shrink / (_SIGMA_PX * _SIGMA_PX)
         for a in range(SIZE):
             gradient[a] += w * (columns[0, a] * shown0 + columns[1, a] * shown1)

@@ -19,7 +19,7 @@ _STILL_S = 0.3  #: internal: time over which the rest on the pad is measured
 _STILL_RADPS = 0.02
 #: internal: a larger standard deviation of the specific force also ends the rest on the pad: the motors run
 _STILL_MPS2 = 0.3
-_WITHOUT_S = 1.5  #: refuse: without inertial samples for this time, the body is taken as level
+_WITHOUT_S = 0.25  #: refuse: without inertial samples for this time, the body is taken as level
 _MAX_SPREAD_RADPS = 0.05  #: refuse: a larger standard deviation of the turn rate is no rest
 _MAX_RATE_RADPS = 0.1  #: refuse: nor a larger mean
 _MAX_GRAVITY_ERROR_MPS2 = 1.0  #: refuse: nor a specific force that differs more from gravity

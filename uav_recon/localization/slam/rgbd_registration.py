@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from uav_recon.localization.slam.depth_points import add_depth_equations
-from uav_recon.localization.slam.landmarks import SIZE, Landmarks, MovingImager, add_landmark_equations
+from uav_recon.localization.slam.landmarks import ROBUST_PX, SIZE, Landmarks, MovingImager, add_landmark_equations
 from uav_recon.localization.slam.prepared_view import PreparedView
 from uav_recon.localization.slam.tsdf_volume import TsdfVolume
 from uav_recon.types.frames import FloatArray
@@ -27,7 +27,7 @@ _SEARCH_STARTS = 4  # of a search, those that fit best
 _APART_M = 0.1  # between places that are not the same
 _STILL_M = 2e-4
 _STILL_RAD = 1e-4
-_WIDER = (4.0, 2.0, 1.0)  # scale of the robust weight of depth in the first rounds: a far start must be pulled, too
+_WIDER = (4.0, 2.0, 1.0)  # scale of the robust weight in the first rounds: a far start must be pulled, too
 _DEPTH_SHARE = 0.3  # weight of a depth point: the errors of neighbours are alike
 # shares of known points on known surfaces below which depth says nothing, and above which it counts in full
 _UNFIT = 0.55
@@ -209,6 +209,8 @@ def _converge(
     known = inliers = fitting = 0
     match, depth_sigma_m = 0.0, math.inf
     whole, track, surfaces = np.eye(_SHIFT.stop), prior.track_variance, prior.track_variance
+    # that of landmarks is wider where the turn is not known: without a gyro
+    turned_px = max(prior.turn_sigma_rad * float(view.camera[0]) / ROBUST_PX, 1.0)
     rounds = _ROUNDS + _FAR_ROUNDS if far else _ROUNDS
     for number in range(rounds):
         wide = _WIDER[0] if number < rounds - _ROUNDS else _WIDER[min(number - rounds + _ROUNDS, len(_WIDER) - 1)]
@@ -228,7 +230,7 @@ def _converge(
         )  # fmt: skip
         fitting = add_landmark_equations(
             landmarks.place_m + shifted_m, landmarks.slope, landmarks.texture, landmarks.at_px, imager, slow - prior.slow,
-            tracked, pull, shown,
+            min(wide, turned_px), tracked, pull, shown,
         )  # fmt: skip
         _leave_edges(tracked, pull, shown)
         track = _track_variance(np.diagonal(tracked)[_PLACE], landmarks, np.diagonal(predicted)[_PLACE], prior.track_variance)

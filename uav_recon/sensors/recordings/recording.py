@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 import math
 from collections.abc import Callable, Iterator
@@ -195,6 +196,27 @@ def read_rgb(path: Path) -> AnyArray:
 def pinhole(numbers: Pinhole, shape: tuple[int, ...]) -> Intrinsics:
     """Return the intrinsics fx, fy, cx, cy of an image of this shape (H, W, ...)."""
     return Intrinsics(*numbers, width=shape[1], height=shape[0])
+
+
+def undistorted(image: AnyArray, k: Pinhole, distortion: tuple[float, ...], interpolation: int) -> AnyArray:
+    """Return an image without lens distortion, with the same intrinsics; zero where it shows nothing.
+
+    distortion: k1, k2, p1, p2, k3 of OpenCV. interpolation: 0 = nearest pixel, 1 = linear.
+    """
+    import cv2
+
+    height, width = image.shape[:2]
+    maps = _undistortion(k, distortion, width, height)
+    return np.asarray(cv2.remap(image, *maps, interpolation=interpolation))
+
+
+@functools.lru_cache(maxsize=4)
+def _undistortion(k: Pinhole, distortion: tuple[float, ...], width: int, height: int) -> tuple[AnyArray, AnyArray]:
+    import cv2
+
+    matrix = np.array([[k[0], 0.0, k[2]], [0.0, k[1], k[3]], [0.0, 0.0, 1.0]])
+    maps = cv2.initUndistortRectifyMap(matrix, np.array(distortion), None, matrix, (width, height), cv2.CV_32FC1)
+    return maps[0], maps[1]
 
 
 def _image(path: Path, fits: Callable[[AnyArray], bool], wanted: str, *, colour: bool) -> AnyArray:

@@ -32,6 +32,9 @@ RATE_HZ = 30.0
 INTRINSICS = "camera-intrinsics.txt"
 #: internal: fx, fy, cx, cy of the 7-Scenes camera, as its authors give them
 DEFAULT_K = (585.0, 585.0, 320.0, 240.0)
+# the colour camera of 7-Scenes, which its authors did not calibrate: fx, fy, cx, cy of a Kinect, and where it is beside depth
+COLOUR_K = (525.0, 525.0, 319.5, 239.5)
+RGB_FROM_DEPTH = Pose(np.array([1.0, 0.0, 0.0, 0.0]), np.array([-0.025, 0.0, 0.0]))
 _NO_ROTATION_SHARE = 0.01  #: reject: a pose whose matrix is farther from a rotation, for example all zero or not a number
 
 
@@ -64,11 +67,13 @@ class SevenScenesFolder:
         for number, path in zip(self._numbers[::step], self._depth[::step], strict=True):
             depth, rgb = read_depth(path), read_rgb(self._colour_of(path))
             lens = pinhole(self._k, depth.shape)
-            scale = rgb.shape[1] / depth.shape[1]  # registered: the same view at another resolution
-            fx, fy, cx, cy = self._k
+            scale = rgb.shape[1] / depth.shape[1]
+            raw = self._k == DEFAULT_K  # else colour is registered: the same view at another resolution
+            fx, fy, cx, cy = COLOUR_K if raw else self._k
+            moved = RGB_FROM_DEPTH if raw else Pose.identity()
             rgb_k = (fx * scale, fy * scale, (cx + 0.5) * scale - 0.5, (cy + 0.5) * scale - 0.5)
             stamp_s = number / RATE_HZ
-            yield Frame(stamp_s, number, self._unit.metres(depth), lens, rgb, pinhole(rgb_k, rgb.shape), Pose.identity())
+            yield Frame(stamp_s, number, self._unit.metres(depth), lens, rgb, pinhole(rgb_k, rgb.shape), moved)
 
     def poses(self) -> list[StampedPose]:
         """Return the poses of the frames that have one, as poses of the body."""

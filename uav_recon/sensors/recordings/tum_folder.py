@@ -23,6 +23,7 @@ from uav_recon.sensors.recordings.recording import (
     read_depth,
     read_rgb,
     require_increasing,
+    undistorted,
 )
 from uav_recon.types.camera import Frame, ImuSample
 from uav_recon.types.frames import FloatArray
@@ -33,18 +34,27 @@ PAIR_S = 0.02  #: reject: a depth image whose nearest colour image is farther aw
 _NO_TURN_SHARE = 1e-6  #: reject: a pose whose quaternion is shorter has no direction
 #: internal: fx, fy, cx, cy that the benchmark names for depth registered by its driver (no distortion)
 DEFAULT_K = (525.0, 525.0, 319.5, 239.5)
+# the benchmark's calibrations of its colour cameras, by a part of the folder's name: fx, fy, cx, cy; k1, k2, p1, p2, k3
+CALIBRATIONS: dict[str, tuple[Pinhole, tuple[float, ...]]] = {
+    "freiburg1": ((517.3, 516.5, 318.6, 255.3), (0.2624, -0.9531, -0.0054, 0.0026, 1.1633)),
+    "freiburg2": ((520.9, 521.0, 325.1, 249.7), (0.2312, -0.7849, -0.0033, -0.0001, 0.9172)),
+    "freiburg3": ((535.4, 539.2, 320.1, 247.6), ()),
+}
 
 
 class TumFolder:
     """Recording protocol over a TUM folder.
 
-    k: fx, fy, cx, cy; None = camera-intrinsics.txt in the folder, or the benchmark's default. Raises RecordingError.
+    k: fx, fy, cx, cy; None = camera-intrinsics.txt in the folder, or the benchmark's calibration of the camera that the folder
+    is named after, or its default. Both images are freed of a distortion that is known. Raises RecordingError.
     """
 
     def __init__(self, folder: Path, depth_min_m: float, depth_max_m: float, k: Pinhole | None) -> None:
         self._folder = folder
         self._unit = DepthUnit.of(1.0 / UNITS_PER_M, depth_min_m, depth_max_m)
-        self._k = k or _intrinsics_file(folder) or DEFAULT_K
+        own = k or _intrinsics_file(folder)
+        known = next((found for name, found in CALIBRATIONS.items() if name in folder.resolve().name), (DEFAULT_K, ()))
+        self._k, self._distortion = (own, ()) if own else known
         lists = _list(folder / "depth.txt"), _list(folder / "rgb.txt")
         depth, rgb = ([one for one in entries if (folder / one[1]).is_file()] for entries in lists)
         missing = sum(map(len, lists)) - len(depth) - len(rgb)
@@ -63,6 +73,8 @@ class TumFolder:
         """Yield every step-th depth image that has a colour image. Raises RecordingError."""
         for number, (stamp_s, depth_file, rgb_file) in list(enumerate(self._pairs))[::step]:
             depth, rgb = read_depth(self._folder / depth_file), read_rgb(self._folder / rgb_file)
+            if self._distortion:
+                depth, rgb = undistorted(depth, self._k, self._distortion, 0), undistorted(rgb, self._k, self._distortion, 1)
             lens = pinhole(self._k, depth.shape)
             yield Frame(stamp_s, number, self._unit.metres(depth), lens, rgb, pinhole(self._k, rgb.shape), Pose.identity())
 
