@@ -199,9 +199,9 @@ def pinhole(numbers: Pinhole, shape: tuple[int, ...]) -> Intrinsics:
 
 
 def undistorted(image: AnyArray, k: Pinhole, distortion: tuple[float, ...], interpolation: int) -> AnyArray:
-    """Return an image without lens distortion, with the same intrinsics; zero where it shows nothing.
+    """Return an image without lens distortion, with the same intrinsics.
 
-    distortion: k1, k2, p1, p2, k3 of OpenCV. interpolation: 0 = nearest pixel, 1 = linear.
+    Zero where it shows nothing. distortion: k1, k2, p1, p2, k3 of OpenCV. interpolation: 0 = nearest pixel, 1 = linear.
     """
     import cv2
 
