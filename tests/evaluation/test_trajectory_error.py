@@ -12,6 +12,8 @@ from uav_recon.evaluation.trajectory_error import (
     position_errors_m,
     relative_errors,
     rotation_angles_rad,
+    scale_of,
+    timed_errors_m,
     trajectory_error,
 )
 from uav_recon.types.frames import FloatArray
@@ -158,3 +160,23 @@ def test_two_poses_cannot_be_aligned() -> None:
         aligned(np.zeros((2, 3)), np.zeros((2, 3)))
     with pytest.raises(ValueError, match="got"):
         aligned(np.zeros((4, 3)), np.zeros((5, 3)))
+
+
+@given(seed=SEEDS, scale=st.floats(0.5, 2.0))
+def test_the_scale_of_a_moved_and_stretched_walk_is_found(seed: int, scale: float) -> None:
+    rng = np.random.default_rng(seed)
+    true = walk(rng, 60)[:, :3, 3]
+    moved = random_pose(rng)
+    assert scale_of(true @ moved[:3, :3].T / scale + moved[:3, 3], true) == pytest.approx(scale, rel=1e-6)
+
+
+def test_errors_over_a_time_are_those_of_the_relative_poses() -> None:
+    """A trajectory that is one per cent too long, sampled at uneven times; the pairs are those nearest to the time."""
+    stamp_s = np.array([0.0, 0.1, 0.2, 0.31, 0.4, 0.5, 0.6, 1.3])
+    true = np.tile(np.eye(4), (len(stamp_s), 1, 1))
+    true[:, 0, 3] = 2.0 * stamp_s
+    estimate = true.copy()
+    estimate[:, 0, 3] *= 1.01
+    expected = [0.02 * step for step in (0.31, 0.3, 0.3, 0.29)]
+    np.testing.assert_allclose(timed_errors_m(estimate, true, stamp_s, 0.3), expected, atol=1e-12)
+    assert not len(timed_errors_m(estimate, true, stamp_s, 5.0))

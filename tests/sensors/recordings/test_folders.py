@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from recording_folders import K, depth_mm, rgb, world_from_optical, write_seven_scenes, write_tum
@@ -19,6 +20,8 @@ from uav_recon.sensors.recordings.recording import (
     RecordingError,
     require_increasing,
 )
+from uav_recon.sensors.recordings.seven_scenes_folder import DEFAULT_K, SevenScenesFolder
+from uav_recon.sensors.recordings.tum_folder import CALIBRATIONS, TumFolder
 from uav_recon.types.pose import Pose
 
 
@@ -217,3 +220,37 @@ def test_what_the_system_refuses_is_one_line(tmp_path: Path, monkeypatch: pytest
 
     monkeypatch.setattr(Path, "open", refused)
     assert one_line(tmp_path / "b.mcap") == f"{tmp_path / 'b.mcap'}: cannot be read (Permission denied)"
+
+
+def test_the_camera_of_a_tum_folder_is_known_by_its_name_and_its_distortion_taken_out(tmp_path: Path) -> None:
+    """Straight lines of the room are bent in the image by the lens; they are straight in the frame."""
+    folder = tmp_path / "rgbd_dataset_freiburg1_desk"
+    write_tum(folder, 1)
+    (fx, fy, cx, cy), distortion = CALIBRATIONS["freiburg1"]
+    matrix = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+    across = np.column_stack((np.linspace(-0.4, 0.4, 60), np.full(60, -0.3), np.ones(60)))
+    bent, _ = cv2.projectPoints(across, np.zeros(3), np.zeros(3), matrix, np.array(distortion))
+    image, depth = np.zeros((480, 640, 3), np.uint8), np.full((480, 640), 10000, np.uint16)
+    cv2.polylines(image, [np.rint(bent).astype(np.int32)], False, (255, 255, 255), 2)
+    for file, content in zip([*folder.glob("rgb/*.png"), *folder.glob("depth/*.png")], (image, depth), strict=True):
+        cv2.imwrite(str(file), content)
+    frame = next(TumFolder(folder, 0.3, 6.0, None).frames())
+    assert (frame.depth_intrinsics.fx, frame.rgb_intrinsics.cy) == (fx, cy)
+    row, column = np.nonzero(frame.rgb[..., 0] > 128)
+    inside = (column > cx - 0.3 * fx) & (column < cx + 0.3 * fx)
+    assert inside.sum() > 200
+    np.testing.assert_allclose(row[inside], cy - 0.3 * fy, atol=2.0)
+    assert np.abs(bent[:, 0, 1] - (cy - 0.3 * fy)).max() > 2.0, "the image is bent by more"
+    own = next(TumFolder(folder, 0.3, 6.0, K).frames())
+    assert own.depth_intrinsics.fx == K[0], "what the user says counts"
+
+
+def test_the_colour_of_seven_scenes_is_that_of_another_camera(tmp_path: Path) -> None:
+    """Its depth camera is named by its authors, its colour camera is a Kinect's; other folders hold registered colour."""
+    write_seven_scenes(tmp_path, 1)
+    registered = next(SevenScenesFolder(tmp_path, 0.3, 6.0, None).frames())
+    assert registered.rgb_intrinsics.fx == K[0]
+    np.testing.assert_array_equal(registered.rgb_from_depth.translation_m, np.zeros(3))
+    raw = next(SevenScenesFolder(tmp_path, 0.3, 6.0, DEFAULT_K).frames())
+    assert (raw.depth_intrinsics.fx, raw.rgb_intrinsics.fx) == (585.0, 525.0)
+    np.testing.assert_allclose(raw.rgb_from_depth.translation_m, [-0.025, 0.0, 0.0])

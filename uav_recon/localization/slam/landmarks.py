@@ -34,7 +34,7 @@ _LEVELS = 2
 _RETURNS_PX = 0.7  # a corner followed there and back again must return to this distance
 _NEAREST_M = 0.25
 _SIGMA_PX = 1.0
-_ROBUST_PX = 2.0
+ROBUST_PX = 2.0  # scale of the robust weight
 # eigenvalue of a corner's weaker direction against the stronger one, up to which it is an edge, and from which on a corner
 _EDGE_SHARE = 0.15
 _CORNER_SHARE = 0.5
@@ -282,7 +282,7 @@ def add_landmark_equations(
         off0, off1 = at_px[n, 0] - expected[0], at_px[n, 1] - expected[1]
         t00, t01, t11 = texture[n, 0, 0], texture[n, 0, 1], texture[n, 1, 1]
         shown0, shown1 = t00 * off0 + t01 * off1, t01 * off0 + t11 * off1
-        square = (off0 * shown0 + off1 * shown1) / (_ROBUST_PX * _ROBUST_PX)
+        square = (off0 * shown0 + off1 * shown1) / (ROBUST_PX * ROBUST_PX)
         fitting += int(square < 1.0)
         shrink = 1.0 / (1.0 + square / (wider * wider))
         k, w = keyframe[n], weight * shrink * shrink / (_SIGMA_PX * _SIGMA_PX)

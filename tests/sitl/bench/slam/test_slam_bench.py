@@ -155,7 +155,7 @@ def test_summary_is_median_and_worst() -> None:
         ("--paths 101", "--paths 101: want 1 to 100"),
         ("--length 1", "--length 1: want 2 to 200 m"),
         ("--mount fixed:30", "--mount fixed:30: want one of fixed:15, gimbal"),
-        ("--fault fog", "--fault fog: want one of dark, low-contrast,"),
+        ("--fault fog", "--fault fog: want one of black, dark, low-contrast,"),
         ("--method orb", "--method orb: want one of joint, open3d"),
         ("--camera-errors 3", "--camera-errors 3: want none, default or a factor of 0 to 2"),
         ("--scene /nowhere", "/nowhere: no such scene"),
