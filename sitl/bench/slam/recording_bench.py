@@ -89,8 +89,7 @@ class RecordedSequence:
         """
         if not len(self.reference_s):
             return np.full((len(stamp_s), 4, 4), np.nan), np.full(len(stamp_s), math.inf)
-        after = np.clip(np.searchsorted(self.reference_s, stamp_s), 1, max(len(self.reference_s) - 1, 1))
-        after = np.minimum(after, len(self.reference_s) - 1)
+        after = np.minimum(np.searchsorted(self.reference_s, stamp_s), len(self.reference_s) - 1)
         before = np.maximum(after - 1, 0)
         closer = stamp_s - self.reference_s[before] < self.reference_s[after] - stamp_s
         at = np.where(closer, before, after)
