@@ -1,8 +1,8 @@
-"""`uav-recon bench slam --recording`: trackers on real recordings, against their reference poses.
+"""`uav-recon bench slam --recording`: trackers on real recordings.
 
-Errors by the conventions of evo (github.com/MichaelGrupp/evo): poses and references are paired if their stamps differ by at
-most 0.01 s; ATE is the root mean square after rigid alignment; RPE the same of the relative translations over 1 s. Nothing of
-the recording is changed, but where an option says so.
+They are compared with the reference poses of the recordings, by the conventions of evo (github.com/MichaelGrupp/evo): poses and
+references are paired if their stamps differ by at most 0.01 s; ATE is the root mean square after rigid alignment, RPE that of
+the relative translations over 1 s. Nothing of the recording is changed, but where an option says so.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ class RecordedSequence:
         if gyro and len(stamp_s) < MIN_POSES:
             raise UsageError(f"--gyro reference: {folder} has {len(stamp_s)} reference poses")
         imu = reference_gyro(stamp_s, reference) if gyro else imu
-        return RecordedSequence(folder.resolve().name, recording, stamp_s, reference, imu)
+        return RecordedSequence(folder.name or folder.resolve().name, recording, stamp_s, reference, imu)
 
     def frames(self, *, black: bool) -> Iterator[Frame]:
         """Yield the frames. black: their colour is. Raises UsageError."""
@@ -83,11 +83,13 @@ class RecordedSequence:
             raise UsageError(f"--recording {error}") from None
 
     def nearest(self, stamp_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the nearest reference pose (N, 4, 4) to each stamp (N,), and how far away it is in time (N,), s."""
+        """Return the nearest reference pose (N, 4, 4) to each stamp (N,).
+
+        With how far away it is in time (N,), s.
+        """
         if not len(self.reference_s):
             return np.full((len(stamp_s), 4, 4), np.nan), np.full(len(stamp_s), math.inf)
-        after = np.clip(np.searchsorted(self.reference_s, stamp_s), 1, max(len(self.reference_s) - 1, 1))
-        after = np.minimum(after, len(self.reference_s) - 1)
+        after = np.minimum(np.searchsorted(self.reference_s, stamp_s), len(self.reference_s) - 1)
         before = np.maximum(after - 1, 0)
         closer = stamp_s - self.reference_s[before] < self.reference_s[after] - stamp_s
         at = np.where(closer, before, after)
@@ -95,7 +97,10 @@ class RecordedSequence:
 
 
 def reference_gyro(stamp_s: FloatArray, reference: FloatArray, seed: int = 0) -> list[ImuSample]:
-    """Return samples of a gyro with bias and noise that turns as reference poses (T, 4, 4) do; without specific force."""
+    """Return samples of a gyro that turns as reference poses (T, 4, 4) do.
+
+    It has bias and noise; the specific force is not measured.
+    """
     turn = Slerp(stamp_s, Rotation.from_matrix(reference[:, :3, :3]))
     at_s = np.arange(stamp_s[0] + GYRO_SPAN_S / 2, stamp_s[-1] - GYRO_SPAN_S / 2, 1.0 / GYRO_HZ)
     moved = turn(at_s - GYRO_SPAN_S / 2).inv() * turn(at_s + GYRO_SPAN_S / 2)
@@ -112,7 +117,10 @@ def track(
     black: bool = False,
     report: Callable[[int, int], None] = lambda done, total: None,
 ) -> TrackingRun:
-    """Track a recording, as fast as the machine allows. report(done, total) is called after each frame."""
+    """Track a recording, as fast as the machine allows.
+
+    report(done, total) is called after each frame.
+    """
     stamps_s: list[float] = []
     answers: list[StampedPose | None] = []
     took_s: list[float] = []

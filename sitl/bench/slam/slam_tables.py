@@ -40,7 +40,7 @@ def show_recordings(console: Console, rows: list[Result], about: Result) -> None
     )
     for row in rows:
         values = (_figure(row[key], digits, 1.0) for _, key, digits in _RECORDED)
-        table.add_row(row["recording"][-24:], row["method"] + (" (black)" if row["fault"] else ""), *values)
+        table.add_row(row["recording"][-18:], row["method"] + (" (black)" if row["fault"] else ""), *values)
     console.print(table)
 
 

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from slam_flight import (
     BODY_FROM_DEPTH,
+    GYRO_BIAS_RADPS,
     RATE_HZ,
     REST_S,
     SECONDS,
@@ -275,6 +276,16 @@ def test_without_inertial_samples_the_images_carry_the_pose() -> None:
     assert poses[0].stamp_s == pytest.approx(0.25, abs=0.1)  # the body is taken as level after this time
     assert len(_poses(answers, 0.4)) > 0.95 * (8.0 - 0.4) * RATE_HZ
     assert _worst_m(poses) < 0.15
+
+
+def test_an_inertial_sensor_that_starts_after_the_camera_still_levels_the_body() -> None:
+    """Its first samples come 0.5 s after the first frame, at rest: the start without them is forgotten."""
+    tracker = SlamTracker()
+    late = tuple(sample for sample in imu() if sample.stamp_s > 0.5)
+    answers = fly(tracker, frames(4.0), samples=late)
+    np.testing.assert_allclose(tracker.gyro.bias_radps, GYRO_BIAS_RADPS, atol=0.002)
+    assert _poses(answers, 0.0)[0].stamp_s == pytest.approx(0.25, abs=0.1)
+    assert _worst_m(_poses(answers, 1.1)) < 0.06
 
 
 def test_without_colour_depth_carries_the_pose_as_far_as_it_determines_it() -> None:

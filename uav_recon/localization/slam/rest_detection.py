@@ -40,6 +40,11 @@ class RestDetector:
         while self._samples and self._samples[-1].stamp_s - self._samples[0].stamp_s > _KEPT_S:
             self._samples.popleft()
 
+    @property
+    def measured(self) -> bool:
+        """True if there are inertial samples."""
+        return bool(self._samples)
+
     def still(self, stamp_s: float) -> bool:
         """Return True while the newest inertial samples are those of a body with its motors off."""
         newest = [sample for sample in self._samples if sample.stamp_s > stamp_s - _STILL_S]

@@ -39,6 +39,7 @@ _FUSE_M = 0.05  # a frame is fused after this motion
 _FUSE_RAD = math.radians(3.0)
 # a body that rests has moved if this much of a view says so
 _REST_M = 0.01
+_LATE_SENSOR_S = 3.0  # after a start without inertial samples, in which the first ones may come and the body be levelled again
 _SEEN_POINTS = 200
 _SEEN_LANDMARKS = 15
 _AT_REST = 1e-4**2 * np.eye(3)
@@ -161,6 +162,7 @@ class SlamTracker:
         self._fused: Pose | None = None
         self._begin_at: OdomAt | None = None
         self._without_frame: _WithoutFrame | None = None  # the newest accepted one
+        self._level_assumed_s = -math.inf  # start without inertial samples
         self._accepted_frames = 0
         self._launched = self._unsure = False
         self._sure_s = -math.inf
@@ -214,7 +216,7 @@ class SlamTracker:
     def track(self, frame: Frame, body_from_depth: Pose) -> StampedPose | None:
         """Return the body's pose at what the frame shows; None if it is not known."""
         view = PreparedView(frame)
-        if self._state is None:
+        if self._state is None or self._starts_again(self._state, frame.stamp_s):
             return self._start(view, body_from_depth)
         if not frame.stamp_s > self._state.stamp_s:
             self.fault = TrackingFault.STAMP
@@ -408,6 +410,8 @@ class SlamTracker:
         level = self._rest.level(view.frame.stamp_s)
         if level is None:
             return None
+        self._level_assumed_s = -math.inf if self._rest.measured else view.frame.stamp_s
+        self.surfaces, self._launched = KeyframeMap(), False
         level = level_by_floor(view.frame, level, body_from_depth)
         self.gyro.rest(self._rest.gyro_bias_radps)
         self._state = TrackedState(view.frame.stamp_s, level, np.zeros(3))
@@ -416,6 +420,15 @@ class SlamTracker:
         self._accepted_frames = _FUSION_FRAMES
         self._add_to_map(view, level @ body_from_depth, np.zeros(6), np.zeros(3))
         return self._stamped(view.frame.stamp_s)
+
+    def _starts_again(self, state: TrackedState, stamp_s: float) -> bool:
+        """Return True if the first inertial samples show the rest after a start without them.
+
+        An inertial sensor may start later than the camera; the body was taken as level until then.
+        """
+        moved_m = float(np.linalg.norm(state.odom_from_body.translation_m))
+        late = 0.0 < stamp_s - self._level_assumed_s < _LATE_SENSOR_S and self._rest.measured
+        return late and moved_m < _REST_M and self._rest.level(stamp_s) is not None
 
     def _rests(self, stamp_s: float, registration: Registration, prior: MotionPrior) -> bool:
         """Return True until inertial samples or images show that the body has moved once."""

@@ -198,16 +198,17 @@ def pinhole(numbers: Pinhole, shape: tuple[int, ...]) -> Intrinsics:
     return Intrinsics(*numbers, width=shape[1], height=shape[0])
 
 
-def undistorted(image: AnyArray, k: Pinhole, distortion: tuple[float, ...], interpolation: int) -> AnyArray:
-    """Return an image without lens distortion, with the same intrinsics; zero where it shows nothing.
+def undistorted(image: AnyArray, k: Pinhole, distortion: tuple[float, ...]) -> AnyArray:
+    """Return an image without lens distortion, with the same intrinsics.
 
-    distortion: k1, k2, p1, p2, k3 of OpenCV. interpolation: 0 = nearest pixel, 1 = linear.
+    Zero where it shows nothing. distortion: k1, k2, p1, p2, k3 of OpenCV. A depth is that of the nearest pixel: the mean of two
+    surfaces is none.
     """
     import cv2
 
     height, width = image.shape[:2]
     maps = _undistortion(k, distortion, width, height)
-    return np.asarray(cv2.remap(image, *maps, interpolation=interpolation))
+    return np.asarray(cv2.remap(image, *maps, cv2.INTER_NEAREST if image.dtype == np.uint16 else cv2.INTER_LINEAR))
 
 
 @functools.lru_cache(maxsize=4)

@@ -74,7 +74,7 @@ class TumFolder:
         for number, (stamp_s, depth_file, rgb_file) in list(enumerate(self._pairs))[::step]:
             depth, rgb = read_depth(self._folder / depth_file), read_rgb(self._folder / rgb_file)
             if self._distortion:
-                depth, rgb = undistorted(depth, self._k, self._distortion, 0), undistorted(rgb, self._k, self._distortion, 1)
+                depth, rgb = (undistorted(image, self._k, self._distortion) for image in (depth, rgb))
             lens = pinhole(self._k, depth.shape)
             yield Frame(stamp_s, number, self._unit.metres(depth), lens, rgb, pinhole(self._k, rgb.shape), Pose.identity())
 
