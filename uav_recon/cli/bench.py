@@ -291,14 +291,14 @@ def bench_slam(
     ] = "none",
     json: JsonOption = None,
 ) -> None:  # fmt: skip
-    """Benchmark the embedded SLAM on rendered sequences with true poses, or on recordings with reference poses.
+    """Benchmark the embedded SLAM on rendered sequences, or on recordings.
 
-    With --recording: absolute trajectory error (ATE) and relative pose error over 1 s (RPE) by the conventions of evo, time
-    without a pose, and processor time of a frame. Without it, a simulated vehicle rests for 2 s, climbs and flies a random
-    path; its camera has the errors of a real one. Reported: absolute trajectory error (ATE) after rigid alignment, drift over 2
-    m of path, rotation error, processor time of a frame, share of lost frames, and share of frames that are reported good with
-    an error above 0.3 m. With a fault that comes in windows: the times until it is reported and until the pose is back.
-    Recording takes half a minute a sequence.
+    The poses are compared with the true ones, or with the reference of the recording. With --recording: absolute trajectory
+    error (ATE) and relative pose error over 1 s (RPE) by the conventions of evo, time without a pose, and processor time of a
+    frame. Without it, a simulated vehicle rests for 2 s, climbs and flies a random path; its camera has the errors of a real
+    one. Reported: ATE after rigid alignment, drift over 2 m of path, rotation error, processor time of a frame, share of lost
+    frames, and share of frames that are reported good with an error above 0.3 m. With a fault that comes in windows: the times
+    until it is reported and until the pose is back. Recording takes half a minute a sequence.
     """
     from sitl.bench.slam import slam_bench
 

@@ -58,22 +58,26 @@ def aligned(estimate_m: FloatArray, truth_m: FloatArray) -> Pose:
 
 
 def scale_of(estimate_m: FloatArray, truth_m: FloatArray) -> float:
-    """Return the factor by which positions (N, 3) must grow to fit the true ones best: Umeyama 1991, equation 42."""
+    """Return the factor by which positions (N, 3) must grow to fit the true ones best.
+
+    Umeyama 1991, equation 42.
+    """
     rotation = aligned(estimate_m, truth_m).rotation()
     estimate_m, truth_m = estimate_m - estimate_m.mean(axis=0), truth_m - truth_m.mean(axis=0)
     return float((truth_m * (estimate_m @ rotation.T)).sum() / max(float((estimate_m**2).sum()), 1e-12))
 
 
 def timed_errors_m(odom_from_body: FloatArray, world_from_body: FloatArray, stamp_s: FloatArray, span_s: float) -> FloatArray:
-    """Return the errors (K,) of the relative translation over a time, of each pose and the nearest one that much later.
+    """Return the errors (K,) of the relative translation over a time.
 
-    stamp_s (N,): of the poses, ascending. Pairs that differ from the time by more than a tenth are left out.
+    A pair is each pose and the nearest one that much later. stamp_s (N,): of the poses, ascending. Pairs that differ from the
+    time by more than half a usual step are left out.
     """
     ends: IntArray = np.searchsorted(stamp_s, stamp_s + span_s)
     before = np.clip(ends - 1, 0, len(stamp_s) - 1)
     ends = np.clip(ends, 0, len(stamp_s) - 1)
     ends = np.where(np.abs(stamp_s[before] - stamp_s - span_s) < np.abs(stamp_s[ends] - stamp_s - span_s), before, ends)
-    starts = np.flatnonzero(np.abs(stamp_s[ends] - stamp_s - span_s) <= 0.1 * span_s)
+    starts = np.flatnonzero(np.abs(stamp_s[ends] - stamp_s - span_s) <= 0.51 * float(np.median(np.diff(stamp_s))))
     ends = ends[starts]
     moved = _inverse(odom_from_body[starts]) @ odom_from_body[ends]
     truly = _inverse(world_from_body[starts]) @ world_from_body[ends]

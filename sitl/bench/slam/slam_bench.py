@@ -146,7 +146,8 @@ def _bench_recordings(wanted: SlamBench) -> int:
     about = {"calibration_cpu": factor, "machine": host_info.processor(), "commit": host_info.commit()}
     slam_tables.show_recordings(Console(width=None if sys.stdout.isatty() else PRINTED_WIDTH), rows, about)
     if wanted.json is not None:
-        result_file.save(wanted.json, {"recordings": rows, "about": about})
+        by_name = {method: {row["recording"]: row for row in rows if row["method"] == method} for method in _methods(rows)}
+        result_file.save(wanted.json, {"summary": by_name, "recordings": rows, "about": about})
     return 0
 
 
