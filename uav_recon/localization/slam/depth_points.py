@@ -15,11 +15,6 @@ _PER_M2 = 0.003
 _ROBUST_SIGMAS = 2.0  # scale of the robust weight
 _ROBUST_M = 0.02  # its minimum
 _INLIER_M = 0.08  # a residual below it is that of the same surface
-# a surface is placed worse than what the camera is otherwise compared with if its variance is larger by this factor, and this
-_WORSE = 1.5
-_ALIKE_M2 = 0.01**2
-_ALIKE_POINTS = 100.0  # points whose surfaces have the same error of place
-_FACING_COS = 0.3  # of a normal to an axis: with less, noise of the normal says more about the axis than the surface does
 _MOST_DEEP_M = 0.6  # along the axis: a point farther behind a surface is hidden by it, in whatever direction that faces
 
 
@@ -29,18 +24,14 @@ def add_depth_equations(
     rotation: AnyArray,
     place_m: AnyArray,
     keyframes: Keyframes,
-    known_variance: AnyArray,
     share: float,
     wider: float,
     information: AnyArray,
     gradient: AnyArray,
-    shown: AnyArray,
 ) -> tuple[int, int]:
     """Add the normal equations of points (N, 3) against the surfaces of keyframes.
 
-    rotation (3, 3), place_m (3,): pose of the depth imager in odom. known_variance (3,): of what the camera is otherwise
-    compared with; a surface whose place has a larger error counts less. shown (M, 3): information of each keyframe along each
-    axis that its surfaces face.
+    rotation (3, 3), place_m (3,): pose of the depth imager in odom.
 
     information (M, >= 6, >= 6) and gradient (M, >= 6): of a small rotation in odom axes about the camera and of its
     translation, in units of standard deviations, from each keyframe. share: weight of one point, since the errors of neighbours
@@ -66,11 +57,7 @@ def add_depth_equations(
             nx, ny, nz = normal[m, 0], normal[m, 1], normal[m, 2]
             row[0], row[1], row[2] = y * nz - z * ny, z * nx - x * nz, x * ny - y * nx
             row[3], row[4], row[5] = nx, ny, nz
-            placed = sigma_m * sigma_m + _ALIKE_POINTS * _worse(row[3:], keyframes.variance[k], known_variance)
-            w = share / found * shrink * shrink / placed
-            for a in range(3):
-                if abs(row[3 + a]) > _FACING_COS:
-                    shown[k, a] += w * row[3 + a] * row[3 + a]
+            w = share / found * shrink * shrink / (sigma_m * sigma_m)
             for a in range(6):
                 gradient[k, a] -= w * row[a] * off_m[m]
                 for b in range(6):
@@ -137,12 +124,3 @@ def _poses_in(keyframes: Keyframes, rotation: AnyArray, place_m: AnyArray) -> tu
                 for b in range(3):
                     turn[m, a, b] += keyframes.rotation[m, c, a] * rotation[c, b]
     return turn, moved_m
-
-
-@kernel
-def _worse(normal: AnyArray, variance: AnyArray, known_variance: AnyArray) -> float:
-    """Return by how much a variance (3,), along a normal (3,), exceeds what is known."""
-    worse = 0.0
-    for a in range(3):
-        worse += normal[a] * normal[a] * max(variance[a] - _WORSE * known_variance[a] - _ALIKE_M2, 0.0)
-    return worse

@@ -16,9 +16,8 @@ from uav_recon.geometry.jit import fast_kernel
 from uav_recon.localization.slam.depth_image import DepthImage, grid_points, write_normals
 from uav_recon.localization.slam.landmarks import Corners, Landmarks, moving_imager, project
 from uav_recon.localization.slam.place_recognition import Description, UnplacedView
-from uav_recon.localization.slam.pose_graph import Measured, PoseGraph
 from uav_recon.localization.slam.prepared_view import PreparedView
-from uav_recon.types.frames import AnyArray, FloatArray, IntArray
+from uav_recon.types.frames import AnyArray, BoolArray, FloatArray, IntArray
 from uav_recon.types.pose import Pose
 
 NEAREST_M = 0.1  # a point nearer to the plane of an imager is not in its image
@@ -37,11 +36,6 @@ _MIN_SHARE = 0.3  # of the view, which a keyframe must show to be compared with 
 _LIKE = 1  # keyframes that a frame is compared with: those that show most of it ...
 _SURE = 2  # ... and those of the rest whose places are known best
 _CANDIDATES = 12  # keyframes that show most of a view, of which the one with most of its landmarks is one more
-_CARRIED_M = 0.01  # standard deviation of what the track says of the next keyframe, beside the growth of its variance
-_CARRIED_RAD = np.radians(0.15)
-_FOUND_M = 0.005  # found error of the track after which the graph is solved
-_TINY_M2 = 1e-8
-_ALIKE_SHARE = 0.5  # of the variance of a place, which a keyframe has that shares its error
 _TRIED_KEYFRAMES = 4  # that may show a view whose place is not known, and as many of the others
 _MOST_FUSED = 20.0  # depths in a mean
 _FUSED_M = 0.02  # difference of depths that are fused, and per square metre of range
@@ -75,8 +69,6 @@ class KeyframeMap:
         self._all = no_keyframes()
         self._fused = np.zeros((0, 1, 1), np.float32)
         self._looks = np.zeros(0, np.int64)
-        self._graph = PoseGraph()
-        self._shifted_m = 0.0  # since the graph was solved
         self._corners: list[Corners] = []
         self._descriptions: list[Description] = []
         self._next = 0  # keyframe that is tried next
@@ -91,15 +83,15 @@ class KeyframeMap:
         return self._chosen(self._like_and_sure(share))
 
     def near_view(
-        self, view: PreparedView, odom_from_depth: Pose, motion: FloatArray, slow: FloatArray, variance: float
+        self, view: PreparedView, odom_from_depth: Pose, motion: FloatArray, slow: FloatArray, left_out: BoolArray
     ) -> tuple[Keyframes, Landmarks]:
         """Return the keyframes to compare a view with, and their landmarks that it shows. About 1 ms a keyframe.
 
-        odom_from_depth: the predicted pose. motion (6,), slow (2,): as in MovingImager. variance: keyframes whose places are
-        known better than a half of this, m², are left out.
+        odom_from_depth: the predicted pose. motion (6,), slow (2,): as in MovingImager. left_out (N,): keyframes that do not
+        count.
         """
         share = self._shares(view.depth, odom_from_depth, 0.0).sum(axis=1)
-        share[self._all.variance[: self.count].max(axis=1, initial=0.0) < _ALIKE_SHARE * variance] = 0.0
+        share[left_out] = 0.0
         imager = moving_imager(view, odom_from_depth, motion, slow)
         shown = {number: self._corners[number].expected(self.pose(number), view, imager, slow) for number in _most(share)}
         chosen = self._like_and_sure(share)
@@ -168,19 +160,15 @@ class KeyframeMap:
         slow: FloatArray,
         variance: FloatArray,
         landmarks: int,
-        measured: Measured | None,
-    ) -> Pose | None:
-        """Take an accepted view. About 1 ms, 5 ms for a keyframe.
-
-        Returns by what the view's pose is corrected, in odom, if the keyframes were moved.
+    ) -> bool:
+        """Take an accepted view. Return True if it has become a keyframe. About 1 ms, 5 ms for a keyframe.
 
         motion (6,), slow (2,): as in MovingImager. variance (3,): of the place of the camera, m² along the axes of odom. A
-        keyframe that is known much better stays as it is. landmarks: number that fit. measured: what the keyframes say of its
-        pose.
+        keyframe that is known much better stays as it is. landmarks: number that fit.
         """
         image = view.depth
         if np.count_nonzero(image.depth_m) < _FEWEST_DEPTHS:
-            return None
+            return False
         share = self._shares(image, odom_from_depth, 0.0)[:, 0]
         best = int(np.argmax(share)) if self.count else 0
         new = not self.count or share[best] < _NEW_SHARE
@@ -192,42 +180,20 @@ class KeyframeMap:
             self._append(image, odom_from_depth, variance)
             self._corners.append(corners)
             self._descriptions.append(Description.of(corners.grey, corners.at_px))
-            return None if measured is None else self._connect(odom_from_depth, measured)
+            return True
         if not self._all.variance[best].max() < _BETTER_SHARE * variance.max() - _ALIKE_M2:
             self._fuse(best, image, odom_from_depth)
-        return None
+        return False
 
-    def shift(self, shift_m: FloatArray, before: FloatArray, after: FloatArray, numbers: IntArray) -> None:
-        """Move the keyframes that share a found error of the track, each by its part, until the graph is solved.
+    def move(self, moved_m: FloatArray, variance: FloatArray) -> None:
+        """Correct the places of the keyframes by (N, 3); variance (N, 3): what they have then."""
+        self._all.place_m[: self.count] += moved_m
+        self._all.variance[: self.count] = variance
 
-        shift_m (3,): the error. before, after (3,): variance of the track without and with it. numbers: of the keyframes from
-        before that have shown it; those that are newer share it.
-        """
-        if not len(numbers):
-            return
-        newer, found = slice(int(numbers.max()) + 1, self.count), np.maximum(before - after, _TINY_M2)
-        part = np.clip((self._all.variance[newer] - after) / found, 0.0, 1.0)
-        self._all.place_m[newer] += part * shift_m
-        self._all.variance[newer] -= part**2 * found
-        self._shifted_m += float(np.linalg.norm(shift_m))
-
-    def _connect(self, odom_from_depth: Pose, measured: Measured) -> Pose | None:
-        """Add the newest keyframe to the graph, and solve it after a found error."""
-        newest = self.count - 1
-        for number, information, step in zip(measured.number.tolist(), measured.information, measured.step, strict=True):
-            shown = Pose.from_rotation_vector(step[:3], np.zeros(3)) @ Pose(odom_from_depth.quat_wxyz, np.zeros(3))
-            there = Pose(shown.quat_wxyz, odom_from_depth.translation_m + step[3:])
-            self._graph.add(number, newest, self.pose(number), there, information)
-        grown = np.maximum(self._all.variance[newest] - self._all.variance[newest - 1], 0.0) + _CARRIED_M**2
-        information = np.diag(np.concatenate((np.full(3, _CARRIED_RAD**-2), 1.0 / grown)))
-        self._graph.add(newest - 1, newest, self.pose(newest - 1), odom_from_depth, information)
-        if self._shifted_m < _FOUND_M:
-            return None
-        self._shifted_m = 0.0
-        rotation, place_m = self._graph.solve(self._all.rotation[: self.count], self._all.place_m[: self.count])
-        self._all.rotation[: self.count], self._all.place_m[: self.count] = rotation, place_m
-        self._all.variance[: self.count] = self._graph.variances(rotation)
-        return self.pose(newest) @ odom_from_depth.inverse()
+    def keep(self, count: int) -> None:
+        """Forget all but the first keyframes."""
+        self.count = count
+        del self._corners[count:], self._descriptions[count:]
 
     def _is_apart(self, odom_from_depth: Pose) -> bool:
         """Return True if the newest keyframe was taken from elsewhere."""

@@ -9,13 +9,14 @@ contradict is left out.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from uav_recon.localization.flow.measured_motion import MeasuredMotion
 from uav_recon.localization.fusion.imu_integration import GRAVITY_MPS2, InertialState, conjugate
-from uav_recon.types.frames import FloatArray
+from uav_recon.localization.slam.place_errors import PlaceErrors
+from uav_recon.types.frames import FloatArray, IntArray
 from uav_recon.types.pose import Pose
 
 PLACE = slice(0, 3)
@@ -48,11 +49,12 @@ _GRAVITY = np.array([0.0, 0.0, -GRAVITY_MPS2])
 class PredictedMotion:
     """Place and velocity in odom at a later frame.
 
-    state (12,): of MotionFilter; covariance (12, 12).
+    state (12,): of MotionFilter; covariance (12, 12). transition (12, 12): of its errors since the newest frame.
     """
 
     state: FloatArray
     covariance: FloatArray
+    transition: FloatArray
 
     @property
     def place_m(self) -> FloatArray:
@@ -68,7 +70,7 @@ class PredictedMotion:
         """Return the motion of a place farther by this shift (3,)."""
         state = self.state.copy()
         state[PLACE] += shift_m
-        return PredictedMotion(state, self.covariance)
+        return replace(self, state=state)
 
     @property
     def place_covariance(self) -> FloatArray:
@@ -82,40 +84,47 @@ class MotionFilter:
     State (12,): place (m), velocity (m/s), bias (m/s², body axes), tilt (m/s², odom axes).
 
     odom_from_body: pose at rest. offset_mps2 (3,): what the accelerometer measures there beside gravity, body axes.
-    ``accelerometer_used``: False once the images have contradicted the accelerometer; a comparison over a longer
-    time sets it again.
+    ``errors``: joint covariance with the places of the keyframes. ``accelerometer_used``: False once the images have
+    contradicted the accelerometer; a comparison over a longer time sets it again.
     """
 
     def __init__(self, odom_from_body: Pose, offset_mps2: FloatArray) -> None:
         offsets, covariance = _offsets_at_rest(odom_from_body.rotation(), offset_mps2)
-        self._now = _resting(odom_from_body.translation_m, offsets, covariance)
+        self._state, resting = _resting(odom_from_body.translation_m, offsets, covariance)
+        self.errors = PlaceErrors.start(resting)
         self._mean_surprise = 0.0
         self.accelerometer_used = True
 
     @property
     def now(self) -> PredictedMotion:
         """The motion at the newest frame."""
-        return self._now
+        return PredictedMotion(self._state, self.errors.body, np.eye(_SIZE))
+
+    @property
+    def now_against_lag(self) -> PredictedMotion:
+        """The motion at the newest frame, with the uncertainty of its place against that one or two seconds before."""
+        return replace(self.now, covariance=self.errors.against_lag())
 
     @property
     def velocity_mps(self) -> FloatArray:
         """Velocity (3,) in odom."""
-        return self._now.velocity_mps
+        return self._state[VELOCITY]
 
     def begin(self, place_m: FloatArray, velocity_mps: FloatArray) -> None:
         """Begin again at a place (3,) with a velocity (3,), in another map.
 
         The bias of the accelerometer stays known.
         """
-        offsets, covariance = np.concatenate((self._now.state[BIAS], np.zeros(3))), np.zeros((6, 6))
-        covariance[:3, :3], covariance[3:, 3:] = self._now.covariance[BIAS, BIAS], np.diag(_TILT_VARIANCE)
-        began = _resting(place_m, offsets, covariance)
-        began.state[VELOCITY] = velocity_mps
-        self._now = began
+        offsets, covariance = np.concatenate((self._state[BIAS], np.zeros(3))), np.zeros((6, 6))
+        covariance[:3, :3], covariance[3:, 3:] = self.errors.body[BIAS, BIAS], np.diag(_TILT_VARIANCE)
+        self._state, began = _resting(place_m, offsets, covariance)
+        self._state[VELOCITY] = velocity_mps
+        self.errors = PlaceErrors.start(began)
 
     def rest(self) -> None:
         """Set the velocity to zero: the body rests."""
-        self._now = _resting(self._now.place_m, self._now.state[OFFSETS], self._now.covariance[OFFSETS, OFFSETS])
+        self._state, resting = _resting(self._state[PLACE], self._state[OFFSETS], self.errors.body[OFFSETS, OFFSETS])
+        self.errors = self.errors.at_rest(resting)
 
     def predict(
         self,
@@ -131,50 +140,49 @@ class MotionFilter:
         """
         if track is not None and not _flyable(track, step_s):
             self.accelerometer_used = False
-        state, transition, noise = _propagated(self._now, step_s, odom_from_body, track if self.accelerometer_used else None)
+        now = self.now
+        state, transition, noise = _propagated(now, step_s, odom_from_body, track if self.accelerometer_used else None)
         noise[PLACE, PLACE] += _STEP_M**2 * np.eye(3)
         noise[BIAS, BIAS] += _BIAS_WALK**2 * step_s * np.eye(3)
         noise[TILT, TILT] += _TILT_WALK**2 * step_s * np.eye(3)
-        covariance = transition @ self._now.covariance @ transition.T + noise
+        covariance = transition @ now.covariance @ transition.T + noise
         if measured is not None:
             stepped = transition[PLACE] - np.eye(_SIZE)[PLACE]
-            of_step = stepped @ self._now.covariance @ stepped.T + noise[PLACE, PLACE]
-            cross = transition @ self._now.covariance @ stepped.T + noise[:, PLACE]
-            off_m = measured.displacement_odom_m - (state[PLACE] - self._now.place_m)
-            _take_step(state, covariance, off_m, of_step, cross, measured.covariance_m2)
-        return PredictedMotion(state, covariance)
+            of_step = stepped @ now.covariance @ stepped.T + noise[PLACE, PLACE]
+            cross = transition @ now.covariance @ stepped.T + noise[:, PLACE]
+            off_m = measured.displacement_odom_m - (state[PLACE] - now.place_m)
+            gain = _take_step(state, covariance, off_m, of_step, cross, measured.covariance_m2)
+            transition = transition - gain @ stepped
+        return PredictedMotion(state, covariance, transition)
+
+    def predicted_errors(self, predicted: PredictedMotion) -> PlaceErrors:
+        """Return the joint covariance at a predicted motion."""
+        return self.errors.predicted(predicted.covariance, predicted.transition)
+
+    def add_keyframe(self, placed_m: float) -> None:
+        """Add a keyframe at the place of now. placed_m: as in PlaceErrors.with_keyframe()."""
+        self.errors = self.errors.with_keyframe(placed_m)
+
+    def mark_lag(self) -> None:
+        """Take the place of now as the next one against which the track is measured."""
+        self.errors = self.errors.with_lag()
 
     def coast(self, predicted: PredictedMotion) -> None:
         """Take the predicted motion: the frame was not accepted."""
-        self._now = predicted
+        self.errors, self._state = self.predicted_errors(predicted), predicted.state
 
-    def shift(self, shift_m: FloatArray) -> None:
-        """Move the place by the error (3,) of the track that has been found."""
-        self._now = self._now.shifted(shift_m)
+    def update(self, predicted: PredictedMotion, numbers: IntArray, moved_m: FloatArray, joint: FloatArray) -> FloatArray:
+        """Take an accepted frame. Return by what (N, 3) the places of the keyframes are corrected.
 
-    def take_place_as_known(self) -> FloatArray:
-        """Take the place as that of the map from now on; returns the variance (3,) that it had, which is the map's now.
-
-        What is measured against a new keyframe says nothing of the error that the keyframe shares, nor of the velocity by it.
+        numbers, moved_m, joint: as in PlaceErrors.updated().
         """
-        covariance = self._now.covariance.copy()
-        variance = np.diagonal(covariance)[PLACE].copy()
-        covariance[PLACE, :] = covariance[:, PLACE] = 0.0
-        covariance[PLACE, PLACE] = _PLACE_M**2 * np.eye(3)
-        self._now = PredictedMotion(self._now.state, covariance)
-        return variance
-
-    def update(self, predicted: PredictedMotion, place_m: FloatArray, place_covariance: FloatArray) -> None:
-        """Take the place (3,) of an accepted frame, with its covariance (3, 3).
-
-        Both contain the prediction already.
-        """
-        before = predicted.place_covariance
-        gain = np.linalg.solve(before, predicted.covariance[PLACE, :]).T
-        shift = place_m - predicted.place_m
-        covariance = predicted.covariance - gain @ (before - place_covariance) @ gain.T
-        self._now = PredictedMotion(predicted.state + gain @ shift, 0.5 * (covariance + covariance.T))
-        self._judge(float(shift @ np.linalg.solve(before, shift)))
+        errors = self.predicted_errors(predicted)
+        before = errors.against_lag()[PLACE, PLACE]
+        self.errors, correction, places_m = errors.updated(numbers, moved_m, joint)
+        self._state = predicted.state + correction
+        stepped_m = moved_m[:3] - moved_m[3:6]
+        self._judge(float(stepped_m @ np.linalg.solve(before, stepped_m)))
+        return places_m
 
     def _judge(self, surprise: float) -> None:
         """Leave the accelerometer out after surprises."""
@@ -191,7 +199,7 @@ def propagate(
     odom_from_body: attitude before. track: the inertial track now and then, None without an accelerometer.
     """
     state, transition, noise = _propagated(motion, step_s, odom_from_body, track)
-    return PredictedMotion(state, transition @ motion.covariance @ transition.T + noise)
+    return PredictedMotion(state, transition @ motion.covariance @ transition.T + noise, transition)
 
 
 def _propagated(
@@ -226,14 +234,14 @@ def _flyable(track: tuple[InertialState, InertialState], step_s: float) -> bool:
     return _LEAST_FORCE_MPS2 < mean_mps2 < _MOST_FORCE_MPS2
 
 
-def _resting(place_m: FloatArray, offsets: FloatArray, covariance: FloatArray) -> PredictedMotion:
-    """Return the motion of a body at rest.
+def _resting(place_m: FloatArray, offsets: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the state (12,) of a body at rest, and its covariance (12, 12).
 
     offsets (6,): of its accelerometer, with their covariance (6, 6).
     """
     spread = np.diag([_PLACE_M**2] * 3 + [_VELOCITY_MPS**2] * 3 + [0.0] * 6)
     spread[OFFSETS, OFFSETS] = covariance
-    return PredictedMotion(np.concatenate((place_m, np.zeros(3), offsets)), spread)
+    return np.concatenate((place_m, np.zeros(3), offsets)), spread
 
 
 def _offsets_at_rest(body: FloatArray, offset_mps2: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -249,18 +257,19 @@ def _offsets_at_rest(body: FloatArray, offset_mps2: FloatArray) -> tuple[FloatAr
 
 def _take_step(
     state: FloatArray, covariance: FloatArray, off_m: FloatArray, of_step: FloatArray, cross: FloatArray, noise: FloatArray
-) -> None:
-    """Correct state (12,) and covariance (12, 12) by a measured step.
+) -> FloatArray:
+    """Correct state (12,) and covariance (12, 12) by a measured step; return the gain (12, 3).
 
     off_m (3,): measured less predicted. of_step (3, 3): covariance of the predicted step. cross (12, 3): of state and step.
     noise (3, 3): covariance of the measured step.
     """
     spread = of_step + noise
     if off_m @ np.linalg.solve(spread, off_m) > _STEP_SURPRISE:
-        return
+        return np.zeros_like(cross)
     gain = np.linalg.solve(spread, cross.T).T
     state += gain @ off_m
     covariance -= gain @ cross.T
+    return np.asarray(gain)
 
 
 def _add_white_acceleration(noise: FloatArray, density2: float, step_s: float) -> None:

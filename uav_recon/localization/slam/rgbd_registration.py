@@ -1,8 +1,8 @@
 """Registration of an RGB-D frame: Gauss-Newton on depth, landmarks and motion together.
 
-Prediction and new keyframes are where the track has brought them, and share its error. Keyframes from before may be known
-better. So the error of the track is one of the unknowns: a shift of prediction and new keyframes together. Its variance is that
-by which the track is less certain than the keyframes from before that the view shows.
+The places of the keyframes that the frame is compared with are unknowns as the frame's own: all have errors, which are
+correlated. Their joint covariance says what a keyframe tells: one that was just taken has the error of the track, and one from
+before corrects it.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 from uav_recon.localization.slam.depth_points import add_depth_equations
 from uav_recon.localization.slam.keyframe_map import KeyframeMap, Keyframes
 from uav_recon.localization.slam.landmarks import SIZE, Landmarks, MovingImager, add_landmark_equations
-from uav_recon.localization.slam.pose_graph import Measured
+from uav_recon.localization.slam.place_errors import PlaceErrors
 from uav_recon.localization.slam.prepared_view import PreparedView
 from uav_recon.types.frames import FloatArray, IntArray
 from uav_recon.types.pose import Pose
@@ -44,56 +44,66 @@ _WEAK_SHARE = 0.005
 # them are on edges then, and follow the prediction along these.
 _EDGES_SHARE = 0.05
 _LEAST_SHOWN = 1.0  # keeps the shares finite in directions that no landmark could show
-_SHIFT = slice(SIZE, SIZE + 3)
 _PLACE = slice(3, 6)
-# a keyframe with less than this share of the variance of the track, less this, is from before
-_BEFORE_SHARE = 0.5
-_ALIKE_M2 = 0.01**2
-_UNSHIFTED_M2 = 1e-4**2  # variance of a track that is as certain as the surfaces
+_LAG = slice(3, 6)  # of the joint covariance of places
+_LEAST_M2 = 1e-5**2  # variance of a place that is known exactly
 _DETERMINED_M = 0.02  # standard deviation of a place that depth alone determines
 _DETERMINED_FIT_SHARE = 0.85  # of its points in known space, those on a known surface
 _CONFIRMING_LANDMARKS = 20  # number of landmarks that must fit at a place that was recognised
 _DETERMINED_POINTS = 250  # number of its points on known surfaces
-_LEAST_INFORMATION = 1.0  # a keyframe says nothing of a direction with less
 _TINY = 1e-9
-_NO_SURFACE = 0.01**-2  # weight of the track's own variance in that of the surfaces, which few or none may show
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MotionPrior:
     """The predicted pose of the depth imager, and how well it is known.
 
-    covariance (6, 6): of a rotation in odom axes about the camera, and of its place. turn_sigma_rad: of the turn since the
-    newest frame, per axis. rate_radps (3,), velocity_mps (3,): of the camera in odom. slow (2,): delay and width of the colour
-    image (landmarks.DELAY, WIDTH); slow_covariance (2, 2). track_variance (3,): of the place of the track itself, m² along the
-    axes of odom, which the covariance does not contain.
+    attitude_covariance (3, 3): of a rotation in odom axes about the camera. places: joint covariance of the place of the body
+    with those of the keyframes. turn_sigma_rad: of the turn since the newest frame, per axis. rate_radps (3,), velocity_mps
+    (3,): of the camera in odom. slow (2,): delay and width of the colour image (landmarks.DELAY, WIDTH); slow_covariance (2,
+    2).
     """
 
     odom_from_depth: Pose
-    covariance: FloatArray
+    attitude_covariance: FloatArray
+    places: PlaceErrors
     turn_sigma_rad: float
     rate_radps: FloatArray
     velocity_mps: FloatArray
     slow: FloatArray
     slow_covariance: FloatArray
-    track_variance: FloatArray
+
+    @property
+    def variance(self) -> FloatArray:
+        """Variance (3,) of the place, m² along the axes of odom."""
+        return np.asarray(np.diagonal(self.places.body)[:3])
+
+    @property
+    def step_covariance(self) -> FloatArray:
+        """Covariance (3, 3) of the place against that one or two seconds before."""
+        return self.places.against_lag()[:3, :3]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Registration:
     """The pose of a frame, and what supports it.
 
-    covariance (6, 6): of a rotation in odom axes about the camera, and of its place, against the track. shift_m (3,): of the
-    track, which the pose contains. track_variance (3,): as in MotionPrior, after this frame. points, known, inliers: depth
-    points, those in known space, those on a known surface. landmarks: number that fit. slow, slow_covariance: as in
-    MotionPrior, after this frame. depth_sigma_m: of the place by depth alone, in its worst direction; infinite where depth does
-    not determine it. match: sum of the weights of depth, larger for a better fit. measured: what each keyframe alone says.
+    keyframes: that it was compared with. covariance (6, 6): of a rotation in odom axes about the camera, and of its place.
+    moved_m (6 + 3 M,), joint (6 + 3 M, 6 + 3 M): correction and covariance of the places of PlaceErrors.joint(). against_track
+    (3, 3): covariance of the place against the keyframe, or the place lately, against which it is known best. determined_share
+    (3, 3): share of the place that the frame has determined and not the prediction. points, known, inliers: depth points, those
+    in known space, those on a known surface. landmarks: number that fit. slow, slow_covariance: as in MotionPrior, after this
+    frame. depth_sigma_m: of the place by depth alone, in its worst direction; infinite where depth does not determine it.
+    match: sum of the weights of depth, larger for a better fit.
     """
 
     odom_from_depth: Pose
+    keyframes: Keyframes
     covariance: FloatArray
-    shift_m: FloatArray
-    track_variance: FloatArray
+    moved_m: FloatArray
+    joint: FloatArray
+    against_track: FloatArray
+    determined_share: FloatArray
     points: int
     known: int
     inliers: int
@@ -102,22 +112,26 @@ class Registration:
     slow_covariance: FloatArray
     depth_sigma_m: float
     match: float
-    measured: Measured
+
+    @property
+    def shift_m(self) -> FloatArray:
+        """Found error (3,) of the track: by what the place one or two seconds before is corrected."""
+        return self.moved_m[_LAG]
 
     @property
     def variance(self) -> FloatArray:
         """Variance (3,) of the place, m² along the axes of odom."""
-        return np.asarray(np.diagonal(self.covariance)[_PLACE] + self.track_variance)
+        return np.asarray(np.diagonal(self.covariance)[_PLACE])
 
     @property
     def sigma_m(self) -> float:
         """Standard deviation of the place in its worst direction."""
-        return math.sqrt(float(np.linalg.eigvalsh(self.covariance[_PLACE, _PLACE] + np.diag(self.track_variance))[-1]))
+        return _worst_m(self.covariance[_PLACE, _PLACE])
 
     @property
     def sigma_against_track_m(self) -> float:
         """Standard deviation of the place against the track, in its worst direction."""
-        return math.sqrt(float(np.linalg.eigvalsh(self.covariance[_PLACE, _PLACE])[-1]))
+        return _worst_m(self.against_track)
 
     @property
     def coverage(self) -> float:
@@ -146,9 +160,9 @@ class Registration:
         return int(np.clip(round(100.0 * min(1.0, support)), 1, 100))
 
     def surprise(self, prior: MotionPrior) -> float:
-        """Return the squared innovation of the place, in standard deviations."""
-        moved_m = self.odom_from_depth.translation_m - prior.odom_from_depth.translation_m - self.shift_m
-        return float(moved_m @ np.linalg.solve(prior.covariance[_PLACE, _PLACE], moved_m))
+        """Return the squared innovation of the place against the track, in standard deviations."""
+        moved_m = self.moved_m[:3] - self.shift_m
+        return float(moved_m @ np.linalg.solve(prior.step_covariance, moved_m))
 
 
 def search(
@@ -213,23 +227,22 @@ def register(view: PreparedView, keyframes: Keyframes, landmarks: Landmarks, pri
 class _Estimate:
     """Pose of a frame during Gauss-Newton.
 
-    rotation (3, 3), place_m (3,): in odom. turned_rad (3,), moved_m (3,): against the predicted pose. slow (2,). shifted_m
-    (3,): of the track.
+    rotation (3, 3), place_m (3,): in odom. turned_rad (3,): against the predicted pose. slow (2,). moved_m (6 + 3 M,): as in
+    Registration.
     """
 
     rotation: FloatArray
     place_m: FloatArray
     turned_rad: FloatArray
-    moved_m: FloatArray
     slow: FloatArray
-    shifted_m: FloatArray
+    moved_m: FloatArray
 
     def step(self, step: FloatArray) -> bool:
-        """Take a step (SIZE + 3,). Return True if the pose has hardly moved."""
+        """Take a step (SIZE + 3 + 3 M,). Return True if the pose has hardly moved."""
         self.rotation = Pose.from_rotation_vector(step[:3], np.zeros(3)).rotation() @ self.rotation
         self.place_m = self.place_m + step[_PLACE]
-        self.turned_rad, self.moved_m = self.turned_rad + step[:3], self.moved_m + step[_PLACE]
-        self.slow, self.shifted_m = self.slow + step[6:SIZE], self.shifted_m + step[_SHIFT]
+        self.turned_rad, self.slow = self.turned_rad + step[:3], self.slow + step[6:SIZE]
+        self.moved_m = self.moved_m + np.concatenate((step[_PLACE], step[SIZE:]))
         return math.hypot(*step[_PLACE].tolist()) < _STILL_M and math.hypot(*step[:3].tolist()) < _STILL_RAD
 
     def pose(self) -> Pose:
@@ -243,18 +256,30 @@ class _Estimate:
 class _Equations:
     """Normal equations of a frame against M keyframes.
 
-    information (M, SIZE, SIZE), gradient (M, SIZE). shown (M, 3): information on the place, along each axis. known, inliers,
-    fitting, depth_sigma_m, match: as in Registration.
+    information (M, SIZE, SIZE), gradient (M, SIZE). known, inliers, fitting, depth_sigma_m, match: as in Registration.
     """
 
     information: FloatArray
     gradient: FloatArray
-    shown: FloatArray
     known: int
     inliers: int
     fitting: int
     depth_sigma_m: float
     match: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Predicted:
+    """Information of the prediction: on the attitude (3, 3), ``slow`` (2, 2), and the joint places (6 + 3 M, 6 + 3 M)."""
+
+    attitude: FloatArray
+    slow: FloatArray
+    places: FloatArray
+
+    @staticmethod
+    def of(prior: MotionPrior, joint: FloatArray) -> _Predicted:
+        covariances = prior.attitude_covariance, prior.slow_covariance, joint + _LEAST_M2 * np.eye(len(joint))
+        return _Predicted(*(np.asarray(np.linalg.inv(covariance), dtype=np.float64) for covariance in covariances))
 
 
 def _converge(
@@ -268,36 +293,34 @@ def _converge(
 
     shift_m (3,): from a place farther by this instead; depth counts at first even where it does not fit.
     """
-    far, moved_m = shift_m is not None, np.zeros(3) if shift_m is None else shift_m
-    at = _Estimate(
-        prior.odom_from_depth.rotation(), prior.odom_from_depth.translation_m + moved_m, np.zeros(3), moved_m,
-        prior.slow.copy(), np.zeros(3),
-    )  # fmt: skip
-    predicted = np.asarray(np.linalg.inv(prior.covariance), dtype=np.float64)
-    of_track = _of_track(keyframes, prior)
-    track = before = prior.track_variance
-    whole = np.eye(_SHIFT.stop)
+    far, joint = shift_m is not None, prior.places.joint(keyframes.number)
+    moved_m = np.concatenate((np.zeros(3) if shift_m is None else shift_m, np.zeros(len(joint) - 3)))
+    place_m = prior.odom_from_depth.translation_m + moved_m[:3]
+    at = _Estimate(prior.odom_from_depth.rotation(), place_m, np.zeros(3), prior.slow.copy(), moved_m)
+    predicted = _Predicted.of(prior, joint)
+    whole = np.eye(SIZE + len(joint) - 3)
     rounds = _ROUNDS + _FAR_ROUNDS if far else _ROUNDS
     for number in range(rounds):
         near = number - (rounds - _ROUNDS)  # rounds near the pose
         wide = _WIDER[min(max(near, 0), len(_WIDER) - 1)]
-        equations = _equations(view, keyframes, landmarks, prior, at, of_track, track, wide, all_counts=far and near < 0)
-        shown = of_track[:, None] * equations.shown
-        track = _mean(prior.track_variance, np.diagonal(predicted)[_PLACE], keyframes.variance, shown)
-        before = _mean(track, _NO_SURFACE, keyframes.variance, equations.shown - shown)
-        steady = np.asarray(1.0 / (np.maximum(track - before, 0.0) + _UNSHIFTED_M2), dtype=np.float64)
-        whole, pull = _with_prediction(equations, of_track, predicted, prior, at, steady)
+        equations = _equations(view, keyframes, landmarks, prior, at, wide, all_counts=far and near < 0)
+        whole, pull = _with_prediction(equations, predicted, prior, at)
         still = at.step(np.asarray(np.linalg.solve(whole, pull), dtype=np.float64))
         if still and near >= len(_WIDER) - 1:
             break
     covariance = np.asarray(np.linalg.inv(whole), dtype=np.float64)
-    left = np.minimum(track, before) + np.diagonal(covariance)[_SHIFT]
-    covariance = _against_track(covariance)
+    elements = _places(len(whole))
+    found = covariance[np.ix_(elements, elements)]
     return Registration(
-        at.pose(), covariance[_POSE, _POSE], at.shifted_m, left, len(view.points), equations.known, equations.inliers,
-        equations.fitting, at.slow, covariance[6:, 6:], equations.depth_sigma_m, equations.match,
-        _measured(keyframes, of_track, equations),
+        at.pose(), keyframes, covariance[_POSE, _POSE], at.moved_m, found, _against_track(found, keyframes, prior.places),
+        _determined_share(predicted, equations), len(view.points), equations.known, equations.inliers, equations.fitting,
+        at.slow, covariance[6:SIZE, 6:SIZE], equations.depth_sigma_m, equations.match,
     )  # fmt: skip
+
+
+def _places(size: int) -> IntArray:
+    """Return the elements of the joint places among the unknowns."""
+    return np.concatenate((np.arange(3, 6), np.arange(SIZE, size)))
 
 
 def _equations(
@@ -306,23 +329,19 @@ def _equations(
     landmarks: Landmarks,
     prior: MotionPrior,
     at: _Estimate,
-    of_track: IntArray,
-    track: FloatArray,
     wide: float,
     *,
     all_counts: bool,
 ) -> _Equations:
     """Return the equations of depth and landmarks at an estimate.
 
-    of_track (M,): of _of_track(). track (3,): variance of the track. wide: factor on the scale of the robust weights.
-    all_counts: depth counts in full wherever it is.
+    wide: factor on the scale of the robust weights. all_counts: depth counts in full wherever it is.
     """
     most = len(keyframes.number)
-    surfaces, slope, shown = np.zeros((most, SIZE, SIZE)), np.zeros((most, SIZE)), np.zeros((most, 3))
-    moved = keyframes._replace(place_m=keyframes.place_m + of_track[:, None] * at.shifted_m)
-    known, inliers = add_depth_equations(
-        view.points, at.rotation, at.place_m, moved, track, _DEPTH_SHARE, wide, surfaces, slope, shown
-    )
+    surfaces, slope = np.zeros((most, SIZE, SIZE)), np.zeros((most, SIZE))
+    moved_m = at.moved_m[6:].reshape(-1, 3)
+    moved = keyframes._replace(place_m=keyframes.place_m + moved_m)
+    known, inliers = add_depth_equations(view.points, at.rotation, at.place_m, moved, _DEPTH_SHARE, wide, surfaces, slope)
     match = float(np.trace(surfaces.sum(axis=0)[_PLACE, _PLACE]))
     support = 1.0 if all_counts else _support(known, inliers)
     surfaces, slope = support * surfaces, support * slope
@@ -334,77 +353,72 @@ def _equations(
         motion=np.concatenate((prior.rate_radps, prior.velocity_mps)), slow=at.slow,
     )  # fmt: skip
     fitting = add_landmark_equations(
-        landmarks.place_m + of_track[landmarks.keyframe, None] * at.shifted_m, landmarks.slope, landmarks.texture,
+        landmarks.place_m + moved_m[landmarks.keyframe], landmarks.slope, landmarks.texture,
         landmarks.at_px, imager, landmarks.keyframe, at.slow - prior.slow, landmarks.share, wide, corners, pull, perfect,
     )  # fmt: skip
     _leave_edges(corners, pull, perfect)
-    along = support * shown + np.diagonal(corners, axis1=1, axis2=2)[:, _PLACE]
-    return _Equations(surfaces + corners, slope + pull, along, known, inliers, fitting, depth_sigma_m, match)
+    return _Equations(surfaces + corners, slope + pull, known, inliers, fitting, depth_sigma_m, match)
 
 
 def _with_prediction(
-    equations: _Equations, of_track: IntArray, predicted: FloatArray, prior: MotionPrior, at: _Estimate, steady: FloatArray
+    equations: _Equations, predicted: _Predicted, prior: MotionPrior, at: _Estimate
 ) -> tuple[FloatArray, FloatArray]:
-    """Return information (SIZE + 3, SIZE + 3) and gradient (SIZE + 3,) of pose, slow parameters and shift.
+    """Return information and gradient of pose, slow parameters, the place lately, and the places of M keyframes."""
+    size = SIZE + len(at.moved_m) - 3
+    whole, pull = np.zeros((size, size)), np.zeros(size)
+    whole[:SIZE, :SIZE], pull[:SIZE] = equations.information.sum(axis=0), equations.gradient.sum(axis=0)
+    for m, (information, gradient) in enumerate(zip(equations.information, equations.gradient, strict=True)):
+        of = slice(SIZE + 3 + 3 * m, SIZE + 6 + 3 * m)  # a keyframe that moves is a camera that moves back
+        whole[of, :SIZE], whole[:SIZE, of] = -information[_PLACE], -information[:, _PLACE]
+        whole[of, of], pull[of] = information[_PLACE, _PLACE], -gradient[_PLACE]
+    whole[:3, :3] += predicted.attitude
+    pull[:3] -= predicted.attitude @ at.turned_rad
+    whole[6:SIZE, 6:SIZE] += predicted.slow
+    pull[6:SIZE] -= predicted.slow @ (at.slow - prior.slow)
+    elements = _places(size)
+    whole[np.ix_(elements, elements)] += predicted.places
+    pull[elements] -= predicted.places @ at.moved_m
+    return whole, pull
 
-    predicted (6, 6): information of the prediction. steady (3,): of the track on its own shift.
+
+def _against_track(joint: FloatArray, keyframes: Keyframes, places: PlaceErrors) -> FloatArray:
+    """Return the covariance (3, 3) of the place against that of which it is known best.
+
+    The place lately, and the keyframes that are older than this: a newer one has the same error.
     """
-    is_track = of_track == 1
-    track, pull = equations.information[is_track].sum(axis=0), equations.gradient[is_track].sum(axis=0)
-    slow = np.linalg.inv(prior.slow_covariance)
-    track[_POSE, _POSE] += predicted
-    track[6:, 6:] += slow
-    pull[_POSE] -= predicted @ np.concatenate((at.turned_rad, at.moved_m - at.shifted_m))
-    pull[6:] -= slow @ (at.slow - prior.slow)
-    whole = _with_shift(equations.information[~is_track].sum(axis=0), track, steady)
-    both = equations.gradient[~is_track].sum(axis=0) + pull
-    return whole, np.concatenate((both, -pull[_PLACE] - steady * at.shifted_m))
+    older = [m for m, number in enumerate(keyframes.number.tolist()) if number < places.before]
+    against = [joint[:3, :3] - joint[:3, k : k + 3] - joint[k : k + 3, :3] + joint[k : k + 3, k : k + 3]
+               for k in (3, *(6 + 3 * m for m in older))]  # fmt: skip
+    return min(against, key=_worst_m)
 
 
-def _of_track(keyframes: Keyframes, prior: MotionPrior) -> IntArray:
-    """Return 1 for keyframes (M,) that share the error of the track, 0 for those that are known better."""
-    least = _BEFORE_SHARE * float(prior.track_variance.max()) - _ALIKE_M2
-    return np.asarray(keyframes.variance.max(axis=1, initial=0.0) >= least, dtype=np.int64)
+def _worst_m(covariance: FloatArray) -> float:
+    """Return the standard deviation in the worst direction."""
+    return math.sqrt(max(float(np.linalg.eigvalsh(covariance)[-1]), 0.0))
 
 
-def _measured(keyframes: Keyframes, of_track: IntArray, equations: _Equations) -> Measured:
-    """Return what each keyframe alone says."""
-    pose = equations.information[:, _POSE, _POSE]
-    step = np.linalg.solve(pose + _LEAST_INFORMATION * np.eye(6), equations.gradient[:, _POSE, None])[..., 0]
-    return Measured(keyframes.number, pose, np.asarray(step, dtype=np.float64), of_track == 0)
+def _determined_share(predicted: _Predicted, equations: _Equations) -> FloatArray:
+    """Return the share (3, 3) of the place that a frame has determined.
 
-
-def _mean(variance: FloatArray, weight: FloatArray | float, others: FloatArray, weights: FloatArray) -> FloatArray:
-    """Return the weighted mean (3,) of a variance (3,) and those of keyframes (M, 3)."""
-    whole = weight + weights.sum(axis=0)
-    return np.asarray((variance * weight + (others * weights).sum(axis=0)) / whole)
-
-
-def _with_shift(surfaces: FloatArray, track: FloatArray, steady: FloatArray) -> FloatArray:
-    """Return the information (SIZE + 3, SIZE + 3) of pose, slow parameters and shift.
-
-    surfaces, track (SIZE, SIZE): information of both on the pose. steady (3,): of the track on its own shift.
+    Its eigenvalues are between 0 and 1.
     """
-    out = np.zeros((_SHIFT.stop, _SHIFT.stop))
-    out[:SIZE, :SIZE] = surfaces + track
-    out[_SHIFT, :SIZE], out[:SIZE, _SHIFT] = -track[_PLACE], -track[:, _PLACE]
-    out[_SHIFT, _SHIFT] = track[_PLACE, _PLACE] + np.diag(steady)
-    return out
-
-
-def _against_track(covariance: FloatArray) -> FloatArray:
-    """Return the covariance (SIZE, SIZE) of the pose against the track, of that with its shift."""
-    change = np.eye(_SHIFT.stop)[:SIZE]
-    change[_PLACE, _SHIFT] = -np.eye(3)
-    return np.asarray(change @ covariance @ change.T)
+    shown = equations.information.sum(axis=0)
+    others = np.concatenate((np.arange(3), np.arange(6, SIZE)))
+    known = shown[np.ix_(others, others)]
+    known[:3, :3] += predicted.attitude
+    known[3:, 3:] += predicted.slow
+    place = shown[_PLACE, _PLACE] - shown[_PLACE][:, others] @ np.linalg.solve(known, shown[others][:, _PLACE])
+    before = np.linalg.inv(predicted.places[:3, :3])
+    values, axes = np.linalg.eigh(before)
+    root = (axes * np.sqrt(values)) @ axes.T
+    return np.asarray(np.eye(3) - np.linalg.inv(np.eye(3) + root @ place @ root))
 
 
 def _inliers(view: PreparedView, keyframes: Keyframes, rotation: FloatArray, place_m: FloatArray) -> int:
     """Return the number of depth points on a known surface from a pose."""
     most = len(keyframes.number)
-    unused = np.zeros((most, SIZE, SIZE)), np.zeros((most, SIZE)), np.zeros((most, 3))
-    seen = view.points, rotation, place_m, keyframes, np.zeros(3)
-    return int(add_depth_equations(*seen, _DEPTH_SHARE, _WIDER[0], *unused)[1])
+    unused = np.zeros((most, SIZE, SIZE)), np.zeros((most, SIZE))
+    return int(add_depth_equations(view.points, rotation, place_m, keyframes, _DEPTH_SHARE, _WIDER[0], *unused)[1])
 
 
 def _support(known: int, inliers: int) -> float:

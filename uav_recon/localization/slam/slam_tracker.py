@@ -23,7 +23,6 @@ from uav_recon.localization.slam.keyframe_map import KeyframeMap, no_keyframes
 from uav_recon.localization.slam.landmarks import Landmarks
 from uav_recon.localization.slam.motion_filter import MotionFilter, PredictedMotion
 from uav_recon.localization.slam.outside_motion import NoOutsideMotion, OutsideMotion
-from uav_recon.localization.slam.pose_graph import Measured
 from uav_recon.localization.slam.prepared_view import PreparedView
 from uav_recon.localization.slam.rest_detection import RestDetector
 from uav_recon.localization.slam.rgbd_registration import MotionPrior, Registration, confirm, register, search
@@ -87,6 +86,7 @@ _POSITION_SIGMA_M = 0.01
 _SCALE_SHARE = 0.01  # standard deviation of the depth scale: the whole map is as much too large
 _PLACED_M = 0.01  # error of a surface or a landmark against the camera, from the errors of its calibration
 _ROTATION_SIGMA_RAD = math.radians(0.3)
+_LAG_S = 1.0  # between the places of which the older one is that of the track
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -118,13 +118,16 @@ class TrackerState:
 class _WithoutFrame:
     """The track at an accepted frame, as if it had not been accepted.
 
-    surprise: squared innovation of the frame's place, in standard deviations.
+    surprise: squared innovation of the frame's place, in standard deviations. keyframes: number of them. moved_m (N, 3): by
+    which the frame has corrected their places.
     """
 
     state: TrackedState
     motion: MotionFilter
     attitude: AttitudeFilter
     surprise: float
+    keyframes: int
+    moved_m: FloatArray
 
 
 OdomAt = Callable[[float], StampedPose | None]  # odometry at an instant, None if it is not known
@@ -152,7 +155,7 @@ class SlamTracker:
         self.step_sigma_m = 0.0
         self.moved_outside_s = -math.inf
         self._rest = RestDetector()
-        self._keyframes = no_keyframes()
+        self._compared = no_keyframes(), Landmarks.none()  # keyframes of the newest frame, and their landmarks in it
         self._monitor = TrackingMonitor()
         self._state: TrackedState | None = None
         self._motion = MotionFilter(Pose.identity(), np.zeros(3))
@@ -174,7 +177,7 @@ class SlamTracker:
         self._images = RepeatedImage()
         self._slow = np.zeros(2)
         self._slow_covariance = np.diag(_FIRST_SLOW_SIGMA**2)
-        self._track_variance = np.zeros(3)
+        self._lag_s = -math.inf
         self._frames = self._agreeing = 0
         self._moved_m = np.zeros(3)
 
@@ -188,7 +191,7 @@ class SlamTracker:
         """The estimate at the newest frame; None before the first."""
         if self._state is None:
             return None
-        motion = self._motion.now.shifted(self._unreleased_m)
+        motion = self._motion.now_against_lag.shifted(self._unreleased_m)
         return TrackerState(self._state.stamp_s - self.delay_s, motion, self._attitude.odom_from_body)
 
     @property
@@ -226,15 +229,15 @@ class SlamTracker:
             self.fault = TrackingFault.REPEAT
             return None
         prior = self._predict(self._state, frame.stamp_s, body_from_depth)
-        landmarks, found = self._registered(view, prior)
+        found = self._registered(view, prior)
         if self._rests(frame.stamp_s, found, prior):
             return self._stay(view, self._state, body_from_depth)
         frozen = repeats_s > FROZEN_S
         self.fault = TrackingFault.FROZEN if frozen else self._monitor.fault(found, prior)
         if self.fault in _SEARCHED:
-            found, prior = self._without_frame_before(view, landmarks, found, prior, body_from_depth)
+            found, prior = self._without_frame_before(view, found, prior, body_from_depth)
         if self.fault in _SEARCHED and self.accelerometer_used:
-            found, prior = self._without_accelerometer(view, self._state, landmarks, found, prior, body_from_depth)
+            found, prior = self._without_accelerometer(view, self._state, found, prior, body_from_depth)
         if self.fault in _SEARCHED or (self._unproven and not frozen):
             found = self._search(view, found, prior)
             self.fault = self._monitor.fault(found, prior)
@@ -244,28 +247,29 @@ class SlamTracker:
             self._coast(self._state, prior, frame.stamp_s, body_from_depth)
             return None
         found = self._search_map(view, found, prior)
-        self._settle(view, landmarks, found, prior, self._state, body_from_depth)
+        self._settle(view, found, prior, self._state, body_from_depth)
         return self._pose(frame.stamp_s, found)
 
-    def _registered(self, view: PreparedView, prior: MotionPrior) -> tuple[Landmarks, Registration]:
-        """Return the landmarks that a view shows, and its registration.
+    def _registered(self, view: PreparedView, prior: MotionPrior) -> Registration:
+        """Return the registration of a view.
 
-        From a place that is too uncertain, keyframes from before count only if their landmarks and depth both confirm it: alone,
-        either may fit at a wrong place.
+        Keyframes of which the way to the view is too uncertain count only if landmarks and depth both confirm them: alone, either
+        may fit at a wrong place.
         """
         motion = np.concatenate((prior.rate_radps, prior.velocity_mps))
-        variance = float((np.diagonal(prior.covariance)[3:] + prior.track_variance).max())
-        self._keyframes, landmarks = self.surfaces.near_view(view, prior.odom_from_depth, motion, self._slow, 0.0)
-        found = register(view, self._keyframes, landmarks, prior)
-        if variance <= _UNCERTAIN_M**2 or found.confirmed(len(landmarks.place_m)):
-            return landmarks, found
-        self._keyframes, landmarks = self.surfaces.near_view(view, prior.odom_from_depth, motion, self._slow, variance)
-        return landmarks, register(view, self._keyframes, landmarks, prior)
+        uncertain = prior.places.apart().max(axis=1, initial=0.0) > _UNCERTAIN_M**2
+        keyframes, landmarks = self._compared = self.surfaces.near_view(
+            view, prior.odom_from_depth, motion, self._slow, np.zeros_like(uncertain)
+        )
+        found = register(view, keyframes, landmarks, prior)
+        if not uncertain[keyframes.number].any() or found.confirmed(len(landmarks.place_m)):
+            return found
+        self._compared = self.surfaces.near_view(view, prior.odom_from_depth, motion, self._slow, uncertain)
+        return register(view, *self._compared, prior)
 
     def _without_frame_before(
         self,
         view: PreparedView,
-        landmarks: Landmarks,
         registration: Registration,
         prior: MotionPrior,
         body_from_depth: Pose,
@@ -280,12 +284,18 @@ class SlamTracker:
         kept = self._state, self._motion, self._attitude, self._predicted, self._turned
         self._state, self._motion, self._attitude = without.state, without.motion, without.attitude
         self._motion.accelerometer_used = kept[1].accelerometer_used
+        compared, count, self.surfaces.count = self._compared, self.surfaces.count, without.keyframes
+        self.surfaces.move(-without.moved_m, without.motion.errors.variance)
         other = self._predict(without.state, stamp_s, body_from_depth)
-        found = register(view, self._keyframes, landmarks, other)
+        found = self._registered(view, other)
         fault = self._monitor.fault(found, other)
         if fault is None and found.surprise(other) < _LESS_SURPRISED_SHARE * without.surprise:
             self.fault, self._without_frame = None, None
+            self.surfaces.keep(without.keyframes)
             return found, other
+        self.surfaces.move(without.moved_m, without.motion.errors.variance)
+        self.surfaces.count, self._compared = count, compared
+        self.surfaces.move(np.zeros((count, 3)), kept[1].errors.variance)
         self._state, self._motion, self._attitude, self._predicted, self._turned = kept
         return registration, prior
 
@@ -293,7 +303,6 @@ class SlamTracker:
         self,
         view: PreparedView,
         state: TrackedState,
-        landmarks: Landmarks,
         registration: Registration,
         prior: MotionPrior,
         body_from_depth: Pose,
@@ -305,7 +314,7 @@ class SlamTracker:
         predicted, turned = self._predicted, self._turned
         self.accelerometer_used = False
         without = self._predict(state, view.frame.stamp_s, body_from_depth)
-        found = register(view, self._keyframes, landmarks, without)
+        found = register(view, *self._compared, without)
         fault = self._monitor.fault(found, without)
         if fault is None:
             self.fault = None
@@ -338,12 +347,12 @@ class SlamTracker:
         if recognised is not None:
             return recognised
         other, next_best = search(
-            view, self.surfaces, prior, _reach_m(prior), _OLD_SHARE * float(registration.track_variance.max())
+            view, self.surfaces, prior, _reach_m(prior), _OLD_SHARE * registration.sigma_m**2
         )
         if next_best > _ALIKE_SHARE or not other.determined:
             self._agreeing = 0
             return registration
-        moved_m, before_m = other.shift_m - registration.shift_m, self._moved_m
+        moved_m, before_m = other.moved_m[:3] - registration.moved_m[:3], self._moved_m
         agrees = self._agreeing and float(np.linalg.norm(moved_m - before_m)) < _SAME_M
         self._agreeing = self._agreeing + 1 if agrees else 1
         self._moved_m = moved_m
@@ -361,7 +370,8 @@ class SlamTracker:
             return None
         there = Pose(registration.odom_from_depth.quat_wxyz, pose.translation_m)
         motion = np.concatenate((prior.rate_radps, prior.velocity_mps))
-        keyframes, landmarks = self.surfaces.near_view(view, there, motion, self._slow, 0.0)
+        none = np.zeros(self.surfaces.count, np.bool_)
+        keyframes, landmarks = self.surfaces.near_view(view, there, motion, self._slow, none)
         return confirm(view, keyframes, landmarks, prior, pose.translation_m)
 
     def _coast(self, state: TrackedState, prior: MotionPrior, stamp_s: float, body_from_depth: Pose) -> None:
@@ -387,7 +397,7 @@ class SlamTracker:
         """
         self.surfaces = KeyframeMap()
         self._state, self._fused, self._begin_at = None, None, odom_at
-        self._unreleased_m, self._track_variance, self._drifted_m = np.zeros(3), np.zeros(3), 0.0
+        self._unreleased_m, self._drifted_m, self._lag_s = np.zeros(3), 0.0, -math.inf
         self._without_frame = None
         self._unsure, self._unproven, self._sure_s, self._judged_s = False, 0, -math.inf, math.inf
 
@@ -401,7 +411,7 @@ class SlamTracker:
         self._motion.begin(odom.odom_from_body.translation_m, odom.velocity_odom_mps)
         self._accepted_frames, self._launched, self._begin_at = _FUSION_FRAMES, True, None
         motion = np.concatenate((np.zeros(3), odom.velocity_odom_mps))
-        self._add_to_map(view, odom.odom_from_body @ body_from_depth, motion, np.zeros(3))
+        self._add_to_map(view, odom.odom_from_body @ body_from_depth, motion)
         return self._stamped(view.frame.stamp_s)
 
     def _start(self, view: PreparedView, body_from_depth: Pose) -> StampedPose | None:
@@ -418,7 +428,7 @@ class SlamTracker:
         self._attitude = AttitudeFilter(level, _AT_REST)
         self._motion = MotionFilter(level, self._rest.force_offset_mps2(level))
         self._accepted_frames = _FUSION_FRAMES
-        self._add_to_map(view, level @ body_from_depth, np.zeros(6), np.zeros(3))
+        self._add_to_map(view, level @ body_from_depth, np.zeros(6))
         return self._stamped(view.frame.stamp_s)
 
     def _starts_again(self, state: TrackedState, stamp_s: float) -> bool:
@@ -443,7 +453,7 @@ class SlamTracker:
         self._motion.rest()
         odom_from_depth = state.odom_from_body @ body_from_depth
         self._fused = None
-        self._add_to_map(view, odom_from_depth, np.zeros(6), np.zeros(3))
+        self._add_to_map(view, odom_from_depth, np.zeros(6))
         return self._stamped(view.frame.stamp_s)
 
     def _predict(self, state: TrackedState, stamp_s: float, body_from_depth: Pose) -> MotionPrior:
@@ -468,12 +478,10 @@ class SlamTracker:
         odom_from_body = Pose(attitude.odom_from_body.quat_wxyz, moved.place_m)
         rate_odom = odom_from_body.rotation() @ rate
         arm_m = odom_from_body.rotation() @ body_from_depth.translation_m
-        covariance = np.zeros((6, 6))
-        covariance[:3, :3], covariance[3:, 3:] = attitude.shown_covariance, moved.place_covariance
         velocity = moved.velocity_mps + np.cross(rate_odom, arm_m)
         return MotionPrior(
-            odom_from_body @ body_from_depth, covariance, turn_sigma, rate_odom, velocity, self._slow,
-            self._slow_covariance, self._track_variance,
+            odom_from_body @ body_from_depth, attitude.shown_covariance, self._motion.predicted_errors(moved), turn_sigma,
+            rate_odom, velocity, self._slow, self._slow_covariance,
         )  # fmt: skip
 
     def _take_heading(self, predicted: PredictedAttitude, stamp_s: float) -> PredictedAttitude:
@@ -488,7 +496,6 @@ class SlamTracker:
     def _settle(
         self,
         view: PreparedView,
-        landmarks: Landmarks,
         registration: Registration,
         prior: MotionPrior,
         state: TrackedState,
@@ -498,20 +505,15 @@ class SlamTracker:
         stamp_s = view.frame.stamp_s
         step_s = stamp_s - state.stamp_s
         odom_from_body = registration.odom_from_depth @ body_from_depth.inverse()
-        self._without_frame = self._as_if_not(stamp_s, registration, prior, body_from_depth)
-        self._motion.update(
-            self._predicted, odom_from_body.translation_m - registration.shift_m, registration.covariance[3:, 3:]
-        )
-        self._motion.shift(registration.shift_m)
+        numbers = registration.keyframes.number
+        without = copy.copy(self._motion)
+        moved_m = self._motion.update(self._predicted, numbers, registration.moved_m, registration.joint)
+        self._without_frame = self._as_if_not(without, stamp_s, registration, prior, body_from_depth, moved_m)
+        self.surfaces.move(moved_m, self._motion.errors.variance)
         unseen_m = odom_from_body.translation_m - self._predicted.place_m  # error of the time without a view
         self._release(unseen_m if self._unsure else registration.shift_m, step_s)
         self._attitude.update(self._turned, odom_from_body, registration.covariance[:3, :3])
-        measured = registration.measured
-        self.surfaces.shift(
-            registration.shift_m, prior.track_variance, registration.track_variance, measured.number[measured.before]
-        )
-        self._track_variance = registration.track_variance
-        self.determined = _determined_share(prior.covariance[3:, 3:], registration.covariance[3:, 3:])
+        self.determined = registration.determined_share
         velocity = self._motion.velocity_mps
         between = state.odom_from_body.inverse() @ odom_from_body
         self.gyro.update(state.stamp_s, stamp_s, between.rotation_vector())
@@ -525,51 +527,38 @@ class SlamTracker:
         carried = self.fault is TrackingFault.LOOSE and self._accepted_frames >= _FUSION_FRAMES
         self._unproven = max(self._unproven - 1, 0) if self.fault is None or carried else self._unproven
         motion = np.concatenate((prior.rate_radps, velocity))
-        self.surfaces.remember(view, self._keyframes, landmarks, registration.odom_from_depth, motion, self._slow)
+        self.surfaces.remember(view, *self._compared, registration.odom_from_depth, motion, self._slow)
         if not self._unproven and self.fault is not TrackingFault.DEPTH:
-            variance = registration.variance + _PLACED_M**2
-            self._add_to_map(view, registration.odom_from_depth, motion, variance, registration.landmarks, measured)
+            self._add_to_map(view, registration.odom_from_depth, motion, registration.landmarks)
+        if stamp_s - self._lag_s >= _LAG_S:
+            self._motion.mark_lag()
+            self._lag_s = stamp_s
 
     def _as_if_not(
-        self, stamp_s: float, registration: Registration, prior: MotionPrior, body_from_depth: Pose
-    ) -> _WithoutFrame:
-        """Return the track at a frame that is about to be accepted, as if it were not."""
-        motion, attitude = copy.copy(self._motion), copy.copy(self._attitude)
-        motion.coast(self._predicted.shifted(registration.shift_m))
-        attitude.coast(self._turned)
-        carried = prior.odom_from_depth @ body_from_depth.inverse()
-        place = Pose(carried.quat_wxyz, carried.translation_m + registration.shift_m)
-        return _WithoutFrame(TrackedState(stamp_s, place, motion.velocity_mps), motion, attitude, registration.surprise(prior))
-
-    def _add_to_map(
         self,
-        view: PreparedView,
-        odom_from_depth: Pose,
-        motion: FloatArray,
-        variance: FloatArray,
-        landmarks: int = 0,
-        measured: Measured | None = None,
-    ) -> None:
+        motion: MotionFilter,
+        stamp_s: float,
+        registration: Registration,
+        prior: MotionPrior,
+        body_from_depth: Pose,
+        moved_m: FloatArray,
+    ) -> _WithoutFrame:
+        """Return the track at an accepted frame, as if it were not.
+
+        motion: before the frame. moved_m (N, 3): by which the frame has corrected the keyframes.
+        """
+        attitude = copy.copy(self._attitude)
+        motion.coast(self._predicted)
+        attitude.coast(self._turned)
+        state = TrackedState(stamp_s, prior.odom_from_depth @ body_from_depth.inverse(), motion.velocity_mps)
+        return _WithoutFrame(state, motion, attitude, registration.surprise(prior), self.surfaces.count, moved_m)
+
+    def _add_to_map(self, view: PreparedView, odom_from_depth: Pose, motion: FloatArray, landmarks: int = 0) -> None:
         if self._accepted_frames < _FUSION_FRAMES:
             return
-        before = self.surfaces.count
-        correction = self.surfaces.add(view, odom_from_depth, motion, self._slow, variance, landmarks, measured)
-        if self.surfaces.count > before:
-            self._track_variance = self._track_variance + self._motion.take_place_as_known()
-        if correction is not None:
-            self._correct(correction, view.frame.stamp_s)
-
-    def _correct(self, correction: Pose, stamp_s: float) -> None:
-        """Move the track to where the keyframes have been moved. correction: in odom."""
-        assert self._state is not None
-        state = self._state
-        moved = correction @ state.odom_from_body
-        shift_m = moved.translation_m - state.odom_from_body.translation_m
-        self._motion.shift(shift_m)
-        self._unreleased_m = self._unreleased_m - shift_m
-        turned = Pose(correction.quat_wxyz, np.zeros(3))
-        self._attitude.odom_from_body = turned @ self._attitude.odom_from_body
-        self._state = replace(state, odom_from_body=moved)
+        variance = np.diagonal(self._motion.errors.body)[:3] + _PLACED_M**2
+        if self.surfaces.add(view, odom_from_depth, motion, self._slow, variance, landmarks):
+            self._motion.add_keyframe(_PLACED_M)
 
     def _release(self, found_m: FloatArray, step_s: float) -> None:
         """Take a found error (3,) of the place into the poses, little by little."""
@@ -626,19 +615,7 @@ def warm_up() -> None:
 
 def _reach_m(prior: MotionPrior) -> FloatArray:
     """Return the reach (3,) of a search along each axis."""
-    variance = np.diagonal(prior.covariance)[3:] + prior.track_variance
-    return np.minimum(_SEARCH_SIGMAS * np.sqrt(variance), _MOST_SEARCH_M)
-
-
-def _determined_share(before: FloatArray, after: FloatArray) -> FloatArray:
-    """Return the share (3, 3) of a place that a frame has determined.
-
-    before, after: covariances (3, 3) of the place without and with the frame. The eigenvalues are between 0 and 1, whatever the
-    directions of the two.
-    """
-    values, axes = np.linalg.eigh(before)
-    whiten = (axes / np.sqrt(values)) @ axes.T
-    return np.asarray(np.eye(3) - whiten @ after @ whiten)
+    return np.minimum(_SEARCH_SIGMAS * np.sqrt(prior.variance), _MOST_SEARCH_M)
 
 
 def _proves(registration: Registration) -> bool:

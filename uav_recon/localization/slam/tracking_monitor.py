@@ -52,13 +52,13 @@ class TrackingMonitor:
         misfit = registration.coverage >= _MIN_COVERAGE_SHARE and registration.fit < _MIN_FIT_SHARE
         turned = (registration.odom_from_depth @ prior.odom_from_depth.inverse()).quat_wxyz
         turn_rad = 2.0 * math.atan2(float(np.linalg.norm(turned[1:])), abs(float(turned[0])))
-        moved_m = registration.odom_from_depth.translation_m - prior.odom_from_depth.translation_m - registration.shift_m
+        moved_m = registration.moved_m[:3] - registration.shift_m
         step_m = float(np.linalg.norm(moved_m))
         loose = (
-            np.sqrt(np.linalg.eigvalsh(registration.covariance[3:, 3:])[-1]),
+            registration.sigma_against_track_m,
             np.sqrt(np.linalg.eigvalsh(registration.covariance[:3, :3])[-1]),
         )
-        place_sigma_m = math.sqrt(float(np.linalg.eigvalsh(prior.covariance[3:, 3:])[-1]))
+        place_sigma_m = math.sqrt(float(np.linalg.eigvalsh(prior.step_covariance)[-1]))
         max_turn_rad = _max_turn_rad(registration, prior)
         checks = (
             (registration.points < _MIN_POINTS, TrackingFault.FEW_POINTS),
@@ -74,7 +74,7 @@ class TrackingMonitor:
 def _max_turn_rad(registration: Registration, prior: MotionPrior) -> float:
     """Return by how much a frame may turn against the gyro."""
     whole = registration.coverage >= _WHOLE_SHARE and registration.fit >= _WHOLE_SHARE
-    attitude_sigma_rad = math.sqrt(float(np.linalg.eigvalsh(prior.covariance[:3, :3])[-1]))
+    attitude_sigma_rad = math.sqrt(float(np.linalg.eigvalsh(prior.attitude_covariance)[-1]))
     return max(
         _MAX_WHOLE_TURN_RAD if whole else _MAX_TURN_RAD,
         _MAX_TURN_SIGMAS * prior.turn_sigma_rad,
