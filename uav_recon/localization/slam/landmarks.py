@@ -259,15 +259,16 @@ def add_landmark_equations(
     information: AnyArray,
     gradient: AnyArray,
     shown: AnyArray,
-) -> int:
+    fitting: AnyArray,
+) -> None:
     """Add the normal equations (SIZE) of landmarks that the image shows at at_px (N, 2).
 
     place_m (N, 3), slope (N, 3, 2), texture (N, 2, 2): of Landmarks; change (2,): of ``slow`` since the places were right.
     keyframe (N,): of Landmarks. information (M, SIZE, SIZE), gradient (M, SIZE): from each keyframe. weight: of one landmark.
-    shown (3, 3): information on the translation that the landmarks would give if each were a perfect corner. The first six
-    elements are those of add_depth_equations. Returns the number of landmarks that fit.
+    shown (3, 3): information on the translation that the landmarks would give if each were a perfect corner. fitting (M,):
+    number of landmarks of each keyframe that fit. The first six elements are those of add_depth_equations.
     """
-    fitting, expected, columns = 0, np.empty(2), np.empty((2, SIZE))
+    expected, columns = np.empty(2), np.empty((2, SIZE))
     for n in range(place_m.shape[0]):
         deep = _row(place_m[n], imager, expected, columns)
         if deep < _NEAREST_M:
@@ -283,8 +284,8 @@ def add_landmark_equations(
         t00, t01, t11 = texture[n, 0, 0], texture[n, 0, 1], texture[n, 1, 1]
         shown0, shown1 = t00 * off0 + t01 * off1, t01 * off0 + t11 * off1
         square = (off0 * shown0 + off1 * shown1) / (ROBUST_PX * ROBUST_PX)
-        fitting += int(square < 1.0)
         shrink = 1.0 / (1.0 + square / (wider * wider))
+        fitting[keyframe[n]] += int(square < 1.0)
         k, w = keyframe[n], weight * shrink * shrink / (_SIGMA_PX * _SIGMA_PX)
         for a in range(SIZE):
             gradient[k, a] += w * (columns[0, a] * shown0 + columns[1, a] * shown1)
@@ -294,7 +295,6 @@ def add_landmark_equations(
         for a in range(3):
             for b in range(3):
                 shown[a, b] += w * (columns[0, 3 + a] * columns[0, 3 + b] + columns[1, 3 + a] * columns[1, 3 + b])
-    return fitting
 
 
 @kernel

@@ -17,7 +17,7 @@ from uav_recon.localization.slam.keyframe_map import KeyframeMap, Keyframes
 from uav_recon.localization.slam.landmarks import SIZE, Landmarks, MovingImager, add_landmark_equations
 from uav_recon.localization.slam.place_errors import PlaceErrors
 from uav_recon.localization.slam.prepared_view import PreparedView
-from uav_recon.types.frames import FloatArray, IntArray
+from uav_recon.types.frames import BoolArray, FloatArray, IntArray
 from uav_recon.types.pose import Pose
 
 _ROUNDS = 10
@@ -92,7 +92,7 @@ class Registration:
     moved_m (6 + 3 M,), joint (6 + 3 M, 6 + 3 M): correction and covariance of the places of PlaceErrors.joint(). against_track
     (3, 3): covariance of the place against the keyframe, or the place lately, against which it is known best. determined_share
     (3, 3): share of the place that the frame has determined and not the prediction. points, known, inliers: depth points, those
-    in known space, those on a known surface. landmarks: number that fit. slow, slow_covariance: as in MotionPrior, after this
+    in known space, those on a known surface. fitting (M,): number of landmarks of each keyframe that fit. slow, slow_covariance: as in MotionPrior, after this
     frame. depth_sigma_m: of the place by depth alone, in its worst direction; infinite where depth does not determine it.
     match: sum of the weights of depth, larger for a better fit.
     """
@@ -107,11 +107,16 @@ class Registration:
     points: int
     known: int
     inliers: int
-    landmarks: int
+    fitting: IntArray
     slow: FloatArray
     slow_covariance: FloatArray
     depth_sigma_m: float
     match: float
+
+    @property
+    def landmarks(self) -> int:
+        """Number of landmarks that fit."""
+        return int(self.fitting.sum())
 
     @property
     def shift_m(self) -> FloatArray:
@@ -148,9 +153,13 @@ class Registration:
         """True if depth alone shows the place."""
         return self.depth_sigma_m <= _DETERMINED_M and self.fit >= _DETERMINED_FIT_SHARE and self.inliers >= _DETERMINED_POINTS
 
-    def confirmed(self, followed: int) -> bool:
-        """Return True if landmarks and depth both show the place. followed: number of landmarks."""
-        seen = self.landmarks >= max(_CONFIRMING_LANDMARKS, _AGREEING_SHARE * followed)
+    def confirmed(self, followed: Landmarks, of: BoolArray) -> bool:
+        """Return True if depth, and the landmarks of some (M,) of the keyframes, both show the place.
+
+        followed: the landmarks that the registration was given.
+        """
+        most = np.count_nonzero(of[followed.keyframe])
+        seen = int(self.fitting[of].sum()) >= max(_CONFIRMING_LANDMARKS, _AGREEING_SHARE * most)
         return seen and self.fit >= _DETERMINED_FIT_SHARE and self.inliers >= _DETERMINED_POINTS
 
     @property
@@ -199,7 +208,7 @@ def confirm(
     Landmarks and depth must both fit there.
     """
     found = _converge(view, keyframes, landmarks, prior, place_m - prior.odom_from_depth.translation_m)
-    return found if found.confirmed(len(landmarks.place_m)) else None
+    return found if found.confirmed(landmarks, np.ones(len(keyframes.number), np.bool_)) else None
 
 
 def _shifts_m(reach_m: FloatArray) -> FloatArray:
@@ -263,7 +272,7 @@ class _Equations:
     gradient: FloatArray
     known: int
     inliers: int
-    fitting: int
+    fitting: IntArray
     depth_sigma_m: float
     match: float
 
@@ -352,9 +361,11 @@ def _equations(
         eye_m=at.rotation @ view.depth_from_rgb.translation_m + at.place_m, turn_m=at.place_m,
         motion=np.concatenate((prior.rate_radps, prior.velocity_mps)), slow=at.slow,
     )  # fmt: skip
-    fitting = add_landmark_equations(
+    fitting = np.zeros(most, np.int64)
+    add_landmark_equations(
         landmarks.place_m + moved_m[landmarks.keyframe], landmarks.slope, landmarks.texture,
         landmarks.at_px, imager, landmarks.keyframe, at.slow - prior.slow, landmarks.share, wide, corners, pull, perfect,
+        fitting,
     )  # fmt: skip
     _leave_edges(corners, pull, perfect)
     return _Equations(surfaces + corners, slope + pull, known, inliers, fitting, depth_sigma_m, match)

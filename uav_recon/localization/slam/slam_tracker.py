@@ -262,7 +262,8 @@ class SlamTracker:
             view, prior.odom_from_depth, motion, self._slow, np.zeros_like(uncertain)
         )
         found = register(view, keyframes, landmarks, prior)
-        if not uncertain[keyframes.number].any() or found.confirmed(len(landmarks.place_m)):
+        doubtful = uncertain[keyframes.number]
+        if not doubtful.any() or found.confirmed(landmarks, doubtful):
             return found
         self._compared = self.surfaces.near_view(view, prior.odom_from_depth, motion, self._slow, uncertain)
         return register(view, *self._compared, prior)
@@ -331,8 +332,10 @@ class SlamTracker:
         recognised = self._recognise(view, registration, prior)
         if recognised is not None:
             return recognised
-        other, _ = search(view, self.surfaces, prior, reach_m)
-        better = other.determined and other.inliers > registration.inliers * _BETTER
+        if _SEARCH_SIGMAS * math.sqrt(float(prior.variance.max())) > _MOST_SEARCH_M:
+            return registration
+        other, next_best = search(view, self.surfaces, prior, reach_m)
+        better = other.determined and other.inliers > registration.inliers * _BETTER and next_best < _ALIKE_SHARE
         return other if better else registration
 
     def _search_map(self, view: PreparedView, registration: Registration, prior: MotionPrior) -> Registration:
