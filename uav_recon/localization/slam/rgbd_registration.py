@@ -8,6 +8,7 @@ before corrects it.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,6 +41,8 @@ _POSE = slice(0, 6)
 # Depth tells less of each direction by this share of its information in the best one: along a plane the noise of the field
 # would hold the camera to where it was.
 _WEAK_SHARE = 0.005
+_DOUBTED_SHARE = 0.1  # directions with less are tried: the camera is moved by this to both sides
+_TRIED_M = 0.04
 # Landmarks tell nothing of a direction in which they have less than this share of the information of perfect corners: all of
 # them are on edges then, and follow the prediction along these.
 _EDGES_SHARE = 0.05
@@ -354,7 +357,14 @@ def _equations(
     match = float(np.trace(surfaces.sum(axis=0)[_PLACE, _PLACE]))
     support = 1.0 if all_counts else _support(known, inliers)
     surfaces, slope = support * surfaces, support * slope
-    depth_sigma_m = _leave_weak_directions(surfaces, slope, prior.turn_sigma_rad)
+
+    def pull_at(shift_m: FloatArray) -> FloatArray:
+        """Return the gradient (3,) of depth on the place, from a place farther by this."""
+        unused, there = np.zeros((most, SIZE, SIZE)), np.zeros((most, SIZE))
+        add_depth_equations(view.points, at.rotation, at.place_m + shift_m, moved, _DEPTH_SHARE, _WIDER[0], unused, there)
+        return np.asarray(support * there.sum(axis=0)[_PLACE])
+
+    depth_sigma_m = _leave_weak_directions(surfaces, slope, prior.turn_sigma_rad, pull_at)
     corners, pull, perfect = np.zeros((most, SIZE, SIZE)), np.zeros((most, SIZE)), np.zeros((3, 3))
     imager = MovingImager(
         camera=view.camera, rotation=at.rotation @ view.depth_from_rgb.rotation(),
@@ -442,9 +452,13 @@ def _support(known: int, inliers: int) -> float:
     return max(fitting**2 * min(inliers / _ENOUGH_POINTS, 1.0) ** 2, 1e-6)
 
 
-def _leave_weak_directions(information: FloatArray, gradient: FloatArray, turn_sigma_rad: float) -> float:
+def _leave_weak_directions(
+    information: FloatArray, gradient: FloatArray, turn_sigma_rad: float, pull_at: Callable[[FloatArray], FloatArray]
+) -> float:
     """Remove from the equations of depth the translations that it does not determine.
 
+    Where the normals of a bare wall scatter, the equations are those of a wall that shows the place along it; but a camera that
+    is moved along it meets no larger distances. pull_at(shift_m): gradient (3,) on the place from a place farther by this (3,).
     Returns the standard deviation of the worst translation.
     Zhang, Kaess and Singh 2016, On Degeneracy of Optimization-based State Estimation Problems.
     """
@@ -452,7 +466,12 @@ def _leave_weak_directions(information: FloatArray, gradient: FloatArray, turn_s
     turn = both[:3, :3] + np.eye(3) * turn_sigma_rad**-2
     alone = both[3:6, 3:6] - both[3:6, :3] @ np.linalg.solve(turn, both[:3, 3:6])
     values, directions = np.linalg.eigh(0.5 * (alone + alone.T))
-    left = np.maximum(values - _WEAK_SHARE * values[-1], 0.0)
+    left = values.copy()
+    for k in np.flatnonzero(values < _DOUBTED_SHARE * values[-1]).tolist():
+        ahead_m = _TRIED_M * directions[:, k]
+        pulled = float((pull_at(-ahead_m) - pull_at(ahead_m)) @ ahead_m) / (2.0 * _TRIED_M**2)
+        left[k] = min(max(pulled, 0.0), values[k])
+    left = np.maximum(left - _WEAK_SHARE * values[-1], 0.0)
     kept = np.eye(SIZE)
     kept[_PLACE, _PLACE] = directions @ np.diag(np.sqrt(left / np.maximum(values, _TINY))) @ directions.T
     information[:] = kept @ information @ kept
