@@ -15,11 +15,10 @@ import numpy as np
 
 from uav_recon.localization.flow.measured_motion import MeasuredMotion
 from uav_recon.localization.fusion.imu_integration import GRAVITY_MPS2, InertialState, conjugate
-from uav_recon.localization.slam.place_errors import PlaceErrors
+from uav_recon.localization.slam.place_errors import PLACE, PlaceErrors, Update
 from uav_recon.types.frames import FloatArray, IntArray
 from uav_recon.types.pose import Pose
 
-PLACE = slice(0, 3)
 VELOCITY = slice(3, 6)
 BIAS = slice(6, 9)  # of the accelerometer, body axes
 TILT = slice(9, 12)  # specific force by the tilt of the map, odom axes
@@ -98,7 +97,7 @@ class MotionFilter:
     @property
     def now(self) -> PredictedMotion:
         """The motion at the newest frame."""
-        return PredictedMotion(self._state, self.errors.body, np.eye(_SIZE))
+        return PredictedMotion(self._state, self.errors.state, np.eye(_SIZE))
 
     @property
     def now_against_lag(self) -> PredictedMotion:
@@ -116,14 +115,14 @@ class MotionFilter:
         The bias of the accelerometer stays known.
         """
         offsets, covariance = np.concatenate((self._state[BIAS], np.zeros(3))), np.zeros((6, 6))
-        covariance[:3, :3], covariance[3:, 3:] = self.errors.body[BIAS, BIAS], np.diag(_TILT_VARIANCE)
+        covariance[:3, :3], covariance[3:, 3:] = self.errors.state[BIAS, BIAS], np.diag(_TILT_VARIANCE)
         self._state, began = _resting(place_m, offsets, covariance)
         self._state[VELOCITY] = velocity_mps
         self.errors = PlaceErrors.start(began)
 
     def rest(self) -> None:
         """Set the velocity to zero: the body rests."""
-        self._state, resting = _resting(self._state[PLACE], self._state[OFFSETS], self.errors.body[OFFSETS, OFFSETS])
+        self._state, resting = _resting(self._state[PLACE], self._state[OFFSETS], self.errors.state[OFFSETS, OFFSETS])
         self.errors = self.errors.at_rest(resting)
 
     def predict(
@@ -171,18 +170,20 @@ class MotionFilter:
         """Take the predicted motion: the frame was not accepted."""
         self.errors, self._state = self.predicted_errors(predicted), predicted.state
 
-    def update(self, predicted: PredictedMotion, numbers: IntArray, moved_m: FloatArray, joint: FloatArray) -> FloatArray:
-        """Take an accepted frame. Return by what (N, 3) the places of the keyframes are corrected.
+    def update(
+        self, predicted: PredictedMotion, numbers: IntArray, moved_m: FloatArray, joint: FloatArray
+    ) -> tuple[FloatArray, Update]:
+        """Take an accepted frame. Return by what (N, 3) the places of the keyframes are corrected, and what undoes this.
 
         numbers, moved_m, joint: as in PlaceErrors.updated().
         """
         errors = self.predicted_errors(predicted)
         before = errors.against_lag()[PLACE, PLACE]
-        self.errors, correction, places_m = errors.updated(numbers, moved_m, joint)
+        self.errors, correction, places_m, update = errors.updated(numbers, moved_m, joint)
         self._state = predicted.state + correction
         stepped_m = moved_m[:3] - moved_m[3:6]
         self._judge(float(stepped_m @ np.linalg.solve(before, stepped_m)))
-        return places_m
+        return places_m, update
 
     def _judge(self, surprise: float) -> None:
         """Leave the accelerometer out after surprises."""

@@ -3,7 +3,8 @@
 A frame measures its place against keyframes, never against odom. So the errors of body and keyframes are correlated, and
 only their joint covariance says what a frame tells of each: a keyframe that was just taken has the error of the body, and says
 nothing of it; one from before, once it is in view again, corrects the body and all keyframes since.
-Roumeliotis and Burdick 2002, Stochastic Cloning; Smith, Self and Cheeseman 1990, for the joint covariance.
+Roumeliotis and Burdick 2002, Stochastic Cloning; Smith, Self and Cheeseman 1990, for the joint covariance; Schmidt 1966, for
+places that an update leaves where they are.
 """
 
 from __future__ import annotations
@@ -14,117 +15,165 @@ import numpy as np
 
 from uav_recon.types.frames import FloatArray, IntArray
 
-_LAGS = 2  # earlier places of the body, beside the keyframes
+PLACE = slice(0, 3)  # of the body's state
 _FIRST_LAG_M = 1e-3
+_FIRST_CAPACITY = 64  # keyframes
+_LEAST_GAIN = 0.01  # a keyframe that an update would move by less than this share of the corrections stays where it is
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Update:
+    """What an update has changed among keyframes: their elements (A,), and the factors (A, K), (3 N, K) of the difference."""
+
+    elements: IntArray
+    by_active: FloatArray
+    gain: FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlaceErrors:
-    """Covariance of the body's state and of earlier places. Immutable.
+    """Covariance of the body's state, two of its earlier places, and the places of N keyframes.
 
-    body (S, S): of the state, whose first three elements are the place. cross (S, 3 P): of it with the earlier places. places
-    (3 P, 3 P): of these; m² along the axes of odom. The first of the P places are those of the body lately, the others those of
-    the keyframes 0, 1, ... ``lag``: which of the first is the older one. ``before``: number of the keyframes that are older.
+    body (S + 6, S + 6): of the state, whose first three elements are the place, and of the earlier places. cross (S + 6, 3 N):
+    of these with the keyframes; m² along the axes of odom. ``lag``: which of the earlier places is the older one, 0 or 1.
+    ``before``: number of the keyframes that are older than it.
+
+    All but the covariance of the keyframes among each other is immutable; this is shared by those that follow each other, and
+    an update must be undone before an earlier one is used again.
     """
 
     body: FloatArray
     cross: FloatArray
-    places: FloatArray
+    shared: FloatArray
     lag: int
     before: int
 
     @staticmethod
-    def start(body: FloatArray) -> PlaceErrors:
-        """Return those of a body without keyframes."""
-        size = 3 * _LAGS
-        return PlaceErrors(body, np.zeros((len(body), size)), _FIRST_LAG_M**2 * np.eye(size), 0, 0)
+    def start(state: FloatArray) -> PlaceErrors:
+        """Return those of a body without keyframes. state (S, S): covariance of its state."""
+        size = len(state)
+        body = _FIRST_LAG_M**2 * np.eye(size + 6)
+        body[:size, :size] = state
+        return PlaceErrors(body, np.zeros((size + 6, 0)), np.zeros((3 * _FIRST_CAPACITY, 3 * _FIRST_CAPACITY)), 0, 0)
 
     @property
     def count(self) -> int:
         """Number of keyframes."""
-        return len(self.places) // 3 - _LAGS
+        return int(self.cross.shape[1] // 3)
+
+    @property
+    def state(self) -> FloatArray:
+        """Covariance (S, S) of the body's state."""
+        return self.body[:-6, :-6]
+
+    @property
+    def places(self) -> FloatArray:
+        """Covariance (3 N, 3 N) of the keyframes."""
+        size = self.cross.shape[1]
+        return self.shared[:size, :size]
 
     @property
     def variance(self) -> FloatArray:
         """Variance (N, 3) of the places of the keyframes."""
-        return np.diagonal(self.places)[3 * _LAGS :].reshape(-1, 3)
+        return np.diagonal(self.places).reshape(-1, 3)
 
-    def at_rest(self, body: FloatArray) -> PlaceErrors:
+    def at_rest(self, state: FloatArray) -> PlaceErrors:
         """Return those of a body that rests: its state (S, S) is known apart from the keyframes."""
-        return replace(self, body=body, cross=np.zeros_like(self.cross))
+        return replace(self, body=PlaceErrors.start(state).body, cross=np.zeros_like(self.cross))
 
-    def predicted(self, body: FloatArray, transition: FloatArray) -> PlaceErrors:
+    def predicted(self, state: FloatArray, transition: FloatArray) -> PlaceErrors:
         """Return those of a later state of this covariance (S, S). transition (S, S): of its errors."""
-        return replace(self, body=body, cross=transition @ self.cross)
+        size, body, cross = len(state), self.body.copy(), self.cross.copy()
+        body[:size, :size] = state
+        body[:size, size:] = transition @ self.body[:size, size:]
+        body[size:, :size] = body[:size, size:].T
+        cross[:size] = transition @ self.cross[:size]
+        return replace(self, body=body, cross=cross)
 
     def with_keyframe(self, placed_m: float) -> PlaceErrors:
         """Return those with one more keyframe, where the body is.
 
         placed_m: standard deviation of its surfaces against the body.
         """
-        size, place = len(self.places), slice(0, 3)
-        places = np.zeros((size + 3, size + 3))
-        places[:size, :size] = self.places
-        places[size:, :size], places[:size, size:] = self.cross[place], self.cross[place].T
-        places[size:, size:] = self.body[place, place] + placed_m**2 * np.eye(3)
-        return replace(self, cross=np.hstack((self.cross, self.body[:, place])), places=places)
+        size, shared = self.cross.shape[1], self.shared
+        if size == len(shared):
+            shared = np.zeros((2 * size, 2 * size))
+            shared[:size, :size] = self.shared
+        shared[size : size + 3, :size], shared[:size, size : size + 3] = self.cross[PLACE], self.cross[PLACE].T
+        shared[size : size + 3, size : size + 3] = self.body[PLACE, PLACE] + placed_m**2 * np.eye(3)
+        return replace(self, cross=np.hstack((self.cross, self.body[:, PLACE])), shared=shared)
 
     def with_lag(self) -> PlaceErrors:
         """Return those in which the place of the body now replaces the older one of those lately."""
-        old, place = slice(3 * self.lag, 3 * self.lag + 3), slice(0, 3)
-        cross, places = self.cross.copy(), self.places.copy()
-        cross[:, old] = self.body[:, place]
-        places[old, :], places[:, old] = cross[place], cross[place].T
-        return replace(self, cross=cross, places=places, lag=(self.lag + 1) % _LAGS, before=self.count)
-
-    def without_newest(self, count: int) -> PlaceErrors:
-        """Return those of the first keyframes only."""
-        size = 3 * (_LAGS + count)
-        return replace(self, cross=self.cross[:, :size], places=self.places[:size, :size], before=min(self.before, count))
+        taken = np.eye(len(self.body))
+        taken[self._lag] = taken[PLACE]
+        return replace(self, body=taken @ self.body @ taken.T, cross=taken @ self.cross, lag=1 - self.lag, before=self.count)
 
     def joint(self, numbers: IntArray) -> FloatArray:
         """Return the covariance (6 + 3 M, 6 + 3 M) of the body's place, of that one or two seconds ago, and of M keyframes."""
-        at = self._elements(numbers)
-        out = np.empty((3 + len(at), 3 + len(at)))
-        out[:3, :3], out[:3, 3:] = self.body[:3, :3], self.cross[:3, at]
-        out[3:, :3], out[3:, 3:] = self.cross[:3, at].T, self.places[np.ix_(at, at)]
-        return out
+        own, at = self._own, _elements(numbers)
+        cross = self.cross[np.ix_(own, at)]
+        return np.block([[self.body[np.ix_(own, own)], cross], [cross.T, self.shared[np.ix_(at, at)]]])
 
     def apart(self) -> FloatArray:
         """Return the variance (N, 3) of the way from each keyframe to the body."""
-        each = np.arange(self.count)[:, None] * 3 + np.arange(3)
-        cross = self.cross[:, 3 * _LAGS :][np.arange(3), each]
-        return np.asarray(np.diagonal(self.body)[:3] + self.variance - 2.0 * cross)
+        cross = self.cross[np.arange(3), np.arange(self.count)[:, None] * 3 + np.arange(3)]
+        return np.asarray(np.diagonal(self.body)[PLACE] + self.variance - 2.0 * cross)
 
     def against_lag(self) -> FloatArray:
         """Return the covariance (S, S) of the state with the place against that one or two seconds ago."""
-        lag, place = slice(3 * self.lag, 3 * self.lag + 3), slice(0, 3)
-        body = self.body.copy()
-        body[:, place] -= self.cross[:, lag]
-        body[place, :] -= self.cross[:, lag].T
-        body[place, place] += self.places[lag, lag]
-        return body
+        against = np.eye(len(self.body))
+        against[PLACE, self._lag] = -np.eye(3)
+        return np.asarray(against @ self.body @ against.T)[:-6, :-6]
 
-    def updated(self, numbers: IntArray, moved_m: FloatArray, joint: FloatArray) -> tuple[PlaceErrors, FloatArray, FloatArray]:
-        """Return those after a frame, by what the body's state (S,) is corrected, and the places (N, 3) of the keyframes.
+    def updated(
+        self, numbers: IntArray, moved_m: FloatArray, joint: FloatArray
+    ) -> tuple[PlaceErrors, FloatArray, FloatArray, Update]:
+        """Return those after a frame.
 
+        Also returns by what the body's state (S,) is corrected, and the places (N, 3) of the keyframes, and what undo() needs.
         moved_m (6 + 3 M,): correction of joint()'s places. joint (6 + 3 M, 6 + 3 M): their covariance after it.
         """
-        at = self._elements(numbers)
-        before = self.joint(numbers)
-        by_body = np.hstack((self.body[:, :3], self.cross[:, at]))
-        by_places = np.hstack((self.cross[:3].T, self.places[:, at]))
+        own, at, before = self._own, _elements(numbers), self.joint(numbers)
         inverse = np.linalg.inv(before)
-        body_gain, gain = by_body @ inverse, by_places @ inverse
-        less = before - joint
-        by_body, by_places = body_gain @ less, gain @ less
+        body_gain = np.hstack((self.body[:, own], self.cross[:, at])) @ inverse
+        gain = np.hstack((self.cross[own].T, self.shared[: self.cross.shape[1], at])) @ inverse
+        by_body = body_gain @ (before - joint)
+        moves = np.abs(gain.reshape(-1, 3, gain.shape[1])).max(axis=(1, 2)) > _LEAST_GAIN
+        active = _elements(np.flatnonzero(moves))
+        update = Update(active, gain[active] @ (before - joint), gain)
+        self._add(update, -1.0)
         body = self.body - by_body @ body_gain.T
-        after = replace(
-            self, body=0.5 * (body + body.T), cross=self.cross - by_body @ gain.T, places=self.places - by_places @ gain.T
-        )
-        return after, body_gain @ moved_m, (gain @ moved_m)[3 * _LAGS :].reshape(-1, 3)
+        corrected_m = np.zeros(len(gain))
+        corrected_m[active] = gain[active] @ moved_m
+        after = replace(self, body=0.5 * (body + body.T), cross=self.cross - by_body @ gain.T)
+        return after, (body_gain @ moved_m)[:-6], corrected_m.reshape(-1, 3), update
 
-    def _elements(self, numbers: IntArray) -> IntArray:
-        """Return the elements (3 + 3 M,) of the lag and of keyframes among the places."""
-        first = np.concatenate(([self.lag], _LAGS + numbers)).astype(np.int64)
-        return np.asarray(3 * first[:, None] + np.arange(3)).ravel()
+    def undo(self, update: Update) -> None:
+        """Take back what an update has changed among the keyframes."""
+        self._add(update, 1.0)
+
+    def redo(self, update: Update) -> None:
+        """Change again what was taken back."""
+        self._add(update, -1.0)
+
+    def _add(self, update: Update, sign: float) -> None:
+        size, active = len(update.gain), update.elements
+        changed = self.shared[active, :size] + sign * update.by_active @ update.gain.T
+        self.shared[active, :size] = changed
+        self.shared[:size, active] = changed.T
+
+    @property
+    def _lag(self) -> slice:
+        first = len(self.body) - 6 + 3 * self.lag
+        return slice(first, first + 3)
+
+    @property
+    def _own(self) -> IntArray:
+        """Elements (6,) of the place and the older one of those lately."""
+        return np.concatenate((np.arange(3), np.arange(self._lag.start, self._lag.stop)))
+
+
+def _elements(numbers: IntArray) -> IntArray:
+    """Return the elements (3 M,) of keyframes."""
+    return np.asarray(3 * numbers.astype(np.int64)[:, None] + np.arange(3)).ravel()

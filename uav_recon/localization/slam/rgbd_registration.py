@@ -79,7 +79,7 @@ class MotionPrior:
     @property
     def variance(self) -> FloatArray:
         """Variance (3,) of the place, m² along the axes of odom."""
-        return np.asarray(np.diagonal(self.places.body)[:3])
+        return np.asarray(np.diagonal(self.places.state)[:3])
 
     @property
     def step_covariance(self) -> FloatArray:
@@ -95,9 +95,9 @@ class Registration:
     moved_m (6 + 3 M,), joint (6 + 3 M, 6 + 3 M): correction and covariance of the places of PlaceErrors.joint(). against_track
     (3, 3): covariance of the place against the keyframe, or the place lately, against which it is known best. determined_share
     (3, 3): share of the place that the frame has determined and not the prediction. points, known, inliers: depth points, those
-    in known space, those on a known surface. fitting (M,): number of landmarks of each keyframe that fit. slow, slow_covariance: as in MotionPrior, after this
-    frame. depth_sigma_m: of the place by depth alone, in its worst direction; infinite where depth does not determine it.
-    match: sum of the weights of depth, larger for a better fit.
+    in known space, those on a known surface. fitting (M,): number of landmarks of each keyframe that fit. slow,
+    slow_covariance: as in MotionPrior, after this frame. depth_sigma_m: of the place by depth alone, in its worst direction;
+    infinite where depth does not determine it. match: sum of the weights of depth, larger for a better fit.
     """
 
     odom_from_depth: Pose

@@ -23,6 +23,7 @@ from uav_recon.localization.slam.keyframe_map import KeyframeMap, no_keyframes
 from uav_recon.localization.slam.landmarks import Landmarks
 from uav_recon.localization.slam.motion_filter import MotionFilter, PredictedMotion
 from uav_recon.localization.slam.outside_motion import NoOutsideMotion, OutsideMotion
+from uav_recon.localization.slam.place_errors import Update
 from uav_recon.localization.slam.prepared_view import PreparedView
 from uav_recon.localization.slam.rest_detection import RestDetector
 from uav_recon.localization.slam.rgbd_registration import MotionPrior, Registration, confirm, register, search
@@ -118,16 +119,16 @@ class TrackerState:
 class _WithoutFrame:
     """The track at an accepted frame, as if it had not been accepted.
 
-    surprise: squared innovation of the frame's place, in standard deviations. keyframes: number of them. moved_m (N, 3): by
-    which the frame has corrected their places.
+    surprise: squared innovation of the frame's place, in standard deviations. moved_m (N, 3): by which the frame has corrected
+    the places of the keyframes. update: that of their covariance.
     """
 
     state: TrackedState
     motion: MotionFilter
     attitude: AttitudeFilter
     surprise: float
-    keyframes: int
     moved_m: FloatArray
+    update: Update
 
 
 OdomAt = Callable[[float], StampedPose | None]  # odometry at an instant, None if it is not known
@@ -253,8 +254,8 @@ class SlamTracker:
     def _registered(self, view: PreparedView, prior: MotionPrior) -> Registration:
         """Return the registration of a view.
 
-        Keyframes of which the way to the view is too uncertain count only if landmarks and depth both confirm them: alone, either
-        may fit at a wrong place.
+        Keyframes of which the way to the view is too uncertain count only if landmarks and depth both confirm them: alone,
+        either may fit at a wrong place.
         """
         motion = np.concatenate((prior.rate_radps, prior.velocity_mps))
         uncertain = prior.places.apart().max(axis=1, initial=0.0) > _UNCERTAIN_M**2
@@ -285,15 +286,17 @@ class SlamTracker:
         kept = self._state, self._motion, self._attitude, self._predicted, self._turned
         self._state, self._motion, self._attitude = without.state, without.motion, without.attitude
         self._motion.accelerometer_used = kept[1].accelerometer_used
-        compared, count, self.surfaces.count = self._compared, self.surfaces.count, without.keyframes
+        compared, count, self.surfaces.count = self._compared, self.surfaces.count, without.motion.errors.count
+        without.motion.errors.undo(without.update)
         self.surfaces.move(-without.moved_m, without.motion.errors.variance)
         other = self._predict(without.state, stamp_s, body_from_depth)
         found = self._registered(view, other)
         fault = self._monitor.fault(found, other)
         if fault is None and found.surprise(other) < _LESS_SURPRISED_SHARE * without.surprise:
             self.fault, self._without_frame = None, None
-            self.surfaces.keep(without.keyframes)
+            self.surfaces.keep(self.surfaces.count)
             return found, other
+        without.motion.errors.redo(without.update)
         self.surfaces.move(without.moved_m, without.motion.errors.variance)
         self.surfaces.count, self._compared = count, compared
         self.surfaces.move(np.zeros((count, 3)), kept[1].errors.variance)
@@ -349,9 +352,7 @@ class SlamTracker:
         recognised = self._recognise(view, registration, prior)
         if recognised is not None:
             return recognised
-        other, next_best = search(
-            view, self.surfaces, prior, _reach_m(prior), _OLD_SHARE * registration.sigma_m**2
-        )
+        other, next_best = search(view, self.surfaces, prior, _reach_m(prior), _OLD_SHARE * registration.sigma_m**2)
         if next_best > _ALIKE_SHARE or not other.determined:
             self._agreeing = 0
             return registration
@@ -510,8 +511,8 @@ class SlamTracker:
         odom_from_body = registration.odom_from_depth @ body_from_depth.inverse()
         numbers = registration.keyframes.number
         without = copy.copy(self._motion)
-        moved_m = self._motion.update(self._predicted, numbers, registration.moved_m, registration.joint)
-        self._without_frame = self._as_if_not(without, stamp_s, registration, prior, body_from_depth, moved_m)
+        moved_m, update = self._motion.update(self._predicted, numbers, registration.moved_m, registration.joint)
+        self._without_frame = self._as_if_not(without, stamp_s, registration, prior, body_from_depth, moved_m, update)
         self.surfaces.move(moved_m, self._motion.errors.variance)
         unseen_m = odom_from_body.translation_m - self._predicted.place_m  # error of the time without a view
         self._release(unseen_m if self._unsure else registration.shift_m, step_s)
@@ -545,21 +546,22 @@ class SlamTracker:
         prior: MotionPrior,
         body_from_depth: Pose,
         moved_m: FloatArray,
+        update: Update,
     ) -> _WithoutFrame:
         """Return the track at an accepted frame, as if it were not.
 
-        motion: before the frame. moved_m (N, 3): by which the frame has corrected the keyframes.
+        motion: before the frame. moved_m, update: as in _WithoutFrame.
         """
         attitude = copy.copy(self._attitude)
         motion.coast(self._predicted)
         attitude.coast(self._turned)
         state = TrackedState(stamp_s, prior.odom_from_depth @ body_from_depth.inverse(), motion.velocity_mps)
-        return _WithoutFrame(state, motion, attitude, registration.surprise(prior), self.surfaces.count, moved_m)
+        return _WithoutFrame(state, motion, attitude, registration.surprise(prior), moved_m, update)
 
     def _add_to_map(self, view: PreparedView, odom_from_depth: Pose, motion: FloatArray, landmarks: int = 0) -> None:
         if self._accepted_frames < _FUSION_FRAMES:
             return
-        variance = np.diagonal(self._motion.errors.body)[:3] + _PLACED_M**2
+        variance = np.diagonal(self._motion.errors.state)[:3] + _PLACED_M**2
         if self.surfaces.add(view, odom_from_depth, motion, self._slow, variance, landmarks):
             self._motion.add_keyframe(_PLACED_M)
 

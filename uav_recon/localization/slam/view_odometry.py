@@ -17,7 +17,8 @@ from uav_recon.localization.fusion.filter_pose_gates import PoseRejection
 from uav_recon.localization.fusion.imu_sample_gate import ImuSampleGate
 from uav_recon.localization.fusion.inertial_check import InertialCheck
 from uav_recon.localization.fusion.pose_stream_health import most_quality
-from uav_recon.localization.slam.motion_filter import PLACE, PredictedMotion, propagate
+from uav_recon.localization.slam.motion_filter import PredictedMotion, propagate
+from uav_recon.localization.slam.place_errors import PLACE
 from uav_recon.localization.slam.slam_tracker import OdomAt, SlamTracker
 from uav_recon.types.camera import Frame, ImuSample
 from uav_recon.types.frames import FloatArray
