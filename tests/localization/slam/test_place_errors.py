@@ -139,7 +139,9 @@ def test_a_keyframe_that_was_just_taken_says_nothing_of_the_error_that_it_shares
     errors, *_ = errors.updated(*_seen(errors, 0, np.zeros(3)))
     assert np.sqrt(errors.state[0, 0]) > 0.95 * sigma_m
     assert np.sqrt(errors.state[3, 3]) > 0.95 * sigma_mps
-    assert np.sqrt(errors.apart().max()) < 0.004
+    joint = errors.joint(np.array([0]))
+    way = joint[:3, :3] - joint[:3, 6:] - joint[6:, :3] + joint[6:, 6:]
+    assert np.sqrt(np.diagonal(way).max()) < 0.004
 
 
 def test_an_old_keyframe_in_view_again_corrects_body_and_keyframes_since() -> None:
@@ -154,7 +156,7 @@ def test_an_old_keyframe_in_view_again_corrects_body_and_keyframes_since() -> No
     after, corrected, moved_m, _ = errors.updated(*_seen(errors, 0, off_m))
     np.testing.assert_allclose(corrected[:3], off_m, atol=0.01)
     assert abs(moved_m[0, 0]) < 0.01 < moved_m[1, 0] < moved_m[2, 0] < moved_m[3, 0] < moved_m[4, 0] < 0.32
-    assert np.sqrt(after.variance.max()) < 0.12
+    assert np.sqrt(after.variance.max()) < 0.13
 
 
 def test_the_place_against_that_lately_is_uncertain_by_the_motion_since() -> None:

@@ -24,6 +24,7 @@ def add_depth_equations(
     rotation: AnyArray,
     place_m: AnyArray,
     keyframes: Keyframes,
+    doubt: AnyArray,
     share: float,
     wider: float,
     information: AnyArray,
@@ -31,7 +32,8 @@ def add_depth_equations(
 ) -> tuple[int, int]:
     """Add the normal equations of points (N, 3) against the surfaces of keyframes.
 
-    rotation (3, 3), place_m (3,): pose of the depth imager in odom.
+    rotation (3, 3), place_m (3,): pose of the depth imager in odom. doubt (M, 3, 3): a surface of a keyframe does not count if
+    this is more than 1 along its normal.
 
     information (M, >= 6, >= 6) and gradient (M, >= 6): of a small rotation in odom axes about the camera and of its
     translation, in units of standard deviations, from each keyframe. share: weight of one point, since the errors of neighbours
@@ -57,12 +59,24 @@ def add_depth_equations(
             nx, ny, nz = normal[m, 0], normal[m, 1], normal[m, 2]
             row[0], row[1], row[2] = y * nz - z * ny, z * nx - x * nz, x * ny - y * nx
             row[3], row[4], row[5] = nx, ny, nz
+            if _along(doubt[k], row[3:]) > 1.0:
+                continue
             w = share / found * shrink * shrink / (sigma_m * sigma_m)
             for a in range(6):
                 gradient[k, a] -= w * row[a] * off_m[m]
                 for b in range(6):
                     information[k, a, b] += w * row[a] * row[b]
     return known, inliers
+
+
+@kernel
+def _along(matrix: AnyArray, normal: AnyArray) -> float:
+    """Return the value of a quadratic form (3, 3) for a direction (3,)."""
+    out = 0.0
+    for a in range(3):
+        for b in range(3):
+            out += normal[a] * matrix[a, b] * normal[b]
+    return out
 
 
 @fast_kernel

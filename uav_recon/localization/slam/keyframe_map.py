@@ -17,7 +17,7 @@ from uav_recon.localization.slam.depth_image import DepthImage, grid_points, wri
 from uav_recon.localization.slam.landmarks import Corners, Landmarks, moving_imager, project
 from uav_recon.localization.slam.place_recognition import Description, UnplacedView
 from uav_recon.localization.slam.prepared_view import PreparedView
-from uav_recon.types.frames import AnyArray, BoolArray, FloatArray, IntArray
+from uav_recon.types.frames import AnyArray, FloatArray, IntArray
 from uav_recon.types.pose import Pose
 
 NEAREST_M = 0.1  # a point nearer to the plane of an imager is not in its image
@@ -83,15 +83,13 @@ class KeyframeMap:
         return self._chosen(self._like_and_sure(share))
 
     def near_view(
-        self, view: PreparedView, odom_from_depth: Pose, motion: FloatArray, slow: FloatArray, left_out: BoolArray
+        self, view: PreparedView, odom_from_depth: Pose, motion: FloatArray, slow: FloatArray
     ) -> tuple[Keyframes, Landmarks]:
         """Return the keyframes to compare a view with, and their landmarks that it shows. About 1 ms a keyframe.
 
-        odom_from_depth: the predicted pose. motion (6,), slow (2,): as in MovingImager. left_out (N,): keyframes that do not
-        count.
+        odom_from_depth: the predicted pose. motion (6,), slow (2,): as in MovingImager.
         """
         share = self._shares(view.depth, odom_from_depth, 0.0).sum(axis=1)
-        share[left_out] = 0.0
         imager = moving_imager(view, odom_from_depth, motion, slow)
         shown = {number: self._corners[number].expected(self.pose(number), view, imager, slow) for number in _most(share)}
         chosen = self._like_and_sure(share)

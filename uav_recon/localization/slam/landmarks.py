@@ -16,7 +16,7 @@ from uav_recon.geometry.jit import kernel
 from uav_recon.localization.slam.depth_image import DepthImage
 from uav_recon.localization.slam.optical_flow import followed, inside
 from uav_recon.localization.slam.prepared_view import PreparedView, corner_places
-from uav_recon.types.frames import AnyArray, ByteArray, FloatArray, IntArray
+from uav_recon.types.frames import AnyArray, BoolArray, ByteArray, FloatArray, IntArray
 from uav_recon.types.pose import Pose
 
 MOST = 220  # corners of a keyframe
@@ -67,6 +67,13 @@ class Landmarks(NamedTuple):
     def share(self) -> float:
         """Weight of one: the keyframes that show the same corners divide it."""
         return 1.0 / max(len(np.unique(self.keyframe)), 1)
+
+    def of(self, keyframes: BoolArray) -> Landmarks:
+        """Return the landmarks of some of the keyframes (M,)."""
+        kept = keyframes[self.keyframe]
+        return Landmarks(
+            self.place_m[kept], self.slope[kept], self.at_px[kept], self.texture[kept], self.keyframe[kept], self.corner[kept]
+        )
 
     @staticmethod
     def none() -> Landmarks:

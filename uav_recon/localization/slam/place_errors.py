@@ -115,11 +115,6 @@ class PlaceErrors:
         cross = self.cross[np.ix_(own, at)]
         return np.block([[self.body[np.ix_(own, own)], cross], [cross.T, self.shared[np.ix_(at, at)]]])
 
-    def apart(self) -> FloatArray:
-        """Return the variance (N, 3) of the way from each keyframe to the body."""
-        cross = self.cross[np.arange(3), np.arange(self.count)[:, None] * 3 + np.arange(3)]
-        return np.asarray(np.diagonal(self.body)[PLACE] + self.variance - 2.0 * cross)
-
     def against_lag(self) -> FloatArray:
         """Return the covariance (S, S) of the state with the place against that one or two seconds ago."""
         against = np.eye(len(self.body))

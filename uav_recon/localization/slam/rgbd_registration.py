@@ -49,6 +49,8 @@ _EDGES_SHARE = 0.05
 _LEAST_SHOWN = 1.0  # keeps the shares finite in directions that no landmark could show
 _PLACE = slice(3, 6)
 _LAG = slice(3, 6)  # of the joint covariance of places
+_UNCERTAIN_M = 0.08  # standard deviation of a way to a keyframe from which registration may end at a wrong place
+_CERTAIN_M = 0.025  # the same along the normal of a surface that counts all the same: the wall is the same wherever on it
 _LEAST_M2 = 1e-5**2  # variance of a place that is known exactly
 _DETERMINED_M = 0.02  # standard deviation of a place that depth alone determines
 _DETERMINED_FIT_SHARE = 0.85  # of its points in known space, those on a known surface
@@ -223,16 +225,42 @@ def _shifts_m(reach_m: FloatArray) -> FloatArray:
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
-def register(view: PreparedView, keyframes: Keyframes, landmarks: Landmarks, prior: MotionPrior) -> Registration:
+def register(
+    view: PreparedView, keyframes: Keyframes, landmarks: Landmarks, prior: MotionPrior, *, doubted: bool = False
+) -> Registration:
     """Return the pose at which the frame fits the map, from the predicted one on. About 2 ms.
 
-    Landmarks of which too few agree are those of a view without texture, and left out.
+    Landmarks of which too few agree are those of a view without texture, and left out. doubted: surfaces of a keyframe do not
+    count where they face a direction in which the way to it is too uncertain, nor do its landmarks: registration may end at a
+    wrong place there.
     """
-    found = _converge(view, keyframes, landmarks, prior)
+    doubt = np.zeros((len(keyframes.number), 3, 3))
+    if doubted:
+        doubt = _ways(prior.places.joint(keyframes.number)) / _CERTAIN_M**2
+        landmarks = landmarks.of(~uncertain(keyframes, prior))
+    found = _converge(view, keyframes, landmarks, prior, doubt=doubt)
     followed = len(landmarks.place_m)
     if followed and found.landmarks < max(_FEWEST_LANDMARKS, _AGREEING_SHARE * followed):
-        return _converge(view, keyframes, Landmarks.none(), prior)
+        return _converge(view, keyframes, Landmarks.none(), prior, doubt=doubt)
     return found
+
+
+def uncertain(keyframes: Keyframes, prior: MotionPrior) -> BoolArray:
+    """Return which keyframes (M,) register() may fit at a wrong place, since the way to them is too uncertain."""
+    values = np.linalg.eigvalsh(_ways(prior.places.joint(keyframes.number)))
+    return np.asarray(values[:, -1] > _UNCERTAIN_M**2)
+
+
+def _ways(joint: FloatArray) -> FloatArray:
+    """Return the covariances (M, 3, 3) of the ways to keyframes. joint: of the places."""
+    ways = [_way(joint, first) for first in range(6, len(joint), 3)]
+    return np.array(ways).reshape(-1, 3, 3)
+
+
+def _way(joint: FloatArray, first: int) -> FloatArray:
+    """Return the covariance (3, 3) of the place against another of the joint places, which begins at this element."""
+    other = slice(first, first + 3)
+    return np.asarray(joint[:3, :3] - joint[:3, other] - joint[other, :3] + joint[other, other])
 
 
 @dataclass(slots=True, eq=False)
@@ -300,11 +328,14 @@ def _converge(
     landmarks: Landmarks,
     prior: MotionPrior,
     shift_m: FloatArray | None = None,
+    doubt: FloatArray | None = None,
 ) -> Registration:
     """Run Gauss-Newton from the predicted pose.
 
-    shift_m (3,): from a place farther by this instead; depth counts at first even where it does not fit.
+    shift_m (3,): from a place farther by this instead; depth counts at first even where it does not fit. doubt (M, 3, 3):
+    as in add_depth_equations().
     """
+    doubt = np.zeros((len(keyframes.number), 3, 3)) if doubt is None else doubt
     far, joint = shift_m is not None, prior.places.joint(keyframes.number)
     moved_m = np.concatenate((np.zeros(3) if shift_m is None else shift_m, np.zeros(len(joint) - 3)))
     place_m = prior.odom_from_depth.translation_m + moved_m[:3]
@@ -315,7 +346,7 @@ def _converge(
     for number in range(rounds):
         near = number - (rounds - _ROUNDS)  # rounds near the pose
         wide = _WIDER[min(max(near, 0), len(_WIDER) - 1)]
-        equations = _equations(view, keyframes, landmarks, prior, at, wide, all_counts=far and near < 0)
+        equations = _equations(view, keyframes, landmarks, prior, at, doubt, wide, all_counts=far and near < 0)
         whole, pull = _with_prediction(equations, predicted, prior, at)
         still = at.step(np.asarray(np.linalg.solve(whole, pull), dtype=np.float64))
         if still and near >= len(_WIDER) - 1:
@@ -341,19 +372,23 @@ def _equations(
     landmarks: Landmarks,
     prior: MotionPrior,
     at: _Estimate,
+    doubt: FloatArray,
     wide: float,
     *,
     all_counts: bool,
 ) -> _Equations:
     """Return the equations of depth and landmarks at an estimate.
 
-    wide: factor on the scale of the robust weights. all_counts: depth counts in full wherever it is.
+    doubt (M, 3, 3): as in add_depth_equations(). wide: factor on the scale of the robust weights. all_counts: depth counts in
+    full wherever it is.
     """
     most = len(keyframes.number)
     surfaces, slope = np.zeros((most, SIZE, SIZE)), np.zeros((most, SIZE))
     moved_m = at.moved_m[6:].reshape(-1, 3)
     moved = keyframes._replace(place_m=keyframes.place_m + moved_m)
-    known, inliers = add_depth_equations(view.points, at.rotation, at.place_m, moved, _DEPTH_SHARE, wide, surfaces, slope)
+    known, inliers = add_depth_equations(
+        view.points, at.rotation, at.place_m, moved, doubt, _DEPTH_SHARE, wide, surfaces, slope
+    )
     match = float(np.trace(surfaces.sum(axis=0)[_PLACE, _PLACE]))
     support = 1.0 if all_counts else _support(known, inliers)
     surfaces, slope = support * surfaces, support * slope
@@ -361,7 +396,9 @@ def _equations(
     def pull_at(shift_m: FloatArray) -> FloatArray:
         """Return the gradient (3,) of depth on the place, from a place farther by this."""
         unused, there = np.zeros((most, SIZE, SIZE)), np.zeros((most, SIZE))
-        add_depth_equations(view.points, at.rotation, at.place_m + shift_m, moved, _DEPTH_SHARE, _WIDER[0], unused, there)
+        add_depth_equations(
+            view.points, at.rotation, at.place_m + shift_m, moved, doubt, _DEPTH_SHARE, _WIDER[0], unused, there
+        )
         return np.asarray(support * there.sum(axis=0)[_PLACE])
 
     depth_sigma_m = _leave_weak_directions(surfaces, slope, prior.turn_sigma_rad, pull_at)
@@ -408,9 +445,7 @@ def _against_track(joint: FloatArray, keyframes: Keyframes, places: PlaceErrors)
     The place lately, and the keyframes that are older than this: a newer one has the same error.
     """
     older = [m for m, number in enumerate(keyframes.number.tolist()) if number < places.before]
-    against = [joint[:3, :3] - joint[:3, k : k + 3] - joint[k : k + 3, :3] + joint[k : k + 3, k : k + 3]
-               for k in (3, *(6 + 3 * m for m in older))]  # fmt: skip
-    return min(against, key=_worst_m)
+    return min((_way(joint, first) for first in (3, *(6 + 3 * m for m in older))), key=_worst_m)
 
 
 def _worst_m(covariance: FloatArray) -> float:
@@ -438,8 +473,8 @@ def _determined_share(predicted: _Predicted, equations: _Equations) -> FloatArra
 def _inliers(view: PreparedView, keyframes: Keyframes, rotation: FloatArray, place_m: FloatArray) -> int:
     """Return the number of depth points on a known surface from a pose."""
     most = len(keyframes.number)
-    unused = np.zeros((most, SIZE, SIZE)), np.zeros((most, SIZE))
-    return int(add_depth_equations(view.points, rotation, place_m, keyframes, _DEPTH_SHARE, _WIDER[0], *unused)[1])
+    unused, none = (np.zeros((most, SIZE, SIZE)), np.zeros((most, SIZE))), np.zeros((most, 3, 3))
+    return int(add_depth_equations(view.points, rotation, place_m, keyframes, none, _DEPTH_SHARE, _WIDER[0], *unused)[1])
 
 
 def _support(known: int, inliers: int) -> float:
@@ -458,7 +493,8 @@ def _leave_weak_directions(
     """Remove from the equations of depth the translations that it does not determine.
 
     Where the normals of a bare wall scatter, the equations are those of a wall that shows the place along it; but a camera that
-    is moved along it meets no larger distances. pull_at(shift_m): gradient (3,) on the place from a place farther by this (3,).
+    is moved along it, to either side, is not pulled back. pull_at(shift_m): gradient (3,) on the place from a place farther by
+    this (3,).
     Returns the standard deviation of the worst translation.
     Zhang, Kaess and Singh 2016, On Degeneracy of Optimization-based State Estimation Problems.
     """
@@ -469,8 +505,8 @@ def _leave_weak_directions(
     left = values.copy()
     for k in np.flatnonzero(values < _DOUBTED_SHARE * values[-1]).tolist():
         ahead_m = _TRIED_M * directions[:, k]
-        pulled = float((pull_at(-ahead_m) - pull_at(ahead_m)) @ ahead_m) / (2.0 * _TRIED_M**2)
-        left[k] = min(max(pulled, 0.0), values[k])
+        back = min(float(pull_at(-ahead_m) @ ahead_m), -float(pull_at(ahead_m) @ ahead_m)) / _TRIED_M**2
+        left[k] = min(max(back, 0.0), values[k])
     left = np.maximum(left - _WEAK_SHARE * values[-1], 0.0)
     kept = np.eye(SIZE)
     kept[_PLACE, _PLACE] = directions @ np.diag(np.sqrt(left / np.maximum(values, _TINY))) @ directions.T

@@ -26,7 +26,14 @@ from uav_recon.localization.slam.outside_motion import NoOutsideMotion, OutsideM
 from uav_recon.localization.slam.place_errors import Update
 from uav_recon.localization.slam.prepared_view import PreparedView
 from uav_recon.localization.slam.rest_detection import RestDetector
-from uav_recon.localization.slam.rgbd_registration import MotionPrior, Registration, confirm, register, search
+from uav_recon.localization.slam.rgbd_registration import (
+    MotionPrior,
+    Registration,
+    confirm,
+    register,
+    search,
+    uncertain,
+)
 from uav_recon.localization.slam.tracking_monitor import TrackingFault, TrackingMonitor
 from uav_recon.types.camera import Frame, ImuSample, Intrinsics, body_from_camera
 from uav_recon.types.frames import FloatArray
@@ -63,7 +70,6 @@ _LEFT_M = 0.05  #: retreat: while more than this of a found error is not yet in 
 _SURE_AGAIN_SHARE = 0.85  #: retreat: until both are less than this share of their limits
 # a found error is taken out of the poses at this speed: faster, they would contradict the inertial samples of the autopilot
 _RELEASE_MPS = 0.1
-_UNCERTAIN_M = 0.08  # standard deviation of a place from which registration may end at a wrong one
 _SEARCHED = (TrackingFault.FIT, TrackingFault.STEP, TrackingFault.TURN)
 _SEARCH_SIGMAS = 3.0  # reach of the search, in standard deviations of the predicted place
 _LEAST_SEARCH_M = 0.05
@@ -254,20 +260,23 @@ class SlamTracker:
     def _registered(self, view: PreparedView, prior: MotionPrior) -> Registration:
         """Return the registration of a view.
 
-        Keyframes of which the way to the view is too uncertain count only if landmarks and depth both confirm them: alone,
-        either may fit at a wrong place.
+        Where the way to a keyframe is too uncertain, it counts only if landmarks and depth both confirm it, or depth fits
+        nowhere else: alone, either may fit at a wrong place.
         """
         motion = np.concatenate((prior.rate_radps, prior.velocity_mps))
-        uncertain = prior.places.apart().max(axis=1, initial=0.0) > _UNCERTAIN_M**2
-        keyframes, landmarks = self._compared = self.surfaces.near_view(
-            view, prior.odom_from_depth, motion, self._slow, np.zeros_like(uncertain)
-        )
-        found = register(view, keyframes, landmarks, prior)
-        doubtful = uncertain[keyframes.number]
-        if not doubtful.any() or found.confirmed(landmarks, doubtful):
+        keyframes, landmarks = self._compared = self.surfaces.near_view(view, prior.odom_from_depth, motion, self._slow)
+        found, doubtful = register(view, keyframes, landmarks, prior), uncertain(keyframes, prior)
+        if not doubtful.any() or found.confirmed(landmarks, doubtful) or self._is_only_place(view, found, prior):
             return found
-        self._compared = self.surfaces.near_view(view, prior.odom_from_depth, motion, self._slow, uncertain)
-        return register(view, *self._compared, prior)
+        return register(view, keyframes, landmarks, prior, doubted=True)
+
+    def _is_only_place(self, view: PreparedView, registration: Registration, prior: MotionPrior) -> bool:
+        """Return True if depth fits at the place of a registration, and at no other one where the view may be."""
+        if not registration.determined or _SEARCH_SIGMAS * math.sqrt(float(prior.variance.max())) > _MOST_SEARCH_M:
+            return False
+        other, next_best = search(view, self.surfaces, prior, _reach_m(prior))
+        off_m = other.odom_from_depth.translation_m - registration.odom_from_depth.translation_m
+        return next_best < _ALIKE_SHARE and float(np.linalg.norm(off_m)) < _SAME_M
 
     def _without_frame_before(
         self,
@@ -374,8 +383,7 @@ class SlamTracker:
             return None
         there = Pose(registration.odom_from_depth.quat_wxyz, pose.translation_m)
         motion = np.concatenate((prior.rate_radps, prior.velocity_mps))
-        none = np.zeros(self.surfaces.count, np.bool_)
-        keyframes, landmarks = self.surfaces.near_view(view, there, motion, self._slow, none)
+        keyframes, landmarks = self.surfaces.near_view(view, there, motion, self._slow)
         return confirm(view, keyframes, landmarks, prior, pose.translation_m)
 
     def _coast(self, state: TrackedState, prior: MotionPrior, stamp_s: float, body_from_depth: Pose) -> None:
