@@ -9,7 +9,6 @@ from slam_flight import BODY_FROM_DEPTH, RATE_HZ, frame, truth
 from textured_room import LENS, frame_of
 
 from uav_recon.localization.slam.keyframe_map import KeyframeMap
-from uav_recon.localization.slam.pose_graph import Measured
 from uav_recon.localization.slam.prepared_view import PreparedView
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.pose import Pose
@@ -18,7 +17,8 @@ STILL, SLOW, SURE = np.zeros(6), np.zeros(2), np.zeros(3)
 
 
 def _add(surfaces: KeyframeMap, view: PreparedView, pose: Pose, variance: FloatArray = SURE, landmarks: int = 999) -> None:
-    assert surfaces.add(view, pose, STILL, SLOW, variance, landmarks, None) is None
+    before = surfaces.count
+    assert surfaces.add(view, pose, STILL, SLOW, variance, landmarks) == (surfaces.count > before)
 
 
 def _turned(yaw: float) -> Pose:
@@ -111,30 +111,18 @@ def test_many_keyframes_are_kept() -> None:
     np.testing.assert_allclose(surfaces.pose(69).translation_m, [3.5 * 69, 0.0, 0.0])
 
 
-def test_a_found_error_moves_what_was_added_since_by_its_part() -> None:
+def test_keyframes_are_moved_and_the_newest_forgotten() -> None:
     surfaces = KeyframeMap()
     for number in range(5):
-        pose = Pose.from_rotation_vector(np.zeros(3), np.array([4.0 * number, 0.0, 0.0]))
-        _add(surfaces, _wall(2.0), pose, np.full(3, number * 1e-4))
-    surfaces.shift(np.array([0.0, 0.04, 0.0]), np.full(3, 4e-4), np.zeros(3), np.array([0]))
+        _add(surfaces, _wall(2.0), Pose.from_rotation_vector(np.zeros(3), np.array([4.0 * number, 0.0, 0.0])))
+    moved_m, variance = np.outer(np.arange(5), [0.0, 0.01, 0.0]), np.outer(np.arange(5), np.full(3, 1e-4))
+    surfaces.move(moved_m, variance)
     np.testing.assert_allclose([surfaces.pose(n).translation_m[1] for n in range(5)], [0.0, 0.01, 0.02, 0.03, 0.04])
-    # the variance of a walk between two known places
-    np.testing.assert_allclose(surfaces.near(_wall(2.0).depth, surfaces.pose(2), 0.0, np.inf).variance[0], 1e-4)
-
-
-def test_a_loop_moves_the_keyframes_and_returns_the_correction_of_the_newest() -> None:
-    """The walk is 5 cm too long in its last step; the first keyframe shows the last one where it is."""
-    surfaces = KeyframeMap()
-    sure = np.diag([1e8] * 3 + [1e6] * 3)
-    for number in range(6):
-        pose = Pose.from_rotation_vector(np.zeros(3), np.array([0.01 * number, 3.5 * number, 0.0]))
-        known = None if not number else Measured(np.array([number - 1]), sure[None] * 0.01, np.zeros((1, 6)), np.array([False]))
-        assert surfaces.add(_wall(2.0), pose, STILL, SLOW, np.full(3, number * 1e-4), 999, known) is None
-    surfaces.shift(np.array([-0.05, 0.0, 0.0]), np.full(3, 5e-4), np.zeros(3), np.array([0]))
-    back = Measured(np.array([0]), sure[None], np.array([[0.0, 0.0, 0.0, -0.06, 0.0, 0.0]]), np.array([True]))
-    there = Pose.from_rotation_vector(np.zeros(3), np.array([0.06, 21.0, 0.0]))
-    correction = surfaces.add(_wall(2.0), there, STILL, SLOW, np.full(3, 6e-4), 999, back)
-    assert correction is not None
-    np.testing.assert_allclose((correction @ there).translation_m, [0.0, 21.0, 0.0], atol=0.003)
-    np.testing.assert_allclose(surfaces.pose(6).translation_m, [0.0, 21.0, 0.0], atol=0.003)
-    np.testing.assert_allclose(surfaces.pose(0).translation_m, np.zeros(3), atol=1e-6)
+    np.testing.assert_allclose(surfaces.near(_wall(2.0).depth, surfaces.pose(2), 0.0, np.inf).variance[0], 2e-4)
+    surfaces.keep(4)
+    assert surfaces.count == 4
+    assert not len(
+        surfaces.near(_wall(2.0).depth, Pose.from_rotation_vector(np.zeros(3), np.array([16.0, 0.04, 0.0])), 0.0, np.inf).number
+    )
+    _add(surfaces, _wall(2.0), Pose.from_rotation_vector(np.zeros(3), np.array([40.0, 0.0, 0.0])))
+    assert surfaces.count == 5

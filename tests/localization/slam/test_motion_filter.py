@@ -83,9 +83,9 @@ class Flight:
             true = self.place(self.now_s)
             self.worst_m = max(self.worst_m, float(np.linalg.norm(predicted.place_m - true)))
             seen = true + SIGMA_M * self._random.standard_normal(3)
-            before = predicted.place_covariance
-            gain = before @ np.linalg.inv(before + SIGMA_M**2 * np.eye(3))
-            self.filter.update(predicted, predicted.place_m + gain @ (seen - predicted.place_m), (np.eye(3) - gain) @ before)
+            joint = self.filter.predicted_errors(predicted).joint(np.empty(0, np.int64))
+            gain = joint[:, :3] @ np.linalg.inv(joint[:3, :3] + SIGMA_M**2 * np.eye(3))
+            self.filter.update(predicted, np.empty(0, np.int64), gain @ (seen - predicted.place_m), joint - gain @ joint[:3])
             self.used.append(self.filter.accelerometer_used)
 
     def error_mps(self) -> float:

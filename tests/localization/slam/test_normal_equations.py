@@ -31,6 +31,7 @@ from uav_recon.types.pose import Pose
 CAMERA = RGB_LENS.pinhole_px()
 STEP = 1e-5
 CORNER = np.eye(2)
+NO_DOUBT = np.zeros((1, 3, 3))
 # of a camera: rotation, eye, the depth imager's place beside it
 TURN = Pose.from_rotation_vector(np.array([0.4, -0.7, 0.2]), np.array([0.3, -0.2, 0.5]))
 EYE_M = TURN.translation_m + np.array([0.01, -0.02, 0.015])
@@ -65,12 +66,14 @@ def _equations(
     places: FloatArray, at_px: FloatArray, slope: FloatArray, texture: FloatArray, slow: FloatArray, change: FloatArray
 ) -> tuple[FloatArray, FloatArray, int]:
     information, gradient = np.zeros((2, SIZE, SIZE)), np.zeros((2, SIZE))
-    fitting = add_landmark_equations(
+    fitting = np.zeros(2, np.int64)
+    add_landmark_equations(
         places, slope, texture, at_px.astype(np.float32), _imager(TURN.rotation(), EYE_M, TURN.translation_m, slow),
         np.arange(len(places)) % 2, change, 1.0, 1.0, information, gradient, np.zeros((3, 3)),
+        fitting,
     )  # fmt: skip
     assert len(places) < 2 or information[1].any() == information[0].any(), "each keyframe has its own equations"
-    return information.sum(axis=0), gradient.sum(axis=0), fitting
+    return information.sum(axis=0), gradient.sum(axis=0), int(fitting.sum())
 
 
 def test_projection_is_that_of_opencv_and_nan_behind_the_camera() -> None:
@@ -165,7 +168,7 @@ def _corner_of_the_room() -> tuple[Keyframes, FloatArray, Pose]:
     camera = Pose.from_yaw(0.7, np.array([0.5, 0.3, 0.8])) @ BODY_FROM_DEPTH
     depth = ranges_m(camera, LENS, ROOM_M, (CABINET_M,)).astype(np.float32)
     view = PreparedView(Frame(0.0, 0, depth, LENS, np.zeros((2, 2, 3), np.uint8), RGB_LENS, Pose.identity()))
-    surfaces.add(view, camera, np.zeros(6), np.zeros(2), np.zeros(3), 0, None)
+    surfaces.add(view, camera, np.zeros(6), np.zeros(2), np.zeros(3), 0)
     return surfaces.near(view.depth, camera, 0.0, np.inf), view.points, camera
 
 
@@ -184,13 +187,12 @@ def _residuals(keyframes: Keyframes, there: FloatArray) -> tuple[FloatArray, Boo
 
 
 def _depth_equations(
-    keyframes: Keyframes, points: FloatArray, camera: Pose, wider: float
+    keyframes: Keyframes, points: FloatArray, camera: Pose, wider: float, doubt: FloatArray = NO_DOUBT
 ) -> tuple[FloatArray, FloatArray, int, int]:
     information, gradient = np.zeros((1, SIZE, SIZE)), np.zeros((1, SIZE))
     known, inliers = add_depth_equations(
-        points, camera.rotation(), camera.translation_m, keyframes, np.zeros(3), 1.0, wider, information, gradient,
-        np.zeros((1, 3)),
-    )  # fmt: skip
+        points, camera.rotation(), camera.translation_m, keyframes, doubt, 1.0, wider, information, gradient
+    )
     return information[0], gradient[0], known, inliers
 
 
@@ -229,6 +231,19 @@ def test_depth_pulls_back_what_was_moved() -> None:
         information, gradient, _, _ = _depth_equations(keyframes, points, there, 1.0)
         step = np.linalg.solve(information[:6, :6], gradient[:6])
         np.testing.assert_allclose(step[3:], -moved, atol=0.012)
+
+
+def test_a_surface_that_faces_a_doubted_direction_does_not_count() -> None:
+    """It is known all the same: only its distance says nothing."""
+    keyframes, points, camera = _corner_of_the_room()
+    whole, _, known, inliers = _depth_equations(keyframes, points, camera, 1.0)
+    for axis in range(2):
+        doubt = np.zeros((1, 3, 3))
+        doubt[0, axis, axis] = 100.0
+        found, _, *counts = _depth_equations(keyframes, points, camera, 1.0, doubt)
+        assert counts == [known, inliers]
+        assert found[3 + axis, 3 + axis] < 0.01 * whole[3 + axis, 3 + axis]
+        np.testing.assert_allclose(found[5, 5], whole[5, 5], rtol=0.1)
 
 
 RGB_FROM_DEPTH = Pose.from_rotation_vector(np.array([0.01, -0.02, 0.015]), np.array([0.03, 0.005, -0.03]))

@@ -14,8 +14,9 @@ from slam_flight import BODY_FROM_DEPTH, LENS, RATE_HZ, RGB_LENS, frame, truth
 
 from uav_recon.localization.slam.keyframe_map import KeyframeMap, Keyframes
 from uav_recon.localization.slam.landmarks import Landmarks, moving_imager, project
+from uav_recon.localization.slam.place_errors import PlaceErrors
 from uav_recon.localization.slam.prepared_view import PreparedView
-from uav_recon.localization.slam.rgbd_registration import MotionPrior, Registration, register, search
+from uav_recon.localization.slam.rgbd_registration import MotionPrior, Registration, register, search, uncertain
 from uav_recon.types.camera import Frame
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.pose import Pose
@@ -36,17 +37,28 @@ def _map() -> tuple[KeyframeMap, PreparedView]:
 
 
 def _add(surfaces: KeyframeMap, view: PreparedView, pose: Pose) -> None:
-    surfaces.add(view, pose, STILL, np.zeros(2), np.zeros(3), 999, None)
+    surfaces.add(view, pose, STILL, np.zeros(2), np.zeros(3), 999)
 
 
 def _near(surfaces: KeyframeMap, view: PreparedView, pose: Pose = HERE) -> tuple[Keyframes, Landmarks]:
-    return surfaces.near_view(view, pose, STILL, np.zeros(2), 0.0)
+    return surfaces.near_view(view, pose, STILL, np.zeros(2))
 
 
-def _prior(pose: Pose, place_m: float = PLACE_M, turn_rad: float = TURN_RAD) -> MotionPrior:
-    covariance = np.diag([turn_rad**2] * 3 + [place_m**2] * 3)
+def _prior(pose: Pose, place_m: float = PLACE_M, turn_rad: float = TURN_RAD, keyframes: int = 40) -> MotionPrior:
+    """A prior of a place that is uncertain by place_m against keyframes that are all known."""
+    places = PlaceErrors.start(np.diag([1e-10] * 3 + [1.0] * 3)).with_lag().with_lag()
+    for _ in range(keyframes):
+        places = places.with_keyframe(0.0)
+    return _later(places, pose, place_m, turn_rad)
+
+
+def _later(places: PlaceErrors, pose: Pose, place_m: float, turn_rad: float) -> MotionPrior:
+    """Return the prior of a place that has become uncertain by place_m since."""
+    state = places.state + np.diag([place_m**2] * 3 + [0.0] * 3)
     slow = np.diag([0.005**2, 0.003**2])
-    return MotionPrior(pose, covariance, turn_rad, np.zeros(3), np.zeros(3), np.zeros(2), slow, np.zeros(3))
+    return MotionPrior(
+        pose, turn_rad**2 * np.eye(3), places.predicted(state, np.eye(6)), turn_rad, np.zeros(3), np.zeros(3), np.zeros(2), slow
+    )
 
 
 def _off(pose: Pose, moved_m: FloatArray, turned_rad: FloatArray) -> Pose:
@@ -145,7 +157,9 @@ def test_a_frame_without_depth_and_landmarks_keeps_the_prediction() -> None:
     prior = _prior(_off(HERE, np.array([0.2, 0.0, 0.0]), np.zeros(3)))
     found = register(empty, _near(surfaces, empty)[0], Landmarks.none(), prior)
     np.testing.assert_allclose(found.odom_from_depth.matrix(), prior.odom_from_depth.matrix(), atol=1e-12)
-    np.testing.assert_allclose(found.covariance, prior.covariance, rtol=1e-6)
+    np.testing.assert_allclose(found.covariance[:3, :3], prior.attitude_covariance, rtol=1e-6)
+    np.testing.assert_allclose(found.joint, prior.places.joint(found.keyframes.number), atol=1e-8)
+    np.testing.assert_allclose(found.determined_share, np.zeros((3, 3)), atol=1e-6)
     assert (found.points, found.coverage, found.fit) == (0, 0.0, 0.0)
 
 
@@ -171,48 +185,67 @@ def test_a_search_along_a_bare_wall_keeps_the_prediction() -> None:
     np.testing.assert_allclose(found.odom_from_depth.translation_m, [0.05, 0.03, 0.0], atol=0.02)
 
 
-def _elsewhere(off_m: FloatArray, sigma_m: float) -> tuple[PreparedView, Keyframes, Landmarks]:
-    """A view, keyframes from before, and a new one of a track that is off."""
-    surfaces, view = KeyframeMap(), _map()[1]
+def _elsewhere(off_m: FloatArray, sigma_m: float) -> tuple[PreparedView, Keyframes, Landmarks, MotionPrior]:
+    """A view, a keyframe from before, and a new one of a track that is off by as much as the view."""
+    surfaces, view, here = KeyframeMap(), _map()[1], _off(HERE, off_m, np.zeros(3))
+    places = PlaceErrors.start(np.diag([1e-10] * 3 + [1.0] * 3))
     for number, moved_m, variance in ((NUMBER - 12, np.zeros(3), 0.0), (NUMBER - 2, off_m, sigma_m**2)):
         pose = _off(truth(number / RATE_HZ) @ BODY_FROM_DEPTH, moved_m, np.zeros(3))
-        surfaces.add(PreparedView(frame(number)), pose, STILL, np.zeros(2), np.full(3, variance), 0, None)
+        surfaces.add(PreparedView(frame(number)), pose, STILL, np.zeros(2), np.full(3, variance), 0)
+        places = places.predicted(places.state + np.diag([variance] * 3 + [0.0] * 3), np.eye(6)).with_keyframe(0.0).with_lag()
     assert surfaces.count == 2
-    return view, *_near(surfaces, view, _off(HERE, off_m, np.zeros(3)))
+    return view, *_near(surfaces, view, here), _later(places.with_lag(), here, 0.005, math.radians(0.2))
 
 
 @pytest.mark.parametrize("off", [(0.07, 0.0, 0.0), (-0.05, 0.06, 0.02)])
 def test_a_track_that_is_less_certain_than_an_old_keyframe_is_shifted_to_it(off: tuple[float, float, float]) -> None:
     """New keyframe and prediction agree with each other."""
     off_m = np.array(off)
-    prior = _prior(_off(HERE, off_m, np.zeros(3)), place_m=0.005, turn_rad=math.radians(0.2))
-    found = register(*_elsewhere(off_m, 0.06), replace(prior, track_variance=np.full(3, 0.06**2)))
+    view, keyframes, landmarks, prior = _elsewhere(off_m, 0.06)
+    found = register(view, keyframes, landmarks, prior)
     assert _error(found)[0] < 0.02
     np.testing.assert_allclose(found.shift_m, -off_m, atol=0.02)
-    assert math.sqrt(float(found.track_variance.max())) < 0.03
-    assert found.sigma_m < 0.03
-    assert found.measured.before.tolist().count(True) == 1
-    # each keyframe alone says where it is: the new one is off
-    new = int(np.flatnonzero(~found.measured.before)[0])
-    np.testing.assert_allclose(found.measured.step[new, 3:], np.zeros(3), atol=0.02)
+    assert found.sigma_m < 0.01
+    assert found.surprise(prior) < 9.0, "the motion since is as predicted"
+    corrected = dict(zip(keyframes.number.tolist(), found.moved_m[6:].reshape(-1, 3), strict=True))
+    np.testing.assert_allclose(corrected[0], np.zeros(3), atol=0.001)
+    np.testing.assert_allclose(corrected[1], -off_m, atol=0.02)
 
 
 def test_a_track_that_is_as_certain_as_the_keyframes_is_not_shifted() -> None:
-    off_m = np.array([0.05, 0.0, 0.0])
-    prior = _prior(_off(HERE, off_m, np.zeros(3)), place_m=0.005, turn_rad=math.radians(0.2))
-    found = register(*_elsewhere(off_m, 0.0), prior)
-    assert np.linalg.norm(found.shift_m) < 0.001
-    assert not found.track_variance.max() > 1e-6
+    view, keyframes, landmarks, prior = _elsewhere(np.array([0.05, 0.0, 0.0]), 0.0)
+    assert np.linalg.norm(register(view, keyframes, landmarks, prior).shift_m) < 0.001
 
 
 def test_along_a_bare_wall_the_error_of_the_track_is_kept() -> None:
     surfaces, view, pose = _bare_wall()
-    prior = _prior(_off(pose, np.array([0.05, 0.0, 0.0]), np.zeros(3)), place_m=0.01, turn_rad=math.radians(0.2))
-    found = register(view, _near(surfaces, view, pose)[0], Landmarks.none(), replace(prior, track_variance=np.full(3, 0.09**2)))
+    places = PlaceErrors.start(np.diag([1e-10] * 3 + [1.0] * 3)).with_keyframe(0.0)
+    places = places.predicted(places.state + np.diag([0.09**2] * 3 + [0.0] * 3), np.eye(6)).with_lag().with_lag()
+    prior = _later(places, _off(pose, np.array([0.05, 0.0, 0.0]), np.zeros(3)), 0.01, math.radians(0.2))
+    found = register(view, _near(surfaces, view, pose)[0], Landmarks.none(), prior)
     sigma_m = np.sqrt(found.variance)
     np.testing.assert_allclose(sigma_m[:2], 0.09, rtol=0.1)
     assert sigma_m[2] < 0.02
     assert found.sigma_m > 0.085
+    assert found.sigma_against_track_m < 0.015
+
+
+def test_a_doubted_keyframe_counts_only_where_the_way_to_it_is_certain() -> None:
+    """The way along x is uncertain: surfaces that face it do not count, the others do."""
+    surfaces, view = _map()
+    prior = _prior(_off(HERE, np.array([0.02, 0.0, 0.02]), np.zeros(3)), 0.01, math.radians(0.2), surfaces.count)
+    state = prior.places.state.copy()
+    state[0, 0] = 0.3**2
+    prior = replace(prior, places=prior.places.predicted(state, np.eye(6)))
+    keyframes, landmarks = _near(surfaces, view)
+    assert uncertain(keyframes, prior).all()
+    plain, doubted = register(view, keyframes, landmarks, prior), register(view, keyframes, landmarks, prior, doubted=True)
+    assert plain.sigma_m < 0.01
+    assert doubted.variance[0] > 0.25**2
+    assert doubted.variance[2] < 0.006**2
+    assert doubted.landmarks == 0
+    assert plain.confirmed(landmarks, np.ones(len(keyframes.number), np.bool_))
+    assert not plain.confirmed(landmarks, np.zeros(len(keyframes.number), np.bool_))
 
 
 def test_landmarks_on_one_straight_edge_say_nothing_of_the_way_along_it() -> None:

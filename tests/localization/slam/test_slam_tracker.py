@@ -27,7 +27,7 @@ from slam_flight import (
     truth,
 )
 
-from uav_recon.localization.slam.pose_graph import Measured
+from uav_recon.localization.slam.keyframe_map import no_keyframes
 from uav_recon.localization.slam.rgbd_registration import Registration
 from uav_recon.localization.slam.slam_tracker import SlamTracker
 from uav_recon.localization.slam.tracking_monitor import TrackingFault
@@ -330,13 +330,12 @@ def test_a_frame_without_landmarks_and_depth_at_the_start_is_no_error() -> None:
 
 
 def _found(track_m: float, against_track_m: float) -> Registration:
-    covariance = np.diag([1e-6] * 5 + [against_track_m**2])
-    variance = np.array([0.0, 0.0, track_m**2])
-    none = np.zeros(3)
-    nothing = Measured(np.zeros(0, np.int64), np.zeros((0, 6, 6)), np.zeros((0, 6)), np.zeros(0, np.bool_))
+    """Return a registration. track_m: standard deviation of the track, in one direction."""
+    covariance, against = np.diag([1e-6] * 5 + [track_m**2 + against_track_m**2]), np.diag([1e-6, 1e-6, against_track_m**2])
     return Registration(
-        Pose.identity(), covariance, none, variance, 900, 900, 900, 90, np.zeros(2), np.eye(2), 0.01, 1e5, nothing
-    )
+        Pose.identity(), no_keyframes(), covariance, np.zeros(6), np.eye(6), against, np.eye(3), 900, 900, 900,
+        np.array([90]), np.zeros(2), np.eye(2), 0.01, 1e5,
+    )  # fmt: skip
 
 
 def test_doubt_about_the_place_is_reported_before_there_is_no_pose() -> None:

@@ -26,15 +26,15 @@ def _compared(surfaces: KeyframeMap, view: PreparedView, pose: Pose) -> tuple[in
     """Return the numbers of known points and inliers, and the information."""
     keyframes = surfaces.near(view.depth, pose, 1.0, np.inf)
     most = len(keyframes.number)
-    information, gradient, shown = np.zeros((most, SIZE, SIZE)), np.zeros((most, SIZE)), np.zeros((most, 3))
+    information, gradient, doubt = np.zeros((most, SIZE, SIZE)), np.zeros((most, SIZE)), np.zeros((most, 3, 3))
     known, inliers = add_depth_equations(
-        view.points, pose.rotation(), pose.translation_m, keyframes, np.zeros(3), 1.0, 1.0, information, gradient, shown
+        view.points, pose.rotation(), pose.translation_m, keyframes, doubt, 1.0, 1.0, information, gradient
     )
     return known, inliers, information
 
 
 def _add(surfaces: KeyframeMap, view: PreparedView, pose: Pose) -> None:
-    surfaces.add(view, pose, np.zeros(6), np.zeros(2), np.zeros(3), 0, None)
+    surfaces.add(view, pose, np.zeros(6), np.zeros(2), np.zeros(3), 0)
 
 
 def test_the_other_side_of_a_wall_is_unknown() -> None:

@@ -466,7 +466,7 @@ def _determined_share(predicted: _Predicted, equations: _Equations) -> FloatArra
     place = shown[_PLACE, _PLACE] - shown[_PLACE][:, others] @ np.linalg.solve(known, shown[others][:, _PLACE])
     before = np.linalg.inv(predicted.places[:3, :3])
     values, axes = np.linalg.eigh(before)
-    root = (axes * np.sqrt(values)) @ axes.T
+    root = (axes * np.sqrt(np.maximum(values, 0.0))) @ axes.T
     return np.asarray(np.eye(3) - np.linalg.inv(np.eye(3) + root @ place @ root))
 
 
