@@ -234,16 +234,15 @@ def test_depth_pulls_back_what_was_moved() -> None:
 
 
 def test_a_surface_that_faces_a_doubted_direction_does_not_count() -> None:
-    """It is known all the same: only its distance says nothing."""
     keyframes, points, camera = _corner_of_the_room()
-    whole, _, known, inliers = _depth_equations(keyframes, points, camera, 1.0)
+    whole, _, known, _ = _depth_equations(keyframes, points, camera, 1.0)
     for axis in range(2):
         doubt = np.zeros((1, 3, 3))
         doubt[0, axis, axis] = 100.0
         found, _, *counts = _depth_equations(keyframes, points, camera, 1.0, doubt)
-        assert counts == [known, inliers]
+        assert 0 < max(counts) < known
         assert found[3 + axis, 3 + axis] < 0.01 * whole[3 + axis, 3 + axis]
-        np.testing.assert_allclose(found[5, 5], whole[5, 5], rtol=0.1)
+        np.testing.assert_allclose(found[5, 5], whole[5, 5], rtol=0.2)
 
 
 RGB_FROM_DEPTH = Pose.from_rotation_vector(np.array([0.01, -0.02, 0.015]), np.array([0.03, 0.005, -0.03]))

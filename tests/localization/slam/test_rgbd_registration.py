@@ -244,8 +244,22 @@ def test_a_doubted_keyframe_counts_only_where_the_way_to_it_is_certain() -> None
     assert doubted.variance[0] > 0.25**2
     assert doubted.variance[2] < 0.006**2
     assert doubted.landmarks == 0
-    assert plain.confirmed(landmarks, np.ones(len(keyframes.number), np.bool_))
-    assert not plain.confirmed(landmarks, np.zeros(len(keyframes.number), np.bool_))
+
+
+def test_landmarks_of_a_keyframe_itself_and_depth_confirm_it() -> None:
+    surfaces, view = _map()
+    keyframes, landmarks = _near(surfaces, view)
+    found, doubtful = register(view, keyframes, landmarks, _prior(HERE)), np.arange(len(keyframes.number)) == 0
+    followed = landmarks.of(doubtful)
+    of_it = np.where(doubtful, len(followed.place_m), 0)
+    assert len(followed.place_m) == np.count_nonzero(landmarks.keyframe == 0)
+    many = landmarks._replace(keyframe=np.zeros(len(landmarks.keyframe), np.int64))
+    enough = replace(found, fitting=np.where(doubtful, len(many.keyframe), 0))
+    assert len(many.keyframe) >= 20
+    assert enough.confirmed(many, doubtful)
+    assert not replace(enough, inliers=enough.known // 2).confirmed(many, doubtful)
+    assert not replace(enough, fitting=np.where(doubtful, 0, len(many.keyframe))).confirmed(many, doubtful)
+    assert not replace(enough, fitting=of_it // 3).confirmed(many, doubtful)
 
 
 def test_landmarks_on_one_straight_edge_say_nothing_of_the_way_along_it() -> None:

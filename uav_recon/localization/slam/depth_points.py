@@ -32,8 +32,8 @@ def add_depth_equations(
 ) -> tuple[int, int]:
     """Add the normal equations of points (N, 3) against the surfaces of keyframes.
 
-    rotation (3, 3), place_m (3,): pose of the depth imager in odom. doubt (M, 3, 3): a surface of a keyframe does not count if
-    this is more than 1 along its normal.
+    rotation (3, 3), place_m (3,): pose of the depth imager in odom. doubt (M, 3, 3): a surface of a keyframe is unknown if this
+    is more than 1 along its normal.
 
     information (M, >= 6, >= 6) and gradient (M, >= 6): of a small rotation in odom axes about the camera and of its
     translation, in units of standard deviations, from each keyframe. share: weight of one point, since the errors of neighbours
@@ -46,7 +46,7 @@ def add_depth_equations(
     row, off_m, normal, number = np.empty(6), np.empty(most), np.empty((most, 3)), np.empty(most, np.int64)
     for n in range(points.shape[0]):
         p, q, r = points[n, 0], points[n, 1], points[n, 2]
-        found, is_known, is_inlier = _surfaces_at(p, q, r, turn, moved_m, keyframes, off_m, normal, number)
+        found, is_known, is_inlier = _surfaces_at(p, q, r, turn, moved_m, keyframes, doubt, off_m, normal, number)
         known += int(is_known)
         inliers += int(is_inlier)
         x = rotation[0, 0] * p + rotation[0, 1] * q + rotation[0, 2] * r
@@ -59,8 +59,6 @@ def add_depth_equations(
             nx, ny, nz = normal[m, 0], normal[m, 1], normal[m, 2]
             row[0], row[1], row[2] = y * nz - z * ny, z * nx - x * nz, x * ny - y * nx
             row[3], row[4], row[5] = nx, ny, nz
-            if _along(doubt[k], row[3:]) > 1.0:
-                continue
             w = share / found * shrink * shrink / (sigma_m * sigma_m)
             for a in range(6):
                 gradient[k, a] -= w * row[a] * off_m[m]
@@ -87,14 +85,15 @@ def _surfaces_at(
     turn: AnyArray,
     moved_m: AnyArray,
     keyframes: Keyframes,
+    doubt: AnyArray,
     off_m: AnyArray,
     normal: AnyArray,
     number: AnyArray,
 ) -> tuple[int, bool, bool]:
     """Write distances off_m (M,) of a point to surfaces, their normals (M, 3) in odom, and number (M,) of their keyframes.
 
-    p, q, r: the point in the frame of the depth imager. turn, moved_m: of _poses_in(). Returns how many surfaces there are,
-    whether the point is in known space, and whether it lies on a surface.
+    p, q, r: the point in the frame of the depth imager. turn, moved_m: of _poses_in(). doubt: of add_depth_equations(). Returns
+    how many surfaces there are, whether the point is in known space, and whether it lies on a surface.
     """
     found, in_front, on_surface = 0, False, False
     for m in range(keyframes.number.shape[0]):
@@ -114,13 +113,15 @@ def _surfaces_at(
             continue
         off = nx * (across - (u - cx) / fx * z) + ny * (down - (v - cy) / fy * z) + nz * (deep - z)
         towards = nx * (moved_m[m, 0] - across) + ny * (moved_m[m, 1] - down) + nz * (moved_m[m, 2] - deep)
-        in_front = in_front or off > SURFACE_M
+        in_front = in_front or (off > SURFACE_M and doubt[m, 0, 0] + doubt[m, 1, 1] + doubt[m, 2, 2] == 0.0)
         if abs(off) > SURFACE_M or towards < 0.0:  # hidden, or the other side of a thin wall
             continue
         off_m[found], number[found] = off, m
         for a in range(3):
             turned = keyframes.rotation[m, a]
             normal[found, a] = turned[0] * nx + turned[1] * ny + turned[2] * nz
+        if _along(doubt[m], normal[found]) > 1.0:
+            continue
         on_surface = on_surface or abs(off) < _INLIER_M
         found += 1
     return found, found > 0 or in_front, on_surface

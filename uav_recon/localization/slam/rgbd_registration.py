@@ -210,10 +210,10 @@ def confirm(
 ) -> Registration | None:
     """Return the registration of a view from another place (3,) than the predicted one, None if it is not that place.
 
-    Landmarks and depth must both fit there.
+    Depth, and the landmarks of the keyframes to which the way was uncertain, must both fit there.
     """
     found = _converge(view, keyframes, landmarks, prior, place_m - prior.odom_from_depth.translation_m)
-    return found if found.confirmed(landmarks, np.ones(len(keyframes.number), np.bool_)) else None
+    return found if found.confirmed(landmarks, uncertain(keyframes, prior)) else None
 
 
 def _shifts_m(reach_m: FloatArray) -> FloatArray:
@@ -401,7 +401,7 @@ def _equations(
         )
         return np.asarray(support * there.sum(axis=0)[_PLACE])
 
-    depth_sigma_m = _leave_weak_directions(surfaces, slope, prior.turn_sigma_rad, pull_at)
+    depth_sigma_m = _leave_weak_directions(surfaces, slope, prior.turn_sigma_rad, None if all_counts else pull_at)
     corners, pull, perfect = np.zeros((most, SIZE, SIZE)), np.zeros((most, SIZE)), np.zeros((3, 3))
     imager = MovingImager(
         camera=view.camera, rotation=at.rotation @ view.depth_from_rgb.rotation(),
@@ -488,13 +488,13 @@ def _support(known: int, inliers: int) -> float:
 
 
 def _leave_weak_directions(
-    information: FloatArray, gradient: FloatArray, turn_sigma_rad: float, pull_at: Callable[[FloatArray], FloatArray]
+    information: FloatArray, gradient: FloatArray, turn_sigma_rad: float, pull_at: Callable[[FloatArray], FloatArray] | None
 ) -> float:
     """Remove from the equations of depth the translations that it does not determine.
 
     Where the normals of a bare wall scatter, the equations are those of a wall that shows the place along it; but a camera that
     is moved along it, to either side, is not pulled back. pull_at(shift_m): gradient (3,) on the place from a place farther by
-    this (3,).
+    this (3,); None far from the pose, where it says nothing.
     Returns the standard deviation of the worst translation.
     Zhang, Kaess and Singh 2016, On Degeneracy of Optimization-based State Estimation Problems.
     """
@@ -503,7 +503,7 @@ def _leave_weak_directions(
     alone = both[3:6, 3:6] - both[3:6, :3] @ np.linalg.solve(turn, both[:3, 3:6])
     values, directions = np.linalg.eigh(0.5 * (alone + alone.T))
     left = values.copy()
-    for k in np.flatnonzero(values < _DOUBTED_SHARE * values[-1]).tolist():
+    for k in np.flatnonzero(values < _DOUBTED_SHARE * values[-1]).tolist() if pull_at else ():
         ahead_m = _TRIED_M * directions[:, k]
         back = min(float(pull_at(-ahead_m) @ ahead_m), -float(pull_at(ahead_m) @ ahead_m)) / _TRIED_M**2
         left[k] = min(max(back, 0.0), values[k])

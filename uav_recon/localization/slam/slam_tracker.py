@@ -53,10 +53,11 @@ _AT_REST = 1e-4**2 * np.eye(3)
 _FIRST_SLOW_SIGMA = np.array([0.012, 0.006])  # delay of the colour image (s), share of its width
 _SLOW_WALK = np.array([0.0005, 0.0002])  # per root second
 _SLOW_FLOOR = np.array([0.001, 0.0005])
-_FUSION_FRAMES = 8  # frames in a row that must be accepted before the map grows again after doubt
+_CARRIED_FRAMES = 8  # frames in a row that must be accepted before an uncertain track counts as carried on
+_MAP_FRAMES = 3  # frames in a row that must be accepted before the map grows again
 _PROOF_FRAMES = 2  # frames that must be accepted after doubt until poses are given again
 _VIEWLESS = (TrackingFault.FEW_POINTS, TrackingFault.FROZEN)  # frames that show nothing, which is no doubt of the track
-_ACCEPTED = (None, TrackingFault.LOOSE, TrackingFault.DEPTH)
+_ACCEPTED = (None, TrackingFault.LOOSE, TrackingFault.DEPTH, TrackingFault.UNPROVEN)
 _BRIEF_GAP_S = 0.5  #: reject: frames after a longer time without an accepted one raise doubt, whatever was wrong
 _MOST_SIGMA_M = 0.12  #: reject: no pose is given while the place is more uncertain than this in a direction
 _MOST_ON_WAY_BACK_M = 0.20  #: reject: the same on the way back
@@ -266,9 +267,25 @@ class SlamTracker:
         motion = np.concatenate((prior.rate_radps, prior.velocity_mps))
         keyframes, landmarks = self._compared = self.surfaces.near_view(view, prior.odom_from_depth, motion, self._slow)
         found, doubtful = register(view, keyframes, landmarks, prior), uncertain(keyframes, prior)
-        if not doubtful.any() or found.confirmed(landmarks, doubtful) or self._is_only_place(view, found, prior):
+        if not doubtful.any() or found.confirmed(landmarks, doubtful):
+            return found
+        there = self._confirmed(view, found.odom_from_depth, prior) if found.determined else None
+        if there is not None:
+            return there
+        if self._is_only_place(view, found, prior):
             return found
         return register(view, keyframes, landmarks, prior, doubted=True)
+
+    def _confirmed(self, view: PreparedView, odom_from_depth: Pose, prior: MotionPrior) -> Registration | None:
+        """Return the registration of a view from another pose, with the landmarks that it shows from there.
+
+        None if these and depth do not both fit.
+        """
+        motion = np.concatenate((prior.rate_radps, prior.velocity_mps))
+        compared = self.surfaces.near_view(view, odom_from_depth, motion, self._slow)
+        found = confirm(view, *compared, prior, odom_from_depth.translation_m)
+        self._compared = self._compared if found is None else compared
+        return found
 
     def _is_only_place(self, view: PreparedView, registration: Registration, prior: MotionPrior) -> bool:
         """Return True if depth fits at the place of a registration, and at no other one where the view may be."""
@@ -381,10 +398,7 @@ class SlamTracker:
         pose = self.surfaces.recognise(view, registration.odom_from_depth, reach_m, most_variance)
         if pose is None:
             return None
-        there = Pose(registration.odom_from_depth.quat_wxyz, pose.translation_m)
-        motion = np.concatenate((prior.rate_radps, prior.velocity_mps))
-        keyframes, landmarks = self.surfaces.near_view(view, there, motion, self._slow)
-        return confirm(view, keyframes, landmarks, prior, pose.translation_m)
+        return self._confirmed(view, Pose(registration.odom_from_depth.quat_wxyz, pose.translation_m), prior)
 
     def _coast(self, state: TrackedState, prior: MotionPrior, stamp_s: float, body_from_depth: Pose) -> None:
         """Go on by the inertial samples alone: the frame is not accepted."""
@@ -421,7 +435,7 @@ class SlamTracker:
         self._state = TrackedState(view.frame.stamp_s, odom.odom_from_body, odom.velocity_odom_mps)
         self._attitude = AttitudeFilter(odom.odom_from_body, _ROTATION_SIGMA_RAD**2 * np.eye(3))
         self._motion.begin(odom.odom_from_body.translation_m, odom.velocity_odom_mps)
-        self._accepted_frames, self._launched, self._begin_at = _FUSION_FRAMES, True, None
+        self._accepted_frames, self._launched, self._begin_at = _CARRIED_FRAMES, True, None
         motion = np.concatenate((np.zeros(3), odom.velocity_odom_mps))
         self._add_to_map(view, odom.odom_from_body @ body_from_depth, motion)
         return self._stamped(view.frame.stamp_s)
@@ -439,7 +453,7 @@ class SlamTracker:
         self._state = TrackedState(view.frame.stamp_s, level, np.zeros(3))
         self._attitude = AttitudeFilter(level, _AT_REST)
         self._motion = MotionFilter(level, self._rest.force_offset_mps2(level))
-        self._accepted_frames = _FUSION_FRAMES
+        self._accepted_frames = _CARRIED_FRAMES
         self._add_to_map(view, level @ body_from_depth, np.zeros(6))
         return self._stamped(view.frame.stamp_s)
 
@@ -536,11 +550,11 @@ class SlamTracker:
         self._accepted_s = stamp_s
         self._accepted_frames = 0 if self.fault is TrackingFault.DEPTH else self._accepted_frames + 1
         # a track that has been carried on for long is uncertain, and its map says so
-        carried = self.fault is TrackingFault.LOOSE and self._accepted_frames >= _FUSION_FRAMES
+        carried = self.fault in (TrackingFault.LOOSE, TrackingFault.UNPROVEN) and self._accepted_frames >= _CARRIED_FRAMES
         self._unproven = max(self._unproven - 1, 0) if self.fault is None or carried else self._unproven
         motion = np.concatenate((prior.rate_radps, velocity))
         self.surfaces.remember(view, *self._compared, registration.odom_from_depth, motion, self._slow)
-        if not self._unproven and self.fault is not TrackingFault.DEPTH:
+        if self.fault is not TrackingFault.DEPTH:
             self._add_to_map(view, registration.odom_from_depth, motion, registration.landmarks)
         if stamp_s - self._lag_s >= _LAG_S:
             self._motion.mark_lag()
@@ -567,7 +581,7 @@ class SlamTracker:
         return _WithoutFrame(state, motion, attitude, registration.surprise(prior), moved_m, update)
 
     def _add_to_map(self, view: PreparedView, odom_from_depth: Pose, motion: FloatArray, landmarks: int = 0) -> None:
-        if self._accepted_frames < _FUSION_FRAMES:
+        if self._accepted_frames < _MAP_FRAMES:
             return
         variance = np.diagonal(self._motion.errors.state)[:3] + _PLACED_M**2
         if self.surfaces.add(view, odom_from_depth, motion, self._slow, variance, landmarks):
