@@ -69,7 +69,7 @@ def _equations(
     fitting = np.zeros(2, np.int64)
     add_landmark_equations(
         places, slope, texture, at_px.astype(np.float32), _imager(TURN.rotation(), EYE_M, TURN.translation_m, slow),
-        np.arange(len(places)) % 2, change, 1.0, 1.0, information, gradient, np.zeros((3, 3)),
+        np.arange(len(places)) % 2, change, 1.0, 1.0, information, gradient, np.zeros((2, 3, 3)),
         fitting,
     )  # fmt: skip
     assert len(places) < 2 or information[1].any() == information[0].any(), "each keyframe has its own equations"

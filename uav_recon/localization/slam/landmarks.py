@@ -272,8 +272,8 @@ def add_landmark_equations(
 
     place_m (N, 3), slope (N, 3, 2), texture (N, 2, 2): of Landmarks; change (2,): of ``slow`` since the places were right.
     keyframe (N,): of Landmarks. information (M, SIZE, SIZE), gradient (M, SIZE): from each keyframe. weight: of one landmark.
-    shown (3, 3): information on the translation that the landmarks would give if each were a perfect corner. fitting (M,):
-    number of landmarks of each keyframe that fit. The first six elements are those of add_depth_equations.
+    shown (M, 3, 3): information on the translation that the landmarks of each keyframe would give if they were perfect corners.
+    fitting (M,): number of them that fit. The first six elements are those of add_depth_equations.
     """
     expected, columns = np.empty(2), np.empty((2, SIZE))
     for n in range(place_m.shape[0]):
@@ -301,7 +301,7 @@ def add_landmark_equations(
                 information[k, a, b] += w * (along0 * columns[0, b] + along1 * columns[1, b])
         for a in range(3):
             for b in range(3):
-                shown[a, b] += w * (columns[0, 3 + a] * columns[0, 3 + b] + columns[1, 3 + a] * columns[1, 3 + b])
+                shown[k, a, b] += w * (columns[0, 3 + a] * columns[0, 3 + b] + columns[1, 3 + a] * columns[1, 3 + b])
 
 
 @kernel

@@ -43,6 +43,9 @@ _POSE = slice(0, 6)
 _WEAK_SHARE = 0.005
 _DOUBTED_SHARE = 0.1  # directions with less are tried: the camera is moved by this to both sides
 _TRIED_M = 0.04
+# error of the mean normal of a wall: if the way along it is uncertain by 0.1 m, a keyframe shows the distance to it to 5 mm
+_NORMAL_RAD = 0.05
+_TRIED_ROUNDS = (0, 2)  # of Gauss-Newton near the pose, in which they are
 # Landmarks tell nothing of a direction in which they have less than this share of the information of perfect corners: all of
 # them are on edges then, and follow the prediction along these.
 _EDGES_SHARE = 0.05
@@ -341,12 +344,16 @@ def _converge(
     place_m = prior.odom_from_depth.translation_m + moved_m[:3]
     at = _Estimate(prior.odom_from_depth.rotation(), place_m, np.zeros(3), prior.slow.copy(), moved_m)
     predicted = _Predicted.of(prior, joint)
-    whole = np.eye(SIZE + len(joint) - 3)
+    leaning = np.asarray(_NORMAL_RAD**2 * np.linalg.eigvalsh(_ways(joint))[:, -1], dtype=np.float64)
+    whole, kept = np.eye(SIZE + len(joint) - 3), None
     rounds = _ROUNDS + _FAR_ROUNDS if far else _ROUNDS
     for number in range(rounds):
         near = number - (rounds - _ROUNDS)  # rounds near the pose
         wide = _WIDER[min(max(near, 0), len(_WIDER) - 1)]
-        equations = _equations(view, keyframes, landmarks, prior, at, doubt, wide, all_counts=far and near < 0)
+        kept = None if near in _TRIED_ROUNDS or (far and near < 0) else kept
+        equations, kept = _equations(
+            view, keyframes, landmarks, prior, at, doubt, leaning, wide, kept, all_counts=far and near < 0
+        )
         whole, pull = _with_prediction(equations, predicted, prior, at)
         still = at.step(np.asarray(np.linalg.solve(whole, pull), dtype=np.float64))
         if still and near >= len(_WIDER) - 1:
@@ -373,14 +380,17 @@ def _equations(
     prior: MotionPrior,
     at: _Estimate,
     doubt: FloatArray,
+    leaning: FloatArray,
     wide: float,
+    kept: FloatArray | None,
     *,
     all_counts: bool,
-) -> _Equations:
-    """Return the equations of depth and landmarks at an estimate.
+) -> tuple[_Equations, FloatArray]:
+    """Return the equations of depth and landmarks at an estimate, and the directions in which depth counts.
 
-    doubt (M, 3, 3): as in add_depth_equations(). wide: factor on the scale of the robust weights. all_counts: depth counts in
-    full wherever it is.
+    doubt (M, 3, 3): as in add_depth_equations(). leaning (M,): variance (m²) of a distance to a surface of each keyframe by its
+    normal, which is off. wide: factor on the scale of the robust weights. kept (M, SIZE, SIZE): these
+    directions, of _determined(), None if they are not known. all_counts: depth counts in full wherever it is.
     """
     most = len(keyframes.number)
     surfaces, slope = np.zeros((most, SIZE, SIZE)), np.zeros((most, SIZE))
@@ -393,16 +403,16 @@ def _equations(
     support = 1.0 if all_counts else _support(known, inliers)
     surfaces, slope = support * surfaces, support * slope
 
-    def pull_at(shift_m: FloatArray) -> FloatArray:
-        """Return the gradient (3,) of depth on the place, from a place farther by this."""
-        unused, there = np.zeros((most, SIZE, SIZE)), np.zeros((most, SIZE))
-        add_depth_equations(
-            view.points, at.rotation, at.place_m + shift_m, moved, doubt, _DEPTH_SHARE, _WIDER[0], unused, there
-        )
-        return np.asarray(support * there.sum(axis=0)[_PLACE])
+    def pull_at(ahead_m: FloatArray) -> FloatArray:
+        """Return the gradients (M, 3) of depth on the place, from places farther by (M, 3): each keyframe moves back."""
+        back, unused, there = moved._replace(place_m=moved.place_m - ahead_m), np.zeros_like(surfaces), np.zeros_like(slope)
+        add_depth_equations(view.points, at.rotation, at.place_m, back, doubt, _DEPTH_SHARE, _WIDER[0], unused, there)
+        return np.asarray(support * there[:, _PLACE])
 
-    depth_sigma_m = _leave_weak_directions(surfaces, slope, prior.turn_sigma_rad, None if all_counts else pull_at)
-    corners, pull, perfect = np.zeros((most, SIZE, SIZE)), np.zeros((most, SIZE)), np.zeros((3, 3))
+    kept = _determined(surfaces, leaning, prior.turn_sigma_rad, None if all_counts else pull_at) if kept is None else kept
+    surfaces, slope = kept @ surfaces @ kept, np.einsum("mab,mb->ma", kept @ kept, slope)
+    depth_sigma_m = _leave_weak_directions(surfaces, slope, prior.turn_sigma_rad)
+    corners, pull, perfect = np.zeros((most, SIZE, SIZE)), np.zeros((most, SIZE)), np.zeros((most, 3, 3))
     imager = MovingImager(
         camera=view.camera, rotation=at.rotation @ view.depth_from_rgb.rotation(),
         eye_m=at.rotation @ view.depth_from_rgb.translation_m + at.place_m, turn_m=at.place_m,
@@ -415,7 +425,7 @@ def _equations(
         fitting,
     )  # fmt: skip
     _leave_edges(corners, pull, perfect)
-    return _Equations(surfaces + corners, slope + pull, known, inliers, fitting, depth_sigma_m, match)
+    return _Equations(surfaces + corners, slope + pull, known, inliers, fitting, depth_sigma_m, match), kept
 
 
 def _with_prediction(
@@ -487,27 +497,46 @@ def _support(known: int, inliers: int) -> float:
     return max(fitting**2 * min(inliers / _ENOUGH_POINTS, 1.0) ** 2, 1e-6)
 
 
-def _leave_weak_directions(
-    information: FloatArray, gradient: FloatArray, turn_sigma_rad: float, pull_at: Callable[[FloatArray], FloatArray] | None
-) -> float:
-    """Remove from the equations of depth the translations that it does not determine.
+def _determined(
+    information: FloatArray, leaning: FloatArray, turn_sigma_rad: float, pull_at: Callable[[FloatArray], FloatArray] | None
+) -> FloatArray:
+    """Return the projections (M, SIZE, SIZE) on the translations that the depth of each keyframe determines.
 
     Where the normals of a bare wall scatter, the equations are those of a wall that shows the place along it; but a camera that
-    is moved along it, to either side, is not pulled back. pull_at(shift_m): gradient (3,) on the place from a place farther by
-    this (3,); None far from the pose, where it says nothing.
-    Returns the standard deviation of the worst translation.
+    is moved along it, to either side, is not pulled back. pull_at(ahead_m): gradient (M, 3) on the place from places farther by
+    (M, 3), one for each keyframe; None far from the pose, where it says nothing.
+    leaning (M,): as in _equations().
     Zhang, Kaess and Singh 2016, On Degeneracy of Optimization-based State Estimation Problems.
+    """
+    turn = information[:, :3, :3] + np.eye(3) * turn_sigma_rad**-2
+    across = information[:, :3, _PLACE]
+    alone = information[:, _PLACE, _PLACE] - np.swapaxes(across, 1, 2) @ np.linalg.solve(turn, across)
+    values, directions = np.linalg.eigh(alone)
+    left = np.maximum(values, 0.0)
+    for k in range(2):
+        weak = values[:, k] < _DOUBTED_SHARE * values[:, -1]
+        if pull_at is None or not weak.any():
+            break
+        ahead_m = _TRIED_M * directions[:, :, k]
+        there, back = (np.einsum("ma,ma->m", pull_at(side * ahead_m), ahead_m) for side in (1.0, -1.0))
+        pulled = np.clip(np.minimum(-there, back) / _TRIED_M**2, 0.0, left[:, k])
+        left[:, k] = np.where(weak, pulled, left[:, k])
+    share = left / np.maximum(values, _TINY) / (1.0 + left * leaning[:, None])
+    kept = np.tile(np.eye(SIZE), (len(values), 1, 1))
+    kept[:, _PLACE, _PLACE] = (directions * np.sqrt(share)[:, None]) @ np.swapaxes(directions, 1, 2)
+    return kept
+
+
+def _leave_weak_directions(information: FloatArray, gradient: FloatArray, turn_sigma_rad: float) -> float:
+    """Remove from the equations of depth the translations that all keyframes together do not determine.
+
+    Returns the standard deviation of the worst translation.
     """
     both = information.sum(axis=0)
     turn = both[:3, :3] + np.eye(3) * turn_sigma_rad**-2
     alone = both[3:6, 3:6] - both[3:6, :3] @ np.linalg.solve(turn, both[:3, 3:6])
     values, directions = np.linalg.eigh(0.5 * (alone + alone.T))
-    left = values.copy()
-    for k in np.flatnonzero(values < _DOUBTED_SHARE * values[-1]).tolist() if pull_at else ():
-        ahead_m = _TRIED_M * directions[:, k]
-        back = min(float(pull_at(-ahead_m) @ ahead_m), -float(pull_at(ahead_m) @ ahead_m)) / _TRIED_M**2
-        left[k] = min(max(back, 0.0), values[k])
-    left = np.maximum(left - _WEAK_SHARE * values[-1], 0.0)
+    left = np.maximum(values - _WEAK_SHARE * values[-1], 0.0)
     kept = np.eye(SIZE)
     kept[_PLACE, _PLACE] = directions @ np.diag(np.sqrt(left / np.maximum(values, _TINY))) @ directions.T
     information[:] = kept @ information @ kept
@@ -516,17 +545,17 @@ def _leave_weak_directions(
 
 
 def _leave_edges(information: FloatArray, gradient: FloatArray, shown: FloatArray) -> None:
-    """Remove from the equations of landmarks the translations along their edges.
+    """Remove from the equations of the landmarks of each keyframe the translations along their edges.
 
-    The direction of an edge in an image is known to some degrees only. shown (3, 3): of add_landmark_equations().
+    The direction of an edge in an image is known to some degrees only. shown (M, 3, 3): of add_landmark_equations().
     """
-    perfect = shown + _LEAST_SHOWN * np.eye(3)
-    root = np.linalg.inv(np.linalg.cholesky(perfect))
-    values, vectors = np.linalg.eigh(root @ information.sum(axis=0)[_PLACE, _PLACE] @ root.T)
-    along = root.T @ vectors[:, values < _EDGES_SHARE]
-    if not along.size:
-        return
-    kept = np.eye(SIZE)
-    kept[_PLACE, _PLACE] -= along @ along.T @ perfect
-    information[:] = kept.T @ information @ kept
-    gradient[:] = gradient @ kept
+    for m in np.flatnonzero(shown.any(axis=(1, 2))).tolist():
+        perfect = shown[m] + _LEAST_SHOWN * np.eye(3)
+        root = np.linalg.inv(np.linalg.cholesky(perfect))
+        values, vectors = np.linalg.eigh(root @ information[m, _PLACE, _PLACE] @ root.T)
+        along = root.T @ vectors[:, values < _EDGES_SHARE]
+        if along.size:
+            kept = np.eye(SIZE)
+            kept[_PLACE, _PLACE] -= along @ along.T @ perfect
+            information[m] = kept.T @ information[m] @ kept
+            gradient[m] = gradient[m] @ kept
