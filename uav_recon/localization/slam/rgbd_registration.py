@@ -60,6 +60,7 @@ _DETERMINED_FIT_SHARE = 0.85  # of its points in known space, those on a known s
 _CONFIRMING_LANDMARKS = 20  # number of landmarks that must fit at a place that was recognised
 _DETERMINED_POINTS = 250  # number of its points on known surfaces
 _TINY = 1e-9
+_UNKNOWN_M2 = 1e4  # variance of a place of which nothing is known
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -345,14 +346,14 @@ def _converge(
     at = _Estimate(prior.odom_from_depth.rotation(), place_m, np.zeros(3), prior.slow.copy(), moved_m)
     predicted = _Predicted.of(prior, joint)
     leaning = np.asarray(_NORMAL_RAD**2 * np.linalg.eigvalsh(_ways(joint))[:, -1], dtype=np.float64)
-    whole, kept = np.eye(SIZE + len(joint) - 3), None
+    whole, noise = np.eye(SIZE + len(joint) - 3), None
     rounds = _ROUNDS + _FAR_ROUNDS if far else _ROUNDS
     for number in range(rounds):
         near = number - (rounds - _ROUNDS)  # rounds near the pose
         wide = _WIDER[min(max(near, 0), len(_WIDER) - 1)]
-        kept = None if near in _TRIED_ROUNDS or (far and near < 0) else kept
-        equations, kept = _equations(
-            view, keyframes, landmarks, prior, at, doubt, leaning, wide, kept, all_counts=far and near < 0
+        noise = None if near in _TRIED_ROUNDS or (far and near < 0) else noise
+        equations, noise = _equations(
+            view, keyframes, landmarks, prior, at, doubt, leaning, wide, noise, all_counts=far and near < 0
         )
         whole, pull = _with_prediction(equations, predicted, prior, at)
         still = at.step(np.asarray(np.linalg.solve(whole, pull), dtype=np.float64))
@@ -382,15 +383,15 @@ def _equations(
     doubt: FloatArray,
     leaning: FloatArray,
     wide: float,
-    kept: FloatArray | None,
+    noise: FloatArray | None,
     *,
     all_counts: bool,
 ) -> tuple[_Equations, FloatArray]:
-    """Return the equations of depth and landmarks at an estimate, and the directions in which depth counts.
+    """Return the equations of depth and landmarks at an estimate, and the noise of normals.
 
     doubt (M, 3, 3): as in add_depth_equations(). leaning (M,): variance (m²) of a distance to a surface of each keyframe by its
-    normal, which is off. wide: factor on the scale of the robust weights. kept (M, SIZE, SIZE): these
-    directions, of _determined(), None if they are not known. all_counts: depth counts in full wherever it is.
+    normal, which is off. wide: factor on the scale of the robust weights. noise (M, 3, 3): of _noise_of_normals(), None if it
+    is not known. all_counts: depth counts in full wherever it is.
     """
     most = len(keyframes.number)
     surfaces, slope = np.zeros((most, SIZE, SIZE)), np.zeros((most, SIZE))
@@ -409,8 +410,9 @@ def _equations(
         add_depth_equations(view.points, at.rotation, at.place_m, back, doubt, _DEPTH_SHARE, _WIDER[0], unused, there)
         return np.asarray(support * there[:, _PLACE])
 
-    kept = _determined(surfaces, leaning, prior.turn_sigma_rad, None if all_counts else pull_at) if kept is None else kept
-    surfaces, slope = kept @ surfaces @ kept, np.einsum("mab,mb->ma", kept @ kept, slope)
+    if noise is None:
+        noise = _noise_of_normals(surfaces, leaning, prior.turn_sigma_rad, None if all_counts else pull_at)
+    _add_noise(surfaces, slope, noise)
     depth_sigma_m = _leave_weak_directions(surfaces, slope, prior.turn_sigma_rad)
     corners, pull, perfect = np.zeros((most, SIZE, SIZE)), np.zeros((most, SIZE)), np.zeros((most, 3, 3))
     imager = MovingImager(
@@ -425,7 +427,7 @@ def _equations(
         fitting,
     )  # fmt: skip
     _leave_edges(corners, pull, perfect)
-    return _Equations(surfaces + corners, slope + pull, known, inliers, fitting, depth_sigma_m, match), kept
+    return _Equations(surfaces + corners, slope + pull, known, inliers, fitting, depth_sigma_m, match), noise
 
 
 def _with_prediction(
@@ -497,10 +499,10 @@ def _support(known: int, inliers: int) -> float:
     return max(fitting**2 * min(inliers / _ENOUGH_POINTS, 1.0) ** 2, 1e-6)
 
 
-def _determined(
+def _noise_of_normals(
     information: FloatArray, leaning: FloatArray, turn_sigma_rad: float, pull_at: Callable[[FloatArray], FloatArray] | None
 ) -> FloatArray:
-    """Return the projections (M, SIZE, SIZE) on the translations that the depth of each keyframe determines.
+    """Return the noise (M, 3, 3) of the place of each keyframe, m², by what its normals are off by.
 
     Where the normals of a bare wall scatter, the equations are those of a wall that shows the place along it; but a camera that
     is moved along it, to either side, is not pulled back. pull_at(ahead_m): gradient (M, 3) on the place from places farther by
@@ -521,10 +523,13 @@ def _determined(
         there, back = (np.einsum("ma,ma->m", pull_at(side * ahead_m), ahead_m) for side in (1.0, -1.0))
         pulled = np.clip(np.minimum(-there, back) / _TRIED_M**2, 0.0, left[:, k])
         left[:, k] = np.where(weak, pulled, left[:, k])
-    share = left / np.maximum(values, _TINY) / (1.0 + left * leaning[:, None])
-    kept = np.tile(np.eye(SIZE), (len(values), 1, 1))
-    kept[:, _PLACE, _PLACE] = (directions * np.sqrt(share)[:, None]) @ np.swapaxes(directions, 1, 2)
-    return kept
+    noise = _noise(values, left) + leaning[:, None]
+    return np.asarray((directions * noise[:, None]) @ np.swapaxes(directions, 1, 2))
+
+
+def _noise(values: FloatArray, left: FloatArray) -> FloatArray:
+    """Return the variances (..., 3) of more noise with which less information is left of values (..., 3)."""
+    return np.asarray(np.minimum(1.0 / np.maximum(left, _TINY) - 1.0 / np.maximum(values, _TINY), _UNKNOWN_M2))
 
 
 def _leave_weak_directions(information: FloatArray, gradient: FloatArray, turn_sigma_rad: float) -> float:
@@ -537,11 +542,20 @@ def _leave_weak_directions(information: FloatArray, gradient: FloatArray, turn_s
     alone = both[3:6, 3:6] - both[3:6, :3] @ np.linalg.solve(turn, both[:3, 3:6])
     values, directions = np.linalg.eigh(0.5 * (alone + alone.T))
     left = np.maximum(values - _WEAK_SHARE * values[-1], 0.0)
-    kept = np.eye(SIZE)
-    kept[_PLACE, _PLACE] = directions @ np.diag(np.sqrt(left / np.maximum(values, _TINY))) @ directions.T
-    information[:] = kept @ information @ kept
-    gradient[:] = gradient @ kept @ kept
+    noise = (directions * _noise(values, left)) @ directions.T
+    _add_noise(information, gradient, np.tile(noise, (len(information), 1, 1)))
     return 1.0 / math.sqrt(max(float(left[0]), _TINY))
+
+
+def _add_noise(information: FloatArray, gradient: FloatArray, noise: FloatArray) -> None:
+    """Let the place of each keyframe be off by this noise (M, 3, 3), m², in what a frame says of it.
+
+    The offset is an unknown that is eliminated from the equations.
+    """
+    place = information[:, _PLACE, _PLACE]
+    gain = information[:, :, _PLACE] @ noise @ np.linalg.inv(np.eye(3) + place @ noise)
+    gradient -= np.einsum("mab,mb->ma", gain, gradient[:, _PLACE])
+    information -= gain @ information[:, _PLACE]
 
 
 def _leave_edges(information: FloatArray, gradient: FloatArray, shown: FloatArray) -> None:
