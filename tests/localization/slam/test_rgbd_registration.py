@@ -233,7 +233,7 @@ def test_along_a_bare_wall_the_error_of_the_track_is_kept() -> None:
 def test_a_doubted_keyframe_counts_only_where_the_way_to_it_is_certain() -> None:
     """The way along x is uncertain: surfaces that face it do not count, the others do."""
     surfaces, view = _map()
-    prior = _prior(_off(HERE, np.array([0.02, 0.0, 0.02]), np.zeros(3)), 0.01, math.radians(0.2), surfaces.count)
+    prior = _prior(_off(HERE, np.array([0.02, 0.0, 0.02]), np.zeros(3)), 0.02, math.radians(0.2), surfaces.count)
     state = prior.places.state.copy()
     state[0, 0] = 0.3**2
     prior = replace(prior, places=prior.places.predicted(state, np.eye(6)))
@@ -242,7 +242,7 @@ def test_a_doubted_keyframe_counts_only_where_the_way_to_it_is_certain() -> None
     plain, doubted = register(view, keyframes, landmarks, prior), register(view, keyframes, landmarks, prior, doubted=True)
     assert plain.sigma_m < 0.01
     assert doubted.variance[0] > 0.25**2
-    assert doubted.variance[2] < 0.006**2
+    assert doubted.variance[2] < 0.014**2
     assert doubted.landmarks == 0
 
 

@@ -133,10 +133,11 @@ class PlaceErrors:
         inverse = np.linalg.inv(before)
         body_gain = np.hstack((self.body[:, own], self.cross[:, at])) @ inverse
         gain = np.hstack((self.cross[own].T, self.shared[: self.cross.shape[1], at])) @ inverse
-        by_body = body_gain @ (before - joint)
+        less = _positive(before - joint)
+        by_body = body_gain @ less
         moves = np.abs(gain.reshape(-1, 3, gain.shape[1])).max(axis=(1, 2)) > _LEAST_GAIN
         active = _elements(np.flatnonzero(moves))
-        update = Update(active, gain[active] @ (before - joint), gain)
+        update = Update(active, gain[active] @ less, gain)
         self._add(update, -1.0)
         body = self.body - by_body @ body_gain.T
         corrected_m = np.zeros(len(gain))
@@ -167,6 +168,12 @@ class PlaceErrors:
     def _own(self) -> IntArray:
         """Elements (6,) of the place and the older one of those lately."""
         return np.concatenate((np.arange(3), np.arange(self._lag.start, self._lag.stop)))
+
+
+def _positive(matrix: FloatArray) -> FloatArray:
+    """Return the nearest symmetric matrix without negative eigenvalues: rounding must not make places less certain, or exact."""
+    values, vectors = np.linalg.eigh(0.5 * (matrix + matrix.T))
+    return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)
 
 
 def _elements(numbers: IntArray) -> IntArray:

@@ -60,7 +60,7 @@ _DETERMINED_FIT_SHARE = 0.85  # of its points in known space, those on a known s
 _CONFIRMING_LANDMARKS = 20  # number of landmarks that must fit at a place that was recognised
 _DETERMINED_POINTS = 250  # number of its points on known surfaces
 _TINY = 1e-9
-_UNKNOWN_M2 = 1e4  # variance of a place of which nothing is known
+_UNKNOWN_M2 = 100.0  # variance of a place of which nothing is known
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -555,7 +555,8 @@ def _add_noise(information: FloatArray, gradient: FloatArray, noise: FloatArray)
     place = information[:, _PLACE, _PLACE]
     gain = information[:, :, _PLACE] @ noise @ np.linalg.inv(np.eye(3) + place @ noise)
     gradient -= np.einsum("mab,mb->ma", gain, gradient[:, _PLACE])
-    information -= gain @ information[:, _PLACE]
+    left = information - gain @ information[:, _PLACE]
+    information[:] = 0.5 * (left + np.swapaxes(left, 1, 2))
 
 
 def _leave_edges(information: FloatArray, gradient: FloatArray, shown: FloatArray) -> None:

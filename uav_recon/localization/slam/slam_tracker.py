@@ -42,8 +42,6 @@ from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
 
 _BLIND_TURN_RADPS = math.radians(30.0)  # uncertainty of the turn rate without a gyro
-_FUSE_M = 0.05  # a frame is fused after this motion
-_FUSE_RAD = math.radians(3.0)
 # a body that rests has moved if this much of a view says so
 _REST_M = 0.01
 _LATE_SENSOR_S = 3.0  # after a start without inertial samples, in which the first ones may come and the body be levelled again
@@ -170,7 +168,6 @@ class SlamTracker:
         self._attitude = AttitudeFilter(Pose.identity(), _AT_REST)
         self._turned = self._attitude.predict(np.zeros(3), 0.0, np.zeros(3), 0.0)
         self._predicted = self._motion.predict(0.0, Pose.identity(), None)
-        self._fused: Pose | None = None
         self._begin_at: OdomAt | None = None
         self._without_frame: _WithoutFrame | None = None  # the newest accepted one
         self._level_assumed_s = -math.inf  # start without inertial samples
@@ -422,7 +419,7 @@ class SlamTracker:
         For a track that is lost beside a source of poses. odom_at: that odometry at an instant.
         """
         self.surfaces = KeyframeMap()
-        self._state, self._fused, self._begin_at = None, None, odom_at
+        self._state, self._begin_at = None, odom_at
         self._unreleased_m, self._drifted_m, self._lag_s = np.zeros(3), 0.0, -math.inf
         self._without_frame = None
         self._unsure, self._unproven, self._sure_s, self._judged_s = False, 0, -math.inf, math.inf
@@ -478,7 +475,6 @@ class SlamTracker:
         self._state = replace(state, stamp_s=view.frame.stamp_s)
         self._motion.rest()
         odom_from_depth = state.odom_from_body @ body_from_depth
-        self._fused = None
         self._add_to_map(view, odom_from_depth, np.zeros(6))
         return self._stamped(view.frame.stamp_s)
 
