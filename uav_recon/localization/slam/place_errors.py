@@ -171,7 +171,7 @@ class PlaceErrors:
 
 
 def _positive(matrix: FloatArray) -> FloatArray:
-    """Return the nearest symmetric matrix without negative eigenvalues: rounding must not make places less certain, or exact."""
+    """Return the nearest symmetric matrix without negative eigenvalues, which are from rounding."""
     values, vectors = np.linalg.eigh(0.5 * (matrix + matrix.T))
     return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)
 
