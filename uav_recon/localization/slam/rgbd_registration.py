@@ -427,6 +427,7 @@ def _equations(
         fitting,
     )  # fmt: skip
     _leave_edges(corners, pull, perfect)
+    _leave_weak_directions(corners, pull, prior.turn_sigma_rad)
     return _Equations(surfaces + corners, slope + pull, known, inliers, fitting, depth_sigma_m, match), noise
 
 
@@ -533,7 +534,7 @@ def _noise(values: FloatArray, left: FloatArray) -> FloatArray:
 
 
 def _leave_weak_directions(information: FloatArray, gradient: FloatArray, turn_sigma_rad: float) -> float:
-    """Remove from the equations of depth the translations that all keyframes together do not determine.
+    """Remove from the equations of depth, or of landmarks, the translations that all keyframes together do not determine.
 
     Returns the standard deviation of the worst translation.
     """
