@@ -17,9 +17,10 @@ from uav_recon.localization.slam.depth_image import DepthImage, grid_points, wri
 from uav_recon.localization.slam.landmarks import Corners, Landmarks, moving_imager, project
 from uav_recon.localization.slam.place_recognition import Description, UnplacedView
 from uav_recon.localization.slam.prepared_view import PreparedView
-from uav_recon.types.frames import AnyArray, FloatArray, IntArray
+from uav_recon.types.frames import AnyArray, BoolArray, FloatArray, IntArray
 from uav_recon.types.pose import Pose
 
+SHOWN, THROUGH = 1, 2  # what a keyframe says of a point
 NEAREST_M = 0.1  # a point nearer to the plane of an imager is not in its image
 _FIRST_CAPACITY = 32
 _NEW_SHARE = 0.75  # a frame of which no keyframe shows more than this becomes one
@@ -33,8 +34,15 @@ _SEEN_M = 0.10  # difference in depth of a point that a keyframe shows, and of o
 _SEEN_PER_M = 0.02
 _FAR_M = 9.0  # between cameras that show the same surfaces
 _MIN_SHARE = 0.3  # of the view, which a keyframe must show to be compared with it
-_LIKE = 1  # keyframes that a frame is compared with: those that show most of it ...
-_SURE = 2  # ... and those of the rest whose places are known best
+# a keyframe is less like a view by this share each, if it was taken from elsewhere, and in another direction, by this or more
+_OTHER_SHARE = 0.3
+_OTHER_M = 1.0
+_OTHER_RAD = 0.6
+_LEAST_LIKE = 0.01  # but it is still one of the same surfaces
+_COMPARED = 3  # number of keyframes that a frame is compared with
+_LEAST_MORE_SHARE = 0.1  # of the view, that a further one must have looked at
+_AGAIN_SHARE = 0.25  # worth of what another one has looked at already
+_SURE_M2 = 0.02**2  # variance of a place that halves the worth
 _CANDIDATES = 12  # keyframes that show most of a view, of which the one with most of its landmarks is one more
 _TRIED_KEYFRAMES = 4  # that may show a view whose place is not known, and as many of the others
 _MOST_FUSED = 20.0  # depths in a mean
@@ -78,9 +86,9 @@ class KeyframeMap:
 
         reach_m: by which its pose may be off. most_variance: of their places, m².
         """
-        share = self._shares(image, odom_from_depth, reach_m).sum(axis=1)
-        share[self._all.variance[: self.count].max(axis=1, initial=0.0) > most_variance] = 0.0
-        return self._chosen(self._like_and_sure(share))
+        looked = self._looked_at(image, odom_from_depth, reach_m) > 0
+        looked[self._all.variance[: self.count].max(axis=1, initial=0.0) > most_variance] = False
+        return self._chosen(self._covering(looked, self._like(looked, odom_from_depth)))
 
     def near_view(
         self, view: PreparedView, odom_from_depth: Pose, motion: FloatArray, slow: FloatArray
@@ -89,10 +97,12 @@ class KeyframeMap:
 
         odom_from_depth: the predicted pose. motion (6,), slow (2,): as in MovingImager.
         """
-        share = self._shares(view.depth, odom_from_depth, 0.0).sum(axis=1)
+        looked = self._looked_at(view.depth, odom_from_depth, 0.0) > 0
         imager = moving_imager(view, odom_from_depth, motion, slow)
-        shown = {number: self._corners[number].expected(self.pose(number), view, imager, slow) for number in _most(share)}
-        chosen = self._like_and_sure(share)
+        like = self._like(looked, odom_from_depth)
+        candidates = _most(like)
+        shown = {number: self._corners[number].expected(self.pose(number), view, imager, slow) for number in candidates}
+        chosen = self._covering(looked, like)
         if shown:
             best = max(shown, key=lambda number: len(shown[number].which))
             chosen = chosen if best in chosen else np.append(chosen, best)
@@ -111,7 +121,7 @@ class KeyframeMap:
         predicted: its pose, off by up to reach_m. Keyframes that may show the same are tried first, and a few of the others.
         most_variance: of their places, m². About 10 ms.
         """
-        share = self._shares(view.depth, predicted, reach_m)[:, 0]
+        share = (self._looked_at(view.depth, predicted, reach_m) == SHOWN).mean(axis=1)
         others = (self._next + np.arange(min(_TRIED_KEYFRAMES, self.count))) % max(self.count, 1)
         self._next += _TRIED_KEYFRAMES
         unplaced = UnplacedView(view)
@@ -122,12 +132,36 @@ class KeyframeMap:
                     return pose
         return None
 
-    def _like_and_sure(self, share: FloatArray) -> IntArray:
-        """Return the numbers (M,) of keyframes that show most of a view, and of those of the rest that are known best."""
-        order = _most(share, _MIN_SHARE, len(share))
-        like, rest = order[:_LIKE], order[_LIKE:]
-        sure = rest[np.argsort(self._all.variance[rest].max(axis=1, initial=0.0), kind="stable")][:_SURE]
-        return np.concatenate((like, sure))
+    def _like(self, looked: BoolArray, odom_from_depth: Pose) -> FloatArray:
+        """Return how much each keyframe is like a view (N,): the share that it has looked at, less for another viewpoint.
+
+        looked (N, P): at which of its points each keyframe has looked.
+        """
+        way_m = np.linalg.norm(self._all.place_m[: self.count] - odom_from_depth.translation_m, axis=1)
+        ahead = self._all.rotation[: self.count, :, 2] @ odom_from_depth.rotation()[:, 2]
+        apart = np.minimum(way_m / _OTHER_M, 1.0) + np.minimum(np.arccos(np.clip(ahead, -1.0, 1.0)) / _OTHER_RAD, 1.0)
+        whole = looked.mean(axis=1)
+        return np.asarray(np.where(whole >= _MIN_SHARE, np.maximum(whole - _OTHER_SHARE * apart, _LEAST_LIKE), 0.0))
+
+    def _covering(self, looked: BoolArray, like: FloatArray) -> IntArray:
+        """Return the numbers (M,) of the keyframe that is most like a view, and of those that add most to it.
+
+        looked (N, P): at which of its points each keyframe has looked. like (N,): of _like(). A keyframe that is known better
+        counts more.
+        """
+        whole = looked.mean(axis=1)
+        sure = 1.0 / (1.0 + self._all.variance[: self.count].max(axis=1, initial=0.0) / _SURE_M2)
+        chosen, left = list[int](), np.ones(looked.shape[1], np.bool_)
+        while len(chosen) < min(_COMPARED, self.count):
+            worth = like if not chosen else (looked[:, left].sum(axis=1) / len(left) + _AGAIN_SHARE * whole) * sure
+            worth = np.where(whole >= _LEAST_MORE_SHARE, worth, 0.0)
+            worth[chosen] = 0.0
+            best = int(np.argmax(worth))
+            if worth[best] <= 0.0:
+                break
+            chosen.append(best)
+            left &= ~looked[best]
+        return np.array(chosen, np.int64)
 
     def pose(self, number: int) -> Pose:
         """Return odom_from_depth of a keyframe."""
@@ -167,7 +201,7 @@ class KeyframeMap:
         image = view.depth
         if np.count_nonzero(image.depth_m) < _FEWEST_DEPTHS:
             return False
-        share = self._shares(image, odom_from_depth, 0.0)[:, 0]
+        share = (self._looked_at(image, odom_from_depth, 0.0) == SHOWN).mean(axis=1)
         best = int(np.argmax(share)) if self.count else 0
         new = not self.count or share[best] < _NEW_SHARE
         corners = None
@@ -198,12 +232,11 @@ class KeyframeMap:
         moved = self.pose(self.count - 1).inverse() @ odom_from_depth
         return bool(np.linalg.norm(moved.translation_m) > _APART_M or np.linalg.norm(moved.rotation_vector()) > _APART_RAD)
 
-    def _shares(self, image: DepthImage, odom_from_depth: Pose, reach_m: float) -> FloatArray:
-        """Return the shares (N, 2) of a view that each keyframe shows, and has looked through: this contradicts it."""
+    def _looked_at(self, image: DepthImage, odom_from_depth: Pose, reach_m: float) -> AnyArray:
+        """Return what each keyframe says of points of a view, (N, P): SHOWN, THROUGH, or 0 for nothing."""
         points_m = grid_points(image.depth_m, image.camera, _TRIED_POINTS)
         keyframes = self._chosen(np.arange(self.count))
-        found: FloatArray = shown_shares(odom_from_depth.apply(points_m), odom_from_depth.translation_m, keyframes, reach_m)
-        return found
+        return shown_points(odom_from_depth.apply(points_m), odom_from_depth.translation_m, keyframes, reach_m)
 
     def _chosen(self, number: IntArray) -> Keyframes:
         every = self._all
@@ -262,10 +295,10 @@ class KeyframeMap:
             self._corners[number].place(DepthImage(arrays.depth_m[number], arrays.camera[number]))
 
 
-def _most(share: FloatArray, least: float = _MIN_SHARE, most: int = _CANDIDATES) -> IntArray:
+def _most(share: FloatArray, least: float = 0.0, most: int = _CANDIDATES) -> IntArray:
     """Return the numbers of the largest shares (N,), largest first."""
     order = np.argsort(-share, kind="stable")[:most]
-    return np.asarray(order[share[order] >= least])
+    return np.asarray(order[share[order] > least])
 
 
 def no_keyframes(shape: tuple[int, ...] = (1, 1)) -> Keyframes:
@@ -278,12 +311,12 @@ def no_keyframes(shape: tuple[int, ...] = (1, 1)) -> Keyframes:
 
 
 @fast_kernel
-def shown_shares(points_m: AnyArray, eye_m: AnyArray, keyframes: Keyframes, reach_m: float) -> AnyArray:
-    """Return the shares (M, 2) of points (N, 3) in odom, seen from eye_m (3,), that each keyframe shows, or has looked through.
+def shown_points(points_m: AnyArray, eye_m: AnyArray, keyframes: Keyframes, reach_m: float) -> AnyArray:
+    """Return which points (N, 3) in odom, seen from eye_m (3,), each keyframe shows, or has looked through: (M, N).
 
-    reach_m: by which the points may be off.
+    SHOWN: it shows the point. THROUGH: it contradicts it. reach_m: by which the points may be off.
     """
-    out = np.zeros((keyframes.number.shape[0], 2))
+    out = np.zeros((keyframes.number.shape[0], points_m.shape[0]), np.int8)
     for m in range(keyframes.number.shape[0]):
         turn, place_m, camera = keyframes.rotation[m], keyframes.place_m[m], keyframes.camera[m]
         depth_m, normal = keyframes.depth_m[keyframes.number[m]], keyframes.normal[keyframes.number[m]]
@@ -305,9 +338,9 @@ def shown_shares(points_m: AnyArray, eye_m: AnyArray, keyframes: Keyframes, reac
                 facing += along * (eye_m[a] - points_m[n, a])
             near_m = _SEEN_M + reach_m + _SEEN_PER_M * seen
             if facing >= 0.0 and seen > 0.0 and abs(seen - deep) < near_m:
-                out[m, 0] += 1.0 / points_m.shape[0]
+                out[m, n] = SHOWN
             elif seen - deep >= near_m:
-                out[m, 1] += 1.0 / points_m.shape[0]
+                out[m, n] = THROUGH
     return out
 
 

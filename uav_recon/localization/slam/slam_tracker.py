@@ -1,9 +1,9 @@
 """RGB-D-inertial tracker: the pose of each frame against a map of its own.
 
-Depth is registered to the surfaces of keyframes, corners of the colour image to their landmarks, and both to the motion that the
-inertial samples predict, in one Gauss-Newton problem. The errors of body and keyframes are estimated jointly, so a keyframe that
-comes into view again corrects the drift since. A frame that is not accepted changes nothing: the inertial samples alone carry the
-track on.
+Depth is registered to the surfaces of keyframes, corners of the colour image to their landmarks, and both to the motion that
+the inertial samples predict, in one Gauss-Newton problem. The errors of body and keyframes are estimated jointly, so a keyframe
+that comes into view again corrects the drift since. A frame that is not accepted changes nothing: the inertial samples alone
+carry the track on.
 """
 
 from __future__ import annotations
