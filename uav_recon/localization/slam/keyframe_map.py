@@ -121,7 +121,7 @@ class KeyframeMap:
         predicted: its pose, off by up to reach_m. Keyframes that may show the same are tried first, and a few of the others.
         most_variance: of their places, m². About 10 ms.
         """
-        share = (self._looked_at(view.depth, predicted, reach_m) == SHOWN).mean(axis=1)
+        share = _share(self._looked_at(view.depth, predicted, reach_m) == SHOWN)
         others = (self._next + np.arange(min(_TRIED_KEYFRAMES, self.count))) % max(self.count, 1)
         self._next += _TRIED_KEYFRAMES
         unplaced = UnplacedView(view)
@@ -140,7 +140,7 @@ class KeyframeMap:
         way_m = np.linalg.norm(self._all.place_m[: self.count] - odom_from_depth.translation_m, axis=1)
         ahead = self._all.rotation[: self.count, :, 2] @ odom_from_depth.rotation()[:, 2]
         apart = np.minimum(way_m / _OTHER_M, 1.0) + np.minimum(np.arccos(np.clip(ahead, -1.0, 1.0)) / _OTHER_RAD, 1.0)
-        whole = looked.mean(axis=1)
+        whole = _share(looked)
         return np.asarray(np.where(whole >= _MIN_SHARE, np.maximum(whole - _OTHER_SHARE * apart, _LEAST_LIKE), 0.0))
 
     def _covering(self, looked: BoolArray, like: FloatArray) -> IntArray:
@@ -149,11 +149,11 @@ class KeyframeMap:
         looked (N, P): at which of its points each keyframe has looked. like (N,): of _like(). A keyframe that is known better
         counts more.
         """
-        whole = looked.mean(axis=1)
+        whole = _share(looked)
         sure = 1.0 / (1.0 + self._all.variance[: self.count].max(axis=1, initial=0.0) / _SURE_M2)
         chosen, left = list[int](), np.ones(looked.shape[1], np.bool_)
         while len(chosen) < min(_COMPARED, self.count):
-            worth = like if not chosen else (looked[:, left].sum(axis=1) / len(left) + _AGAIN_SHARE * whole) * sure
+            worth = like if not chosen else (looked[:, left].sum(axis=1) / max(len(left), 1) + _AGAIN_SHARE * whole) * sure
             worth = np.where(whole >= _LEAST_MORE_SHARE, worth, 0.0)
             worth[chosen] = 0.0
             best = int(np.argmax(worth))
@@ -201,7 +201,7 @@ class KeyframeMap:
         image = view.depth
         if np.count_nonzero(image.depth_m) < _FEWEST_DEPTHS:
             return False
-        share = (self._looked_at(image, odom_from_depth, 0.0) == SHOWN).mean(axis=1)
+        share = _share(self._looked_at(image, odom_from_depth, 0.0) == SHOWN)
         best = int(np.argmax(share)) if self.count else 0
         new = not self.count or share[best] < _NEW_SHARE
         corners = None
@@ -293,6 +293,11 @@ class KeyframeMap:
         if looks & (looks - 1) == 0:
             write_normals(arrays.depth_m[number], arrays.camera[number], arrays.normal[number])
             self._corners[number].place(DepthImage(arrays.depth_m[number], arrays.camera[number]))
+
+
+def _share(of: BoolArray) -> FloatArray:
+    """Return the share (N,) of the points of a view (N, P), 0 of a view without any."""
+    return np.asarray(of.sum(axis=1) / max(of.shape[1], 1))
 
 
 def _most(share: FloatArray, least: float = 0.0, most: int = _CANDIDATES) -> IntArray:
