@@ -351,10 +351,14 @@ class SlamTracker:
 
         For a track that is lost beside a source of poses. odom_at: that odometry at an instant.
         """
+        self._forget()
+        self._begin_at = odom_at
+
+    def _forget(self) -> None:
+        """Forget the map and the track; what is known of the sensors stays."""
         self.volume, self._landmarks = TsdfVolume(), LandmarkTracker()
-        self._state, self._fused, self._begin_at = None, None, odom_at
+        self._state = self._fused = self._without_frame = None
         self._unreleased_m, self._track_variance, self._drifted_m = np.zeros(3), np.zeros(3), 0.0
-        self._without_frame = None
         self._unsure, self._unproven, self._sure_s, self._judged_s = False, 0, -math.inf, math.inf
 
     def _start_moving(self, view: PreparedView, body_from_depth: Pose, odom_at: OdomAt) -> StampedPose | None:
@@ -376,8 +380,8 @@ class SlamTracker:
         level = self._rest.level(view.frame.stamp_s)
         if level is None:
             return None
-        self._level_assumed_s = -math.inf if self._rest.measured else view.frame.stamp_s
-        self.volume, self._landmarks, self._launched = TsdfVolume(), LandmarkTracker(), False
+        self._forget()
+        self._level_assumed_s, self._launched = -math.inf if self._rest.measured else view.frame.stamp_s, False
         level = level_by_floor(view.frame, level, body_from_depth)
         self.gyro.rest(self._rest.gyro_bias_radps)
         self._state = TrackedState(view.frame.stamp_s, level, np.zeros(3))
