@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable, Container
+from collections.abc import Callable, Container, Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -286,6 +286,22 @@ def test_an_inertial_sensor_that_starts_after_the_camera_still_levels_the_body()
     np.testing.assert_allclose(tracker.gyro.bias_radps, GYRO_BIAS_RADPS, atol=0.002)
     assert _poses(answers, 0.0)[0].stamp_s == pytest.approx(0.25, abs=0.1)
     assert _worst_m(_poses(answers, 1.1)) < 0.06
+
+
+def test_the_frame_at_which_the_body_is_levelled_again_is_in_the_new_map() -> None:
+    tracker, late = SlamTracker(), tuple(sample for sample in imu() if sample.stamp_s > 0.5)
+    blocks, maps = list[int](), list[object]()
+
+    def seen() -> Iterator[Frame]:
+        for each in frames(REST_S):
+            yield each
+            blocks.append(tracker.surfaces.count)
+            maps.append(tracker.surfaces)
+
+    fly(tracker, seen(), late)
+    again = next(n for n in range(len(maps) - 1, 0, -1) if maps[n] is not maps[n - 1])
+    assert blocks[again - 1] > 0, "it had begun without inertial samples"
+    assert blocks[again] > 0
 
 
 def test_without_colour_depth_carries_the_pose_as_far_as_it_determines_it() -> None:

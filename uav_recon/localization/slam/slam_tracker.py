@@ -418,10 +418,13 @@ class SlamTracker:
 
         For a track that is lost beside a source of poses. odom_at: that odometry at an instant.
         """
-        self.surfaces = KeyframeMap()
-        self._state, self._begin_at = None, odom_at
+        self._forget()
+        self._begin_at = odom_at
+
+    def _forget(self) -> None:
+        """Forget the map and the track; what is known of the sensors stays."""
+        self.surfaces, self._state, self._without_frame = KeyframeMap(), None, None
         self._unreleased_m, self._drifted_m, self._lag_s = np.zeros(3), 0.0, -math.inf
-        self._without_frame = None
         self._unsure, self._unproven, self._sure_s, self._judged_s = False, 0, -math.inf, math.inf
 
     def _start_moving(self, view: PreparedView, body_from_depth: Pose, odom_at: OdomAt) -> StampedPose | None:
@@ -443,8 +446,8 @@ class SlamTracker:
         level = self._rest.level(view.frame.stamp_s)
         if level is None:
             return None
-        self._level_assumed_s = -math.inf if self._rest.measured else view.frame.stamp_s
-        self.surfaces, self._launched = KeyframeMap(), False
+        self._forget()
+        self._level_assumed_s, self._launched = -math.inf if self._rest.measured else view.frame.stamp_s, False
         level = level_by_floor(view.frame, level, body_from_depth)
         self.gyro.rest(self._rest.gyro_bias_radps)
         self._state = TrackedState(view.frame.stamp_s, level, np.zeros(3))
