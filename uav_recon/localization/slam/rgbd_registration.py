@@ -43,8 +43,10 @@ _POSE = slice(0, 6)
 _WEAK_SHARE = 0.005
 _DOUBTED_SHARE = 0.1  # directions with less are tried: the camera is moved by this to both sides
 _TRIED_M = 0.04
-# error of the mean normal of a wall: if the way along it is uncertain by 0.1 m, a keyframe shows the distance to it to 5 mm
+# error of the mean normal of a wall, and of the direction of an edge in the image: if the way along them is uncertain by 0.1 m,
+# a keyframe shows the distance to them to 5 mm
 _NORMAL_RAD = 0.05
+_WEAK_M = 0.03  # depth of one frame, or its landmarks, tell nothing of a direction that they show less well than this
 _TRIED_ROUNDS = (0, 2)  # of Gauss-Newton near the pose, in which they are
 # Landmarks tell nothing of a direction in which they have less than this share of the information of perfect corners: all of
 # them are on edges then, and follow the prediction along these.
@@ -243,10 +245,20 @@ def register(
         doubt = _ways(prior.places.joint(keyframes.number)) / _CERTAIN_M**2
         landmarks = landmarks.of(~uncertain(keyframes, prior))
     found = _converge(view, keyframes, landmarks, prior, doubt=doubt)
+    agree = _agree(found, landmarks)
+    if not agree.all():
+        landmarks = landmarks.of(agree)
+        found = _converge(view, keyframes, landmarks, prior, doubt=doubt)
     followed = len(landmarks.place_m)
     if followed and found.landmarks < max(_FEWEST_LANDMARKS, _AGREEING_SHARE * followed):
         return _converge(view, keyframes, Landmarks.none(), prior, doubt=doubt)
     return found
+
+
+def _agree(registration: Registration, followed: Landmarks) -> BoolArray:
+    """Return the keyframes (M,) of which enough landmarks fit: a few of many fit anywhere."""
+    most = np.bincount(followed.keyframe, minlength=len(registration.fitting))
+    return np.asarray(registration.fitting >= _AGREEING_SHARE * most)
 
 
 def uncertain(keyframes: Keyframes, prior: MotionPrior) -> BoolArray:
@@ -427,6 +439,7 @@ def _equations(
         fitting,
     )  # fmt: skip
     _leave_edges(corners, pull, perfect)
+    _add_noise(corners, pull, leaning[:, None, None] * np.eye(3))
     _leave_weak_directions(corners, pull, prior.turn_sigma_rad)
     return _Equations(surfaces + corners, slope + pull, known, inliers, fitting, depth_sigma_m, match), noise
 
@@ -542,7 +555,7 @@ def _leave_weak_directions(information: FloatArray, gradient: FloatArray, turn_s
     turn = both[:3, :3] + np.eye(3) * turn_sigma_rad**-2
     alone = both[3:6, 3:6] - both[3:6, :3] @ np.linalg.solve(turn, both[:3, 3:6])
     values, directions = np.linalg.eigh(0.5 * (alone + alone.T))
-    left = np.maximum(values - _WEAK_SHARE * values[-1], 0.0)
+    left = np.maximum(values - max(_WEAK_SHARE * values[-1], _WEAK_M**-2), 0.0)
     noise = (directions * _noise(values, left)) @ directions.T
     _add_noise(information, gradient, np.tile(noise, (len(information), 1, 1)))
     return 1.0 / math.sqrt(max(float(left[0]), _TINY))
