@@ -440,8 +440,9 @@ def _equations(
     )  # fmt: skip
     _leave_edges(corners, pull, perfect)
     _add_noise(corners, pull, leaning[:, None, None] * np.eye(3))
-    _leave_weak_directions(corners, pull, prior.turn_sigma_rad)
-    return _Equations(surfaces + corners, slope + pull, known, inliers, fitting, depth_sigma_m, match), noise
+    surfaces, slope = surfaces + corners, slope + pull
+    _leave_weak_directions(surfaces, slope, prior.turn_sigma_rad)
+    return _Equations(surfaces, slope, known, inliers, fitting, depth_sigma_m, match), noise
 
 
 def _with_prediction(
