@@ -10,14 +10,12 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from uav_recon.localization.repeated_image import FROZEN_S, RepeatedImage
 from uav_recon.localization.slam.attitude_filter import AttitudeFilter, PredictedAttitude
-from uav_recon.localization.slam.floor_level import level_by_floor
 from uav_recon.localization.slam.gyro_alignment import JITTER_S, GyroAlignment
 from uav_recon.localization.slam.keyframe_map import KeyframeMap, no_keyframes
 from uav_recon.localization.slam.landmarks import Landmarks
@@ -25,7 +23,6 @@ from uav_recon.localization.slam.motion_filter import MotionFilter, PredictedMot
 from uav_recon.localization.slam.outside_motion import NoOutsideMotion, OutsideMotion
 from uav_recon.localization.slam.place_errors import Update
 from uav_recon.localization.slam.prepared_view import PreparedView
-from uav_recon.localization.slam.rest_detection import RestDetector
 from uav_recon.localization.slam.rgbd_registration import (
     MotionPrior,
     Registration,
@@ -34,6 +31,7 @@ from uav_recon.localization.slam.rgbd_registration import (
     search,
     uncertain,
 )
+from uav_recon.localization.slam.track_start import OdomAt, StartDetector
 from uav_recon.localization.slam.tracking_monitor import TrackingFault, TrackingMonitor
 from uav_recon.types.camera import Frame, ImuSample, Intrinsics, body_from_camera
 from uav_recon.types.frames import FloatArray
@@ -42,12 +40,7 @@ from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
 
 _BLIND_TURN_RADPS = math.radians(30.0)  # uncertainty of the turn rate without a gyro
-# a body that rests has moved if this much of a view says so
-_REST_M = 0.01
-_LATE_SENSOR_S = 3.0  # after a start without inertial samples, in which the first ones may come and the body be levelled again
-_SEEN_POINTS = 200
-_SEEN_LANDMARKS = 15
-_AT_REST = 1e-4**2 * np.eye(3)
+_AT_REST = 1e-4**2 * np.eye(3)  # covariance of the attitude
 _FIRST_SLOW_SIGMA = np.array([0.012, 0.006])  # delay of the colour image (s), share of its width
 _SLOW_WALK = np.array([0.0005, 0.0002])  # per root second
 _SLOW_FLOOR = np.array([0.001, 0.0005])
@@ -58,8 +51,8 @@ _VIEWLESS = (TrackingFault.FEW_POINTS, TrackingFault.FROZEN)  # frames that show
 _ACCEPTED = (None, TrackingFault.LOOSE, TrackingFault.DEPTH, TrackingFault.UNPROVEN)
 _BRIEF_GAP_S = 0.5  #: reject: frames after a longer time without an accepted one raise doubt, whatever was wrong
 _MOST_SIGMA_M = 0.12  #: reject: no pose is given while the place is more uncertain than this in a direction
-_MOST_ON_WAY_BACK_M = 0.20  #: reject: the same on the way back
-_WAY_BACK_S = 1.5  #: reject: time of the way back, after the newest pose that was sure
+_MOST_ON_WAY_BACK_M = 0.35  #: reject: the same on the way back: a blind landing would drift farther
+_WAY_BACK_S = 3.0  #: reject: time of the way back, after the newest pose that was sure
 _LONG_WAY_BACK_S = 5.0  #: reject: the same while another source knows the motion
 #: retreat: the place has become more uncertain than this in a direction: back to a view in which it was not
 _DOUBT_M = 0.08
@@ -92,6 +85,7 @@ _POSITION_SIGMA_M = 0.01
 _SCALE_SHARE = 0.01  # standard deviation of the depth scale: the whole map is as much too large
 _PLACED_M = 0.01  # error of a surface or a landmark against the camera, from the errors of its calibration
 _ROTATION_SIGMA_RAD = math.radians(0.3)
+_STARTED_MOVING = _ROTATION_SIGMA_RAD**2 * np.eye(3)
 _LAG_S = 1.0  # between the places of which the older one is that of the track
 
 
@@ -136,9 +130,6 @@ class _WithoutFrame:
     update: Update
 
 
-OdomAt = Callable[[float], StampedPose | None]  # odometry at an instant, None if it is not known
-
-
 class SlamTracker:
     """Tracks the camera. Not thread-safe; about 8 ms a frame of 424x240 on one core.
 
@@ -160,7 +151,7 @@ class SlamTracker:
         self.determined = np.eye(3)
         self.step_sigma_m = 0.0
         self.moved_outside_s = -math.inf
-        self._rest = RestDetector()
+        self._begin = StartDetector()
         self._compared = no_keyframes(), Landmarks.none()  # keyframes of the newest frame, and their landmarks in it
         self._monitor = TrackingMonitor()
         self._state: TrackedState | None = None
@@ -168,11 +159,9 @@ class SlamTracker:
         self._attitude = AttitudeFilter(Pose.identity(), _AT_REST)
         self._turned = self._attitude.predict(np.zeros(3), 0.0, np.zeros(3), 0.0)
         self._predicted = self._motion.predict(0.0, Pose.identity(), None)
-        self._begin_at: OdomAt | None = None
         self._without_frame: _WithoutFrame | None = None  # the newest accepted one
-        self._level_assumed_s = -math.inf  # start without inertial samples
         self._accepted_frames = 0
-        self._launched = self._unsure = False
+        self._unsure = False
         self._sure_s = -math.inf
         self._judged_s = math.inf
         self._drifted_m = 0.0  # standard deviation of the place by the drift of the flight
@@ -219,18 +208,18 @@ class SlamTracker:
     def add_imu(self, samples: list[ImuSample]) -> None:
         """Add inertial samples, oldest first."""
         self.gyro.add(samples)
-        self._rest.add(samples)
+        self._begin.add_imu(samples)
 
     def track(self, frame: Frame, body_from_depth: Pose) -> StampedPose | None:
         """Return the body's pose at what the frame shows; None if it is not known."""
         view = PreparedView(frame)
-        if self._state is None or self._starts_again(self._state, frame.stamp_s):
+        if self._state is None or self._begin.starts_again(frame.stamp_s, self._state.odom_from_body.translation_m):
             return self._start(view, body_from_depth)
         if not frame.stamp_s > self._state.stamp_s:
             self.fault = TrackingFault.STAMP
             return None
         repeats_s = self._images.repeats_s(frame.stamp_s, frame.depth_m)
-        if 0.0 < repeats_s <= FROZEN_S and (self._launched or not self._rest.still(frame.stamp_s)):
+        if 0.0 < repeats_s <= FROZEN_S and not self._begin.still(frame.stamp_s):
             self.fault = TrackingFault.REPEAT
             return None
         prior = self._predict(self._state, frame.stamp_s, body_from_depth)
@@ -419,7 +408,7 @@ class SlamTracker:
         For a track that is lost beside a source of poses. odom_at: that odometry at an instant.
         """
         self._forget()
-        self._begin_at = odom_at
+        self._begin.begin_at(odom_at)
 
     def _forget(self) -> None:
         """Forget the map and the track; what is known of the sensors stays."""
@@ -427,51 +416,28 @@ class SlamTracker:
         self._unreleased_m, self._drifted_m, self._lag_s = np.zeros(3), 0.0, -math.inf
         self._unsure, self._unproven, self._sure_s, self._judged_s = False, 0, -math.inf, math.inf
 
-    def _start_moving(self, view: PreparedView, body_from_depth: Pose, odom_at: OdomAt) -> StampedPose | None:
-        """Begin a map at a frame, where other odometry is."""
-        odom = odom_at(view.frame.stamp_s - self.delay_s)
-        if odom is None:
-            return None
-        self._state = TrackedState(view.frame.stamp_s, odom.odom_from_body, odom.velocity_odom_mps)
-        self._attitude = AttitudeFilter(odom.odom_from_body, _ROTATION_SIGMA_RAD**2 * np.eye(3))
-        self._motion.begin(odom.odom_from_body.translation_m, odom.velocity_odom_mps)
-        self._accepted_frames, self._launched, self._begin_at = _CARRIED_FRAMES, True, None
-        motion = np.concatenate((np.zeros(3), odom.velocity_odom_mps))
-        self._add_to_map(view, odom.odom_from_body @ body_from_depth, motion)
-        return self._stamped(view.frame.stamp_s)
-
     def _start(self, view: PreparedView, body_from_depth: Pose) -> StampedPose | None:
-        if self._begin_at is not None:
-            return self._start_moving(view, body_from_depth, self._begin_at)
-        level = self._rest.level(view.frame.stamp_s)
-        if level is None:
+        start = self._begin.start(view.frame, self.delay_s, body_from_depth)
+        if start is None:
             return None
         self._forget()
-        self._level_assumed_s, self._launched = -math.inf if self._rest.measured else view.frame.stamp_s, False
-        level = level_by_floor(view.frame, level, body_from_depth)
-        self.gyro.rest(self._rest.gyro_bias_radps)
-        self._state = TrackedState(view.frame.stamp_s, level, np.zeros(3))
-        self._attitude = AttitudeFilter(level, _AT_REST)
-        self._motion = MotionFilter(level, self._rest.force_offset_mps2(level))
+        if start.gyro_bias_radps is not None:
+            self.gyro.rest(start.gyro_bias_radps)
+        self._state = TrackedState(view.frame.stamp_s, start.odom_from_body, start.velocity_mps)
+        self._attitude = AttitudeFilter(start.odom_from_body, _STARTED_MOVING if start.moving else _AT_REST)
+        if start.moving:
+            self._motion.begin(start.odom_from_body.translation_m, start.velocity_mps)
+        else:
+            self._motion = MotionFilter(start.odom_from_body, start.force_offset_mps2)
         self._accepted_frames = _CARRIED_FRAMES
-        self._add_to_map(view, level @ body_from_depth, np.zeros(6))
+        motion = np.concatenate((np.zeros(3), start.velocity_mps))
+        self._add_to_map(view, start.odom_from_body @ body_from_depth, motion)
         return self._stamped(view.frame.stamp_s)
-
-    def _starts_again(self, state: TrackedState, stamp_s: float) -> bool:
-        """Return True if the first inertial samples show the rest after a start without them.
-
-        An inertial sensor may start later than the camera; the body was taken as level until then.
-        """
-        moved_m = float(np.linalg.norm(state.odom_from_body.translation_m))
-        late = 0.0 < stamp_s - self._level_assumed_s < _LATE_SENSOR_S and self._rest.measured
-        return late and moved_m < _REST_M and self._rest.level(stamp_s) is not None
 
     def _rests(self, stamp_s: float, registration: Registration, prior: MotionPrior) -> bool:
         """Return True until inertial samples or images show that the body has moved once."""
         moved_m = np.linalg.norm(registration.odom_from_depth.translation_m - prior.odom_from_depth.translation_m)
-        seen = registration.known * registration.fit >= _SEEN_POINTS or registration.landmarks >= _SEEN_LANDMARKS
-        self._launched = self._launched or not self._rest.still(stamp_s) or bool(seen and moved_m > _REST_M)
-        return not self._launched
+        return self._begin.rests(stamp_s, registration.known * registration.fit, registration.landmarks, float(moved_m))
 
     def _stay(self, view: PreparedView, state: TrackedState, body_from_depth: Pose) -> StampedPose:
         """Take another frame of a body that rests: the view from the pad may be poor."""

@@ -19,7 +19,8 @@ from uav_recon.localization.fusion.inertial_check import InertialCheck
 from uav_recon.localization.fusion.pose_stream_health import most_quality
 from uav_recon.localization.slam.motion_filter import PredictedMotion, propagate
 from uav_recon.localization.slam.place_errors import PLACE
-from uav_recon.localization.slam.slam_tracker import OdomAt, SlamTracker
+from uav_recon.localization.slam.slam_tracker import SlamTracker
+from uav_recon.localization.slam.track_start import OdomAt
 from uav_recon.types.camera import Frame, ImuSample
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.pose import Pose, PoseHealth, StampedPose
@@ -32,7 +33,7 @@ _LATE_S = 0.25  #: hold: the newest accepted frame is older: the vehicle stops w
 _SILENT_S = 1.5
 _SILENT_BLIND_S = 1.0  #: hold: the same without an accelerometer
 _SILENT_FLOW_S = 5.0  #: hold: the same while optical flow measures the motion to each frame
-_UNSURE_S = 2.0  #: hold: the place has been uncertain for longer than a way back to a view that shows it takes, and ...
+_UNSURE_S = 3.5  #: hold: the place has been uncertain for longer than a way back to a view that shows it takes, and ...
 _UNSURE_M = 0.08  #: hold: ... its standard deviation against the track is larger: it counts as lost
 _SURE_FRAMES = 3  #: hold: number of sure frames in a row that end this time: one alone may fit by chance before a bare wall
 _FADES_S = 0.5  #: hold: quality falls to zero within this time after the place is lost
