@@ -279,3 +279,43 @@ def test_landmarks_on_one_straight_edge_say_nothing_of_the_way_along_it() -> Non
     found = register(view, _near(surfaces, view, pose)[0], edge, _prior(moved, place_m=0.05, turn_rad=math.radians(0.2)))
     assert math.sqrt(found.variance[0]) > 0.045
     assert found.odom_from_depth.translation_m[0] == pytest.approx(0.05, abs=0.01)
+
+
+def test_edges_that_are_almost_parallel_say_nothing_of_the_way_along_them() -> None:
+    """Each keyframe shows one edge exactly; between the two edges are two degrees."""
+    surfaces, view, pose = _bare_wall()
+    _add(surfaces, view, Pose(pose.quat_wxyz, np.array([0.0, 0.6, 0.0])))
+    keyframes, count, edges = _near(surfaces, view, pose)[0], 40, []
+    for keyframe, lean_rad in enumerate((math.radians(-1.0), math.radians(1.0))):
+        along = np.linspace(-0.6, 0.6, count)
+        place_m = np.column_stack((along, 0.2 * keyframe + math.tan(lean_rad) * along, np.full(count, 1.5)))
+        across = np.array([-math.sin(lean_rad), math.cos(lean_rad)])
+        at_px = project(place_m, moving_imager(view, pose, STILL, np.zeros(2)))
+        edges.append((place_m, at_px.astype(np.float32), np.tile(np.outer(across, across), (count, 1, 1)), np.full(count, keyframe)))
+    place_m, at_px, texture, number = (np.concatenate(part) for part in zip(*edges, strict=True))
+    followed = Landmarks(place_m, np.zeros((2 * count, 3, 2)), at_px, texture, number, np.arange(2 * count))
+    prior = _prior(_off(pose, np.array([0.05, 0.0, 0.0]), np.zeros(3)), place_m=0.05, turn_rad=math.radians(0.2))
+    found = register(view, keyframes, followed, prior)
+    assert len(keyframes.number) > 1
+    assert math.sqrt(found.variance[0]) > 0.045
+    assert math.sqrt(found.variance[1]) < 0.03
+
+
+def test_a_few_landmarks_of_a_keyframe_that_fit_say_nothing() -> None:
+    """Of another keyframe, four of five are wrong and the others agree with a place that is off by 6 cm."""
+    surfaces, view = _map()
+    keyframes, landmarks = _near(surfaces, view)
+    assert len(keyframes.number) > 1
+    right = landmarks._replace(keyframe=np.zeros(len(landmarks.keyframe), np.int64))
+    there = _off(HERE, np.array([0.04, 0.04, 0.02]), np.zeros(3))
+    at_px = project(landmarks.place_m, moving_imager(view, there, STILL, np.zeros(2)))
+    at_px[np.arange(len(at_px)) % 5 > 0] += 40.0
+    wrong = landmarks._replace(at_px=at_px.astype(np.float32), keyframe=np.ones(len(landmarks.keyframe), np.int64))
+    both = Landmarks(*(np.concatenate(part) for part in zip(right, wrong, strict=True)))
+    empty = PreparedView(replace(view.frame, depth_m=np.full_like(view.frame.depth_m, np.nan)))
+    start = _off(HERE, np.array([0.04, 0.04, 0.02]), np.zeros(3))
+    prior = _prior(start, place_m=0.06, turn_rad=math.radians(0.2))
+    alone, found = (register(empty, keyframes, some, prior) for some in (right, both))
+    assert found.fitting[1] == 0
+    np.testing.assert_allclose(found.odom_from_depth.translation_m, alone.odom_from_depth.translation_m, atol=1e-6)
+    assert _error(found)[0] < 0.02
