@@ -153,7 +153,7 @@ class KeyframeMap:
         sure = 1.0 / (1.0 + self._all.variance[: self.count].max(axis=1, initial=0.0) / _SURE_M2)
         chosen, left = list[int](), np.ones(looked.shape[1], np.bool_)
         while len(chosen) < min(_COMPARED, self.count):
-            worth = like if not chosen else (looked[:, left].sum(axis=1) / max(len(left), 1) + _AGAIN_SHARE * whole) * sure
+            worth = like if not chosen and like.any() else (looked[:, left].sum(axis=1) / max(len(left), 1) + _AGAIN_SHARE * whole) * sure
             worth = np.where(whole >= _LEAST_MORE_SHARE, worth, 0.0)
             worth[chosen] = 0.0
             best = int(np.argmax(worth))
