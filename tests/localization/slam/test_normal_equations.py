@@ -67,11 +67,10 @@ def _equations(
 ) -> tuple[FloatArray, FloatArray, int]:
     information, gradient = np.zeros((2, SIZE, SIZE)), np.zeros((2, SIZE))
     fitting = np.zeros(2, np.int64)
-    add_landmark_equations(
-        places, slope, texture, at_px.astype(np.float32), _imager(TURN.rotation(), EYE_M, TURN.translation_m, slow),
-        np.arange(len(places)) % 2, change, 1.0, 1.0, information, gradient, np.zeros((2, 3, 3)),
-        fitting,
-    )  # fmt: skip
+    number = np.arange(len(places))
+    landmarks = Landmarks(places, slope, at_px.astype(np.float32), texture, number % 2, number)
+    imager = _imager(TURN.rotation(), EYE_M, TURN.translation_m, slow)
+    add_landmark_equations(landmarks, imager, change, 1.0, 1.0, information, gradient, np.zeros((2, 3, 3)), fitting)
     assert len(places) < 2 or information[1].any() == information[0].any(), "each keyframe has its own equations"
     return information.sum(axis=0), gradient.sum(axis=0), int(fitting.sum())
 

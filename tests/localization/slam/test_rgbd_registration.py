@@ -291,7 +291,9 @@ def test_edges_that_are_almost_parallel_say_nothing_of_the_way_along_them() -> N
         place_m = np.column_stack((along, 0.2 * keyframe + math.tan(lean_rad) * along, np.full(count, 1.5)))
         across = np.array([-math.sin(lean_rad), math.cos(lean_rad)])
         at_px = project(place_m, moving_imager(view, pose, STILL, np.zeros(2)))
-        edges.append((place_m, at_px.astype(np.float32), np.tile(np.outer(across, across), (count, 1, 1)), np.full(count, keyframe)))
+        edges.append(
+            (place_m, at_px.astype(np.float32), np.tile(np.outer(across, across), (count, 1, 1)), np.full(count, keyframe))
+        )
     place_m, at_px, texture, number = (np.concatenate(part) for part in zip(*edges, strict=True))
     followed = Landmarks(place_m, np.zeros((2 * count, 3, 2)), at_px, texture, number, np.arange(2 * count))
     prior = _prior(_off(pose, np.array([0.05, 0.0, 0.0]), np.zeros(3)), place_m=0.05, turn_rad=math.radians(0.2))

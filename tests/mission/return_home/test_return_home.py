@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from uav_recon.mission.state_machine import Phase
 from uav_recon.recording.flight_log import read_timeline
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
+from uav_recon.types.trajectory import Trajectory
 from uav_recon.types.vehicle import FlightPhase
 
 
@@ -123,6 +125,22 @@ def test_stopped_twice_on_the_way_home_it_looks_round(desk: Desk) -> None:
             turned_rad = max(turned_rad, float(np.ptp(desk.intent.trajectory.yaw_rad)))
         turns.append(turned_rad > 6.0)
     assert turns == [False, True]
+
+
+def test_it_turns_towards_home_on_the_spot_and_leaves_after_that(desk: Desk) -> None:
+    """A way that turns while it leaves may begin with centimetres in a direction that the camera has not seen lately."""
+    call_home(desk)
+    flown = list[Trajectory]()
+    while not flies_home(desk):
+        desk.run(0.1)
+        trajectory = desk.intent.trajectory
+        if desk.conductor.phase is Phase.RETURN and trajectory is not None and (not flown or trajectory is not flown[-1]):
+            flown.append(trajectory)
+    turn, way = flown[-2:]
+    assert abs(turn.yaw_rad[-1] - turn.yaw_rad[0]) > 1.0
+    assert np.ptp(turn.position_m, axis=0).max() < 1e-6
+    begun = np.linalg.norm(way.position_m - way.position_m[0], axis=1) < 0.1
+    assert np.ptp(way.yaw_rad[begun]) < math.radians(30.0)
 
 
 def test_what_is_stopped_too_often_lands_beside_the_table_that_it_hovers_over(desk: Desk) -> None:

@@ -46,7 +46,10 @@ class DepthImage(NamedTuple):
 
 @kernel
 def cell_depths(depth_m: AnyArray, cell: int, out: AnyArray) -> AnyArray:
-    """Write the mean depth (h, w) of cells of an image; of two surfaces in a cell the nearer one counts."""
+    """Write the mean depth (h, w) of cells of an image.
+
+    Of two surfaces in a cell the nearer one counts.
+    """
     for v in range(out.shape[0]):
         for u in range(out.shape[1]):
             nearest = np.inf
@@ -69,7 +72,7 @@ def cell_depths(depth_m: AnyArray, cell: int, out: AnyArray) -> AnyArray:
 
 
 def write_normals(depth_m: AnyArray, camera: AnyArray, out: AnyArray) -> None:
-    """Write the unit normals (H, W, 3) of the surfaces of a depth image, towards the camera. About 2 ms.
+    """Write the unit normals (H, W, 3) of the surfaces of a depth image. About 2 ms.
 
     Zero where there is no surface. A normal that is like the mean around it, but for noise, is this mean: a plain wall whose
     normals scatter would seem to show the place along it.
@@ -119,7 +122,10 @@ def write_fitted_normals(depth_m: AnyArray, camera: AnyArray, out: AnyArray) -> 
 
 @fast_kernel
 def _fitted_slope(inverse: AnyArray, v: int, u: int) -> tuple[float, float, bool]:
-    """Return the growth of the inverse depth (H, W) by column and by row around a pixel, and whether it shows one surface."""
+    """Return the growth of the inverse depth (H, W) by column and by row around a pixel.
+
+    And whether it shows one surface.
+    """
     here = inverse[v, u]
     most = _MAX_BEND_PER_M + _MAX_BEND_SHARE * here
     uu = vv = uv = ua = va = 0.0
@@ -140,7 +146,10 @@ def _fitted_slope(inverse: AnyArray, v: int, u: int) -> tuple[float, float, bool
 
 @fast_kernel
 def grid_points(depth_m: AnyArray, camera: AnyArray, most: int) -> AnyArray:
-    """Return at most ``most`` points (N, 3) of a depth image in its own frame, from a grid of pixels."""
+    """Return at most ``most`` points (N, 3) of a depth image in its own frame.
+
+    They are on a grid of pixels.
+    """
     height, width = depth_m.shape
     step = max(int(np.ceil(np.sqrt(height * width / most))), 1)
     out, number = np.empty(((height // step + 1) * (width // step + 1), 3)), 0

@@ -90,8 +90,9 @@ def _surfaces_at(
     normal: AnyArray,
     number: AnyArray,
 ) -> tuple[int, bool, bool]:
-    """Write distances off_m (M,) of a point to surfaces, their normals (M, 3) in odom, and number (M,) of their keyframes.
+    """Write the distances of a point to surfaces of keyframes.
 
+    off_m (M,): distances. normal (M, 3): of the surfaces, in odom. number (M,): of their keyframes.
     p, q, r: the point in the frame of the depth imager. turn, moved_m: of _poses_in(). doubt: of add_depth_equations(). Returns
     how many surfaces there are, whether the point is in known space, and whether it lies on a surface.
     """
@@ -129,7 +130,7 @@ def _surfaces_at(
 
 @kernel
 def _poses_in(keyframes: Keyframes, rotation: AnyArray, place_m: AnyArray) -> tuple[AnyArray, AnyArray]:
-    """Return the rotation (M, 3, 3) and place (M, 3) of a depth imager in the frames of keyframes."""
+    """Return rotation (M, 3, 3) and place (M, 3) of a depth imager in the frames of keyframes."""
     most = keyframes.number.shape[0]
     turn, moved_m = np.zeros((most, 3, 3)), np.zeros((most, 3))
     for m in range(most):

@@ -1,4 +1,4 @@
-"""Map of the tracker: keyframes, each with a depth image, the normals of its surfaces, and its pose.
+"""Map of the tracker: keyframes with depth image, normals of the surfaces, and pose.
 
 A frame that adds to what the keyframes show becomes one; another one makes the depths of the keyframe that it resembles more
 exact. A keyframe holds the error of its place, too: that of the camera when it was taken.
@@ -93,8 +93,9 @@ class KeyframeMap:
     def near_view(
         self, view: PreparedView, odom_from_depth: Pose, motion: FloatArray, slow: FloatArray
     ) -> tuple[Keyframes, Landmarks]:
-        """Return the keyframes to compare a view with, and their landmarks that it shows. About 1 ms a keyframe.
+        """Return the keyframes to compare a view with, and their landmarks that it shows.
 
+        About 1 ms a keyframe.
         odom_from_depth: the predicted pose. motion (6,), slow (2,): as in MovingImager.
         """
         looked = self._looked_at(view.depth, odom_from_depth, 0.0) > 0
@@ -116,8 +117,9 @@ class KeyframeMap:
         return keyframes, Landmarks(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
 
     def recognise(self, view: PreparedView, predicted: Pose, reach_m: float, most_variance: float) -> Pose | None:
-        """Return odom_from_depth of a view whose place is not known, by the corners of one keyframe, None if none fits.
+        """Return odom_from_depth of a view whose place is not known; None if no keyframe fits.
 
+        By the corners of one keyframe.
         predicted: its pose, off by up to reach_m. Keyframes that may show the same are tried first, and a few of the others.
         most_variance: of their places, m². About 10 ms.
         """
@@ -133,8 +135,9 @@ class KeyframeMap:
         return None
 
     def _like(self, looked: BoolArray, odom_from_depth: Pose) -> FloatArray:
-        """Return how much each keyframe is like a view (N,): the share that it has looked at, less for another viewpoint.
+        """Return how much each keyframe is like a view, (N,).
 
+        The share of the view that it has looked at, less for another viewpoint.
         looked (N, P): at which of its points each keyframe has looked.
         """
         way_m = np.linalg.norm(self._all.place_m[: self.count] - odom_from_depth.translation_m, axis=1)
@@ -144,8 +147,9 @@ class KeyframeMap:
         return np.asarray(np.where(whole >= _MIN_SHARE, np.maximum(whole - _OTHER_SHARE * apart, _LEAST_LIKE), 0.0))
 
     def _covering(self, looked: BoolArray, like: FloatArray) -> IntArray:
-        """Return the numbers (M,) of the keyframe that is most like a view, and of those that add most to it.
+        """Return the numbers (M,) of keyframes to compare a view with.
 
+        The one that is most like the view, and those that add most to it.
         looked (N, P): at which of its points each keyframe has looked. like (N,): of _like(). A keyframe that is known better
         counts more.
         """
@@ -153,7 +157,11 @@ class KeyframeMap:
         sure = 1.0 / (1.0 + self._all.variance[: self.count].max(axis=1, initial=0.0) / _SURE_M2)
         chosen, left = list[int](), np.ones(looked.shape[1], np.bool_)
         while len(chosen) < min(_COMPARED, self.count):
-            worth = like if not chosen and like.any() else (looked[:, left].sum(axis=1) / max(len(left), 1) + _AGAIN_SHARE * whole) * sure
+            worth = (
+                like
+                if not chosen and like.any()
+                else (looked[:, left].sum(axis=1) / max(len(left), 1) + _AGAIN_SHARE * whole) * sure
+            )
             worth = np.where(whole >= _LEAST_MORE_SHARE, worth, 0.0)
             worth[chosen] = 0.0
             best = int(np.argmax(worth))
@@ -178,7 +186,10 @@ class KeyframeMap:
         motion: FloatArray,
         slow: FloatArray,
     ) -> None:
-        """Remember where an accepted view shows landmarks of keyframes. Other arguments: as of near_view()."""
+        """Remember where an accepted view shows landmarks of keyframes.
+
+        Other arguments: as of near_view().
+        """
         off_px = landmarks.at_px - project(landmarks.place_m, moving_imager(view, odom_from_depth, motion, slow))
         for m, number in enumerate(keyframes.number.tolist()):
             of = landmarks.keyframe == m
@@ -193,8 +204,9 @@ class KeyframeMap:
         variance: FloatArray,
         landmarks: int,
     ) -> bool:
-        """Take an accepted view. Return True if it has become a keyframe. About 1 ms, 5 ms for a keyframe.
+        """Take an accepted view; return True if it has become a keyframe.
 
+        About 1 ms, 5 ms for a keyframe.
         motion (6,), slow (2,): as in MovingImager. variance (3,): of the place of the camera, m² along the axes of odom. A
         keyframe that is known much better stays as it is. landmarks: number that fit.
         """
@@ -233,7 +245,10 @@ class KeyframeMap:
         return bool(np.linalg.norm(moved.translation_m) > _APART_M or np.linalg.norm(moved.rotation_vector()) > _APART_RAD)
 
     def _looked_at(self, image: DepthImage, odom_from_depth: Pose, reach_m: float) -> AnyArray:
-        """Return what each keyframe says of points of a view, (N, P): SHOWN, THROUGH, or 0 for nothing."""
+        """Return what each keyframe says of points of a view, (N, P).
+
+        SHOWN, THROUGH, or 0 for nothing.
+        """
         points_m = grid_points(image.depth_m, image.camera, _TRIED_POINTS)
         keyframes = self._chosen(np.arange(self.count))
         return shown_points(odom_from_depth.apply(points_m), odom_from_depth.translation_m, keyframes, reach_m)
@@ -317,8 +332,9 @@ def no_keyframes(shape: tuple[int, ...] = (1, 1)) -> Keyframes:
 
 @fast_kernel
 def shown_points(points_m: AnyArray, eye_m: AnyArray, keyframes: Keyframes, reach_m: float) -> AnyArray:
-    """Return which points (N, 3) in odom, seen from eye_m (3,), each keyframe shows, or has looked through: (M, N).
+    """Return what each keyframe says of points (N, 3) in odom, (M, N).
 
+    They are seen from eye_m (3,).
     SHOWN: it shows the point. THROUGH: it contradicts it. reach_m: by which the points may be off.
     """
     out = np.zeros((keyframes.number.shape[0], points_m.shape[0]), np.int8)

@@ -1,5 +1,6 @@
-"""Landmarks: corners of the colour image of a keyframe, with places in the frame of its depth imager.
+"""Landmarks: corners of the colour image of a keyframe, with places.
 
+The places are in the frame of its depth imager.
 A corner is followed by pyramidal Lucas-Kanade (OpenCV) from the keyframe into a later image, from where the predicted pose
 expects it. So its track does not drift, and a frame that is not accepted loses none.
 """
@@ -185,7 +186,10 @@ class Corners:
         return Landmarks(expected.place_m[found], slope, at_px[found], self.texture[which], number, which)
 
     def remember(self, which: IntArray, off_px: AnyArray, stamp_s: float) -> None:
-        """Remember by how much (N, 2) an accepted image shows landmarks elsewhere than its pose expects them."""
+        """Remember where an accepted image shows landmarks.
+
+        off_px (N, 2): by how much elsewhere than its pose expects them.
+        """
         self.off_px[which], self.off_s[which] = off_px, stamp_s
 
 
@@ -240,7 +244,10 @@ def project(place_m: AnyArray, imager: MovingImager) -> AnyArray:
 
 @kernel
 def seen_alike(place_m: AnyArray, eye_m: AnyArray, other_m: AnyArray) -> AnyArray:
-    """Return which places (N, 3) look alike from two points (3,): about as large, and from about the same side."""
+    """Return which places (N, 3) look alike from two points (3,).
+
+    They are about as large from both, and seen from about the same side.
+    """
     out = np.zeros(place_m.shape[0], np.bool_)
     for n in range(place_m.shape[0]):
         along = one = other = 0.0
@@ -254,12 +261,8 @@ def seen_alike(place_m: AnyArray, eye_m: AnyArray, other_m: AnyArray) -> AnyArra
 
 @kernel
 def add_landmark_equations(
-    place_m: AnyArray,
-    slope: AnyArray,
-    texture: AnyArray,
-    at_px: AnyArray,
+    landmarks: Landmarks,
     imager: MovingImager,
-    keyframe: AnyArray,
     change: AnyArray,
     weight: float,
     wider: float,
@@ -268,14 +271,14 @@ def add_landmark_equations(
     shown: AnyArray,
     fitting: AnyArray,
 ) -> None:
-    """Add the normal equations (SIZE) of landmarks that the image shows at at_px (N, 2).
+    """Add the normal equations (SIZE) of landmarks that the image shows.
 
-    place_m (N, 3), slope (N, 3, 2), texture (N, 2, 2): of Landmarks; change (2,): of ``slow`` since the places were right.
-    keyframe (N,): of Landmarks. information (M, SIZE, SIZE), gradient (M, SIZE): from each keyframe. weight: of one landmark.
-    shown (M, 3, 3): information on the translation that the landmarks of each keyframe would give if they were perfect corners.
-    fitting (M,): number of them that fit. The first six elements are those of add_depth_equations.
+    change (2,): of ``slow`` since their places were right. weight: of one landmark. information (M, SIZE, SIZE), gradient (M,
+    SIZE): from each keyframe. shown (M, 3, 3): information on the translation that the landmarks of each keyframe would give if
+    they were perfect corners. fitting (M,): number of them that fit. The first six elements are those of add_depth_equations.
     """
-    expected, columns = np.empty(2), np.empty((2, SIZE))
+    place_m, slope, texture, keyframe = landmarks.place_m, landmarks.slope, landmarks.texture, landmarks.keyframe
+    at_px, expected, columns = landmarks.at_px, np.empty(2), np.empty((2, SIZE))
     for n in range(place_m.shape[0]):
         deep = _row(place_m[n], imager, expected, columns)
         if deep < _NEAREST_M:
@@ -340,7 +343,10 @@ def _row(place: AnyArray, imager: MovingImager, expected: AnyArray, columns: Any
 
 @kernel
 def structure(grey: AnyArray, at_px: AnyArray, half_px: int) -> AnyArray:
-    """Return the mean products of the gradients (N, 2, 2) of an image (h, w) around pixels (N, 2), of brightness 0 to 1."""
+    """Return the mean products of the gradients (N, 2, 2) around pixels (N, 2).
+
+    Of an image (h, w) of brightness 0 to 1.
+    """
     out = np.zeros((at_px.shape[0], 2, 2))
     height, width = grey.shape
     for n in range(at_px.shape[0]):
@@ -362,7 +368,10 @@ def structure(grey: AnyArray, at_px: AnyArray, half_px: int) -> AnyArray:
 
 
 def _shown(values: FloatArray, vectors: FloatArray) -> FloatArray:
-    """Return Landmarks.texture (N, 2, 2) of the eigenvalues (N, 2) and eigenvectors (N, 2, 2) of structure()."""
+    """Return Landmarks.texture (N, 2, 2).
+
+    values (N, 2), vectors (N, 2, 2): eigenvalues and eigenvectors of structure().
+    """
     ratio = values / values.max(axis=1, keepdims=True)
     share = np.clip((ratio - _EDGE_SHARE) / (_CORNER_SHARE - _EDGE_SHARE), 0.0, 1.0) ** 2
     return np.asarray(np.einsum("nak,nk,nbk->nab", vectors, share, vectors))

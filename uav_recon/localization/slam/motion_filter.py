@@ -101,7 +101,10 @@ class MotionFilter:
 
     @property
     def now_against_lag(self) -> PredictedMotion:
-        """The motion at the newest frame, with the uncertainty of its place against that one or two seconds before."""
+        """The motion at the newest frame, with its uncertainty against the place lately.
+
+        That is the place one or two seconds before.
+        """
         return replace(self.now, covariance=self.errors.against_lag())
 
     @property
@@ -173,8 +176,9 @@ class MotionFilter:
     def update(
         self, predicted: PredictedMotion, numbers: IntArray, moved_m: FloatArray, joint: FloatArray
     ) -> tuple[FloatArray, Update]:
-        """Take an accepted frame. Return by what (N, 3) the places of the keyframes are corrected, and what undoes this.
+        """Take an accepted frame; return the correction of the keyframes, and what undoes it.
 
+        The correction (N, 3) is that of their places.
         numbers, moved_m, joint: as in PlaceErrors.updated().
         """
         errors = self.predicted_errors(predicted)

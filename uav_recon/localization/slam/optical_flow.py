@@ -40,9 +40,13 @@ def followed(
     A point is found if tracking it back leads to within returns_px of where it was.
     """
     follow = functools.partial(
-        cv2.calcOpticalFlowPyrLK, winSize=(window_px, window_px), flags=cv2.OPTFLOW_USE_INITIAL_FLOW, criteria=_STOP
+        cv2.calcOpticalFlowPyrLK,
+        winSize=(window_px, window_px),
+        maxLevel=levels,
+        flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
+        criteria=_STOP,
     )
-    at_px, there, _ = follow(before, now, was_px, guess_px.copy(), maxLevel=levels)
-    back_px, back, _ = follow(now, before, at_px, was_px.copy(), maxLevel=0)
+    at_px, there, _ = follow(before, now, was_px, guess_px.copy())
+    back_px, back, _ = follow(now, before, at_px, was_px.copy())
     returns = np.linalg.norm(back_px - was_px, axis=1) <= returns_px
     return at_px, np.asarray(returns & (there[:, 0] == 1) & (back[:, 0] == 1) & inside(at_px, now, window_px), dtype=np.bool_)

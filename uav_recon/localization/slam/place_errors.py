@@ -23,7 +23,10 @@ _LEAST_GAIN = 0.01  # a keyframe that an update would move by less than this sha
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Update:
-    """What an update has changed among keyframes: their elements (A,), and the factors (A, K), (3 N, K) of the difference."""
+    """Change of the places of keyframes by an update.
+
+    Their elements (A,), and the factors (A, K), (3 N, K) of the difference.
+    """
 
     elements: IntArray
     by_active: FloatArray
@@ -110,13 +113,19 @@ class PlaceErrors:
         return replace(self, body=taken @ self.body @ taken.T, cross=taken @ self.cross, lag=1 - self.lag, before=self.count)
 
     def joint(self, numbers: IntArray) -> FloatArray:
-        """Return the covariance (6 + 3 M, 6 + 3 M) of the body's place, of that one or two seconds ago, and of M keyframes."""
+        """Return the covariance (6 + 3 M, 6 + 3 M) of places.
+
+        Those of the body now, one or two seconds ago, and of M keyframes.
+        """
         own, at = self._own, _elements(numbers)
         cross = self.cross[np.ix_(own, at)]
         return np.block([[self.body[np.ix_(own, own)], cross], [cross.T, self.shared[np.ix_(at, at)]]])
 
     def against_lag(self) -> FloatArray:
-        """Return the covariance (S, S) of the state with the place against that one or two seconds ago."""
+        """Return the covariance (S, S) of the state with the place against that lately.
+
+        That is the place one or two seconds ago.
+        """
         against = np.eye(len(self.body))
         against[PLACE, self._lag] = -np.eye(3)
         return np.asarray(against @ self.body @ against.T)[:-6, :-6]

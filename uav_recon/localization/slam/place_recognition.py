@@ -1,5 +1,6 @@
-"""Recognition of a place: a view matched to the corners of a keyframe, wherever the track believes to be.
+"""Recognition of a place: a view matched to the corners of a keyframe.
 
+It does not matter where the track believes to be.
 Rublee et al. 2011, ORB; the descriptors are upright, for a camera that hardly rolls. The pose is that of three corners with
 which most of the matches agree (P3P in RANSAC, OpenCV). It is a proposal, which depth and landmarks must confirm.
 """
@@ -75,7 +76,7 @@ class UnplacedView:
         return odom_from_depth if turn_rad < _MAX_TURN_RAD else None
 
     def _solved(self, place_m: FloatArray, at_px: FloatArray) -> tuple[FloatArray, FloatArray, int]:
-        """Return rotation vector and translation of rgb_from_odom, and how many of the matches agree."""
+        """Return rotation vector and translation of rgb_from_odom, and how many agree."""
         fx, fy, cx, cy = self._view.camera.tolist()
         lens = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
         found, turn, moved_m, agreeing = cv2.solvePnPRansac(

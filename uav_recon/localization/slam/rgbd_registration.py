@@ -165,8 +165,9 @@ class Registration:
         return self.depth_sigma_m <= _DETERMINED_M and self.fit >= _DETERMINED_FIT_SHARE and self.inliers >= _DETERMINED_POINTS
 
     def confirmed(self, followed: Landmarks, of: BoolArray) -> bool:
-        """Return True if depth, and the landmarks of some (M,) of the keyframes, both show the place.
+        """Return True if depth and the landmarks of some keyframes both show the place.
 
+        of (M,): which keyframes.
         followed: the landmarks that the registration was given.
         """
         most = np.count_nonzero(of[followed.keyframe])
@@ -214,8 +215,9 @@ def search(
 def confirm(
     view: PreparedView, keyframes: Keyframes, landmarks: Landmarks, prior: MotionPrior, place_m: FloatArray
 ) -> Registration | None:
-    """Return the registration of a view from another place (3,) than the predicted one, None if it is not that place.
+    """Return the registration of a view from another place (3,) than the predicted one.
 
+    None if it is not that place.
     Depth, and the landmarks of the keyframes to which the way was uncertain, must both fit there.
     """
     found = _converge(view, keyframes, landmarks, prior, place_m - prior.odom_from_depth.translation_m)
@@ -262,7 +264,10 @@ def _agree(registration: Registration, followed: Landmarks) -> BoolArray:
 
 
 def uncertain(keyframes: Keyframes, prior: MotionPrior) -> BoolArray:
-    """Return which keyframes (M,) register() may fit at a wrong place, since the way to them is too uncertain."""
+    """Return which keyframes (M,) register() may fit at a wrong place.
+
+    The way to them is too uncertain.
+    """
     values = np.linalg.eigvalsh(_ways(prior.places.joint(keyframes.number)))
     return np.asarray(values[:, -1] > _UNCERTAIN_M**2)
 
@@ -274,7 +279,10 @@ def _ways(joint: FloatArray) -> FloatArray:
 
 
 def _way(joint: FloatArray, first: int) -> FloatArray:
-    """Return the covariance (3, 3) of the place against another of the joint places, which begins at this element."""
+    """Return the covariance (3, 3) of the place against another of the joint places.
+
+    first: element at which the other one begins.
+    """
     other = slice(first, first + 3)
     return np.asarray(joint[:3, :3] - joint[:3, other] - joint[other, :3] + joint[other, other])
 
@@ -326,7 +334,10 @@ class _Equations:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Predicted:
-    """Information of the prediction: on the attitude (3, 3), ``slow`` (2, 2), and the joint places (6 + 3 M, 6 + 3 M)."""
+    """Information of the prediction.
+
+    attitude (3, 3), slow (2, 2), places (6 + 3 M, 6 + 3 M): on the joint places.
+    """
 
     attitude: FloatArray
     slow: FloatArray
@@ -417,7 +428,10 @@ def _equations(
     surfaces, slope = support * surfaces, support * slope
 
     def pull_at(ahead_m: FloatArray) -> FloatArray:
-        """Return the gradients (M, 3) of depth on the place, from places farther by (M, 3): each keyframe moves back."""
+        """Return the gradients (M, 3) of depth on the place, from places farther by (M, 3).
+
+        Each keyframe moves back.
+        """
         back, unused, there = moved._replace(place_m=moved.place_m - ahead_m), np.zeros_like(surfaces), np.zeros_like(slope)
         add_depth_equations(view.points, at.rotation, at.place_m, back, doubt, _DEPTH_SHARE, _WIDER[0], unused, there)
         return np.asarray(support * there[:, _PLACE])
@@ -425,7 +439,7 @@ def _equations(
     if noise is None:
         noise = _noise_of_normals(surfaces, leaning, prior.turn_sigma_rad, None if all_counts else pull_at)
     _add_noise(surfaces, slope, noise)
-    depth_sigma_m = _leave_weak_directions(surfaces, slope, prior.turn_sigma_rad)
+    depth_sigma_m = _leave_weak_directions(surfaces, slope, prior.turn_sigma_rad, support)
     corners, pull, perfect = np.zeros((most, SIZE, SIZE)), np.zeros((most, SIZE)), np.zeros((most, 3, 3))
     imager = MovingImager(
         camera=view.camera, rotation=at.rotation @ view.depth_from_rgb.rotation(),
@@ -433,22 +447,22 @@ def _equations(
         motion=np.concatenate((prior.rate_radps, prior.velocity_mps)), slow=at.slow,
     )  # fmt: skip
     fitting = np.zeros(most, np.int64)
-    add_landmark_equations(
-        landmarks.place_m + moved_m[landmarks.keyframe], landmarks.slope, landmarks.texture,
-        landmarks.at_px, imager, landmarks.keyframe, at.slow - prior.slow, landmarks.share, wide, corners, pull, perfect,
-        fitting,
-    )  # fmt: skip
+    there = landmarks._replace(place_m=landmarks.place_m + moved_m[landmarks.keyframe])
+    add_landmark_equations(there, imager, at.slow - prior.slow, landmarks.share, wide, corners, pull, perfect, fitting)
     _leave_edges(corners, pull, perfect)
     _add_noise(corners, pull, leaning[:, None, None] * np.eye(3))
     surfaces, slope = surfaces + corners, slope + pull
-    _leave_weak_directions(surfaces, slope, prior.turn_sigma_rad)
+    _leave_weak_directions(surfaces, slope, prior.turn_sigma_rad, support)
     return _Equations(surfaces, slope, known, inliers, fitting, depth_sigma_m, match), noise
 
 
 def _with_prediction(
     equations: _Equations, predicted: _Predicted, prior: MotionPrior, at: _Estimate
 ) -> tuple[FloatArray, FloatArray]:
-    """Return information and gradient of pose, slow parameters, the place lately, and the places of M keyframes."""
+    """Return information and gradient of all unknowns.
+
+    Pose, slow parameters, the place lately, and the places of M keyframes.
+    """
     size = SIZE + len(at.moved_m) - 3
     whole, pull = np.zeros((size, size)), np.zeros(size)
     whole[:SIZE, :SIZE], pull[:SIZE] = equations.information.sum(axis=0), equations.gradient.sum(axis=0)
@@ -517,7 +531,7 @@ def _support(known: int, inliers: int) -> float:
 def _noise_of_normals(
     information: FloatArray, leaning: FloatArray, turn_sigma_rad: float, pull_at: Callable[[FloatArray], FloatArray] | None
 ) -> FloatArray:
-    """Return the noise (M, 3, 3) of the place of each keyframe, m², by what its normals are off by.
+    """Return the noise (M, 3, 3) of the place of each keyframe, m², by its normals.
 
     Where the normals of a bare wall scatter, the equations are those of a wall that shows the place along it; but a camera that
     is moved along it, to either side, is not pulled back. pull_at(ahead_m): gradient (M, 3) on the place from places farther by
@@ -543,28 +557,33 @@ def _noise_of_normals(
 
 
 def _noise(values: FloatArray, left: FloatArray) -> FloatArray:
-    """Return the variances (..., 3) of more noise with which less information is left of values (..., 3)."""
+    """Return the variances (..., 3) of noise with which less information is left.
+
+    values (..., 3): information without the noise; left (..., 3): with it.
+    """
     return np.asarray(np.minimum(1.0 / np.maximum(left, _TINY) - 1.0 / np.maximum(values, _TINY), _UNKNOWN_M2))
 
 
-def _leave_weak_directions(information: FloatArray, gradient: FloatArray, turn_sigma_rad: float) -> float:
-    """Remove from the equations of depth, or of landmarks, the translations that all keyframes together do not determine.
+def _leave_weak_directions(information: FloatArray, gradient: FloatArray, turn_sigma_rad: float, support: float) -> float:
+    """Remove the translations that all keyframes together do not determine.
 
-    Returns the standard deviation of the worst translation.
+    From the equations of depth, or of all.
+    support: weight of depth as a whole. Returns the standard deviation of the worst translation.
     """
     both = information.sum(axis=0)
     turn = both[:3, :3] + np.eye(3) * turn_sigma_rad**-2
     alone = both[3:6, 3:6] - both[3:6, :3] @ np.linalg.solve(turn, both[:3, 3:6])
     values, directions = np.linalg.eigh(0.5 * (alone + alone.T))
-    left = np.maximum(values - max(_WEAK_SHARE * values[-1], _WEAK_M**-2), 0.0)
+    left = np.maximum(values - max(_WEAK_SHARE * values[-1], support * _WEAK_M**-2), 0.0)
     noise = (directions * _noise(values, left)) @ directions.T
     _add_noise(information, gradient, np.tile(noise, (len(information), 1, 1)))
     return 1.0 / math.sqrt(max(float(left[0]), _TINY))
 
 
 def _add_noise(information: FloatArray, gradient: FloatArray, noise: FloatArray) -> None:
-    """Let the place of each keyframe be off by this noise (M, 3, 3), m², in what a frame says of it.
+    """Let the place of each keyframe be off by noise (M, 3, 3), m².
 
+    In what a frame says of it.
     The offset is an unknown that is eliminated from the equations.
     """
     place = information[:, _PLACE, _PLACE]
@@ -575,8 +594,9 @@ def _add_noise(information: FloatArray, gradient: FloatArray, noise: FloatArray)
 
 
 def _leave_edges(information: FloatArray, gradient: FloatArray, shown: FloatArray) -> None:
-    """Remove from the equations of the landmarks of each keyframe the translations along their edges.
+    """Remove from the equations of landmarks the translations along their edges.
 
+    Of each keyframe on its own.
     The direction of an edge in an image is known to some degrees only. shown (M, 3, 3): of add_landmark_equations().
     """
     for m in np.flatnonzero(shown.any(axis=(1, 2))).tolist():

@@ -263,8 +263,9 @@ class SlamTracker:
         return register(view, keyframes, landmarks, prior, doubted=True)
 
     def _confirmed(self, view: PreparedView, odom_from_depth: Pose, prior: MotionPrior) -> Registration | None:
-        """Return the registration of a view from another pose, with the landmarks that it shows from there.
+        """Return the registration of a view from another pose.
 
+        With the landmarks that it shows from there.
         None if these and depth do not both fit.
         """
         motion = np.concatenate((prior.rate_radps, prior.velocity_mps))
@@ -274,7 +275,10 @@ class SlamTracker:
         return found
 
     def _is_only_place(self, view: PreparedView, registration: Registration, prior: MotionPrior) -> bool:
-        """Return True if depth fits at the place of a registration, and at no other one where the view may be."""
+        """Return True if depth fits at the place of a registration, and nowhere else.
+
+        Elsewhere means where the view may be.
+        """
         if not registration.determined or _SEARCH_SIGMAS * math.sqrt(float(prior.variance.max())) > _MOST_SEARCH_M:
             return False
         other, next_best = search(view, self.surfaces, prior, _reach_m(prior))
@@ -340,7 +344,10 @@ class SlamTracker:
         return registration, prior
 
     def _search(self, view: PreparedView, registration: Registration, prior: MotionPrior) -> Registration:
-        """Return the best registration from places around the predicted one, by corners or by depth alone."""
+        """Return the best registration from places around the predicted one.
+
+        By corners, or by depth alone.
+        """
         reach_m = _reach_m(prior)
         if reach_m.max() < _LEAST_SEARCH_M:
             return registration
@@ -378,7 +385,10 @@ class SlamTracker:
         return other
 
     def _recognise(self, view: PreparedView, registration: Registration, prior: MotionPrior) -> Registration | None:
-        """Return the registration at a place from before that the view's corners and depth show, None if they show none."""
+        """Return the registration at a place from before; None if the view shows none.
+
+        Its corners and depth must both show it.
+        """
         most_variance = _OLD_SHARE * registration.sigma_m**2
         reach_m = _SEARCH_SIGMAS * registration.sigma_m
         pose = self.surfaces.recognise(view, registration.odom_from_depth, reach_m, most_variance)

@@ -1,4 +1,7 @@
-"""Start of a track: at rest, where inertial samples show down, or in motion, where other odometry is."""
+"""Start of a track: at rest or in motion.
+
+At rest, inertial samples show where down is. In motion, it is where other odometry is.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +28,7 @@ OdomAt = Callable[[float], StampedPose | None]  # odometry at an instant, None i
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Start:
-    """Where a track begins.
+    """Start of a track.
 
     gyro_bias_radps (3,): None if it stays as known. force_offset_mps2 (3,): what the accelerometer measures beside gravity.
     velocity_mps (3,): in odom. moving: not at rest.

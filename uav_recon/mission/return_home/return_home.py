@@ -28,6 +28,8 @@ _JUDGED_M = 2.0  #: plan: from farther away, level, no obstacle is recognised: n
 _REFUSED = 3  #: land: elsewhere than at home, after the guard or the map stopped more paths than this without progress
 _PROGRESS_M = 1.0  #: plan: stops do not count once the vehicle is nearer to home by this than at their first
 _QUICK_S = 2.0  #: plan: the way home is planned again if a higher speed is allowed for this time and _WORTH_S remain
+_TURN_RAD = math.radians(30.0)  #: plan: a way home that begins with a larger turn is flown after that turn, on the spot
+_LEFT_M = 0.1  #: plan: it begins within this distance
 _WORTH_S = 8.0  #: plan: with less time left a higher speed saves nothing
 
 
@@ -48,7 +50,7 @@ class ReturnHome:
         self._pending_plan: Pending[PlanResult] | None = None
         self._refused = 0
         self._nearest_m = math.inf  # distance from home when stops were first counted
-        self._looks = False
+        self._looks = self._turned = False
         # speed limit when planned, and when no higher one was last set
         self._planned_mps = math.inf
         self._slow_s = -math.inf
@@ -106,6 +108,11 @@ class ReturnHome:
         plan = self._pending_plan.result()
         self._pending_plan = None
         if isinstance(plan.motion, Trajectory):
+            turn_rad = _first_turn_rad(plan.motion)
+            self._turned = not self._turned and abs(turn_rad) > _TURN_RAD
+            if self._turned:
+                self._executor.turn(now_s, vehicle, turn_rad, views=0)
+                return
             self.en_route = True
             self._executor.fly(dataclasses.replace(plan.motion, views_s=np.zeros(0)), now_s)  # no view is taken at home
             return
@@ -173,3 +180,13 @@ class ReturnHome:
     def _is_near(self, place: FloatArray) -> bool:
         """Return True if obstacles at a position can be recognised from here."""
         return math.hypot(*(place - self._executor.track.position_world)[:2].tolist()) <= _JUDGED_M
+
+
+def _first_turn_rad(trajectory: Trajectory) -> float:
+    """Return by how much a trajectory turns before it leaves its start.
+
+    While it turns there, it may move by centimetres in any direction, and the camera has not seen all of them lately.
+    """
+    moved_m = np.linalg.norm(trajectory.position_m - trajectory.position_m[0], axis=1)
+    left = np.flatnonzero(moved_m > _LEFT_M)
+    return float(trajectory.yaw_rad[left[0] if len(left) else -1] - trajectory.yaw_rad[0])

@@ -49,8 +49,12 @@ class TrajectoryExecutor:
 
     def look_round(self, now_s: float, vehicle: VehicleState, views: int) -> float:
         """Turn once on the spot with a number of views; return the duration (s)."""
+        return self.turn(now_s, vehicle, math.tau, views)
+
+    def turn(self, now_s: float, vehicle: VehicleState, total_yaw_rad: float, views: int) -> float:
+        """Turn on the spot with a number of views; return the duration (s)."""
         start, identifier = self.track.end_setpoint(vehicle), self.track.next_identifier()
-        turn = self._motion.plan_turn(start, now_s, math.tau, views, identifier)
+        turn = self._motion.plan_turn(start, now_s, total_yaw_rad, views, identifier)
         self.fly(turn, now_s)
         return turn.duration_s
 
