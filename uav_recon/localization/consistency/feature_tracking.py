@@ -171,7 +171,7 @@ class FeatureTracker:
             return None
         at_px, found = followed(
             self._grey, grey, points.at_px, belongs_px + points.displacement_px,
-            window_px=_WINDOW_PX, levels=_LEVELS, returns_px=_RETURNS_PX,
+            window_px=_WINDOW_PX, levels=_LEVELS, back_levels=_LEVELS, returns_px=_RETURNS_PX,
         )  # fmt: skip
         self._points = points = points._replace(at_px=at_px, displacement_px=at_px - belongs_px).only(found)
         ahead_m = camera.ahead(points.place_m)

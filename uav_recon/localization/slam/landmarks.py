@@ -178,7 +178,14 @@ class Corners:
             return Landmarks.none()
         was_px = self.at_px[expected.which]
         at_px, found = followed(
-            self.grey, view.grey, was_px, expected.at_px, window_px=_WINDOW_PX, levels=_LEVELS, returns_px=_RETURNS_PX
+            self.grey,
+            view.grey,
+            was_px,
+            expected.at_px,
+            window_px=_WINDOW_PX,
+            levels=_LEVELS,
+            back_levels=0,
+            returns_px=_RETURNS_PX,
         )
         which = expected.which[found]
         slope = np.einsum("ab,nbk->nak", odom_from_keyframe.rotation(), self.slope[which])

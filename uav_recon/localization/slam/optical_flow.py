@@ -33,20 +33,25 @@ def inside(at_px: AnyArray, grey: ByteArray, window_px: int) -> BoolArray:
 
 
 def followed(
-    before: ByteArray, now: ByteArray, was_px: AnyArray, guess_px: AnyArray, *, window_px: int, levels: int, returns_px: float
+    before: ByteArray,
+    now: ByteArray,
+    was_px: AnyArray,
+    guess_px: AnyArray,
+    *,
+    window_px: int,
+    levels: int,
+    back_levels: int,
+    returns_px: float,
 ) -> tuple[AnyArray, BoolArray]:
     """Return the new positions of points (N, 2), and a mask of those found.
 
-    A point is found if tracking it back leads to within returns_px of where it was.
+    A point is found if tracking it back leads to within returns_px of where it was. levels, back_levels: of the pyramids in
+    which it is tracked there and back.
     """
     follow = functools.partial(
-        cv2.calcOpticalFlowPyrLK,
-        winSize=(window_px, window_px),
-        maxLevel=levels,
-        flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
-        criteria=_STOP,
+        cv2.calcOpticalFlowPyrLK, winSize=(window_px, window_px), flags=cv2.OPTFLOW_USE_INITIAL_FLOW, criteria=_STOP
     )
-    at_px, there, _ = follow(before, now, was_px, guess_px.copy())
-    back_px, back, _ = follow(now, before, at_px, was_px.copy())
+    at_px, there, _ = follow(before, now, was_px, guess_px.copy(), maxLevel=levels)
+    back_px, back, _ = follow(now, before, at_px, was_px.copy(), maxLevel=back_levels)
     returns = np.linalg.norm(back_px - was_px, axis=1) <= returns_px
     return at_px, np.asarray(returns & (there[:, 0] == 1) & (back[:, 0] == 1) & inside(at_px, now, window_px), dtype=np.bool_)

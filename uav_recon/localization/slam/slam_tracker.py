@@ -57,7 +57,7 @@ _LONG_WAY_BACK_S = 5.0  #: reject: the same while another source knows the motio
 #: retreat: the place has become more uncertain than this in a direction: back to a view in which it was not
 _DOUBT_M = 0.08
 _DRIFT_MPS = 0.004  # growth of the uncertainty with the flight, which no way back reduces
-_BLIND_M = 0.025  #: retreat: the place is more uncertain than this against the track: the view has not shown it for 0.4 s
+_BLIND_M = 0.04  #: retreat: the place is more uncertain than this against the track: the view has not shown it for 0.6 s
 _LEFT_M = 0.05  #: retreat: while more than this of a found error is not yet in the poses; not tuned
 _SURE_AGAIN_SHARE = 0.85  #: retreat: until both are less than this share of their limits
 # a found error is taken out of the poses at this speed: faster, they would contradict the inertial samples of the autopilot
