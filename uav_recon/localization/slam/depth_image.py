@@ -124,7 +124,7 @@ def write_fitted_normals(depth_m: AnyArray, camera: AnyArray, out: AnyArray) -> 
 def _fitted_slope(inverse: AnyArray, v: int, u: int) -> tuple[float, float, bool]:
     """Return the growth of the inverse depth (H, W) by column and by row around a pixel.
 
-    And whether it shows one surface.
+    The third value is True if it shows one surface.
     """
     here = inverse[v, u]
     most = _MAX_BEND_PER_M + _MAX_BEND_SHARE * here

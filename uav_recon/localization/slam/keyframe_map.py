@@ -157,12 +157,8 @@ class KeyframeMap:
         sure = 1.0 / (1.0 + self._all.variance[: self.count].max(axis=1, initial=0.0) / _SURE_M2)
         chosen, left = list[int](), np.ones(looked.shape[1], np.bool_)
         while len(chosen) < min(_COMPARED, self.count):
-            worth = (
-                like
-                if not chosen and like.any()
-                else (looked[:, left].sum(axis=1) / max(len(left), 1) + _AGAIN_SHARE * whole) * sure
-            )
-            worth = np.where(whole >= _LEAST_MORE_SHARE, worth, 0.0)
+            adds = (looked[:, left].sum(axis=1) / max(len(left), 1) + _AGAIN_SHARE * whole) * sure
+            worth = np.where(whole >= _LEAST_MORE_SHARE, adds if chosen or not like.any() else like, 0.0)
             worth[chosen] = 0.0
             best = int(np.argmax(worth))
             if worth[best] <= 0.0:

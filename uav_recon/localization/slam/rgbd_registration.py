@@ -8,7 +8,6 @@ before corrects it.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +17,7 @@ from uav_recon.localization.slam.keyframe_map import KeyframeMap, Keyframes
 from uav_recon.localization.slam.landmarks import SIZE, Landmarks, MovingImager, add_landmark_equations
 from uav_recon.localization.slam.place_errors import PlaceErrors
 from uav_recon.localization.slam.prepared_view import PreparedView
+from uav_recon.localization.slam.weak_directions import add_noise, leave_edges, leave_weak_directions, noise_of_normals
 from uav_recon.types.frames import BoolArray, FloatArray, IntArray
 from uav_recon.types.pose import Pose
 
@@ -38,20 +38,10 @@ _ENOUGH_POINTS = 250  # points on known surfaces from which on depth counts in f
 _FEWEST_LANDMARKS = 6
 _AGREEING_SHARE = 0.5
 _POSE = slice(0, 6)
-# Depth tells less of each direction by this share of its information in the best one: along a plane the noise of the field
-# would hold the camera to where it was.
-_WEAK_SHARE = 0.005
-_DOUBTED_SHARE = 0.1  # directions with less are tried: the camera is moved by this to both sides
-_TRIED_M = 0.04
 # error of the mean normal of a wall, and of the direction of an edge in the image: if the way along them is uncertain by 0.1 m,
 # a keyframe shows the distance to them to 5 mm
 _NORMAL_RAD = 0.05
-_WEAK_M = 0.03  # depth of one frame, or its landmarks, tell nothing of a direction that they show less well than this
-_TRIED_ROUNDS = (0, 2)  # of Gauss-Newton near the pose, in which they are
-# Landmarks tell nothing of a direction in which they have less than this share of the information of perfect corners: all of
-# them are on edges then, and follow the prediction along these.
-_EDGES_SHARE = 0.05
-_LEAST_SHOWN = 1.0  # keeps the shares finite in directions that no landmark could show
+_TRIED_ROUNDS = (0, 2)  # of Gauss-Newton near the pose, in which weak directions of depth are tried
 _PLACE = slice(3, 6)
 _LAG = slice(3, 6)  # of the joint covariance of places
 _UNCERTAIN_M = 0.08  # standard deviation of a way to a keyframe from which registration may end at a wrong place
@@ -62,7 +52,6 @@ _DETERMINED_FIT_SHARE = 0.85  # of its points in known space, those on a known s
 _CONFIRMING_LANDMARKS = 20  # number of landmarks that must fit at a place that was recognised
 _DETERMINED_POINTS = 250  # number of its points on known surfaces
 _TINY = 1e-9
-_UNKNOWN_M2 = 100.0  # variance of a place of which nothing is known
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -413,7 +402,7 @@ def _equations(
     """Return the equations of depth and landmarks at an estimate, and the noise of normals.
 
     doubt (M, 3, 3): as in add_depth_equations(). leaning (M,): variance (m²) of a distance to a surface of each keyframe by its
-    normal, which is off. wide: factor on the scale of the robust weights. noise (M, 3, 3): of _noise_of_normals(), None if it
+    normal, which is off. wide: factor on the scale of the robust weights. noise (M, 3, 3): of noise_of_normals(), None if it
     is not known. all_counts: depth counts in full wherever it is.
     """
     most = len(keyframes.number)
@@ -437,9 +426,9 @@ def _equations(
         return np.asarray(support * there[:, _PLACE])
 
     if noise is None:
-        noise = _noise_of_normals(surfaces, leaning, prior.turn_sigma_rad, None if all_counts else pull_at)
-    _add_noise(surfaces, slope, noise)
-    depth_sigma_m = _leave_weak_directions(surfaces, slope, prior.turn_sigma_rad, support)
+        noise = noise_of_normals(surfaces, leaning, prior.turn_sigma_rad, None if all_counts else pull_at)
+    add_noise(surfaces, slope, noise)
+    depth_sigma_m = leave_weak_directions(surfaces, slope, prior.turn_sigma_rad, support)
     corners, pull, perfect = np.zeros((most, SIZE, SIZE)), np.zeros((most, SIZE)), np.zeros((most, 3, 3))
     imager = MovingImager(
         camera=view.camera, rotation=at.rotation @ view.depth_from_rgb.rotation(),
@@ -449,10 +438,10 @@ def _equations(
     fitting = np.zeros(most, np.int64)
     there = landmarks._replace(place_m=landmarks.place_m + moved_m[landmarks.keyframe])
     add_landmark_equations(there, imager, at.slow - prior.slow, landmarks.share, wide, corners, pull, perfect, fitting)
-    _leave_edges(corners, pull, perfect)
-    _add_noise(corners, pull, leaning[:, None, None] * np.eye(3))
+    leave_edges(corners, pull, perfect)
+    add_noise(corners, pull, leaning[:, None, None] * np.eye(3))
     surfaces, slope = surfaces + corners, slope + pull
-    _leave_weak_directions(surfaces, slope, prior.turn_sigma_rad, support)
+    leave_weak_directions(surfaces, slope, prior.turn_sigma_rad, support)
     return _Equations(surfaces, slope, known, inliers, fitting, depth_sigma_m, match), noise
 
 
@@ -526,86 +515,3 @@ def _support(known: int, inliers: int) -> float:
     fit = inliers / max(known, 1)
     fitting = min(max((fit - _UNFIT) / (_FITTING - _UNFIT), 0.0), 1.0)
     return max(fitting**2 * min(inliers / _ENOUGH_POINTS, 1.0) ** 2, 1e-6)
-
-
-def _noise_of_normals(
-    information: FloatArray, leaning: FloatArray, turn_sigma_rad: float, pull_at: Callable[[FloatArray], FloatArray] | None
-) -> FloatArray:
-    """Return the noise (M, 3, 3) of the place of each keyframe, m², by its normals.
-
-    Where the normals of a bare wall scatter, the equations are those of a wall that shows the place along it; but a camera that
-    is moved along it, to either side, is not pulled back. pull_at(ahead_m): gradient (M, 3) on the place from places farther by
-    (M, 3), one for each keyframe; None far from the pose, where it says nothing.
-    leaning (M,): as in _equations().
-    Zhang, Kaess and Singh 2016, On Degeneracy of Optimization-based State Estimation Problems.
-    """
-    turn = information[:, :3, :3] + np.eye(3) * turn_sigma_rad**-2
-    across = information[:, :3, _PLACE]
-    alone = information[:, _PLACE, _PLACE] - np.swapaxes(across, 1, 2) @ np.linalg.solve(turn, across)
-    values, directions = np.linalg.eigh(alone)
-    left = np.maximum(values, 0.0)
-    for k in range(2):
-        weak = values[:, k] < _DOUBTED_SHARE * values[:, -1]
-        if pull_at is None or not weak.any():
-            break
-        ahead_m = _TRIED_M * directions[:, :, k]
-        there, back = (np.einsum("ma,ma->m", pull_at(side * ahead_m), ahead_m) for side in (1.0, -1.0))
-        pulled = np.clip(np.minimum(-there, back) / _TRIED_M**2, 0.0, left[:, k])
-        left[:, k] = np.where(weak, pulled, left[:, k])
-    noise = _noise(values, left) + leaning[:, None]
-    return np.asarray((directions * noise[:, None]) @ np.swapaxes(directions, 1, 2))
-
-
-def _noise(values: FloatArray, left: FloatArray) -> FloatArray:
-    """Return the variances (..., 3) of noise with which less information is left.
-
-    values (..., 3): information without the noise; left (..., 3): with it.
-    """
-    return np.asarray(np.minimum(1.0 / np.maximum(left, _TINY) - 1.0 / np.maximum(values, _TINY), _UNKNOWN_M2))
-
-
-def _leave_weak_directions(information: FloatArray, gradient: FloatArray, turn_sigma_rad: float, support: float) -> float:
-    """Remove the translations that all keyframes together do not determine.
-
-    From the equations of depth, or of all.
-    support: weight of depth as a whole. Returns the standard deviation of the worst translation.
-    """
-    both = information.sum(axis=0)
-    turn = both[:3, :3] + np.eye(3) * turn_sigma_rad**-2
-    alone = both[3:6, 3:6] - both[3:6, :3] @ np.linalg.solve(turn, both[:3, 3:6])
-    values, directions = np.linalg.eigh(0.5 * (alone + alone.T))
-    left = np.maximum(values - max(_WEAK_SHARE * values[-1], support * _WEAK_M**-2), 0.0)
-    noise = (directions * _noise(values, left)) @ directions.T
-    _add_noise(information, gradient, np.tile(noise, (len(information), 1, 1)))
-    return 1.0 / math.sqrt(max(float(left[0]), _TINY))
-
-
-def _add_noise(information: FloatArray, gradient: FloatArray, noise: FloatArray) -> None:
-    """Let the place of each keyframe be off by noise (M, 3, 3), m².
-
-    In what a frame says of it.
-    The offset is an unknown that is eliminated from the equations.
-    """
-    place = information[:, _PLACE, _PLACE]
-    gain = information[:, :, _PLACE] @ noise @ np.linalg.inv(np.eye(3) + place @ noise)
-    gradient -= np.einsum("mab,mb->ma", gain, gradient[:, _PLACE])
-    left = information - gain @ information[:, _PLACE]
-    information[:] = 0.5 * (left + np.swapaxes(left, 1, 2))
-
-
-def _leave_edges(information: FloatArray, gradient: FloatArray, shown: FloatArray) -> None:
-    """Remove from the equations of landmarks the translations along their edges.
-
-    Of each keyframe on its own.
-    The direction of an edge in an image is known to some degrees only. shown (M, 3, 3): of add_landmark_equations().
-    """
-    for m in np.flatnonzero(shown.any(axis=(1, 2))).tolist():
-        perfect = shown[m] + _LEAST_SHOWN * np.eye(3)
-        root = np.linalg.inv(np.linalg.cholesky(perfect))
-        values, vectors = np.linalg.eigh(root @ information[m, _PLACE, _PLACE] @ root.T)
-        along = root.T @ vectors[:, values < _EDGES_SHARE]
-        if along.size:
-            kept = np.eye(SIZE)
-            kept[_PLACE, _PLACE] -= along @ along.T @ perfect
-            information[m] = kept.T @ information[m] @ kept
-            gradient[m] = gradient[m] @ kept

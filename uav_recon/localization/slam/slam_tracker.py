@@ -131,7 +131,7 @@ class _WithoutFrame:
 
 
 class SlamTracker:
-    """Tracks the camera. Not thread-safe; about 8 ms a frame of 424x240 on one core.
+    """Tracks the camera. Not thread-safe; about 18 ms a frame of 424x240 on one core.
 
     It starts at rest: the first poses come once the inertial samples have shown where down is. ``fault``: why the newest frame
     was not accepted, None if it was.
