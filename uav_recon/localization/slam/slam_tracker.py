@@ -431,14 +431,13 @@ class SlamTracker:
         if start is None:
             return None
         self._forget()
-        if start.gyro_bias_radps is not None:
-            self.gyro.rest(start.gyro_bias_radps)
         self._state = TrackedState(view.frame.stamp_s, start.odom_from_body, start.velocity_mps)
-        self._attitude = AttitudeFilter(start.odom_from_body, _STARTED_MOVING if start.moving else _AT_REST)
-        if start.moving:
+        self._attitude = AttitudeFilter(start.odom_from_body, _STARTED_MOVING if start.rest is None else _AT_REST)
+        if start.rest is None:
             self._motion.begin(start.odom_from_body.translation_m, start.velocity_mps)
         else:
-            self._motion = MotionFilter(start.odom_from_body, start.force_offset_mps2)
+            self.gyro.rest(start.rest.gyro_bias_radps)
+            self._motion = MotionFilter(start.odom_from_body, start.rest.force_offset_mps2)
         self._accepted_frames = _CARRIED_FRAMES
         motion = np.concatenate((np.zeros(3), start.velocity_mps))
         self._add_to_map(view, start.odom_from_body @ body_from_depth, motion)

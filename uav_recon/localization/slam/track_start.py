@@ -27,31 +27,36 @@ OdomAt = Callable[[float], StampedPose | None]  # odometry at an instant, None i
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Rest:
+    """Inertial sensors at rest.
+
+    gyro_bias_radps (3,). force_offset_mps2 (3,): what the accelerometer measures beside gravity.
+    """
+
+    gyro_bias_radps: FloatArray
+    force_offset_mps2: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Start:
     """Start of a track.
 
-    gyro_bias_radps (3,): None if it stays as known. force_offset_mps2 (3,): what the accelerometer measures beside gravity.
-    velocity_mps (3,): in odom. moving: not at rest.
+    velocity_mps (3,): in odom. rest: what the rest shows; None in motion: what is known of the sensors stays.
     """
 
     odom_from_body: Pose
-    gyro_bias_radps: FloatArray | None
-    force_offset_mps2: FloatArray
     velocity_mps: FloatArray
-    moving: bool
+    rest: Rest | None
 
 
 class StartDetector:
-    """Finds where a track begins, and when a body at rest is launched. Not thread-safe.
-
-    ``launched``: inertial samples or images have shown that the body has moved once.
-    """
+    """Finds where a track begins, and when a body at rest is launched. Not thread-safe."""
 
     def __init__(self) -> None:
         self._rest = RestDetector()
         self._odom_at: OdomAt | None = None
         self._level_assumed_s = -math.inf  # start without inertial samples
-        self.launched = False
+        self._launched = False  # inertial samples or images have shown that the body has moved once
 
     def add_imu(self, samples: list[ImuSample]) -> None:
         """Add inertial samples, oldest first."""
@@ -72,15 +77,15 @@ class StartDetector:
         if level is None:
             return None
         self._level_assumed_s = -math.inf if self._rest.measured else frame.stamp_s
-        self.launched = False
+        self._launched = False
         level = level_by_floor(frame, level, body_from_depth)
-        return Start(level, self._rest.gyro_bias_radps, self._rest.force_offset_mps2(level), np.zeros(3), False)
+        return Start(level, np.zeros(3), Rest(self._rest.gyro_bias_radps, self._rest.force_offset_mps2(level)))
 
     def _start_moving(self, odom: StampedPose | None) -> Start | None:
         if odom is None:
             return None
-        self._odom_at, self.launched = None, True
-        return Start(odom.odom_from_body, None, np.zeros(3), odom.velocity_odom_mps, True)
+        self._odom_at, self._launched = None, True
+        return Start(odom.odom_from_body, odom.velocity_odom_mps, None)
 
     def starts_again(self, stamp_s: float, place_m: FloatArray) -> bool:
         """Return True if the first inertial samples show the rest after a start without them.
@@ -92,7 +97,7 @@ class StartDetector:
 
     def still(self, stamp_s: float) -> bool:
         """Return True before the launch while inertial samples show rest."""
-        return not self.launched and self._rest.still(stamp_s)
+        return not self._launched and self._rest.still(stamp_s)
 
     def rests(self, stamp_s: float, known_points: float, landmarks: int, moved_m: float) -> bool:
         """Return True until inertial samples or an image show that the body has moved once.
@@ -100,5 +105,5 @@ class StartDetector:
         known_points, landmarks: that show in the image that the body has moved by moved_m.
         """
         seen = known_points >= _SEEN_POINTS or landmarks >= _SEEN_LANDMARKS
-        self.launched = self.launched or not self._rest.still(stamp_s) or (seen and moved_m > _REST_M)
-        return not self.launched
+        self._launched = self._launched or not self._rest.still(stamp_s) or (seen and moved_m > _REST_M)
+        return not self._launched
