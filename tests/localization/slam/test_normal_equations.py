@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from slam_flight import BODY_FROM_DEPTH, CABINET_M, LENS, RGB_LENS, ROOM_M, frame, truth
@@ -247,7 +249,9 @@ def test_a_surface_that_faces_a_doubted_direction_does_not_count() -> None:
 RGB_FROM_DEPTH = Pose.from_rotation_vector(np.array([0.01, -0.02, 0.015]), np.array([0.03, 0.005, -0.03]))
 
 
-def _places(view: PreparedView, odom_from_depth: Pose, at_px: FloatArray, motion: FloatArray, slow: FloatArray) -> FloatArray:
+def _places(
+    view: PreparedView, odom_from_depth: Pose, at_px: npt.NDArray[Any], motion: FloatArray, slow: FloatArray
+) -> FloatArray:
     """Return the places (N, 3) in odom that a view gives to pixels (N, 2) as corners."""
     corners = Corners.of(view, odom_from_depth, motion, slow)
     count = len(at_px)

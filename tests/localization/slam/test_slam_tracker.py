@@ -313,6 +313,7 @@ def test_without_colour_depth_carries_the_pose_as_far_as_it_determines_it() -> N
     assert _worst_m(sure) < 0.03
     for each in poses:
         assert each.pose is not None
+        assert each.error_m is not None
         assert each.error_m < 3.0 * math.sqrt(each.pose.covariance[0, 0])
 
 
