@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from uav_recon.geometry.jit import fast_kernel, kernel
@@ -16,6 +18,8 @@ _ROBUST_SIGMAS = 2.0  # scale of the robust weight
 _ROBUST_M = 0.02  # its minimum
 _INLIER_M = 0.08  # a residual below it is that of the same surface
 _MOST_DEEP_M = 0.6  # along the axis: a point farther behind a surface is hidden by it, in whatever direction that faces
+_KNOWN, _ON_SURFACE = 1, 2  # what is known of a point
+_MOMENT, _NORMAL, _OFF, _RANGE, _ROWS = 0, 3, 6, 7, 8  # rows of Matches.of
 
 
 @fast_kernel
@@ -41,102 +45,163 @@ def add_depth_equations(
     number of points in known space, and of those that lie on a known surface. A point behind a surface is hidden, which says
     nothing; one in front of it is in known space.
     """
-    known, inliers, most = 0, 0, keyframes.number.shape[0]
-    turn, moved_m = _poses_in(keyframes, rotation, place_m)
-    row, off_m, normal, number = np.empty(6), np.empty(most), np.empty((most, 3)), np.empty(most, np.int64)
-    for n in range(points.shape[0]):
-        p, q, r = points[n, 0], points[n, 1], points[n, 2]
-        found, is_known, is_inlier = _surfaces_at(p, q, r, turn, moved_m, keyframes, doubt, off_m, normal, number)
-        known += int(is_known)
-        inliers += int(is_inlier)
-        x = rotation[0, 0] * p + rotation[0, 1] * q + rotation[0, 2] * r
-        y = rotation[1, 0] * p + rotation[1, 1] * q + rotation[1, 2] * r
-        z = rotation[2, 0] * p + rotation[2, 1] * q + rotation[2, 2] * r
-        sigma_m = _FLOOR_M + _PER_M2 * r * r
-        scale = wider * max(_ROBUST_M, _ROBUST_SIGMAS * sigma_m)
-        for m in range(found):
-            shrink, k = 1.0 / (1.0 + (off_m[m] / scale) ** 2), number[m]
-            nx, ny, nz = normal[m, 0], normal[m, 1], normal[m, 2]
-            row[0], row[1], row[2] = y * nz - z * ny, z * nx - x * nz, x * ny - y * nx
-            row[3], row[4], row[5] = nx, ny, nz
-            w = share / found * shrink * shrink / (sigma_m * sigma_m)
-            for a in range(6):
-                gradient[k, a] -= w * row[a] * off_m[m]
-                for b in range(6):
-                    information[k, a, b] += w * row[a] * row[b]
+    most, many = keyframes.number.shape[0], points.shape[0]
+    rows, which, found = np.empty((most, _ROWS, many)), np.empty((most, many), np.int32), np.zeros(most, np.int64)
+    showing, seen, whole = np.zeros(many, np.int64), np.zeros(many, np.int64), np.empty((7, 7))
+    for m in range(most):
+        matches = Matches(rows[m], which[m], showing, seen)
+        found[m] = _match(points, rotation, place_m, keyframes, m, doubt[m], matches)
+    for m in range(most):
+        _sum_products(rows[m], found[m], which[m], showing, share, wider, whole)
+        _add_turned(whole, keyframes.rotation[m], information[m], gradient[m])
+    known = inliers = 0
+    for n in range(many):
+        known += int(seen[n] & _KNOWN != 0)
+        inliers += int(seen[n] & _ON_SURFACE != 0)
     return known, inliers
 
 
-@kernel
-def _along(matrix: AnyArray, normal: AnyArray) -> float:
-    """Return the value of a quadratic form (3, 3) for a direction (3,)."""
-    out = 0.0
-    for a in range(3):
-        for b in range(3):
-            out += normal[a] * matrix[a, b] * normal[b]
-    return out
+class Matches(NamedTuple):
+    """Points that lie near the surface of a keyframe, for kernels.
+
+    of (8, N): of each match the turning moment of its normal about the camera, the normal, the distance to the surface, in the
+    axes of the keyframe, and the depth (m) of the point. which (N,): numbers of the points. showing (P,): number of keyframes
+    that show each point. seen (P,): what is known of each point, _KNOWN and _ON_SURFACE.
+    """
+
+    of: AnyArray
+    which: AnyArray
+    showing: AnyArray
+    seen: AnyArray
 
 
 @fast_kernel
-def _surfaces_at(
-    p: float,
-    q: float,
-    r: float,
-    turn: AnyArray,
-    moved_m: AnyArray,
-    keyframes: Keyframes,
-    doubt: AnyArray,
-    off_m: AnyArray,
-    normal: AnyArray,
-    number: AnyArray,
-) -> tuple[int, bool, bool]:
-    """Write the distances of a point to surfaces of keyframes.
+def _match(
+    points: AnyArray, rotation: AnyArray, place_m: AnyArray, keyframes: Keyframes, m: int, doubt: AnyArray, matches: Matches
+) -> int:
+    """Write the points (P, 3) that lie near the surface of keyframe m; return their number.
 
-    off_m (M,): distances. normal (M, 3): of the surfaces, in odom. number (M,): of their keyframes.
-    p, q, r: the point in the frame of the depth imager. turn, moved_m: of _poses_in(). doubt: of add_depth_equations(). Returns
-    how many surfaces there are, whether the point is in known space, and whether it lies on a surface.
+    Other arguments: as of add_depth_equations().
     """
-    found, in_front, on_surface = 0, False, False
-    for m in range(keyframes.number.shape[0]):
-        deep = turn[m, 2, 0] * p + turn[m, 2, 1] * q + turn[m, 2, 2] * r + moved_m[m, 2]
+    t00, t01, t02, t10, t11, t12, t20, t21, t22, a0, b0, c0 = _pose_in(
+        keyframes.rotation[m], keyframes.place_m[m], rotation, place_m
+    )
+    fx, fy, cx, cy = keyframes.camera[m, 0], keyframes.camera[m, 1], keyframes.camera[m, 2], keyframes.camera[m, 3]
+    depth_m, normal = keyframes.depth_m[keyframes.number[m]], keyframes.normal[keyframes.number[m]]
+    height, width = depth_m.shape
+    of, which, showing, seen = matches.of, matches.which, matches.showing, matches.seen
+    doubted = doubt[0, 0] + doubt[1, 1] + doubt[2, 2] > 0.0
+    found = 0
+    for n in range(points.shape[0]):
+        p, q, r = points[n, 0], points[n, 1], points[n, 2]
+        z = t20 * p + t21 * q + t22 * r
+        deep = z + c0
         if deep < NEAREST_M:
             continue
-        across = turn[m, 0, 0] * p + turn[m, 0, 1] * q + turn[m, 0, 2] * r + moved_m[m, 0]
-        down = turn[m, 1, 0] * p + turn[m, 1, 1] * q + turn[m, 1, 2] * r + moved_m[m, 1]
-        fx, fy, cx, cy = keyframes.camera[m, 0], keyframes.camera[m, 1], keyframes.camera[m, 2], keyframes.camera[m, 3]
+        x, y = t00 * p + t01 * q + t02 * r, t10 * p + t11 * q + t12 * r
+        across, down = x + a0, y + b0
         u, v = int(np.floor(across / deep * fx + cx + 0.5)), int(np.floor(down / deep * fy + cy + 0.5))
-        if not (0 <= v < keyframes.depth_m.shape[1] and 0 <= u < keyframes.depth_m.shape[2]):
+        if not (0 <= v < height and 0 <= u < width):
             continue
-        k = keyframes.number[m]
-        z = float(keyframes.depth_m[k, v, u])
-        nx, ny, nz = keyframes.normal[k, v, u, 0], keyframes.normal[k, v, u, 1], keyframes.normal[k, v, u, 2]
-        if z <= 0.0 or nz == 0.0 or deep - z > _MOST_DEEP_M:
+        there = float(depth_m[v, u])
+        nx, ny, nz = float(normal[v, u, 0]), float(normal[v, u, 1]), float(normal[v, u, 2])
+        if there <= 0.0 or nz == 0.0 or deep - there > _MOST_DEEP_M:
             continue
-        off = nx * (across - (u - cx) / fx * z) + ny * (down - (v - cy) / fy * z) + nz * (deep - z)
-        towards = nx * (moved_m[m, 0] - across) + ny * (moved_m[m, 1] - down) + nz * (moved_m[m, 2] - deep)
-        in_front = in_front or (off > SURFACE_M and doubt[m, 0, 0] + doubt[m, 1, 1] + doubt[m, 2, 2] == 0.0)
-        if abs(off) > SURFACE_M or towards < 0.0:  # hidden, or the other side of a thin wall
+        off = nx * (across - (u - cx) / fx * there) + ny * (down - (v - cy) / fy * there) + nz * (deep - there)
+        if off > SURFACE_M and not doubted:
+            seen[n] |= _KNOWN
+        if abs(off) > SURFACE_M or nx * x + ny * y + nz * z > 0.0:  # hidden, or the other side of a thin wall
             continue
-        off_m[found], number[found] = off, m
-        for a in range(3):
-            turned = keyframes.rotation[m, a]
-            normal[found, a] = turned[0] * nx + turned[1] * ny + turned[2] * nz
-        if _along(doubt[m], normal[found]) > 1.0:
+        if doubted and _along(doubt, keyframes.rotation[m], nx, ny, nz) > 1.0:
             continue
-        on_surface = on_surface or abs(off) < _INLIER_M
+        seen[n] |= _KNOWN | _ON_SURFACE if abs(off) < _INLIER_M else _KNOWN
+        showing[n] += 1
+        of[0, found], of[1, found], of[2, found] = y * nz - z * ny, z * nx - x * nz, x * ny - y * nx
+        of[3, found], of[4, found], of[5, found] = nx, ny, nz
+        of[6, found], of[7, found], which[found] = off, r, n
         found += 1
-    return found, found > 0 or in_front, on_surface
+    return found
+
+
+@fast_kernel
+def _sum_products(
+    of: AnyArray, number: int, which: AnyArray, showing: AnyArray, share: float, wider: float, out: AnyArray
+) -> None:
+    """Write the weighted sums (7, 7) of the products of the first seven rows of matches (8, N).
+
+    Other arguments: as of add_depth_equations() and Matches.
+    """
+    weight, scaled = np.empty(number), np.empty(number)
+    for i in range(number):
+        sigma_m = _FLOOR_M + _PER_M2 * of[_RANGE, i] * of[_RANGE, i]
+        off = of[_OFF, i] / (wider * max(_ROBUST_M, _ROBUST_SIGMAS * sigma_m))
+        shrink = 1.0 / ((1.0 + off * off) * sigma_m)
+        weight[i] = share * shrink * shrink / showing[which[i]]
+    for a in range(7):
+        one = of[a]
+        for i in range(number):
+            scaled[i] = weight[i] * one[i]
+        for b in range(a, 7):
+            other, total = of[b], 0.0
+            for i in range(number):
+                total += scaled[i] * other[i]
+            out[a, b] = out[b, a] = total
 
 
 @kernel
-def _poses_in(keyframes: Keyframes, rotation: AnyArray, place_m: AnyArray) -> tuple[AnyArray, AnyArray]:
-    """Return rotation (M, 3, 3) and place (M, 3) of a depth imager in the frames of keyframes."""
-    most = keyframes.number.shape[0]
-    turn, moved_m = np.zeros((most, 3, 3)), np.zeros((most, 3))
-    for m in range(most):
-        for a in range(3):
+def _add_turned(whole: AnyArray, turn: AnyArray, information: AnyArray, gradient: AnyArray) -> None:
+    """Add equations in the axes of a keyframe, turned (3, 3) into those of odom.
+
+    whole (7, 7): of _sum_products().
+    """
+    half = np.empty((6, 7))
+    for a in range(6):
+        first = a // 3 * 3
+        for b in range(7):
+            half[a, b] = (
+                turn[a - first, 0] * whole[first, b]
+                + turn[a - first, 1] * whole[first + 1, b]
+                + turn[a - first, 2] * whole[first + 2, b]
+            )
+    for a in range(6):
+        gradient[a] -= half[a, _OFF]
+        for b in range(6):
+            first = b // 3 * 3
             for c in range(3):
-                moved_m[m, a] += keyframes.rotation[m, c, a] * (place_m[c] - keyframes.place_m[m, c])
-                for b in range(3):
-                    turn[m, a, b] += keyframes.rotation[m, c, a] * rotation[c, b]
-    return turn, moved_m
+                information[a, b] += half[a, first + c] * turn[b - first, c]
+
+
+@kernel
+def _along(matrix: AnyArray, turn: AnyArray, nx: float, ny: float, nz: float) -> float:
+    """Return the value of a quadratic form (3, 3) in odom for a direction in the axes of a keyframe.
+
+    turn (3, 3): from these to odom.
+    """
+    out = 0.0
+    for a in range(3):
+        for b in range(3):
+            one, other = (
+                turn[a, 0] * nx + turn[a, 1] * ny + turn[a, 2] * nz,
+                turn[b, 0] * nx + turn[b, 1] * ny + turn[b, 2] * nz,
+            )
+            out += one * matrix[a, b] * other
+    return out
+
+
+@kernel
+def _pose_in(turn: AnyArray, origin_m: AnyArray, rotation: AnyArray, place_m: AnyArray) -> tuple[float, ...]:
+    """Return rotation (9 elements) and place (3) of a depth imager in the frame of a keyframe.
+
+    turn (3, 3), origin_m (3,): pose of the keyframe in odom. rotation (3, 3), place_m (3,): that of the depth imager.
+    """
+    x, y, z = place_m[0] - origin_m[0], place_m[1] - origin_m[1], place_m[2] - origin_m[2]
+    r = np.empty((3, 3))
+    for a in range(3):
+        for b in range(3):
+            r[a, b] = turn[0, a] * rotation[0, b] + turn[1, a] * rotation[1, b] + turn[2, a] * rotation[2, b]
+    return (
+        r[0, 0], r[0, 1], r[0, 2], r[1, 0], r[1, 1], r[1, 2], r[2, 0], r[2, 1], r[2, 2],
+        turn[0, 0] * x + turn[1, 0] * y + turn[2, 0] * z,
+        turn[0, 1] * x + turn[1, 1] * y + turn[2, 1] * z,
+        turn[0, 2] * x + turn[1, 2] * y + turn[2, 2] * z,
+    )  # fmt: skip
