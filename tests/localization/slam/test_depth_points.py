@@ -20,7 +20,7 @@ HERE = truth(NUMBER / RATE_HZ) @ BODY_FROM_DEPTH
 
 
 @functools.cache
-def _compared() -> tuple[FloatArray, Keyframes]:
+def compared() -> tuple[FloatArray, Keyframes]:
     """Return the points of a view, and the keyframes that it is compared with."""
     surfaces, view = KeyframeMap(), PreparedView(frame(NUMBER))
     for number in (NUMBER - 90, NUMBER - 60, NUMBER - 20):
@@ -74,7 +74,7 @@ def _plain(
 @pytest.mark.parametrize("doubted", [0.0, 3.0])
 @pytest.mark.parametrize("moved_m", [(0.0, 0.0, 0.0), (0.05, -0.02, 0.12)])
 def test_the_equations_are_those_of_plain_numpy(wider: float, doubted: float, moved_m: tuple[float, float, float]) -> None:
-    points, keyframes = _compared()
+    points, keyframes = compared()
     most = len(keyframes.number)
     assert most > 1
     pose = Pose(HERE.quat_wxyz, HERE.translation_m + np.array(moved_m))

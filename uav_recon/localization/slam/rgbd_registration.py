@@ -13,35 +13,25 @@ from dataclasses import dataclass
 import numpy as np
 
 from uav_recon.localization.slam.depth_points import add_depth_equations
+from uav_recon.localization.slam.frame_equations import DEPTH_SHARE, Compared, Equations, Estimate, Predicted, converge
 from uav_recon.localization.slam.keyframe_map import KeyframeMap, Keyframes
-from uav_recon.localization.slam.landmarks import SIZE, Landmarks, MovingImager, add_landmark_equations
+from uav_recon.localization.slam.landmarks import SIZE, Landmarks
 from uav_recon.localization.slam.place_errors import PlaceErrors
 from uav_recon.localization.slam.prepared_view import PreparedView
-from uav_recon.localization.slam.weak_directions import add_noise, leave_edges, leave_weak_directions, noise_of_normals
+from uav_recon.localization.slam.weak_directions import TRIED_SCALE
 from uav_recon.types.frames import BoolArray, FloatArray, IntArray
 from uav_recon.types.pose import Pose
 
-_ROUNDS = 10
-_FAR_ROUNDS = 8  # before them, from a far start
 _STEP_M = 0.12  # between the starts of a search along an axis
 _MOST_STEPS = (5, 2, 2)  # to each side, of a search along one, two or three axes
 _SEARCH_STARTS = 4  # of a search, those that fit best
 _APART_M = 0.1  # between places that are not the same
-_STILL_M = 2e-4
-_STILL_RAD = 1e-4
-_WIDER = (4.0, 2.0, 1.0)  # scale of the robust weights in the first rounds: a far start must be pulled, too
-_DEPTH_SHARE = 0.3  # weight of a depth point: the errors of neighbours are alike
-# shares of known points on known surfaces below which depth says nothing, and above which it counts in full
-_UNFIT = 0.55
-_FITTING = 0.85
-_ENOUGH_POINTS = 250  # points on known surfaces from which on depth counts in full
 _FEWEST_LANDMARKS = 6
 _AGREEING_SHARE = 0.5
 _POSE = slice(0, 6)
 # error of the mean normal of a wall, and of the direction of an edge in the image: if the way along them is uncertain by 0.1 m,
 # a keyframe shows the distance to them to 5 mm
 _NORMAL_RAD = 0.05
-_TRIED_ROUNDS = (0, 2)  # of Gauss-Newton near the pose, in which weak directions of depth are tried
 _PLACE = slice(3, 6)
 _LAG = slice(3, 6)  # of the joint covariance of places
 _UNCERTAIN_M = 0.08  # standard deviation of a way to a keyframe from which registration may end at a wrong place
@@ -276,68 +266,6 @@ def _way(joint: FloatArray, first: int) -> FloatArray:
     return np.asarray(joint[:3, :3] - joint[:3, other] - joint[other, :3] + joint[other, other])
 
 
-@dataclass(slots=True, eq=False)
-class _Estimate:
-    """Pose of a frame during Gauss-Newton.
-
-    rotation (3, 3), place_m (3,): in odom. turned_rad (3,): against the predicted pose. slow (2,). moved_m (6 + 3 M,): as in
-    Registration.
-    """
-
-    rotation: FloatArray
-    place_m: FloatArray
-    turned_rad: FloatArray
-    slow: FloatArray
-    moved_m: FloatArray
-
-    def step(self, step: FloatArray) -> bool:
-        """Take a step (SIZE + 3 + 3 M,). Return True if the pose has hardly moved."""
-        self.rotation = Pose.from_rotation_vector(step[:3], np.zeros(3)).rotation() @ self.rotation
-        self.place_m = self.place_m + step[_PLACE]
-        self.turned_rad, self.slow = self.turned_rad + step[:3], self.slow + step[6:SIZE]
-        self.moved_m = self.moved_m + np.concatenate((step[_PLACE], step[SIZE:]))
-        return math.hypot(*step[_PLACE].tolist()) < _STILL_M and math.hypot(*step[:3].tolist()) < _STILL_RAD
-
-    def pose(self) -> Pose:
-        """Return odom_from_depth."""
-        matrix = np.eye(4)
-        matrix[:3, :3], matrix[:3, 3] = self.rotation, self.place_m
-        return Pose.from_matrix(matrix)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Equations:
-    """Normal equations of a frame against M keyframes.
-
-    information (M, SIZE, SIZE), gradient (M, SIZE). known, inliers, fitting, depth_sigma_m, match: as in Registration.
-    """
-
-    information: FloatArray
-    gradient: FloatArray
-    known: int
-    inliers: int
-    fitting: IntArray
-    depth_sigma_m: float
-    match: float
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Predicted:
-    """Information of the prediction.
-
-    attitude (3, 3), slow (2, 2), places (6 + 3 M, 6 + 3 M): on the joint places.
-    """
-
-    attitude: FloatArray
-    slow: FloatArray
-    places: FloatArray
-
-    @staticmethod
-    def of(prior: MotionPrior, joint: FloatArray) -> _Predicted:
-        covariances = prior.attitude_covariance, prior.slow_covariance, joint + _LEAST_M2 * np.eye(len(joint))
-        return _Predicted(*(np.asarray(np.linalg.inv(covariance), dtype=np.float64) for covariance in covariances))
-
-
 def _converge(
     view: PreparedView,
     keyframes: Keyframes,
@@ -351,122 +279,36 @@ def _converge(
     shift_m (3,): from a place farther by this instead; depth counts at first even where it does not fit. doubt (M, 3, 3):
     as in add_depth_equations().
     """
-    doubt = np.zeros((len(keyframes.number), 3, 3)) if doubt is None else doubt
-    far, joint = shift_m is not None, prior.places.joint(keyframes.number)
+    joint = prior.places.joint(keyframes.number)
+    leaning = np.asarray(_NORMAL_RAD**2 * np.linalg.eigvalsh(_ways(joint))[:, -1], dtype=np.float64)
+    compared = Compared(
+        view.points, view.camera, view.depth_from_rgb.rotation(), view.depth_from_rgb.translation_m,
+        np.concatenate((prior.rate_radps, prior.velocity_mps)), keyframes, landmarks,
+        np.zeros((len(keyframes.number), 3, 3)) if doubt is None else doubt, leaning, landmarks.share, prior.turn_sigma_rad,
+    )  # fmt: skip
     moved_m = np.concatenate((np.zeros(3) if shift_m is None else shift_m, np.zeros(len(joint) - 3)))
     place_m = prior.odom_from_depth.translation_m + moved_m[:3]
-    at = _Estimate(prior.odom_from_depth.rotation(), place_m, np.zeros(3), prior.slow.copy(), moved_m)
-    predicted = _Predicted.of(prior, joint)
-    leaning = np.asarray(_NORMAL_RAD**2 * np.linalg.eigvalsh(_ways(joint))[:, -1], dtype=np.float64)
-    whole, noise = np.eye(SIZE + len(joint) - 3), None
-    rounds = _ROUNDS + _FAR_ROUNDS if far else _ROUNDS
-    for number in range(rounds):
-        near = number - (rounds - _ROUNDS)  # rounds near the pose
-        wide = _WIDER[min(max(near, 0), len(_WIDER) - 1)]
-        noise = None if near in _TRIED_ROUNDS or (far and near < 0) else noise
-        equations, noise = _equations(
-            view, keyframes, landmarks, prior, at, doubt, leaning, wide, noise, all_counts=far and near < 0
-        )
-        whole, pull = _with_prediction(equations, predicted, prior, at)
-        still = at.step(np.asarray(np.linalg.solve(whole, pull), dtype=np.float64))
-        if still and near >= len(_WIDER) - 1:
-            break
+    at = Estimate(prior.odom_from_depth.rotation(), place_m, np.zeros(3), prior.slow.copy(), moved_m)
+    predicted = _predicted(prior, joint)
+    equations, whole = Equations.empty(len(keyframes.number)), np.empty((SIZE + len(joint) - 3,) * 2)
+    known, inliers, depth_sigma_m, match = converge(compared, predicted, at, equations, whole, shift_m is not None)
     covariance = np.asarray(np.linalg.inv(whole), dtype=np.float64)
-    elements = _places(len(whole))
+    elements = np.concatenate((np.arange(3, 6), np.arange(SIZE, len(whole))))  # the joint places among the unknowns
     found = covariance[np.ix_(elements, elements)]
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = at.rotation, at.place_m
     return Registration(
-        at.pose(), keyframes, covariance[_POSE, _POSE], at.moved_m, found, _against_track(found, keyframes, prior.places),
-        _determined_share(predicted, equations), len(view.points), equations.known, equations.inliers, equations.fitting,
-        at.slow, covariance[6:SIZE, 6:SIZE], equations.depth_sigma_m, equations.match,
+        Pose.from_matrix(pose), keyframes, covariance[_POSE, _POSE], moved_m, found,
+        _against_track(found, keyframes, prior.places), _determined_share(predicted, equations), len(view.points), known,
+        inliers, equations.fitting, at.slow, covariance[6:SIZE, 6:SIZE], depth_sigma_m, match,
     )  # fmt: skip
 
 
-def _places(size: int) -> IntArray:
-    """Return the elements of the joint places among the unknowns."""
-    return np.concatenate((np.arange(3, 6), np.arange(SIZE, size)))
-
-
-def _equations(
-    view: PreparedView,
-    keyframes: Keyframes,
-    landmarks: Landmarks,
-    prior: MotionPrior,
-    at: _Estimate,
-    doubt: FloatArray,
-    leaning: FloatArray,
-    wide: float,
-    noise: FloatArray | None,
-    *,
-    all_counts: bool,
-) -> tuple[_Equations, FloatArray]:
-    """Return the equations of depth and landmarks at an estimate, and the noise of normals.
-
-    doubt (M, 3, 3): as in add_depth_equations(). leaning (M,): variance (m²) of a distance to a surface of each keyframe by its
-    normal, which is off. wide: factor on the scale of the robust weights. noise (M, 3, 3): of noise_of_normals(), None if it
-    is not known. all_counts: depth counts in full wherever it is.
-    """
-    most = len(keyframes.number)
-    surfaces, slope = np.zeros((most, SIZE, SIZE)), np.zeros((most, SIZE))
-    moved_m = at.moved_m[6:].reshape(-1, 3)
-    moved = keyframes._replace(place_m=keyframes.place_m + moved_m)
-    known, inliers = add_depth_equations(
-        view.points, at.rotation, at.place_m, moved, doubt, _DEPTH_SHARE, wide, surfaces, slope
-    )
-    match = float(np.trace(surfaces.sum(axis=0)[_PLACE, _PLACE]))
-    support = 1.0 if all_counts else _support(known, inliers)
-    surfaces, slope = support * surfaces, support * slope
-
-    def pull_at(ahead_m: FloatArray) -> FloatArray:
-        """Return the gradients (M, 3) of depth on the place, from places farther by (M, 3).
-
-        Each keyframe moves back.
-        """
-        back, unused, there = moved._replace(place_m=moved.place_m - ahead_m), np.zeros_like(surfaces), np.zeros_like(slope)
-        add_depth_equations(view.points, at.rotation, at.place_m, back, doubt, _DEPTH_SHARE, _WIDER[0], unused, there)
-        return np.asarray(support * there[:, _PLACE])
-
-    if noise is None:
-        noise = noise_of_normals(surfaces, leaning, prior.turn_sigma_rad, None if all_counts else pull_at)
-    add_noise(surfaces, slope, noise)
-    depth_sigma_m = leave_weak_directions(surfaces, slope, prior.turn_sigma_rad, support)
-    corners, pull, perfect = np.zeros((most, SIZE, SIZE)), np.zeros((most, SIZE)), np.zeros((most, 3, 3))
-    imager = MovingImager(
-        camera=view.camera, rotation=at.rotation @ view.depth_from_rgb.rotation(),
-        eye_m=at.rotation @ view.depth_from_rgb.translation_m + at.place_m, turn_m=at.place_m,
-        motion=np.concatenate((prior.rate_radps, prior.velocity_mps)), slow=at.slow,
-    )  # fmt: skip
-    fitting = np.zeros(most, np.int64)
-    there = landmarks._replace(place_m=landmarks.place_m + moved_m[landmarks.keyframe])
-    add_landmark_equations(there, imager, at.slow - prior.slow, landmarks.share, wide, corners, pull, perfect, fitting)
-    leave_edges(corners, pull, perfect)
-    add_noise(corners, pull, leaning[:, None, None] * np.eye(3))
-    surfaces, slope = surfaces + corners, slope + pull
-    leave_weak_directions(surfaces, slope, prior.turn_sigma_rad, support)
-    return _Equations(surfaces, slope, known, inliers, fitting, depth_sigma_m, match), noise
-
-
-def _with_prediction(
-    equations: _Equations, predicted: _Predicted, prior: MotionPrior, at: _Estimate
-) -> tuple[FloatArray, FloatArray]:
-    """Return information and gradient of all unknowns.
-
-    Pose, slow parameters, the place lately, and the places of M keyframes.
-    """
-    size = SIZE + len(at.moved_m) - 3
-    whole, pull = np.zeros((size, size)), np.zeros(size)
-    whole[:SIZE, :SIZE], pull[:SIZE] = equations.information.sum(axis=0), equations.gradient.sum(axis=0)
-    for m, (information, gradient) in enumerate(zip(equations.information, equations.gradient, strict=True)):
-        of = slice(SIZE + 3 + 3 * m, SIZE + 6 + 3 * m)  # a keyframe that moves is a camera that moves back
-        whole[of, :SIZE], whole[:SIZE, of] = -information[_PLACE], -information[:, _PLACE]
-        whole[of, of], pull[of] = information[_PLACE, _PLACE], -gradient[_PLACE]
-    whole[:3, :3] += predicted.attitude
-    pull[:3] -= predicted.attitude @ at.turned_rad
-    whole[6:SIZE, 6:SIZE] += predicted.slow
-    pull[6:SIZE] -= predicted.slow @ (at.slow - prior.slow)
-    elements = _places(size)
-    whole[np.ix_(elements, elements)] += predicted.places
-    pull[elements] -= predicted.places @ at.moved_m
-    return whole, pull
+def _predicted(prior: MotionPrior, joint: FloatArray) -> Predicted:
+    """Return the information of the prediction. joint (6 + 3 M, 6 + 3 M): of the places."""
+    covariances = prior.attitude_covariance, prior.slow_covariance, joint + _LEAST_M2 * np.eye(len(joint))
+    attitude, slow, places = (np.asarray(np.linalg.inv(covariance), dtype=np.float64) for covariance in covariances)
+    return Predicted(attitude, slow, places, prior.slow)
 
 
 def _against_track(joint: FloatArray, keyframes: Keyframes, places: PlaceErrors) -> FloatArray:
@@ -483,7 +325,7 @@ def _worst_m(covariance: FloatArray) -> float:
     return math.sqrt(max(float(np.linalg.eigvalsh(covariance)[-1]), 0.0))
 
 
-def _determined_share(predicted: _Predicted, equations: _Equations) -> FloatArray:
+def _determined_share(predicted: Predicted, equations: Equations) -> FloatArray:
     """Return the share (3, 3) of the place that a frame has determined.
 
     Its eigenvalues are between 0 and 1.
@@ -504,14 +346,4 @@ def _inliers(view: PreparedView, keyframes: Keyframes, rotation: FloatArray, pla
     """Return the number of depth points on a known surface from a pose."""
     most = len(keyframes.number)
     unused, none = (np.zeros((most, SIZE, SIZE)), np.zeros((most, SIZE))), np.zeros((most, 3, 3))
-    return int(add_depth_equations(view.points, rotation, place_m, keyframes, none, _DEPTH_SHARE, _WIDER[0], *unused)[1])
-
-
-def _support(known: int, inliers: int) -> float:
-    """Return the weight 0 to 1 of depth as a whole.
-
-    It is little where little is known, or where much of it does not fit.
-    """
-    fit = inliers / max(known, 1)
-    fitting = min(max((fit - _UNFIT) / (_FITTING - _UNFIT), 0.0), 1.0)
-    return max(fitting**2 * min(inliers / _ENOUGH_POINTS, 1.0) ** 2, 1e-6)
+    return int(add_depth_equations(view.points, rotation, place_m, keyframes, none, DEPTH_SHARE, TRIED_SCALE, *unused)[1])

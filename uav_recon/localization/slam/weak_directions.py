@@ -1,22 +1,23 @@
 """Weak directions: translations of which a frame has information on paper only.
 
 Normals of a bare wall scatter, edges of an image lean, and what walls and edges leave undetermined is never exactly parallel.
-All functions change the equations of a frame: information (M, SIZE, SIZE) and gradient (M, SIZE) against each of M keyframes,
+The kernels change the equations of a frame: information (M, SIZE, SIZE) and gradient (M, SIZE) against each of M keyframes,
 whose first six elements are the turn of the camera in odom axes and its place.
 Zhang, Kaess and Singh 2016, On Degeneracy of Optimization-based State Estimation Problems.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 
-from uav_recon.localization.slam.landmarks import SIZE
-from uav_recon.types.frames import FloatArray
+from uav_recon.geometry.jit import kernel
+from uav_recon.geometry.small_matrices import product, solve_in_place, symmetric_eigen
+from uav_recon.localization.slam.depth_points import add_depth_equations
+from uav_recon.localization.slam.keyframe_map import Keyframes
+from uav_recon.types.frames import AnyArray
 
-_PLACE = slice(3, 6)
 # A frame tells less of each direction by this share of its information in the best one: along a plane the noise of the normals
 # would hold the camera to where it was.
 _WEAK_SHARE = 0.005
@@ -28,87 +29,160 @@ _TRIED_M = 0.04  # ... by moving the camera by this to both sides
 _EDGES_SHARE = 0.05
 _LEAST_SHOWN = 1.0  # keeps the shares finite in directions that no landmark could show
 _TINY = 1e-9
+TRIED_SCALE = 4.0  # of the robust weight: a wall that pulls back pulls from there, too
 _UNKNOWN_M2 = 100.0  # variance of a place of which nothing is known
 
 
+class TriedDepth(NamedTuple):
+    """Depth with which weak directions are tried, for kernels.
+
+    points (N, 3), rotation (3, 3), place_m (3,), keyframes, doubt (M, 3, 3), share: as of add_depth_equations().
+    """
+
+    points: AnyArray
+    rotation: AnyArray
+    place_m: AnyArray
+    keyframes: Keyframes
+    doubt: AnyArray
+    share: float
+
+
+@kernel
 def noise_of_normals(
-    information: FloatArray, leaning: FloatArray, turn_sigma_rad: float, pull_at: Callable[[FloatArray], FloatArray] | None
-) -> FloatArray:
-    """Return the noise (M, 3, 3) of the place of each keyframe, m², by its normals.
+    information: AnyArray, leaning: AnyArray, turn_sigma_rad: float, depth: TriedDepth, tried: bool, out: AnyArray
+) -> None:
+    """Write the noise (M, 3, 3) of the place of each keyframe, m², by its normals.
 
     Where the normals of a bare wall scatter, the equations are those of a wall that shows the place along it; but a camera that
-    is moved along it, to either side, is not pulled back. pull_at(ahead_m): gradient (M, 3) on the place from places farther by
-    (M, 3), one for each keyframe; None far from the pose, where it says nothing.
-    leaning (M,): as in _equations().
+    is moved along it, to either side, is not pulled back. tried: it is moved; far from the pose this says nothing.
+    leaning (M,): variance (m²) of a distance to a surface of each keyframe by its normal, which is off.
     Zhang, Kaess and Singh 2016, On Degeneracy of Optimization-based State Estimation Problems.
     """
-    turn = information[:, :3, :3] + np.eye(3) * turn_sigma_rad**-2
-    across = information[:, :3, _PLACE]
-    alone = information[:, _PLACE, _PLACE] - np.swapaxes(across, 1, 2) @ np.linalg.solve(turn, across)
-    values, directions = np.linalg.eigh(alone)
-    left = np.maximum(values, 0.0)
+    most = information.shape[0]
+    values, directions, left = np.empty((most, 3)), np.empty((most, 3, 3)), np.empty((most, 3))
+    for m in range(most):
+        values[m], directions[m] = _place_alone(information[m], turn_sigma_rad)
+        for k in range(3):
+            left[m, k] = max(values[m, k], 0.0)
     for k in range(2):
-        weak = values[:, k] < _DOUBTED_SHARE * values[:, -1]
-        if pull_at is None or not weak.any():
+        weak = values[:, k] < _DOUBTED_SHARE * values[:, 2]
+        if not (tried and weak.any()):
             break
-        ahead_m = _TRIED_M * directions[:, :, k]
-        there, back = (np.einsum("ma,ma->m", pull_at(side * ahead_m), ahead_m) for side in (1.0, -1.0))
-        pulled = np.clip(np.minimum(-there, back) / _TRIED_M**2, 0.0, left[:, k])
-        left[:, k] = np.where(weak, pulled, left[:, k])
-    noise = _noise(values, left) + leaning[:, None]
-    return np.asarray((directions * noise[:, None]) @ np.swapaxes(directions, 1, 2))
+        ahead, back = _pulled(depth, directions[:, :, k], _TRIED_M), _pulled(depth, directions[:, :, k], -_TRIED_M)
+        for m in range(most):
+            if weak[m]:
+                left[m, k] = min(max(min(ahead[m], back[m]), 0.0), left[m, k])
+    for m in range(most):
+        out[m] = _noise(values[m], left[m], directions[m])
+        for a in range(3):
+            out[m, a, a] += leaning[m]
 
 
-def _noise(values: FloatArray, left: FloatArray) -> FloatArray:
-    """Return the variances (..., 3) of noise with which less information is left.
+@kernel
+def _pulled(depth: TriedDepth, directions: AnyArray, moved_m: float) -> AnyArray:
+    """Return the information (M,) with which depth pulls a camera back that is moved in a direction (M, 3) of each keyframe."""
+    most, frames = directions.shape[0], depth.keyframes
+    away = Keyframes(
+        frames.number, frames.depth_m, frames.normal, frames.camera, frames.rotation,
+        frames.place_m - moved_m * directions, frames.variance,
+    )  # fmt: skip
+    unused, gradient, out = np.zeros((most, 6, 6)), np.zeros((most, 6)), np.zeros(most)
+    add_depth_equations(
+        depth.points, depth.rotation, depth.place_m, away, depth.doubt, depth.share, TRIED_SCALE, unused, gradient
+    )
+    for m in range(most):
+        for a in range(3):
+            out[m] -= gradient[m, 3 + a] * directions[m, a] / moved_m
+    return out
 
-    values (..., 3): information without the noise; left (..., 3): with it.
+
+@kernel
+def _place_alone(information: AnyArray, turn_sigma_rad: float) -> tuple[AnyArray, AnyArray]:
+    """Return eigenvalues (3,) and directions (3, 3) of what information (SIZE, SIZE) says of the place alone.
+
+    The turn is eliminated. Smallest value first, directions in columns.
     """
-    return np.asarray(np.minimum(1.0 / np.maximum(left, _TINY) - 1.0 / np.maximum(values, _TINY), _UNKNOWN_M2))
+    turn, gain = information[:3, :3].copy(), information[:3, 3:6].copy()
+    for a in range(3):
+        turn[a, a] += turn_sigma_rad**-2
+    solve_in_place(turn, gain)
+    alone = information[3:6, 3:6] - product(information[3:6, :3], gain)
+    return symmetric_eigen(0.5 * (alone + alone.T))
 
 
-def leave_weak_directions(information: FloatArray, gradient: FloatArray, turn_sigma_rad: float, support: float) -> float:
+@kernel
+def _noise(values: AnyArray, left: AnyArray, directions: AnyArray) -> AnyArray:
+    """Return the noise (3, 3), m², with which less information is left.
+
+    values (3,): information without the noise, along directions (3, 3) in columns; left (3,): with it.
+    """
+    out = np.zeros((3, 3))
+    for k in range(3):
+        noise = min(1.0 / max(left[k], _TINY) - 1.0 / max(values[k], _TINY), _UNKNOWN_M2)
+        for a in range(3):
+            for b in range(3):
+                out[a, b] += noise * directions[a, k] * directions[b, k]
+    return out
+
+
+@kernel
+def leave_weak_directions(information: AnyArray, gradient: AnyArray, turn_sigma_rad: float, support: float) -> float:
     """Remove the translations that all keyframes together do not determine.
 
     From the equations of depth, or of all.
     support: weight of depth as a whole. Returns the standard deviation of the worst translation.
     """
-    both = information.sum(axis=0)
-    turn = both[:3, :3] + np.eye(3) * turn_sigma_rad**-2
-    alone = both[3:6, 3:6] - both[3:6, :3] @ np.linalg.solve(turn, both[:3, 3:6])
-    values, directions = np.linalg.eigh(0.5 * (alone + alone.T))
-    left = np.maximum(values - max(_WEAK_SHARE * values[-1], support * _WEAK_M**-2), 0.0)
-    noise = (directions * _noise(values, left)) @ directions.T
-    add_noise(information, gradient, np.tile(noise, (len(information), 1, 1)))
-    return 1.0 / math.sqrt(max(float(left[0]), _TINY))
+    values, directions = _place_alone(information.sum(axis=0), turn_sigma_rad)
+    left = np.empty(3)
+    for k in range(3):
+        left[k] = max(values[k] - max(_WEAK_SHARE * values[2], support * _WEAK_M**-2), 0.0)
+    noise = np.empty((information.shape[0], 3, 3))
+    noise[:] = _noise(values, left, directions)
+    add_noise(information, gradient, noise)
+    return float(1.0 / np.sqrt(max(left[0], _TINY)))
 
 
-def add_noise(information: FloatArray, gradient: FloatArray, noise: FloatArray) -> None:
+@kernel
+def add_noise(information: AnyArray, gradient: AnyArray, noise: AnyArray) -> None:
     """Let the place of each keyframe be off by noise (M, 3, 3), m².
 
     In what a frame says of it.
     The offset is an unknown that is eliminated from the equations.
     """
-    place = information[:, _PLACE, _PLACE]
-    gain = information[:, :, _PLACE] @ noise @ np.linalg.inv(np.eye(3) + place @ noise)
-    gradient -= np.einsum("mab,mb->ma", gain, gradient[:, _PLACE])
-    left = information - gain @ information[:, _PLACE]
-    information[:] = 0.5 * (left + np.swapaxes(left, 1, 2))
+    for m in range(information.shape[0]):
+        # gain = information[:, place] @ noise @ inv(1 + place @ noise), with the noise symmetric
+        spread, gain = product(noise[m], information[m, 3:6, 3:6]), product(noise[m], information[m, 3:6, :])
+        for a in range(3):
+            spread[a, a] += 1.0
+        solve_in_place(spread, gain)
+        gradient[m] -= product(gradient[m, 3:6].reshape(1, 3), gain)[0]
+        less = product(information[m, :, 3:6], gain)
+        information[m] -= 0.5 * (less + less.T)
 
 
-def leave_edges(information: FloatArray, gradient: FloatArray, shown: FloatArray) -> None:
+@kernel
+def leave_edges(information: AnyArray, gradient: AnyArray, shown: AnyArray) -> None:
     """Remove from the equations of landmarks the translations along their edges.
 
     Of each keyframe on its own.
     The direction of an edge in an image is known to some degrees only. shown (M, 3, 3): of add_landmark_equations().
     """
-    for m in np.flatnonzero(shown.any(axis=(1, 2))).tolist():
-        perfect = shown[m] + _LEAST_SHOWN * np.eye(3)
-        root = np.linalg.inv(np.linalg.cholesky(perfect))
-        values, vectors = np.linalg.eigh(root @ information[m, _PLACE, _PLACE] @ root.T)
-        along = root.T @ vectors[:, values < _EDGES_SHARE]
-        if along.size:
-            kept = np.eye(SIZE)
-            kept[_PLACE, _PLACE] -= along @ along.T @ perfect
-            information[m] = kept.T @ information[m] @ kept
-            gradient[m] = gradient[m] @ kept
+    size = information.shape[1]
+    for m in range(information.shape[0]):
+        if not shown[m].any():
+            continue
+        perfect, kept = shown[m].copy(), np.eye(size)
+        for a in range(3):
+            perfect[a, a] += _LEAST_SHOWN
+        values, vectors = symmetric_eigen(perfect)
+        root = vectors / np.sqrt(values)
+        shares, axes = symmetric_eigen(product(root.T, product(information[m, 3:6, 3:6], root)))
+        along = product(root, axes)
+        across = product(along.T, perfect)
+        for k in range(3):
+            if shares[k] < _EDGES_SHARE:
+                for a in range(3):
+                    for b in range(3):
+                        kept[3 + a, 3 + b] -= along[a, k] * across[k, b]
+        information[m] = product(kept.T, product(information[m], kept))
+        gradient[m] = product(gradient[m].reshape(1, size), kept)[0]
