@@ -19,6 +19,7 @@ from uav_recon.localization.slam.keyframe_map import KeyframeMap, Keyframes
 from uav_recon.localization.slam.landmarks import (
     SIZE,
     Corners,
+    Expected,
     Landmarks,
     MovingImager,
     add_landmark_equations,
@@ -312,8 +313,12 @@ def test_there_is_no_place_at_an_edge_of_depth_or_without_depth() -> None:
 
 def _seen(corners: Corners, here: Pose, view: PreparedView, predicted: Pose) -> Landmarks:
     """Return the landmarks that a view shows, looked for from a predicted pose."""
-    expected = corners.expected(here, view, moving_imager(view, predicted, np.zeros(6), np.zeros(2)), np.zeros(2))
-    return corners.follow(view, 0, here, expected)
+    expected = _expected(corners, here, view, moving_imager(view, predicted, np.zeros(6), np.zeros(2)), np.zeros(2))
+    return corners.follow(view, 0, here.rotation(), expected)
+
+
+def _expected(corners: Corners, here: Pose, view: PreparedView, imager: MovingImager, slow: FloatArray) -> Expected:
+    return corners.expected(here.rotation(), here.translation_m, view, imager, slow)
 
 
 def test_corners_are_followed_to_where_the_room_shows_them() -> None:
@@ -367,9 +372,31 @@ def test_a_remembered_difference_is_where_the_search_begins() -> None:
     pose, view = truth(4.0) @ BODY_FROM_DEPTH, PreparedView(frame(60))
     corners = Corners.of(view, pose, np.zeros(6), np.zeros(2))
     imager, which = moving_imager(view, pose, np.zeros(6), np.zeros(2)), np.arange(3)
-    plain = corners.expected(pose, view, imager, np.zeros(2))
+    plain = _expected(corners, pose, view, imager, np.zeros(2))
     corners.remember(plain.which[:3], np.full((3, 2), 1.5, np.float32), view.frame.stamp_s - 0.1)
-    moved = corners.expected(pose, view, imager, np.zeros(2))
+    moved = _expected(corners, pose, view, imager, np.zeros(2))
     np.testing.assert_allclose(moved.at_px[which] - plain.at_px[which], 1.5, atol=1e-4)
     later = PreparedView(replace(view.frame, stamp_s=view.frame.stamp_s + 1.0))
-    np.testing.assert_allclose(corners.expected(pose, later, imager, np.zeros(2)).at_px, plain.at_px, atol=1e-4)
+    np.testing.assert_allclose(_expected(corners, pose, later, imager, np.zeros(2)).at_px, plain.at_px, atol=1e-4)
+
+
+def test_the_expected_corners_are_those_of_plain_numpy() -> None:
+    pose, view = truth(4.0) @ BODY_FROM_DEPTH, PreparedView(frame(60))
+    corners = Corners.of(view, pose, MOTION, np.array([0.01, 0.002]))
+    corners.remember(np.arange(0, 40, 3), np.full((14, 2), 4.0, np.float32), view.frame.stamp_s)
+    turn = Pose.from_rotation_vector(np.array([0.1, -0.5, 0.05]), np.array([0.25, 0.1, -0.1]))
+    imager, slow = moving_imager(view, pose @ turn, MOTION, np.array([0.02, 0.001])), np.array([0.02, 0.001])
+    found = _expected(corners, pose, view, imager, slow)
+
+    place_m = pose.apply(corners.place_m + corners.slope @ (slow - corners.slow))
+    at_px = _projected(place_m, imager) + np.where((corners.off_s == view.frame.stamp_s)[:, None], corners.off_px, 0.0)
+    there, here = place_m - imager.eye_m, place_m - pose.translation_m
+    nearer = np.linalg.norm(there, axis=1) / np.linalg.norm(here, axis=1)
+    alike = (nearer > 0.7) & (nearer < 1 / 0.7)
+    alike &= np.einsum("na,na->n", there, here) > 0.9 * np.linalg.norm(there, axis=1) * np.linalg.norm(here, axis=1)
+    within = (at_px >= 5.0).all(axis=1) & (at_px <= np.array([212 - 6, 120 - 6])).all(axis=1)
+    expected = np.flatnonzero(alike & within)
+    assert 10 < len(expected) < np.isfinite(corners.place_m[:, 0]).sum()
+    np.testing.assert_array_equal(found.which, expected)
+    np.testing.assert_allclose(found.place_m, place_m[expected])
+    np.testing.assert_allclose(found.at_px, at_px[expected], rtol=1e-5)

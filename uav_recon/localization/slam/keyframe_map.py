@@ -102,14 +102,18 @@ class KeyframeMap:
         imager = moving_imager(view, odom_from_depth, motion, slow)
         like = self._like(looked, odom_from_depth)
         candidates = _most(like)
-        shown = {number: self._corners[number].expected(self.pose(number), view, imager, slow) for number in candidates}
+        rotation, place_m = self._all.rotation, self._all.place_m
+        shown = {
+            number: self._corners[number].expected(rotation[number], place_m[number], view, imager, slow)
+            for number in candidates.tolist()
+        }
         chosen = self._covering(looked, like)
         if shown:
             best = max(shown, key=lambda number: len(shown[number].which))
             chosen = chosen if best in chosen else np.append(chosen, best)
         keyframes = self._chosen(chosen)
         followed = [
-            self._corners[number].follow(view, m, self.pose(number), shown[number])
+            self._corners[number].follow(view, m, rotation[number], shown[number])
             for m, number in enumerate(chosen.tolist())
             if number in shown
         ]

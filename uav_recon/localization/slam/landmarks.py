@@ -154,25 +154,25 @@ class Corners:
         known = np.isfinite(places[:, 0])
         self.place_m[known] = places[known]
 
-    def expected(self, odom_from_keyframe: Pose, view: PreparedView, imager: MovingImager, slow: FloatArray) -> Expected:
+    def expected(
+        self, turn: FloatArray, origin_m: FloatArray, view: PreparedView, imager: MovingImager, slow: FloatArray
+    ) -> Expected:
         """Return the corners that a view is expected to show as the keyframe did.
 
-        slow (2,): as in MovingImager.
+        turn (3, 3), origin_m (3,): pose of the keyframe in odom. slow (2,): as in MovingImager.
         """
         if view.grey is None or view.grey.shape != self.grey.shape:
             return Expected(np.empty(0, np.int64), np.empty((0, 3)), np.empty((0, 2), np.float32))
-        place_m = odom_from_keyframe.apply(self.place_m + self.slope @ (slow - self.slow))
-        at_px = project(place_m, imager)
-        late = view.frame.stamp_s - self.off_s > _LATE_S
-        at_px = (at_px + np.where(late[:, None], 0.0, self.off_px)).astype(np.float32)
-        alike = seen_alike(place_m, odom_from_keyframe.translation_m, imager.eye_m)
-        which = np.flatnonzero(alike & inside(at_px, view.grey, _WINDOW_PX))[:FOLLOWED]
-        return Expected(which, place_m[which], at_px[which])
+        out = Expected(np.empty(FOLLOWED, np.int64), np.empty((FOLLOWED, 3)), np.empty((FOLLOWED, 2), np.float32))
+        corners = KeyframeCorners(turn, origin_m, self.place_m, self.slope, self.off_px, self.off_s)
+        height, width = self.grey.shape
+        found = expect(corners, slow - self.slow, imager, view.frame.stamp_s, height, width, out)
+        return Expected(out.which[:found], out.place_m[:found], out.at_px[:found])
 
-    def follow(self, view: PreparedView, keyframe: int, odom_from_keyframe: Pose, expected: Expected) -> Landmarks:
+    def follow(self, view: PreparedView, keyframe: int, turn: FloatArray, expected: Expected) -> Landmarks:
         """Return the landmarks that a view shows. About 1 ms.
 
-        keyframe: as in Landmarks.
+        keyframe: as in Landmarks. turn (3, 3): of the keyframe in odom.
         """
         if view.grey is None or not len(expected.which):
             return Landmarks.none()
@@ -188,7 +188,7 @@ class Corners:
             returns_px=_RETURNS_PX,
         )
         which = expected.which[found]
-        slope = np.einsum("ab,nbk->nak", odom_from_keyframe.rotation(), self.slope[which])
+        slope = np.matmul(turn, self.slope[which])
         number = np.full(len(which), keyframe, np.int64)
         return Landmarks(expected.place_m[found], slope, at_px[found], self.texture[which], number, which)
 
@@ -249,21 +249,61 @@ def project(place_m: AnyArray, imager: MovingImager) -> AnyArray:
     return out
 
 
-@kernel
-def seen_alike(place_m: AnyArray, eye_m: AnyArray, other_m: AnyArray) -> AnyArray:
-    """Return which places (N, 3) look alike from two points (3,).
+class KeyframeCorners(NamedTuple):
+    """Corners of a keyframe, for kernels.
 
-    They are about as large from both, and seen from about the same side.
+    turn (3, 3), origin_m (3,): pose of the depth imager in odom. Others: as in Corners.
     """
-    out = np.zeros(place_m.shape[0], np.bool_)
-    for n in range(place_m.shape[0]):
-        along = one = other = 0.0
+
+    turn: AnyArray
+    origin_m: AnyArray
+    place_m: AnyArray
+    slope: AnyArray
+    off_px: AnyArray
+    off_s: AnyArray
+
+
+@kernel
+def expect(
+    corners: KeyframeCorners, change: AnyArray, imager: MovingImager, stamp_s: float, height: int, width: int, out: Expected
+) -> int:
+    """Write the first corners of a keyframe that an image (height, width) is expected to show as the keyframe did.
+
+    change (2,): of ``slow`` since their places were right. Returns their number, at most that for which ``out`` has room.
+    """
+    pixel, columns, place_m, room_px, found = np.empty(2), np.empty((2, SIZE)), np.empty(3), _WINDOW_PX // 2, 0
+    for n in range(corners.place_m.shape[0]):
+        if found == out.which.shape[0]:
+            break
         for a in range(3):
-            p, q = place_m[n, a] - eye_m[a], place_m[n, a] - other_m[a]
-            along, one, other = along + p * q, one + p * p, other + q * q
-        alike = _LEAST_SIZE * _LEAST_SIZE * one < other < one / (_LEAST_SIZE * _LEAST_SIZE)
-        out[n] = alike and along > _ALIKE_COS * np.sqrt(one * other)
-    return out
+            place_m[a] = corners.origin_m[a]
+            for b in range(3):
+                moved_m = corners.slope[n, b, 0] * change[0] + corners.slope[n, b, 1] * change[1]
+                place_m[a] += corners.turn[a, b] * (corners.place_m[n, b] + moved_m)
+        if not (_is_alike(place_m, corners.origin_m, imager.eye_m) and _row(place_m, imager, pixel, columns) >= _NEAREST_M):
+            continue
+        if stamp_s - corners.off_s[n] <= _LATE_S:
+            pixel += corners.off_px[n]
+        u, v = np.float32(pixel[0]), np.float32(pixel[1])
+        if room_px <= u <= width - 1 - room_px and room_px <= v <= height - 1 - room_px:
+            out.which[found], out.place_m[found] = n, place_m
+            out.at_px[found, 0], out.at_px[found, 1] = u, v
+            found += 1
+    return found
+
+
+@kernel
+def _is_alike(place_m: AnyArray, eye_m: AnyArray, other_m: AnyArray) -> bool:
+    """Return True if a place (3,) looks alike from two points (3,).
+
+    It is about as large from both, and seen from about the same side.
+    """
+    along = one = other = 0.0
+    for a in range(3):
+        p, q = place_m[a] - eye_m[a], place_m[a] - other_m[a]
+        along, one, other = along + p * q, one + p * p, other + q * q
+    alike = _LEAST_SIZE * _LEAST_SIZE * one < other < one / (_LEAST_SIZE * _LEAST_SIZE)
+    return bool(alike and along > _ALIKE_COS * np.sqrt(one * other))
 
 
 @kernel
