@@ -50,24 +50,24 @@ def cell_depths(depth_m: AnyArray, cell: int, out: AnyArray) -> AnyArray:
 
     Of two surfaces in a cell the nearer one counts.
     """
+    width, none = out.shape[1], np.float32(np.inf)
+    of, nearest = np.empty((cell * cell, width), np.float32), np.empty(width, np.float32)
     for v in range(out.shape[0]):
-        for u in range(out.shape[1]):
-            nearest = np.inf
-            for a in range(cell):
-                for b in range(cell):
-                    z = depth_m[v * cell + a, u * cell + b]
-                    if 0.0 < z < nearest:
-                        nearest = z
-            total, number = 0.0, 0
-            if nearest <= REACH_M:
-                most = nearest * (1.0 + _SAME_SHARE) + _SAME_M
-                for a in range(cell):
-                    for b in range(cell):
-                        z = depth_m[v * cell + a, u * cell + b]
-                        if 0.0 < z <= most:
-                            total += z
-                            number += 1
-            out[v, u] = total / number if number else 0.0
+        nearest[:] = none
+        for k in range(cell * cell):
+            row, first = depth_m[v * cell + k // cell], k % cell
+            for u in range(width):
+                z = row[u * cell + first]
+                of[k, u] = z if z > 0.0 else none
+        for k in range(cell * cell):
+            for u in range(width):
+                nearest[u] = of[k, u] if of[k, u] < nearest[u] else nearest[u]
+        for u in range(width):
+            total, number, most = 0.0, 0.0, nearest[u] * (1.0 + _SAME_SHARE) + _SAME_M
+            for k in range(cell * cell):
+                same = of[k, u] <= most
+                total, number = total + (of[k, u] if same else 0.0), number + (1.0 if same else 0.0)
+            out[v, u] = total / number if nearest[u] <= REACH_M else 0.0
     return out
 
 
