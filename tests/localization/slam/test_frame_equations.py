@@ -16,6 +16,7 @@ from uav_recon.localization.slam.frame_equations import (
     Estimate,
     Predicted,
     converge,
+    determined_share,
     take_step,
     write_equations,
 )
@@ -49,7 +50,8 @@ def _compared(many: int) -> Compared:
     whose = random.integers(0, most, many)
     landmarks = Landmarks(place_m, random.normal(0.0, 0.1, (many, 3, 2)), at_px, texture, whose, np.arange(many))
     return Compared(
-        points, RGB_LENS.pinhole_px(), DEPTH_FROM_RGB.rotation(), DEPTH_FROM_RGB.translation_m, MOTION, keyframes, landmarks,
+        points, RGB_LENS.pinhole_px(), DEPTH_FROM_RGB.rotation(), DEPTH_FROM_RGB.translation_m, MOTION,
+        keyframes, landmarks,
         np.zeros((most, 3, 3)), np.linspace(0.0, 1e-4, most), 0.5, TURN_SIGMA_RAD,
     )  # fmt: skip
 
@@ -130,3 +132,21 @@ def test_at_the_end_a_step_is_still() -> None:
     at, out, whole = _estimate(most, np.zeros(3)), Equations.empty(most), np.empty((SIZE + 3 + 3 * most,) * 2)
     converge(seen, _predicted(most), at, out, whole, False)
     assert take_step(out, _predicted(most), at, whole)
+
+
+def test_the_determined_share_is_that_of_what_is_known_after_the_frame() -> None:
+    """Against the place that the prediction alone knows, with turn, delay and width eliminated from the frame's equations."""
+    seen = _compared(80)
+    most = len(seen.doubt)
+    predicted, out = _predicted(most), Equations.empty(most)
+    write_equations(seen, _estimate(most, np.zeros(3)), SLOW, 1.0, False, True, out)
+    shown, others = out.information.sum(axis=0), np.array([0, 1, 2, 6, 7])
+    prior = np.zeros((5, 5))
+    prior[:3, :3], prior[3:, 3:] = predicted.attitude, predicted.slow
+    across = shown[np.ix_(others, np.arange(3, 6))]
+    place = shown[3:6, 3:6] - across.T @ np.linalg.inv(shown[np.ix_(others, others)] + prior) @ across
+    values, axes = np.linalg.eigh(np.linalg.inv(predicted.places[:3, :3]))
+    root = (axes * np.sqrt(values)) @ axes.T
+    share = determined_share(out, predicted)
+    np.testing.assert_allclose(share, np.eye(3) - np.linalg.inv(np.eye(3) + root @ place @ root), atol=1e-9)
+    assert -1e-9 < np.linalg.eigvalsh(share)[0] < np.linalg.eigvalsh(share)[2] < 1.0

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from uav_recon.localization.slam import place_errors
-from uav_recon.localization.slam.place_errors import PlaceErrors, Update
+from uav_recon.localization.slam.place_errors import PlaceErrors, Update, worst_variances
 from uav_recon.types.frames import FloatArray, IntArray
 
 STEP_S = 0.1
@@ -168,3 +168,11 @@ def test_the_place_against_that_lately_is_uncertain_by_the_motion_since() -> Non
     for _ in range(5):
         expected = transition @ expected @ transition.T + noise
     np.testing.assert_allclose(errors.against_lag(), expected, atol=1e-9)
+
+
+def test_the_worst_variances_are_those_of_the_ways() -> None:
+    root = np.random.default_rng(6).standard_normal((12, 15))
+    joint = root @ root.T
+    ways = [np.hstack((np.eye(3), np.zeros((3, 3 * m)), -np.eye(3), np.zeros((3, 6 - 3 * m)))) for m in range(3)]
+    expected = [np.linalg.eigvalsh(way @ joint @ way.T)[-1] for way in ways]
+    np.testing.assert_allclose(worst_variances(joint), expected, rtol=1e-9)

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from uav_recon.geometry.jit import kernel
-from uav_recon.geometry.small_matrices import product, solve_in_place
+from uav_recon.geometry.small_matrices import product, solve_in_place, symmetric_eigen
 from uav_recon.localization.slam.depth_points import add_depth_equations
 from uav_recon.localization.slam.keyframe_map import Keyframes
 from uav_recon.localization.slam.landmarks import SIZE, Landmarks, MovingImager, add_landmark_equations
@@ -258,3 +258,27 @@ def converge(
         if take_step(equations, predicted, at, whole) and number >= len(_WIDER) - 1:
             break
     return known, inliers, depth_sigma_m, match
+
+
+@kernel
+def determined_share(equations: Equations, predicted: Predicted) -> AnyArray:
+    """Return the share (3, 3) of the place that a frame has determined, against the prediction.
+
+    Its eigenvalues are between 0 and 1.
+    """
+    shown, others = equations.information.sum(axis=0), np.array([0, 1, 2, 6, 7])
+    known, across = np.empty((5, 5)), np.empty((5, 3))
+    for a in range(5):
+        across[a] = shown[others[a], 3:6]
+        for b in range(5):
+            known[a, b] = shown[others[a], others[b]]
+    known[:3, :3] += predicted.attitude
+    known[3:, 3:] += predicted.slow
+    gain, before, left = across.copy(), np.eye(3), np.eye(3)
+    solve_in_place(known, gain)
+    place = shown[3:6, 3:6] - product(across.T, gain)
+    solve_in_place(predicted.places[:3, :3].copy(), before)
+    values, axes = symmetric_eigen(before)
+    root = product(axes * np.sqrt(np.maximum(values, 0.0)), axes.T)
+    solve_in_place(np.eye(3) + product(root, product(place, root)), left)
+    return np.eye(3) - left

@@ -53,7 +53,7 @@ class GyroAlignment:
     @property
     def delay_s(self) -> float:
         """Time from what a frame shows to its stamp."""
-        return float(np.clip(self._state[3], -_MOST_DELAY_S, _MOST_DELAY_S))
+        return min(max(float(self._state[3]), -_MOST_DELAY_S), _MOST_DELAY_S)
 
     @property
     def delay_sigma_s(self) -> float:
@@ -175,8 +175,10 @@ class GyroAlignment:
         if ends is None:
             return None
         between = multiply(conjugate(ends[0].gyro_from_body), ends[1].gyro_from_body)
-        turned = np.array(logarithm(between)) - (b_s - a_s) * self._state[:3]
-        return np.asarray(turned + np.cross(self._state[_MOUNT], turned))
+        by_x, by_y, by_z, _, mount_x, mount_y, mount_z = self._state.tolist()
+        x, y, z = logarithm(between)
+        x, y, z = x - (b_s - a_s) * by_x, y - (b_s - a_s) * by_y, z - (b_s - a_s) * by_z
+        return np.array([x + mount_y * z - mount_z * y, y + mount_z * x - mount_x * z, z + mount_x * y - mount_y * x])
 
 
 def _cross(vector: FloatArray) -> FloatArray:

@@ -13,7 +13,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from uav_recon.types.frames import FloatArray, IntArray
+from uav_recon.geometry.jit import kernel
+from uav_recon.geometry.small_matrices import symmetric_eigen
+from uav_recon.types.frames import AnyArray, FloatArray, IntArray
 
 PLACE = slice(0, 3)  # of the body's state
 _FIRST_LAG_M = 1e-3
@@ -118,8 +120,11 @@ class PlaceErrors:
         Those of the body now, one or two seconds ago, and of M keyframes.
         """
         own, at = self._own, _elements(numbers)
-        cross = self.cross[np.ix_(own, at)]
-        return np.block([[self.body[np.ix_(own, own)], cross], [cross.T, self.shared[np.ix_(at, at)]]])
+        out = np.empty((6 + len(at), 6 + len(at)))
+        out[:6, :6], out[6:, 6:] = self.body[own[:, None], own], self.shared[at[:, None], at]
+        out[:6, 6:] = self.cross[own[:, None], at]
+        out[6:, :6] = out[:6, 6:].T
+        return out
 
     def against_lag(self) -> FloatArray:
         """Return the covariance (S, S) of the state with the place against that lately.
@@ -177,6 +182,20 @@ class PlaceErrors:
     def _own(self) -> IntArray:
         """Elements (6,) of the place and the older one of those lately."""
         return np.concatenate((np.arange(3), np.arange(self._lag.start, self._lag.stop)))
+
+
+@kernel
+def worst_variances(joint: AnyArray) -> AnyArray:
+    """Return the variances (1 + M,) of the ways from the place to others, each in its worst direction, m².
+
+    To the one lately, and to those of M keyframes. joint (6 + 3 M, 6 + 3 M): of PlaceErrors.joint().
+    """
+    out = np.empty(joint.shape[0] // 3 - 1)
+    for m in range(out.shape[0]):
+        first, last = 3 + 3 * m, 6 + 3 * m
+        way = joint[:3, :3] - joint[:3, first:last] - joint[first:last, :3] + joint[first:last, first:last]
+        out[m] = symmetric_eigen(way)[0][2]
+    return out
 
 
 def _positive(matrix: FloatArray) -> FloatArray:

@@ -13,10 +13,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from uav_recon.localization.slam.depth_points import add_depth_equations
-from uav_recon.localization.slam.frame_equations import DEPTH_SHARE, Compared, Equations, Estimate, Predicted, converge
+from uav_recon.localization.slam.frame_equations import (
+    DEPTH_SHARE,
+    Compared,
+    Equations,
+    Estimate,
+    Predicted,
+    converge,
+    determined_share,
+)
 from uav_recon.localization.slam.keyframe_map import KeyframeMap, Keyframes
 from uav_recon.localization.slam.landmarks import SIZE, Landmarks
-from uav_recon.localization.slam.place_errors import PlaceErrors
+from uav_recon.localization.slam.place_errors import PlaceErrors, worst_variances
 from uav_recon.localization.slam.prepared_view import PreparedView
 from uav_recon.localization.slam.weak_directions import TRIED_SCALE
 from uav_recon.types.frames import BoolArray, FloatArray, IntArray
@@ -247,8 +255,7 @@ def uncertain(keyframes: Keyframes, prior: MotionPrior) -> BoolArray:
 
     The way to them is too uncertain.
     """
-    values = np.linalg.eigvalsh(_ways(prior.places.joint(keyframes.number)))
-    return np.asarray(values[:, -1] > _UNCERTAIN_M**2)
+    return np.asarray(worst_variances(prior.places.joint(keyframes.number))[1:] > _UNCERTAIN_M**2)
 
 
 def _ways(joint: FloatArray) -> FloatArray:
@@ -280,9 +287,10 @@ def _converge(
     as in add_depth_equations().
     """
     joint = prior.places.joint(keyframes.number)
-    leaning = np.asarray(_NORMAL_RAD**2 * np.linalg.eigvalsh(_ways(joint))[:, -1], dtype=np.float64)
+    leaning = np.asarray(_NORMAL_RAD**2 * worst_variances(joint)[1:], dtype=np.float64)
     compared = Compared(
-        view.points, view.camera, view.depth_from_rgb.rotation(), view.depth_from_rgb.translation_m,
+        view.points, view.camera, view.depth_from_rgb.rotation(),
+        view.depth_from_rgb.translation_m,
         np.concatenate((prior.rate_radps, prior.velocity_mps)), keyframes, landmarks,
         np.zeros((len(keyframes.number), 3, 3)) if doubt is None else doubt, leaning, landmarks.share, prior.turn_sigma_rad,
     )  # fmt: skip
@@ -299,7 +307,7 @@ def _converge(
     pose[:3, :3], pose[:3, 3] = at.rotation, at.place_m
     return Registration(
         Pose.from_matrix(pose), keyframes, covariance[_POSE, _POSE], moved_m, found,
-        _against_track(found, keyframes, prior.places), _determined_share(predicted, equations), len(view.points), known,
+        _against_track(found, keyframes, prior.places), determined_share(equations, predicted), len(view.points), known,
         inliers, equations.fitting, at.slow, covariance[6:SIZE, 6:SIZE], depth_sigma_m, match,
     )  # fmt: skip
 
@@ -316,30 +324,13 @@ def _against_track(joint: FloatArray, keyframes: Keyframes, places: PlaceErrors)
 
     The place lately, and the keyframes that are older than this: a newer one has the same error.
     """
-    older = [m for m, number in enumerate(keyframes.number.tolist()) if number < places.before]
-    return min((_way(joint, first) for first in (3, *(6 + 3 * m for m in older))), key=_worst_m)
+    older = np.concatenate(([True], keyframes.number < places.before))
+    return _way(joint, 3 + 3 * int(np.argmin(np.where(older, worst_variances(joint), np.inf))))
 
 
 def _worst_m(covariance: FloatArray) -> float:
     """Return the standard deviation in the worst direction."""
     return math.sqrt(max(float(np.linalg.eigvalsh(covariance)[-1]), 0.0))
-
-
-def _determined_share(predicted: Predicted, equations: Equations) -> FloatArray:
-    """Return the share (3, 3) of the place that a frame has determined.
-
-    Its eigenvalues are between 0 and 1.
-    """
-    shown = equations.information.sum(axis=0)
-    others = np.concatenate((np.arange(3), np.arange(6, SIZE)))
-    known = shown[np.ix_(others, others)]
-    known[:3, :3] += predicted.attitude
-    known[3:, 3:] += predicted.slow
-    place = shown[_PLACE, _PLACE] - shown[_PLACE][:, others] @ np.linalg.solve(known, shown[others][:, _PLACE])
-    before = np.linalg.inv(predicted.places[:3, :3])
-    values, axes = np.linalg.eigh(before)
-    root = (axes * np.sqrt(np.maximum(values, 0.0))) @ axes.T
-    return np.asarray(np.eye(3) - np.linalg.inv(np.eye(3) + root @ place @ root))
 
 
 def _inliers(view: PreparedView, keyframes: Keyframes, rotation: FloatArray, place_m: FloatArray) -> int:
