@@ -90,3 +90,8 @@ def test_the_equations_are_those_of_plain_numpy(wider: float, doubted: float, mo
     np.testing.assert_allclose(information[:, :6, :6], expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())
     np.testing.assert_allclose(gradient[:, :6], slope, rtol=1e-9, atol=1e-9 * np.abs(slope).max())
     assert not information[:, 6:].any()
+    alone, pull = np.zeros((most, 6, 6)), np.zeros((most, 6))
+    add_depth_equations(points, pose.rotation(), pose.translation_m, keyframes, doubt, SHARE, wider, alone, pull, False)
+    np.testing.assert_allclose(alone[:, 3:, 3:], information[:, 3:6, 3:6], rtol=1e-12)
+    np.testing.assert_allclose(pull[:, 3:], gradient[:, 3:6], rtol=1e-12)
+    assert not (alone[:, :3].any() or pull[:, :3].any())

@@ -33,6 +33,7 @@ def add_depth_equations(
     wider: float,
     information: AnyArray,
     gradient: AnyArray,
+    turning: bool = True,
 ) -> tuple[int, int]:
     """Add the normal equations of points (N, 3) against the surfaces of keyframes.
 
@@ -41,18 +42,18 @@ def add_depth_equations(
 
     information (M, >= 6, >= 6) and gradient (M, >= 6): of a small rotation in odom axes about the camera and of its
     translation, in units of standard deviations, from each keyframe. share: weight of one point, since the errors of neighbours
-    are alike; the keyframes that show the same point divide it. wider: factor on the scale of the robust weight. Returns the
-    number of points in known space, and of those that lie on a known surface. A point behind a surface is hidden, which says
-    nothing; one in front of it is in known space.
+    are alike; the keyframes that show the same point divide it. wider: factor on the scale of the robust weight. turning: False
+    leaves out the rotation. Returns the number of points in known space, and of those that lie on a known surface. A point
+    behind a surface is hidden, which says nothing; one in front of it is in known space.
     """
     most, many = keyframes.number.shape[0], points.shape[0]
     rows, which, found = np.empty((most, _ROWS, many)), np.empty((most, many), np.int32), np.zeros(most, np.int64)
-    showing, seen, whole = np.zeros(many, np.int64), np.zeros(many, np.int64), np.empty((7, 7))
+    showing, seen, whole = np.zeros(many, np.int64), np.zeros(many, np.int64), np.zeros((7, 7))
     for m in range(most):
         matches = Matches(rows[m], which[m], showing, seen)
         found[m] = _match(points, rotation, place_m, keyframes, m, doubt[m], matches)
     for m in range(most):
-        _sum_products(rows[m], found[m], which[m], showing, share, wider, whole)
+        _sum_products(rows[m], found[m], which[m], showing, share, wider, _MOMENT if turning else _NORMAL, whole)
         _add_turned(whole, keyframes.rotation[m], information[m], gradient[m])
     known = inliers = 0
     for n in range(many):
@@ -125,9 +126,9 @@ def _match(
 
 @fast_kernel
 def _sum_products(
-    of: AnyArray, number: int, which: AnyArray, showing: AnyArray, share: float, wider: float, out: AnyArray
+    of: AnyArray, number: int, which: AnyArray, showing: AnyArray, share: float, wider: float, first: int, out: AnyArray
 ) -> None:
-    """Write the weighted sums (7, 7) of the products of the first seven rows of matches (8, N).
+    """Write the weighted sums (7, 7) of the products of the first seven rows of matches (8, N), or of those from ``first`` on.
 
     Other arguments: as of add_depth_equations() and Matches.
     """
@@ -137,7 +138,7 @@ def _sum_products(
         off = of[_OFF, i] / (wider * max(_ROBUST_M, _ROBUST_SIGMAS * sigma_m))
         shrink = 1.0 / ((1.0 + off * off) * sigma_m)
         weight[i] = share * shrink * shrink / showing[which[i]]
-    for a in range(7):
+    for a in range(first, 7):
         one = of[a]
         for i in range(number):
             scaled[i] = weight[i] * one[i]

@@ -88,7 +88,7 @@ def _pulled(depth: TriedDepth, directions: AnyArray, moved_m: float) -> AnyArray
     )  # fmt: skip
     unused, gradient, out = np.zeros((most, 6, 6)), np.zeros((most, 6)), np.zeros(most)
     add_depth_equations(
-        depth.points, depth.rotation, depth.place_m, away, depth.doubt, depth.share, TRIED_SCALE, unused, gradient
+        depth.points, depth.rotation, depth.place_m, away, depth.doubt, depth.share, TRIED_SCALE, unused, gradient, False
     )
     for m in range(most):
         for a in range(3):
