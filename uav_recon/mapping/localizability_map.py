@@ -1,0 +1,157 @@
+"""Localizability map: surface with its normals and its texture, as a camera uses them to tell where it is.
+
+Cells of 0.2 m. Each holds the first two moments of its surface points, whose smallest axis is the normal, and which share of
+the patches of an image of it shows a corner.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from uav_recon.types.camera import Frame, PosedFrame
+from uav_recon.types.frames import BoolArray, FloatArray, IntArray
+from uav_recon.types.localizability import SurfaceCells
+from uav_recon.types.maps import GridSpec
+
+CELL_M = 0.2
+_SPACING_S = 0.2  # between frames that are taken
+_PATCH_SHARE = 1.0 / 53.0  # of the width of the depth image
+_NEAREST_M, _FARTHEST_M = 0.3, 4.0
+_WIDEST_PX = 424  # of the image in which corners are sought
+_MIN_TEXTURE = 7.5e-6  # least eigenvalue of a corner's structure; less is noise
+_ABOVE_NOISE = 2.0  # factor of the texture that the plainest tenth of the patches does not exceed
+_PLAIN_SHARE = 0.1
+_FEWEST_POINTS = 6
+_FLAT = 0.1  # ratio of the two smallest axes of a plane, by the noise of depth
+_SHOWN = 0.3  # weight of a new look in the mean of corners
+_MOMENTS = 10  # number, sum of x, y, z, sum of xx, xy, xz, yy, yz, zz
+
+
+class LocalizabilityMap:
+    """Cells of one map epoch. Not thread-safe; about 4 ms a frame.
+
+    grid: of the occupancy map, whose box it covers.
+    """
+
+    def __init__(self, grid: GridSpec) -> None:
+        upper_m = grid.origin_world_m + grid.resolution_m * np.array(grid.shape)
+        self._grid = GridSpec.covering(grid.origin_world_m, upper_m, CELL_M)
+        self._map_epoch = 0
+        self._begin()
+
+    def _begin(self) -> None:
+        shape = self._grid.shape
+        self._moments = np.zeros((*shape, _MOMENTS))
+        self._facing = np.zeros((*shape, 3))  # sum of unit vectors to the camera
+        self._area_m2 = np.zeros(shape)
+        self._corners = np.full(shape, np.nan)
+        self._taken_s = -np.inf
+
+    def add(self, posed: PosedFrame) -> bool:
+        """Take a frame; return False if it adds nothing: it is too soon after another one, or its place is uncertain."""
+        if posed.map_epoch != self._map_epoch:
+            self._map_epoch = posed.map_epoch
+            self._begin()
+        if posed.unsure or posed.frame.stamp_s - self._taken_s < _SPACING_S:
+            return False
+        self._taken_s = posed.frame.stamp_s
+        patches = _patches(posed.frame)
+        points = posed.world_from_depth.apply(patches.points_m)
+        index = self._grid.index(points)
+        inside = self._grid.contains(index)
+        if inside.any():
+            flat = np.ravel_multi_index(tuple(index[inside].T), self._grid.shape)
+            self._take(flat, points[inside], posed.world_from_depth.translation_m, patches.of(inside))
+        return True
+
+    def _take(self, flat: IntArray, points: FloatArray, eye_m: FloatArray, patches: _Patches) -> None:
+        """Add patches (N,) of a view from eye_m (3,), with the numbers of their cells and their points (N, 3) in world."""
+        cell, which, number = np.unique(flat, return_inverse=True, return_counts=True)
+
+        def total(of: FloatArray) -> FloatArray:
+            return np.bincount(which, of, len(cell))
+
+        x, y, z = (points - self._grid.origin_world_m).T
+        sums = (x, y, z, x * x, x * y, x * z, y * y, y * z, z * z)
+        moments = self._moments.reshape(-1, _MOMENTS)
+        moments[cell] += np.stack((number, *(total(of) for of in sums)), axis=1)
+        to_eye = eye_m - points
+        to_eye /= np.linalg.norm(to_eye, axis=1, keepdims=True)
+        self._facing.reshape(-1, 3)[cell] += np.stack([total(of) for of in to_eye.T], axis=1)
+        area_m2 = self._area_m2.reshape(-1)
+        area_m2[cell] = np.maximum(area_m2[cell], total(patches.across_m2))
+        known = np.isfinite(patches.corner)
+        seen, shown = total(known.astype(np.float64)), total(np.where(known, patches.corner, 0.0))
+        corners, looked = self._corners.reshape(-1), seen > 0.0
+        now, before = shown[looked] / seen[looked], corners[cell[looked]]
+        corners[cell[looked]] = np.where(np.isnan(before), now, before + _SHOWN * (now - before))
+
+    def cells(self) -> SurfaceCells:
+        """Return the cells with surface."""
+        moments = self._moments.reshape(-1, _MOMENTS)
+        held = np.flatnonzero(moments[:, 0] >= _FEWEST_POINTS)
+        number, total = moments[held, 0], moments[held, 1:4]
+        mean = total / number[:, None]
+        squares = moments[held][:, [4, 5, 6, 5, 7, 8, 6, 8, 9]].reshape(-1, 3, 3) / number[:, None, None]
+        values, axes = np.linalg.eigh(squares - mean[:, :, None] * mean[:, None, :])
+        normal, facing = axes[:, :, 0], self._facing.reshape(-1, 3)[held]
+        normal = np.where(np.einsum("na,na->n", normal, facing)[:, None] < 0.0, -normal, normal)
+        uneven = np.clip(values[:, 0] / np.maximum(values[:, 1], 1e-9) - _FLAT, 0.0, 1.0)
+        corners = np.nan_to_num(self._corners.reshape(-1)[held])
+        return SurfaceCells(
+            CELL_M, self._grid.origin_world_m + mean, normal, uneven / 3.0, self._area_m2.reshape(-1)[held], corners
+        )
+
+
+class _Patches(NamedTuple):
+    """Patches of a depth image.
+
+    points_m (N, 3): their middles, in the frame of the depth imager. across_m2 (N,): area across the view. corner (N,): 1 if
+    the colour image shows a corner there, 0 if not, NaN outside it.
+    """
+
+    points_m: FloatArray
+    across_m2: FloatArray
+    corner: FloatArray
+
+    def of(self, some: BoolArray) -> _Patches:
+        """Return some of the patches (N,)."""
+        return _Patches(self.points_m[some], self.across_m2[some], self.corner[some])
+
+
+def _patches(frame: Frame) -> _Patches:
+    """Return the patches of a frame."""
+    step = max(round(_PATCH_SHARE * frame.depth_intrinsics.width), 1)
+    lens, half = frame.depth_intrinsics, step // 2
+    depth_m = frame.depth_m[half::step, half::step]
+    v, u = np.nonzero((depth_m > _NEAREST_M) & (depth_m < _FARTHEST_M))
+    z = depth_m[v, u].astype(np.float64)
+    across = np.stack(((half + step * u - lens.cx) / lens.fx, (half + step * v - lens.cy) / lens.fy, np.ones(len(z))), axis=1)
+    points_m = across * z[:, None]
+    return _Patches(points_m, z**2 * step**2 / (lens.fx * lens.fy), _corners(frame, points_m))
+
+
+def _corners(frame: Frame, points_m: FloatArray) -> FloatArray:
+    """Return 1 for each patch that shows a corner, 0 for others, NaN outside the colour image.
+
+    points_m (N, 3): middles of the patches.
+    """
+    lens = frame.rgb_intrinsics
+    scale = min(_WIDEST_PX / lens.width, 1.0)
+    grey = cv2.cvtColor(frame.rgb, cv2.COLOR_RGB2GRAY)
+    grey = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA) if scale < 1.0 else grey
+    step = max(round(_PATCH_SHARE * grey.shape[1]), 1)
+    texture = cv2.cornerMinEigenVal(grey, blockSize=3, ksize=3)
+    strongest = cv2.dilate(texture, np.ones((step, step), np.uint8))
+    least = max(_MIN_TEXTURE, _ABOVE_NOISE * float(np.quantile(texture, _PLAIN_SHARE)))
+    x, y, z = frame.rgb_from_depth.apply(points_m).T
+    column = np.rint(scale * (lens.fx * x / z + lens.cx)).astype(int)
+    row = np.rint(scale * (lens.fy * y / z + lens.cy)).astype(int)
+    height, width = grey.shape
+    inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
+    found = np.full(len(points_m), np.nan)
+    found[inside] = strongest[row[inside], column[inside]] > least
+    return found
