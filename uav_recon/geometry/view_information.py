@@ -98,33 +98,43 @@ def view_information(
     cos, sin = math.cos(yaw_rad), math.sin(yaw_rad)
     at = np.array((position[0] + cos * eye[2] - sin * eye[3], position[1] + sin * eye[2] + cos * eye[3], position[2] + eye[4]))
     nearest = _nearest(place, eye, at, cos, sin, seen)
-    whole = np.zeros((6, 6))
-    for a in range(3):
-        whole[a, a] = _TURN_RAD**-2
-    row = np.empty((3, 6))
+    of_place, of_turn, both, weight = np.zeros((3, 3)), np.eye(3) * _TURN_RAD**-2, np.zeros((3, 3)), np.empty((3, 3))
     for n in range(place.shape[0]):
         if not _in_sight(seen[n], eye, nearest):
             continue
         x, y, z = place[n, 0] - at[0], place[n, 1] - at[1], place[n, 2] - at[2]
         far, deep = math.sqrt(x * x + y * y + z * z), seen[n, 2]
-        bearing = np.array((x / far, y / far, z / far))
-        facing = -(normal[n, 0] * bearing[0] + normal[n, 1] * bearing[1] + normal[n, 2] * bearing[2])
+        facing = -(normal[n, 0] * x + normal[n, 1] * y + normal[n, 2] * z) / far
         if facing < _ALONG_COSINE and spread[n] < _UNEVEN:
             continue
         patches = area_m2[n] / (deep * 2.0 * eye[0] / _PATCHES) ** 2
         depth = patches / (_DEPTH_M + _DEPTH_PER_M2 * deep * deep) ** 2
         across = corners[n] * patches / (_CORNER_RAD * deep) ** 2
-        _write_rows(x, y, z, row)
+        along = (corners[n] * depth - across) / (far * far)
+        level, plane = _DEPTH_SHARE * depth * spread[n] + across, _DEPTH_SHARE * depth * (1.0 - 3.0 * spread[n])
+        arm = (x, y, z)
         for k in range(3):
             for j in range(3):
-                same = 1.0 if k == j else 0.0
-                weight = _DEPTH_SHARE * depth * ((1.0 - 3.0 * spread[n]) * normal[n, k] * normal[n, j] + same * spread[n])
-                weight += corners[n] * depth * bearing[k] * bearing[j] + across * (same - bearing[k] * bearing[j])
-                for a in range(6):
-                    for b in range(6):
-                        whole[a, b] += weight * row[k, a] * row[j, b]
-    both = np.ascontiguousarray(whole[:3, 3:])
-    return whole[3:, 3:] - np.ascontiguousarray(both.T) @ np.linalg.solve(np.ascontiguousarray(whole[:3, :3]), both)
+                weight[k, j] = plane * normal[n, k] * normal[n, j] + along * arm[k] * arm[j]
+            weight[k, k] += level
+        _add_point(x, y, z, weight, of_place, both, of_turn)
+    return of_place - np.ascontiguousarray(both.T) @ np.linalg.solve(of_turn, both)
+
+
+@kernel
+def _add_point(x: float, y: float, z: float, weight: AnyArray, of_place: AnyArray, both: AnyArray, of_turn: AnyArray) -> None:
+    """Add a point that is known with an information (3, 3): on the place, on turn and place, and on the turn of the camera."""
+    for k in range(3):
+        w0, w1, w2 = weight[k, 0], weight[k, 1], weight[k, 2]
+        for j in range(3):
+            of_place[k, j] += weight[k, j]
+        weight[k, 0], weight[k, 1], weight[k, 2] = w2 * y - w1 * z, w0 * z - w2 * x, w1 * x - w0 * y  # by the turn
+    for j in range(3):
+        w0, w1, w2 = weight[0, j], weight[1, j], weight[2, j]
+        both[j, 0], both[j, 1], both[j, 2] = both[j, 0] + w0, both[j, 1] + w1, both[j, 2] + w2
+        of_turn[0, j] += w2 * y - w1 * z
+        of_turn[1, j] += w0 * z - w2 * x
+        of_turn[2, j] += w1 * x - w0 * y
 
 
 @kernel
@@ -157,14 +167,3 @@ def _in_sight(seen: AnyArray, eye: AnyArray, nearest: AnyArray) -> bool:
     column = int((0.5 + 0.5 * right / (deep * eye[0])) * _COLUMNS)
     row = int((0.5 + 0.5 * down / (deep * eye[1])) * _ROWS)
     return bool(deep <= nearest[min(row, _ROWS - 1), min(column, _COLUMNS - 1)] + _BEHIND_M)
-
-
-@kernel
-def _write_rows(x: float, y: float, z: float, out: AnyArray) -> None:
-    """Write the derivatives (3, 6) of a point by a turn of the camera and by its place, for each axis."""
-    out[:] = 0.0
-    out[0, 1], out[0, 2] = z, -y
-    out[1, 0], out[1, 2] = -z, x
-    out[2, 0], out[2, 1] = y, -x
-    for k in range(3):
-        out[k, 3 + k] = 1.0
