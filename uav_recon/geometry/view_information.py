@@ -15,7 +15,7 @@ from uav_recon.geometry.jit import kernel
 from uav_recon.types.frames import AnyArray, FloatArray
 from uav_recon.types.localizability import SurfaceCells
 
-_COLUMNS, _ROWS = 40, 30  # of the image of distances by which near cells hide far ones
+_COLUMNS, _ROWS = 20, 15  # of the image of distances by which near cells hide far ones
 _BEHIND_M = 0.35  # a cell that is farther than the nearest one in its direction by more is hidden
 _NEAREST_M, _FARTHEST_M = 0.3, 4.0
 _ALONG_COSINE = 0.1  # of the angle between view and normal; a surface that is seen flatter shows nothing
@@ -71,99 +71,147 @@ def view_sigmas(
     out: AnyArray,
 ) -> None:
     """Write the standard deviation of the place in its worst direction for each view."""
-    seen = np.empty((place.shape[0], 3))
+    seen, shown, nearest = np.empty((place.shape[0], 3)), np.empty(place.shape[0], np.int64), np.empty((_ROWS, _COLUMNS))
+    information, both, of_turn = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    at = np.empty(5)
     for n in range(yaw_rad.shape[0]):
-        information = view_information(place, normal, spread, area_m2, corners, eye, position[n], yaw_rad[n], seen)
-        values = np.linalg.eigvalsh(information)
-        left = values[0] - max(_WEAK_SHARE * values[2], _WEAK_M**-2)
+        at[3], at[4] = math.cos(yaw_rad[n]), math.sin(yaw_rad[n])
+        at[0] = position[n, 0] + at[3] * eye[2] - at[4] * eye[3]
+        at[1] = position[n, 1] + at[4] * eye[2] + at[3] * eye[3]
+        at[2] = position[n, 2] + eye[4]
+        count = _in_view(place, eye, at, seen, shown, nearest)
+        information[:], both[:], of_turn[:] = 0.0, 0.0, 0.0
+        for k in range(3):
+            of_turn[k, k] = _TURN_RAD**-2
+        for k in range(count):
+            cell = shown[k]
+            if seen[k, 2] <= _FARTHEST_M and not _hidden(seen[k], eye, nearest):
+                x, y, z = place[cell, 0] - at[0], place[cell, 1] - at[1], place[cell, 2] - at[2]
+                surface = (spread[cell], area_m2[cell], corners[cell])
+                _add_cell(x, y, z, seen[k, 2], normal[cell], surface, eye[0], information, both, of_turn)
+        least, greatest = _ends(_without_turn(information, both, of_turn))
+        left = least - max(_WEAK_SHARE * greatest, _WEAK_M**-2)
         out[n] = min(1.0 / math.sqrt(left), _MOST_M) if left > 0.0 else _MOST_M
 
 
 @kernel
-def view_information(
-    place: AnyArray,
+def _add_cell(
+    x: float,
+    y: float,
+    z: float,
+    deep: float,
     normal: AnyArray,
-    spread: AnyArray,
-    area_m2: AnyArray,
-    corners: AnyArray,
-    eye: AnyArray,
-    position: AnyArray,
-    yaw_rad: float,
-    seen: AnyArray,
-) -> AnyArray:
-    """Return the information (3, 3) of a view on its place, in world axes.
+    surface: tuple[float, float, float],
+    half_tan: float,
+    of_place: AnyArray,
+    both: AnyArray,
+    of_turn: AnyArray,
+) -> None:
+    """Add a cell at an offset in world: information (3, 3) on the place, on turn and place, and on the turn of the camera.
 
-    seen (N, 3): room for the cells in the frame of the camera.
+    surface: spread, area and corners of the cell.
     """
-    cos, sin = math.cos(yaw_rad), math.sin(yaw_rad)
-    at = np.array((position[0] + cos * eye[2] - sin * eye[3], position[1] + sin * eye[2] + cos * eye[3], position[2] + eye[4]))
-    nearest = _nearest(place, eye, at, cos, sin, seen)
-    of_place, of_turn, both, weight = np.zeros((3, 3)), np.eye(3) * _TURN_RAD**-2, np.zeros((3, 3)), np.empty((3, 3))
-    for n in range(place.shape[0]):
-        if not _in_sight(seen[n], eye, nearest):
-            continue
-        x, y, z = place[n, 0] - at[0], place[n, 1] - at[1], place[n, 2] - at[2]
-        far, deep = math.sqrt(x * x + y * y + z * z), seen[n, 2]
-        facing = -(normal[n, 0] * x + normal[n, 1] * y + normal[n, 2] * z) / far
-        if facing < _ALONG_COSINE and spread[n] < _UNEVEN:
-            continue
-        patches = area_m2[n] / (deep * 2.0 * eye[0] / _PATCHES) ** 2
-        depth = patches / (_DEPTH_M + _DEPTH_PER_M2 * deep * deep) ** 2
-        across = corners[n] * patches / (_CORNER_RAD * deep) ** 2
-        along = (corners[n] * depth - across) / (far * far)
-        level, plane = _DEPTH_SHARE * depth * spread[n] + across, _DEPTH_SHARE * depth * (1.0 - 3.0 * spread[n])
-        arm = (x, y, z)
-        for k in range(3):
-            for j in range(3):
-                weight[k, j] = plane * normal[n, k] * normal[n, j] + along * arm[k] * arm[j]
-            weight[k, k] += level
-        _add_point(x, y, z, weight, of_place, both, of_turn)
-    return of_place - np.ascontiguousarray(both.T) @ np.linalg.solve(of_turn, both)
-
-
-@kernel
-def _add_point(x: float, y: float, z: float, weight: AnyArray, of_place: AnyArray, both: AnyArray, of_turn: AnyArray) -> None:
-    """Add a point that is known with an information (3, 3): on the place, on turn and place, and on the turn of the camera."""
+    spread, area_m2, corners = surface
+    far2 = x * x + y * y + z * z
+    facing = -(normal[0] * x + normal[1] * y + normal[2] * z) / math.sqrt(far2)
+    if facing < _ALONG_COSINE and spread < _UNEVEN:
+        return
+    patches = area_m2 / (deep * 2.0 * half_tan / _PATCHES) ** 2
+    depth = patches / (_DEPTH_M + _DEPTH_PER_M2 * deep * deep) ** 2
+    across = corners * patches / (_CORNER_RAD * deep) ** 2
+    along = (corners * depth - across) / far2
+    level, plane = _DEPTH_SHARE * depth * spread + across, _DEPTH_SHARE * depth * (1.0 - 3.0 * spread)
+    # level I + plane n n' + along p p', and its products with the turn's derivative: for a vector v those are p x v
+    nx, ny, nz = normal[0], normal[1], normal[2]
+    mx, my, mz = y * nz - z * ny, z * nx - x * nz, x * ny - y * nx
     for k in range(3):
-        w0, w1, w2 = weight[k, 0], weight[k, 1], weight[k, 2]
-        for j in range(3):
-            of_place[k, j] += weight[k, j]
-        weight[k, 0], weight[k, 1], weight[k, 2] = w2 * y - w1 * z, w0 * z - w2 * x, w1 * x - w0 * y  # by the turn
-    for j in range(3):
-        w0, w1, w2 = weight[0, j], weight[1, j], weight[2, j]
-        both[j, 0], both[j, 1], both[j, 2] = both[j, 0] + w0, both[j, 1] + w1, both[j, 2] + w2
-        of_turn[0, j] += w2 * y - w1 * z
-        of_turn[1, j] += w0 * z - w2 * x
-        of_turn[2, j] += w1 * x - w0 * y
+        n_k, p_k, m_k = (nx, ny, nz)[k], (x, y, z)[k], (mx, my, mz)[k]
+        of_place[k, 0] += plane * n_k * nx + along * p_k * x
+        of_place[k, 1] += plane * n_k * ny + along * p_k * y
+        of_place[k, 2] += plane * n_k * nz + along * p_k * z
+        of_place[k, k] += level
+        both[k, 0] += plane * m_k * nx
+        both[k, 1] += plane * m_k * ny
+        both[k, 2] += plane * m_k * nz
+        of_turn[k, 0] += plane * m_k * mx - level * p_k * x
+        of_turn[k, 1] += plane * m_k * my - level * p_k * y
+        of_turn[k, 2] += plane * m_k * mz - level * p_k * z
+        of_turn[k, k] += level * far2
+    both[0, 1], both[0, 2], both[1, 2] = both[0, 1] - level * z, both[0, 2] + level * y, both[1, 2] - level * x
+    both[1, 0], both[2, 0], both[2, 1] = both[1, 0] + level * z, both[2, 0] - level * y, both[2, 1] + level * x
 
 
 @kernel
-def _nearest(place: AnyArray, eye: AnyArray, at: AnyArray, cos: float, sin: float, seen: AnyArray) -> AnyArray:
-    """Write the cells (N, 3) in the frame of a camera; return the distance of the nearest one in each direction."""
-    pitch_cos, pitch_sin = math.cos(eye[5]), math.sin(eye[5])
-    nearest = np.full((_ROWS, _COLUMNS), np.inf)
+def _without_turn(of_place: AnyArray, both: AnyArray, of_turn: AnyArray) -> AnyArray:
+    """Return the information (3, 3) on the place alone, while the turn is known as of_turn says."""
+    a, b, c, d, e, f = of_turn[0, 0], of_turn[0, 1], of_turn[0, 2], of_turn[1, 1], of_turn[1, 2], of_turn[2, 2]
+    inverse = np.empty((3, 3))
+    inverse[0, 0], inverse[0, 1], inverse[0, 2] = d * f - e * e, c * e - b * f, b * e - c * d
+    inverse[1, 1], inverse[1, 2], inverse[2, 2] = a * f - c * c, b * c - a * e, a * d - b * b
+    inverse[1, 0], inverse[2, 0], inverse[2, 1] = inverse[0, 1], inverse[0, 2], inverse[1, 2]
+    determinant = a * inverse[0, 0] + b * inverse[0, 1] + c * inverse[0, 2]
+    left = np.empty((3, 3))
+    for i in range(3):
+        for j in range(3):
+            total = 0.0
+            for k in range(3):
+                for m in range(3):
+                    total += both[k, i] * inverse[k, m] * both[m, j]
+            left[i, j] = of_place[i, j] - total / determinant
+    return left
+
+
+@kernel
+def _ends(of: AnyArray) -> tuple[float, float]:
+    """Return the least and the greatest eigenvalue of a symmetric matrix (3, 3) (Smith 1961)."""
+    off2 = of[0, 1] ** 2 + of[0, 2] ** 2 + of[1, 2] ** 2
+    mean = (of[0, 0] + of[1, 1] + of[2, 2]) / 3.0
+    x, y, z = of[0, 0] - mean, of[1, 1] - mean, of[2, 2] - mean
+    size = math.sqrt((x * x + y * y + z * z + 2.0 * off2) / 6.0)
+    if size == 0.0:
+        return mean, mean
+    determinant = (
+        x * (y * z - of[1, 2] ** 2)
+        - of[0, 1] * (of[0, 1] * z - of[1, 2] * of[0, 2])
+        + of[0, 2] * (of[0, 1] * of[1, 2] - y * of[0, 2])
+    )
+    angle = math.acos(min(max(determinant / (2.0 * size**3), -1.0), 1.0)) / 3.0
+    return mean + 2.0 * size * math.cos(angle + 2.0 * math.pi / 3.0), mean + 2.0 * size * math.cos(angle)
+
+
+@kernel
+def _in_view(place: AnyArray, eye: AnyArray, at: AnyArray, seen: AnyArray, shown: AnyArray, nearest: AnyArray) -> int:
+    """Write the cells in view: in the frame of the camera, their numbers, and the nearest distance in each direction.
+
+    Return their number. at: position of the camera, cosine and sine of its heading.
+    """
+    pitch_cos, pitch_sin, cos, sin = math.cos(eye[5]), math.sin(eye[5]), at[3], at[4]
+    right_scale, down_scale = 0.5 * _COLUMNS / eye[0], 0.5 * _ROWS / eye[1]
+    nearest[:] = np.inf
+    count = 0
     for n in range(place.shape[0]):
         x, y, z = place[n, 0] - at[0], place[n, 1] - at[1], place[n, 2] - at[2]
         ahead = cos * x + sin * y
-        right, down, deep = sin * x - cos * y, -pitch_sin * ahead - pitch_cos * z, pitch_cos * ahead - pitch_sin * z
-        seen[n, 0], seen[n, 1], seen[n, 2] = right, down, deep
-        if deep < _NEAREST_M:
+        deep = pitch_cos * ahead - pitch_sin * z
+        if deep < _NEAREST_M or deep > _FARTHEST_M:
             continue
-        column = int((0.5 + 0.5 * right / (deep * eye[0])) * _COLUMNS)
-        row = int((0.5 + 0.5 * down / (deep * eye[1])) * _ROWS)
-        reach = int(_HALF_CELL_M / deep / eye[0] * 0.5 * _COLUMNS)
-        for j in range(max(row - reach, 0), min(row + reach + 1, _ROWS)):
-            for i in range(max(column - reach, 0), min(column + reach + 1, _COLUMNS)):
+        right, down = sin * x - cos * y, -pitch_sin * ahead - pitch_cos * z
+        if abs(right) >= deep * eye[0] or abs(down) >= deep * eye[1]:
+            continue
+        seen[count, 0], seen[count, 1], seen[count, 2] = right, down, deep
+        shown[count] = n
+        count += 1
+        column, row, reach = right_scale * right / deep, down_scale * down / deep, right_scale * _HALF_CELL_M / deep
+        left, upper = int(0.5 * _COLUMNS + column - reach), int(0.5 * _ROWS + row - reach)
+        for j in range(max(upper, 0), min(int(0.5 * _ROWS + row + reach) + 1, _ROWS)):
+            for i in range(max(left, 0), min(int(0.5 * _COLUMNS + column + reach) + 1, _COLUMNS)):
                 nearest[j, i] = min(nearest[j, i], deep)
-    return nearest
+    return count
 
 
 @kernel
-def _in_sight(seen: AnyArray, eye: AnyArray, nearest: AnyArray) -> bool:
-    """Return True if a cell (3,) in the frame of the camera is in view and not hidden."""
+def _hidden(seen: AnyArray, eye: AnyArray, nearest: AnyArray) -> bool:
+    """Return True if a nearer cell hides one (3,) in the frame of the camera."""
     right, down, deep = seen
-    if deep < _NEAREST_M or deep > _FARTHEST_M or abs(right) >= deep * eye[0] or abs(down) >= deep * eye[1]:
-        return False
-    column = int((0.5 + 0.5 * right / (deep * eye[0])) * _COLUMNS)
-    row = int((0.5 + 0.5 * down / (deep * eye[1])) * _ROWS)
-    return bool(deep <= nearest[min(row, _ROWS - 1), min(column, _COLUMNS - 1)] + _BEHIND_M)
+    column, row = int((0.5 + 0.5 * right / (deep * eye[0])) * _COLUMNS), int((0.5 + 0.5 * down / (deep * eye[1])) * _ROWS)
+    return bool(deep > nearest[min(row, _ROWS - 1), min(column, _COLUMNS - 1)] + _BEHIND_M)
