@@ -9,6 +9,7 @@ from typing import Protocol, TypeVar, runtime_checkable
 from uav_recon.types.camera import Frame, ImuSample, PosedFrame
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.free_cone import FreeCone
+from uav_recon.types.localizability import SurfaceCells
 from uav_recon.types.maps import SurfaceElements, VoxelMap
 from uav_recon.types.perception_status import PerceptionStatus
 from uav_recon.types.pose import MapCorrection, Pose, StampedPose
@@ -248,6 +249,27 @@ class RecentViewMemoryInterface(Protocol):
         ...
 
 
+class LocalizabilityInterface(Protocol):
+    """Surface as the camera uses it to tell where it is. No call blocks; each costs a few milliseconds."""
+
+    @property
+    def cells(self) -> SurfaceCells:
+        """All surface."""
+        ...
+
+    def add(self, posed: PosedFrame) -> bool:
+        """Take a frame; return False if it adds nothing."""
+        ...
+
+    def sigma_m(self, world_from_body: Pose, pitch_down_rad: float) -> float:
+        """Return how well the view of a level body shows its place: standard deviation in the worst direction, m."""
+        ...
+
+    def seeing_yaw_rad(self, world_from_body: Pose, pitch_down_rad: float) -> float | None:
+        """Return the heading nearest to that of a body at which a view shows its place well; None if there is none."""
+        ...
+
+
 class OccupancyMapInterface(Protocol):
     """The occupancy map. No call blocks; each costs a few milliseconds."""
 
@@ -323,6 +345,10 @@ class SpeedLimitedMotion(MotionPlannerInterface, Protocol):
 
     def set_recent_views(self, views: RecentViews) -> None:
         """Set the views of the last seconds for all trajectories planned from now on."""
+        ...
+
+    def set_surface(self, cells: SurfaceCells) -> None:
+        """Set the surface by which the camera tells where it is, for all trajectories planned from now on."""
         ...
 
 

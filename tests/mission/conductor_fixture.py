@@ -26,6 +26,7 @@ from uav_recon.types.maps import FREE, OCCUPIED, GridSpec, SurfaceElements, Voxe
 from uav_recon.types.pose import MapCorrection, Pose
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
+from uav_recon.types.localizability import SurfaceCells
 from uav_recon.types.recent_views import RecentViews
 from uav_recon.types.tasks import NothingLeft, PlanMode, PlanRequest, Task, TaskKind, ViewPath, Viewpoint
 from uav_recon.types.trajectory import Goal, Intent, Setpoint, Trajectory
@@ -171,10 +172,10 @@ class Asked(MotionPlanner):
 
     def plan_from_rest(
         self, path: ViewPath, voxels: VoxelMap, start: Setpoint, start_s: float, views_at_spacing_m: float, identifier: int,
-        views: RecentViews | None = None,
+        views: RecentViews | None = None, cells: SurfaceCells | None = None,
     ) -> Trajectory | Reason:  # fmt: skip
         self.ways += 1
-        return super().plan_from_rest(path, voxels, start, start_s, views_at_spacing_m, identifier, views)
+        return super().plan_from_rest(path, voxels, start, start_s, views_at_spacing_m, identifier, views, cells)
 
 
 class Desk:

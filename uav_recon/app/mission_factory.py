@@ -15,6 +15,7 @@ from uav_recon.types.maps import GridSpec
 
 if TYPE_CHECKING:  # each process imports only the stages that it runs
     from uav_recon.mapping.keyframe_selection import KeyframeSelection, PlannedViewsOnly
+    from uav_recon.mapping.localizability_map import LocalizabilityMap
     from uav_recon.mapping.occupancy.occupancy_map import OccupancyMap
     from uav_recon.mapping.recent_view_memory import RecentViewMemory
     from uav_recon.mission.conductor import Conductor
@@ -49,7 +50,8 @@ def make_conductor(
     voxels, planner, parameters = make_occupancy_map(config), make_planner(config, timer), mission_parameters(config)
     motion, retreat = (make_motion(config, kept_m) for kept_m in (parameters.clearance_m, parameters.clear_radius_m))
     budget, sight = make_keyframe_selection(config, voxels), make_recent_view_memory(config)
-    stages = MissionStages(voxels, budget, mapper, planner, motion, retreat, sight)
+    localizability = make_localizability_map(config, voxels.grid) if is_perception_aware(config) else None
+    stages = MissionStages(voxels, budget, mapper, planner, motion, retreat, sight, localizability)
     return Conductor(stages, channels, parameters, executor, journal)
 
 
@@ -162,6 +164,23 @@ def make_recent_view_memory(config: Config) -> RecentViewMemory:
     return RecentViewMemory(config.safety.blind_stale_s, np.array(config.camera.position_body_m))
 
 
+def is_perception_aware(config: Config) -> bool:
+    """Return True if views are preferred that show where the vehicle is."""
+    aware = config.planner.perception_aware
+    return config.localization.source == "slam" if aware is None else aware
+
+
+def make_localizability_map(config: Config, grid: GridSpec) -> LocalizabilityMap:
+    """Return the map of surface by which the camera tells where it is."""
+    from uav_recon.geometry.view_information import Eye
+    from uav_recon.mapping.localizability_map import LocalizabilityMap
+
+    camera = config.camera
+    x, y, z = camera.position_body_m
+    half_tan = (math.tan(math.radians(camera.horizontal_fov_deg) / 2), math.tan(math.radians(camera.vertical_fov_deg) / 2))
+    return LocalizabilityMap(grid, Eye(half_tan, (x, y, z)))
+
+
 def make_keyframe_selection(config: Config, voxels: OccupancyMap) -> KeyframeSelection | PlannedViewsOnly:
     """Return the selection of keyframes beside the planned views, within the view budget."""
     from uav_recon.mapping.keyframe_selection import KeyframeSelection, PlannedViewsOnly
@@ -188,6 +207,7 @@ def warm_up_map(config: Config) -> None:
     voxels.warm_up()
     make_keyframe_selection(config, voxels).warm_up()
     make_recent_view_memory(config).warm_up()
+    make_localizability_map(config, voxels.grid).warm_up()
 
 
 def warm_up_motion(config: Config) -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -28,70 +29,89 @@ _CORNER_RAD = 1.0 / 380.0  # standard deviation of a corner
 _TURN_RAD = math.radians(0.15)  # of the turn of the camera since the frame before
 _WEAK_SHARE = 0.005  # of the information of the best direction, below which a direction is not shown
 _WEAK_M = 0.03  # nor if it is shown less well than this
-_MOST_M = 1.0  # standard deviation of a direction that is not shown
+#: plan: standard deviation of a view of space that no camera has seen: about that of a usual view, else none leads there
+_UNKNOWN_M = 0.01
+GOOD_M = 0.005  # standard deviation of a view that shows its place well
+BLIND_M = 0.03  #: plan: a view that shows its place less well is no goal, and a way past it is long
+MOST_M = 1.0  # standard deviation of a direction that is not shown
 
 
 @dataclass(frozen=True, slots=True)
 class Eye:
     """A camera on a body that hovers.
 
-    half_tan: tangents of half its angles of view. position_body_m (3,): on the body. pitch_down_rad: its tilt.
+    half_tan: tangents of half its angles of view, horizontal and vertical. position_body_m: (x, y, z) on the body.
     """
 
     half_tan: tuple[float, float]
     position_body_m: tuple[float, float, float]
-    pitch_down_rad: float
 
 
-def place_sigmas_m(cells: SurfaceCells, eye: Eye, position_world: FloatArray, yaw_rad: FloatArray) -> FloatArray:
-    """Return how well views show their place (N,): the standard deviation in the worst direction, m, at most 1.
+class ViewSigmas(NamedTuple):
+    """How well views show their place.
 
-    position_world (N, 3), yaw_rad (N,): of the body. About 40 µs a view.
+    sigma_m (N,): standard deviation in the worst direction, at most MOST_M. open_share (N,): share of the image in which no
+    surface is known within 4 m.
     """
-    out = np.full(len(yaw_rad), _MOST_M)
-    if len(cells.area_m2):
-        numbers = np.array([*eye.half_tan, *eye.position_body_m, eye.pitch_down_rad])
-        view_sigmas(
-            cells.position_world, cells.normal_world, cells.spread, cells.area_m2, cells.corners, numbers,
-            np.ascontiguousarray(position_world, dtype=np.float64), np.ascontiguousarray(yaw_rad, dtype=np.float64), out,
+
+    sigma_m: FloatArray
+    open_share: FloatArray
+
+    def expected_m(self) -> FloatArray:
+        """Return the standard deviations (N,) with what surface may show that is not known yet."""
+        return np.asarray(1.0 / np.sqrt(self.sigma_m**-2 + self.open_share * _UNKNOWN_M**-2))
+
+
+def view_sigmas(cells: SurfaceCells, eye: Eye, position_world: FloatArray, angles_rad: FloatArray) -> ViewSigmas:
+    """Return how well N views show their place.
+
+    position_world (N, 3): of the body. angles_rad (N, 2): its yaw, and how far the camera looks down. About 40 µs a view.
+    """
+    sigma_m, open_share = np.full(len(position_world), MOST_M), np.ones(len(position_world))
+    if len(cells.area_m2) and len(position_world):
+        views = np.ascontiguousarray(np.column_stack([position_world, angles_rad]), dtype=np.float64)
+        _fill(
+            cells.position_world, cells.normal_world, cells.spread, cells.area_m2, cells.corners,
+            np.array([*eye.half_tan, *eye.position_body_m]), views, sigma_m, open_share,
         )  # fmt: skip
-    return out
+    return ViewSigmas(sigma_m, open_share)
 
 
 @kernel
-def view_sigmas(
+def _fill(
     place: AnyArray,
     normal: AnyArray,
     spread: AnyArray,
     area_m2: AnyArray,
     corners: AnyArray,
     eye: AnyArray,
-    position: AnyArray,
-    yaw_rad: AnyArray,
-    out: AnyArray,
+    views: AnyArray,
+    sigma_m: AnyArray,
+    open_share: AnyArray,
 ) -> None:
-    """Write the standard deviation of the place in its worst direction for each view."""
+    """Write the standard deviation of the place in its worst direction for each view (N, 5), and its open share."""
     seen, shown, nearest = np.empty((place.shape[0], 3)), np.empty(place.shape[0], np.int64), np.empty((_ROWS, _COLUMNS))
     information, both, of_turn = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
-    at = np.empty(5)
-    for n in range(yaw_rad.shape[0]):
-        at[3], at[4] = math.cos(yaw_rad[n]), math.sin(yaw_rad[n])
-        at[0] = position[n, 0] + at[3] * eye[2] - at[4] * eye[3]
-        at[1] = position[n, 1] + at[4] * eye[2] + at[3] * eye[3]
-        at[2] = position[n, 2] + eye[4]
+    at = np.empty(7)
+    for n in range(views.shape[0]):
+        at[3], at[4], at[5], at[6] = math.cos(views[n, 3]), math.sin(views[n, 3]), math.cos(views[n, 4]), math.sin(views[n, 4])
+        at[0] = views[n, 0] + at[3] * eye[2] - at[4] * eye[3]
+        at[1] = views[n, 1] + at[4] * eye[2] + at[3] * eye[3]
+        at[2] = views[n, 2] + eye[4]
         count = _in_view(place, eye, at, seen, shown, nearest)
         information[:], both[:], of_turn[:] = 0.0, 0.0, 0.0
         for k in range(3):
             of_turn[k, k] = _TURN_RAD**-2
         for k in range(count):
             cell = shown[k]
-            if seen[k, 2] <= _FARTHEST_M and not _hidden(seen[k], eye, nearest):
+            if not _hidden(seen[k], eye, nearest):
                 x, y, z = place[cell, 0] - at[0], place[cell, 1] - at[1], place[cell, 2] - at[2]
                 surface = (spread[cell], area_m2[cell], corners[cell])
                 _add_cell(x, y, z, seen[k, 2], normal[cell], surface, eye[0], information, both, of_turn)
         least, greatest = _ends(_without_turn(information, both, of_turn))
         left = least - max(_WEAK_SHARE * greatest, _WEAK_M**-2)
-        out[n] = min(1.0 / math.sqrt(left), _MOST_M) if left > 0.0 else _MOST_M
+        sigma_m[n] = min(1.0 / math.sqrt(left), MOST_M) if left > 0.0 else MOST_M
+        open_share[n] = np.sum(nearest == np.inf) / (_ROWS * _COLUMNS)
 
 
 @kernel
@@ -183,9 +203,9 @@ def _ends(of: AnyArray) -> tuple[float, float]:
 def _in_view(place: AnyArray, eye: AnyArray, at: AnyArray, seen: AnyArray, shown: AnyArray, nearest: AnyArray) -> int:
     """Write the cells in view: in the frame of the camera, their numbers, and the nearest distance in each direction.
 
-    Return their number. at: position of the camera, cosine and sine of its heading.
+    Return their number. at (7,): position of the camera, cosine and sine of its heading and of its tilt.
     """
-    pitch_cos, pitch_sin, cos, sin = math.cos(eye[5]), math.sin(eye[5]), at[3], at[4]
+    cos, sin, pitch_cos, pitch_sin = at[3], at[4], at[5], at[6]
     right_scale, down_scale = 0.5 * _COLUMNS / eye[0], 0.5 * _ROWS / eye[1]
     nearest[:] = np.inf
     count = 0
@@ -215,3 +235,9 @@ def _hidden(seen: AnyArray, eye: AnyArray, nearest: AnyArray) -> bool:
     right, down, deep = seen
     column, row = int((0.5 + 0.5 * right / (deep * eye[0])) * _COLUMNS), int((0.5 + 0.5 * down / (deep * eye[1])) * _ROWS)
     return bool(deep > nearest[min(row, _ROWS - 1), min(column, _COLUMNS - 1)] + _BEHIND_M)
+
+
+def warm_up() -> None:
+    """Compile the kernels."""
+    one = SurfaceCells(0.2, np.array([[1.0, 0.0, 0.0]]), np.array([[-1.0, 0.0, 0.0]]), np.zeros(1), np.ones(1), np.ones(1))
+    view_sigmas(one, Eye((1.0, 1.0), (0.0, 0.0, 0.0)), np.zeros((1, 3)), np.zeros((1, 2)))

@@ -6,15 +6,19 @@ the patches of an image of it shows a corner.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import cv2
 import numpy as np
 
+from uav_recon.geometry import view_information
+from uav_recon.geometry.view_information import GOOD_M, Eye, view_sigmas
 from uav_recon.types.camera import Frame, PosedFrame
 from uav_recon.types.frames import BoolArray, FloatArray, IntArray
 from uav_recon.types.localizability import SurfaceCells
 from uav_recon.types.maps import GridSpec
+from uav_recon.types.pose import Pose
 
 CELL_M = 0.2
 _SPACING_S = 0.2  # between frames that are taken
@@ -27,28 +31,40 @@ _PLAIN_SHARE = 0.1
 _FEWEST_POINTS = 6
 _FLAT = 0.1  # ratio of the two smallest axes of a plane, by the noise of depth
 _SHOWN = 0.3  # weight of a new look in the mean of corners
+_COLUMNS = 9  # of a row of surface: place, normal, spread, area, corners
+# from a heading to others, nearest first
+_TURNS_RAD = np.deg2rad([0.0, *(sign * turn for turn in range(15, 181, 15) for sign in (1, -1))])
 _MOMENTS = 10  # number, sum of x, y, z, sum of xx, xy, xz, yy, yz, zz
 
 
 class LocalizabilityMap:
     """Cells of one map epoch. Not thread-safe; about 4 ms a frame.
 
-    grid: of the occupancy map, whose box it covers.
+    grid: of the occupancy map, whose box it covers. eye: the camera.
     """
 
-    def __init__(self, grid: GridSpec) -> None:
+    def __init__(self, grid: GridSpec, eye: Eye) -> None:
         upper_m = grid.origin_world_m + grid.resolution_m * np.array(grid.shape)
         self._grid = GridSpec.covering(grid.origin_world_m, upper_m, CELL_M)
+        self._eye = eye
         self._map_epoch = 0
         self._begin()
 
     def _begin(self) -> None:
-        shape = self._grid.shape
-        self._moments = np.zeros((*shape, _MOMENTS))
-        self._facing = np.zeros((*shape, 3))  # sum of unit vectors to the camera
-        self._area_m2 = np.zeros(shape)
-        self._corners = np.full(shape, np.nan)
+        count = math.prod(self._grid.shape)
+        self._moments = np.zeros((count, _MOMENTS))
+        self._facing = np.zeros((count, 3))  # sum of unit vectors to the camera
+        self._area_m2 = np.zeros(count)
+        self._corners = np.full(count, np.nan)
+        self._row = np.full(count, -1)  # of a cell in _surface
+        self._surface = np.zeros((0, _COLUMNS))
+        self._cells = SurfaceCells.none(CELL_M)
         self._taken_s = -np.inf
+
+    @property
+    def cells(self) -> SurfaceCells:
+        """All cells with surface."""
+        return self._cells
 
     def add(self, posed: PosedFrame) -> bool:
         """Take a frame; return False if it adds nothing: it is too soon after another one, or its place is uncertain."""
@@ -62,13 +78,33 @@ class LocalizabilityMap:
         points = posed.world_from_depth.apply(patches.points_m)
         index = self._grid.index(points)
         inside = self._grid.contains(index)
-        if inside.any():
-            flat = np.ravel_multi_index(tuple(index[inside].T), self._grid.shape)
-            self._take(flat, points[inside], posed.world_from_depth.translation_m, patches.of(inside))
+        if not inside.any():
+            return False
+        flat = np.ravel_multi_index(tuple(index[inside].T), self._grid.shape)
+        changed = self._take(flat, points[inside], posed.world_from_depth.translation_m, patches.of(inside))
+        self._describe(changed[self._moments[changed, 0] >= _FEWEST_POINTS])
+        held = self._surface
+        self._cells = SurfaceCells(CELL_M, held[:, :3], held[:, 3:6], held[:, 6], held[:, 7], held[:, 8])
         return True
 
-    def _take(self, flat: IntArray, points: FloatArray, eye_m: FloatArray, patches: _Patches) -> None:
-        """Add patches (N,) of a view from eye_m (3,), with the numbers of their cells and their points (N, 3) in world."""
+    def sigma_m(self, world_from_body: Pose, pitch_down_rad: float) -> float:
+        """Return how well the view of a level body shows its place, as view_sigmas() predicts it."""
+        position, angles = world_from_body.translation_m[None], np.array([[world_from_body.yaw_rad(), pitch_down_rad]])
+        return float(view_sigmas(self._cells, self._eye, position, angles).sigma_m[0])
+
+    def seeing_yaw_rad(self, world_from_body: Pose, pitch_down_rad: float) -> float | None:
+        """Return the heading nearest to that of a body at which a view shows its place well; None if there is none."""
+        turn_rad = _TURNS_RAD[:, None]
+        position = np.tile(world_from_body.translation_m, (len(turn_rad), 1))
+        angles = np.hstack([world_from_body.yaw_rad() + turn_rad, np.full_like(turn_rad, pitch_down_rad)])
+        good = view_sigmas(self._cells, self._eye, position, angles).sigma_m < GOOD_M
+        return math.remainder(float(angles[np.argmax(good), 0]), math.tau) if good.any() else None
+
+    def _take(self, flat: IntArray, points: FloatArray, eye_m: FloatArray, patches: _Patches) -> IntArray:
+        """Add patches (N,) of a view from eye_m (3,), with the numbers of their cells and their points (N, 3) in world.
+
+        Return the numbers of the cells that have changed.
+        """
         cell, which, number = np.unique(flat, return_inverse=True, return_counts=True)
 
         def total(of: FloatArray) -> FloatArray:
@@ -76,34 +112,38 @@ class LocalizabilityMap:
 
         x, y, z = (points - self._grid.origin_world_m).T
         sums = (x, y, z, x * x, x * y, x * z, y * y, y * z, z * z)
-        moments = self._moments.reshape(-1, _MOMENTS)
-        moments[cell] += np.stack((number, *(total(of) for of in sums)), axis=1)
+        self._moments[cell] += np.stack((number, *(total(of) for of in sums)), axis=1)
         to_eye = eye_m - points
         to_eye /= np.linalg.norm(to_eye, axis=1, keepdims=True)
-        self._facing.reshape(-1, 3)[cell] += np.stack([total(of) for of in to_eye.T], axis=1)
-        area_m2 = self._area_m2.reshape(-1)
-        area_m2[cell] = np.maximum(area_m2[cell], total(patches.across_m2))
+        self._facing[cell] += np.stack([total(of) for of in to_eye.T], axis=1)
+        self._area_m2[cell] = np.maximum(self._area_m2[cell], total(patches.across_m2))
         known = np.isfinite(patches.corner)
         seen, shown = total(known.astype(np.float64)), total(np.where(known, patches.corner, 0.0))
-        corners, looked = self._corners.reshape(-1), seen > 0.0
-        now, before = shown[looked] / seen[looked], corners[cell[looked]]
-        corners[cell[looked]] = np.where(np.isnan(before), now, before + _SHOWN * (now - before))
+        looked = cell[seen > 0.0]
+        now, before = shown[seen > 0.0] / seen[seen > 0.0], self._corners[looked]
+        self._corners[looked] = np.where(np.isnan(before), now, before + _SHOWN * (now - before))
+        return np.asarray(cell)
 
-    def cells(self) -> SurfaceCells:
-        """Return the cells with surface."""
-        moments = self._moments.reshape(-1, _MOMENTS)
-        held = np.flatnonzero(moments[:, 0] >= _FEWEST_POINTS)
-        number, total = moments[held, 0], moments[held, 1:4]
+    def _describe(self, cell: IntArray) -> None:
+        """Write the rows of cells (N,) in the table of surface."""
+        number, total = self._moments[cell, 0], self._moments[cell, 1:4]
         mean = total / number[:, None]
-        squares = moments[held][:, [4, 5, 6, 5, 7, 8, 6, 8, 9]].reshape(-1, 3, 3) / number[:, None, None]
+        squares = self._moments[cell][:, [4, 5, 6, 5, 7, 8, 6, 8, 9]].reshape(-1, 3, 3) / number[:, None, None]
         values, axes = np.linalg.eigh(squares - mean[:, :, None] * mean[:, None, :])
-        normal, facing = axes[:, :, 0], self._facing.reshape(-1, 3)[held]
-        normal = np.where(np.einsum("na,na->n", normal, facing)[:, None] < 0.0, -normal, normal)
-        uneven = np.clip(values[:, 0] / np.maximum(values[:, 1], 1e-9) - _FLAT, 0.0, 1.0)
-        corners = np.nan_to_num(self._corners.reshape(-1)[held])
-        return SurfaceCells(
-            CELL_M, self._grid.origin_world_m + mean, normal, uneven / 3.0, self._area_m2.reshape(-1)[held], corners
-        )
+        normal = axes[:, :, 0]
+        normal = np.where(np.einsum("na,na->n", normal, self._facing[cell])[:, None] < 0.0, -normal, normal)
+        uneven = np.clip(values[:, 0] / np.maximum(values[:, 1], 1e-9) - _FLAT, 0.0, 1.0) / 3.0
+        corners = np.nan_to_num(self._corners[cell])
+        rows = np.column_stack([self._grid.origin_world_m + mean, normal, uneven, self._area_m2[cell], corners])
+        new = self._row[cell] < 0
+        self._row[cell[new]] = len(self._surface) + np.arange(np.count_nonzero(new))
+        self._surface = np.vstack([self._surface, rows[new]])
+        self._surface[self._row[cell[~new]]] = rows[~new]
+
+    @staticmethod
+    def warm_up() -> None:
+        """Compile every kernel."""
+        view_information.warm_up()
 
 
 class _Patches(NamedTuple):

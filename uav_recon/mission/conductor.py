@@ -76,7 +76,7 @@ class Conductor:
         self._vehicle_intake = VehicleIntake(stages, track, battery, journal)
         self._limits = SurveyLimits(parameters, actions.takeoff, battery, log)
         self._observer = EventObserver(self.requests, self._maps, actions, self._limits)
-        self._publisher = MissionPublisher(stages, channels, track, log, watchdog)
+        self._publisher = MissionPublisher(stages, channels, track, log, watchdog, parameters.camera_pitch_down_rad)
 
     @property
     def finished(self) -> bool:

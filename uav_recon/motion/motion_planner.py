@@ -24,6 +24,7 @@ from uav_recon.motion.time_scaling import braking, joined, rescaled
 from uav_recon.motion.trajectory_generation import TrajectoryGenerator, TrajectorySamples
 from uav_recon.motion.yaw_policy import AT_VIEWS, YawPolicy
 from uav_recon.types.frames import FloatArray
+from uav_recon.types.localizability import SurfaceCells
 from uav_recon.types.maps import FREE, GridSpec, VoxelMap
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
@@ -83,19 +84,20 @@ class MotionPlanner:
 
     def plan_from_rest(
         self, path: ViewPath, voxels: VoxelMap, start: Setpoint, start_s: float, views_at_spacing_m: float, identifier: int,
-        views: RecentViews | None = None,
+        views: RecentViews | None = None, cells: SurfaceCells | None = None,
     ) -> Trajectory | Reason:  # fmt: skip
         """Plan from rest at ``start`` through every view of the path to rest at the last one.
 
         Each view is captured where it is passed, within 0.15 m and 3 degrees and without motion blur. Further captures follow
         every ``views_at_spacing_m`` (may be infinite) along the path. The trajectory is checked against the map. If there is
         none, the reason is returned. views: of the last seconds; it may be flown later than start_s, but soon after them.
+        cells: surface by which the camera tells where it is, None if that does not matter.
         """
         fault = _fault(path, voxels)
         if fault:
             return fault
         entry, clearance_map = InitialState.at_rest(start, self._generator.box), self._clearance_map(voxels)
-        forecast = self._forecast(views, clearance_map, start_s)
+        forecast = self._forecast(views, cells, clearance_map, start_s)
         course = PathCourse.through(entry.place, path.waypoints_world, path.viewpoints, self._generator.yaw_policy, forecast)
         samples = self._clear(course, None, entry, clearance_map, views_at_spacing_m, path.clearance_m, forecast)
         kept_m = self._asked_m(path.clearance_m)
@@ -103,7 +105,7 @@ class MotionPlanner:
 
     def plan_from_motion(
         self, path: ViewPath, voxels: VoxelMap, flying: Trajectory, leave_s: float, views_at_spacing_m: float, identifier: int,
-        views: RecentViews | None = None,
+        views: RecentViews | None = None, cells: SurfaceCells | None = None,
     ) -> Trajectory | Reason:  # fmt: skip
         """Plan out of a motion that is being flown, at ``leave_s``, through every view of the path.
 
@@ -119,7 +121,7 @@ class MotionPlanner:
         entry = InitialState.in_motion(flying, at, self._generator.box, self._generator.max_acceleration())
         clearance_map = self._clearance_map(voxels)
         start_s, kept_m = flying.start_s + (at - entry.left + 1) * flying.step_s, self._asked_m(path.clearance_m)
-        forecast, yaw_policy = self._forecast(views, clearance_map, leave_s), self._generator.yaw_policy
+        forecast, yaw_policy = self._forecast(views, cells, clearance_map, leave_s), self._generator.yaw_policy
         if not entry.is_moving:
             course = PathCourse.through(entry.place, _ahead(path, entry, entry.place), path.viewpoints, yaw_policy, forecast)
             still = self._clear(course, None, entry, clearance_map, views_at_spacing_m, path.clearance_m, forecast)
@@ -132,7 +134,7 @@ class MotionPlanner:
             samples = self._clear(course, entry.place, entry, clearance_map, views_at_spacing_m, path.clearance_m, forecast)
             if isinstance(samples, TrajectorySamples) and not self._generator.exceeds_limit(samples, entry, forecast).any():
                 return samples.trajectory(start_s, path.map_epoch, identifier, kept_m)
-        return self._after_braking(path, voxels, flying, at, views_at_spacing_m, identifier, views)
+        return self._after_braking(path, voxels, flying, at, views_at_spacing_m, identifier, views, cells)
 
     def plan_turn(self, start: Setpoint, start_s: float, total_yaw_rad: float, views: int, identifier: int) -> Trajectory:
         """Turn on the spot and capture ``views`` views.
@@ -190,9 +192,12 @@ class MotionPlanner:
     def _asked_m(self, clearance_m: float | None) -> float:
         return self._clearance_m if clearance_m is None else clearance_m
 
-    def _forecast(self, views: RecentViews | None, clearance_map: ClearanceMap, start_s: float) -> SightForecast | None:
+    def _forecast(
+        self, views: RecentViews | None, cells: SurfaceCells | None, clearance_map: ClearanceMap, start_s: float
+    ) -> SightForecast | None:
         newest_s = -np.inf if views is None else float(views.stamp_s[-1])
-        return self._generator.yaw_policy.forecast(views, clearance_map, max(start_s, newest_s + PLANNED_S))
+        forecast = self._generator.yaw_policy.forecast(views, clearance_map, max(start_s, newest_s + PLANNED_S))
+        return None if forecast is None else dataclasses.replace(forecast, cells=cells)
 
     def _clearance_map(self, voxels: VoxelMap) -> ClearanceMap:
         return ClearanceMap.of(voxels, self._low_m, self._high_m, self._clearance_m)
@@ -256,7 +261,7 @@ class MotionPlanner:
 
     def _after_braking(
         self, path: ViewPath, voxels: VoxelMap, flying: Trajectory, at: int, spacing_m: float, identifier: int,
-        views: RecentViews | None,
+        views: RecentViews | None, cells: SurfaceCells | None,
     ) -> Trajectory | Reason:  # fmt: skip
         """Brake along the present motion, then fly the path from rest.
 
@@ -272,7 +277,7 @@ class MotionPlanner:
 
         def along(leg: FloatArray) -> Trajectory | Reason:
             way = dataclasses.replace(path, waypoints_world=(leg, *others))
-            return self.plan_from_rest(way, voxels, here, start_s, spacing_m, identifier, views)
+            return self.plan_from_rest(way, voxels, here, start_s, spacing_m, identifier, views, cells)
 
         flown = along(first[1:])
         if isinstance(flown, Reason):

@@ -11,6 +11,7 @@ from uav_recon.config import Config
 from uav_recon.motion.motion_planner import MotionPlanner
 from uav_recon.motion.yaw_policy import yaw_policy_of
 from uav_recon.types.frames import FloatArray
+from uav_recon.types.localizability import SurfaceCells
 from uav_recon.types.maps import VoxelMap
 from uav_recon.types.reason import Reason
 from uav_recon.types.recent_views import RecentViews
@@ -32,6 +33,7 @@ class SpeedLimitedPlanner:
         self._usual_mps = usual_mps
         self._max_speed_mps = math.inf
         self._views: RecentViews | None = None
+        self._cells: SurfaceCells | None = None
 
     @staticmethod
     def of(config: Config, clearance_m: float, low_m: FloatArray, high_m: FloatArray) -> SpeedLimitedPlanner:
@@ -52,6 +54,10 @@ class SpeedLimitedPlanner:
         """Set the views of the last seconds: where the camera does not look, speed depends on them."""
         self._views = views
 
+    def set_surface(self, cells: SurfaceCells) -> None:
+        """Set the surface by which the camera tells where it is: headings along a path depend on it."""
+        self._cells = cells
+
     @property
     def _motion(self) -> MotionPlanner:
         return self._usual if self._max_speed_mps >= self._usual_mps else self._slow
@@ -60,13 +66,17 @@ class SpeedLimitedPlanner:
         self, path: ViewPath, voxels: VoxelMap, start: Setpoint, start_s: float, views_at_spacing_m: float, identifier: int
     ) -> Trajectory | Reason:
         """Plan from rest through the views; see MotionPlannerInterface."""
-        return self._motion.plan_from_rest(path, voxels, start, start_s, views_at_spacing_m, identifier, self._views)
+        return self._motion.plan_from_rest(
+            path, voxels, start, start_s, views_at_spacing_m, identifier, self._views, self._cells
+        )
 
     def plan_from_motion(
         self, path: ViewPath, voxels: VoxelMap, flying: Trajectory, leave_s: float, views_at_spacing_m: float, identifier: int
     ) -> Trajectory | Reason:
         """Plan out of a motion through the views; see MotionPlannerInterface."""
-        return self._motion.plan_from_motion(path, voxels, flying, leave_s, views_at_spacing_m, identifier, self._views)
+        return self._motion.plan_from_motion(
+            path, voxels, flying, leave_s, views_at_spacing_m, identifier, self._views, self._cells
+        )
 
     def plan_turn(self, start: Setpoint, start_s: float, total_yaw_rad: float, views: int, identifier: int) -> Trajectory:
         """Turn on the spot, always with the usual limits."""

@@ -13,11 +13,13 @@ from typing import Protocol
 import numpy as np
 
 from uav_recon.config import Config
+from uav_recon.geometry.view_information import BLIND_M, GOOD_M, Eye, view_sigmas
 from uav_recon.motion.clearance import ClearanceMap
 from uav_recon.motion.sight_forecast import EnteredHull, SightForecast
 from uav_recon.motion.time_scaling import STEP_S
 from uav_recon.safety.sight_speed_limit import SightSpeedLimit
 from uav_recon.types.frames import BoolArray, FloatArray
+from uav_recon.types.localizability import SurfaceCells
 from uav_recon.types.recent_views import RecentViews
 
 #: brake: planned speed outside the camera's view, of blind_speed_mps: the transition to a new motion adds to it
@@ -33,6 +35,9 @@ PREFERRED = 1.4
 USUAL_SHARE = 0.6  # mean speed on a path as a share of the greatest
 # lengths of the path within which it turns at the start of an edge, and to the view at its end; pairs are compared
 TURNS_M = ((TURNS_IN_M, TURNS_IN_M), (TURNS_IN_M, 0.5), (TURNS_IN_M, 1.0), (0.5, 0.5), (1.0, 1.0))
+BLIND_WEIGHT = 4.0  # what a second before a view that does not show the place counts more than others
+WEIGHED = 3  # one of so many positions of a path whose view is examined
+EDGE_HEADINGS = 5  # of an edge that are examined
 SPARSE = 5  # rows of a motion between two whose age is examined
 SAMPLE_M = 0.15  # of a path whose duration is estimated ...
 SAMPLE_RAD = 0.25  # ... and of its turning
@@ -134,6 +139,7 @@ class YawAlongPath:
 
     half_tan: tangents of half the camera's angles, horizontal and vertical. limit: speed limit where it does not look.
     hull: what enters the space there. speed_mps and rate_radps: limits of flying and of turning, to compare durations.
+    camera_body_m: position of the camera on the body.
     """
 
     half_tan: tuple[float, float]
@@ -141,6 +147,7 @@ class YawAlongPath:
     hull: EnteredHull
     speed_mps: float
     rate_radps: float
+    camera_body_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     @property
     def blind_speed_mps(self) -> float:
@@ -166,11 +173,13 @@ class YawAlongPath:
     def along(
         self, leg: FloatArray, begin: FloatArray, goal: FloatArray, forecast: SightForecast | None
     ) -> tuple[FloatArray, SightForecast | None]:
-        """Return the vertices that take the least time.
+        """Return the vertices that take the least time, in which a view that does not show the place counts for more.
 
-        They turn evenly, or the nose is first and turns within one of TURNS_M.
+        They turn evenly, or the nose is first and turns within one of TURNS_M, or it turns to where the view shows the place.
         """
         candidates = [_with_even_turn(leg, begin, goal), *(self._nose_first(leg, begin, goal, *turns_m) for turns_m in TURNS_M)]
+        if forecast is not None and forecast.cells is not None:
+            candidates += [self._nose_first(leg, begin, goal, *turns_m, forecast.cells) for turns_m in TURNS_M[:2]]
         passes = [self._estimated_pass(np.vstack([begin, vertex]), forecast) for vertex in candidates]
         # where space was not seen lately the guard may refuse a turn in flight, and the nose turns first
         fit = [n for n, one in enumerate(passes) if n <= 1 or not one.stale]
@@ -231,20 +240,29 @@ class YawAlongPath:
         return cos * ahead - sin * direction[:, 2], aside, -sin * ahead - cos * direction[:, 2]
 
     def _nose_first(
-        self, leg: FloatArray, begin: FloatArray, goal: FloatArray, turns_m: float, turns_to_view_m: float
+        self,
+        leg: FloatArray,
+        begin: FloatArray,
+        goal: FloatArray,
+        turns_m: float,
+        turns_to_view_m: float,
+        cells: SurfaceCells | None = None,
     ) -> FloatArray:
         """Return the vertices with the nose first.
 
         At the start of each edge, within turns_m, the nose turns no farther than it has to. Where the last edge ends, within
-        turns_to_view_m, it turns to the view.
+        turns_to_view_m, it turns to the view. cells: surface by which the camera tells where it is; the nose turns to where the
+        view shows the place, while the path stays in view.
         """
-        max_offset_rad = self.max_offset_rad
         yaw_rad, places, yaws = float(begin[3]), [leg[0]], [float(begin[3])]
         for here, there in itertools.pairwise(leg):
             step = there - here
             if math.hypot(step[0], step[1]) >= SHORT_M:
                 off = math.remainder(math.atan2(step[1], step[0]) - yaw_rad, math.tau)
-                yaw_rad += math.copysign(max(abs(off) - max_offset_rad, 0.0), off)
+                least_rad = math.copysign(max(abs(off) - self.max_offset_rad, 0.0), off)
+                yaw_rad += (
+                    least_rad if cells is None else self._turn_rad(here, there, np.array([yaw_rad, begin[4]]), off, cells)
+                )
             places += [here + step * _share(step, turns_m), there]
             yaws += [yaw_rad, yaw_rad]
         end = places[-1] - leg[-2]
@@ -273,8 +291,31 @@ class YawAlongPath:
         for _ in range(1 if forecast is None else 2):
             limit_mps = np.minimum(limit_mps, self.max_speed_mps(step, place, forecast, begin_s + np.cumsum(piece_s)))
             piece_s = self._piece_s(limit_mps, piece_m, turning_s)
-        weighted_s = float(np.sum(np.where(np.isfinite(limit_mps), PREFERRED, 1.0) * piece_s))
+        weight = np.where(np.isfinite(limit_mps), PREFERRED, 1.0)
+        if forecast is not None and forecast.cells is not None:
+            weight = weight * np.repeat(self._weight(place[::WEIGHED], forecast.cells), WEIGHED)[: len(place)]
+        weighted_s = float(np.sum(weight * piece_s))
         return PathPass(place, begin_s + np.cumsum(piece_s), weighted_s, bool((limit_mps <= self.blind_speed_mps).any()))
+
+    def _weight(self, place: FloatArray, cells: SurfaceCells) -> FloatArray:
+        """Return how much a second at positions (M, 5) counts: more where the view shows the place less well."""
+        eye = Eye(self.half_tan, self.camera_body_m)
+        sigma_m = view_sigmas(cells, eye, place[:, :3], place[:, 3:]).expected_m()
+        return np.asarray(1.0 + BLIND_WEIGHT * (np.clip(sigma_m, GOOD_M, BLIND_M) - GOOD_M) / (BLIND_M - GOOD_M))
+
+    def _turn_rad(self, here: FloatArray, there: FloatArray, angles: FloatArray, off_rad: float, cells: SurfaceCells) -> float:
+        """Return the turn at the start of an edge after which its passage counts least, turn included.
+
+        angles (2,): heading before it, and tilt of the camera. off_rad: from that heading to the direction of the edge.
+        """
+        turns = off_rad + np.linspace(-self.max_offset_rad, self.max_offset_rad, EDGE_HEADINGS)
+        turns = np.append(turns, 0.0) if abs(off_rad) <= self.max_offset_rad else turns
+        place = np.empty((len(turns), 2, 5))
+        place[:, 0, :3], place[:, 1, :3] = 0.75 * here + 0.25 * there, 0.25 * here + 0.75 * there
+        place[:, :, 3], place[:, :, 4] = angles[0] + turns[:, None], angles[1]
+        weight = self._weight(place.reshape(-1, 5), cells).reshape(-1, 2).mean(axis=1)
+        flight_s = float(np.linalg.norm(there - here)) / (USUAL_SHARE * self.speed_mps)
+        return float(turns[np.argmin(weight * flight_s + np.abs(turns) / self.rate_radps)])
 
     def _piece_s(self, limit_mps: FloatArray, piece_m: FloatArray, turning_s: FloatArray) -> FloatArray:
         """Return the time (M,) of each piece of a path.
@@ -317,7 +358,10 @@ def yaw_policy_of(config: Config) -> YawPolicy:
     )
     stopping_m = min(motion.speed_mps, safety.max_speed_mps) ** 2 / (2.0 * safety.max_acceleration_mps2)
     hull = EnteredHull(safety.vehicle_radius_m, stopping_m)
-    return YawAlongPath(half_tan, limit, hull, motion.speed_mps, math.radians(motion.yaw_rate_degps))
+    at_m = camera.position_body_m
+    return YawAlongPath(
+        half_tan, limit, hull, motion.speed_mps, math.radians(motion.yaw_rate_degps), (at_m[0], at_m[1], at_m[2])
+    )
 
 
 def relative_to_leaning_body(direction: FloatArray, change_mps2: FloatArray) -> FloatArray:

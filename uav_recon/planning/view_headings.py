@@ -14,23 +14,30 @@ import numpy as np
 from uav_recon.planning.camera_frustum import CAM_X, CAM_Y, CAM_Z
 from uav_recon.planning.candidate_view import CandidateView
 from uav_recon.planning.frontier.camera_aiming import count_in_frustum
+from uav_recon.planning.place_sight import PlaceSight
 from uav_recon.types.frames import FloatArray
 
 KEPT_SHARE = 0.9  # of the expected cells in view; the rest is mostly seen on the way to the heading
 STEP_RAD = math.radians(6.0)  # between headings that are tried ...
 MAX_STEPS = 7  # ... and their number on either side
 MAX_CELLS = 100  # examined of those that a view promises
+HEADINGS = 5  # that are compared by what they show of the place
 LONG_M = 1.0  # level length of a leg that is flown nose first
 OFF_RAD = math.radians(30.0)  # between nose and path on such a leg
 
 
 def suited_to_path(
-    views: Sequence[CandidateView], legs: Sequence[FloatArray], yaw_rad: float, lens: FloatArray, shape: tuple[int, int, int]
+    views: Sequence[CandidateView],
+    legs: Sequence[FloatArray],
+    yaw_rad: float,
+    lens: FloatArray,
+    shape: tuple[int, int, int],
+    sight: PlaceSight | None = None,
 ) -> list[CandidateView]:
-    """Return the views of a tour with headings that suit the path.
+    """Return the views of a tour with headings that suit the path, and show where the vehicle is.
 
     legs: (N, 3) waypoints of the leg to each view, in any unit. yaw_rad: heading at the start. lens: of the camera, see
-    CameraGeometry.lens(). shape: of the map.
+    CameraGeometry.lens(). shape: of the map. sight: None if that does not matter.
     """
     suited = []
     for view, leg in zip(views, legs, strict=True):
@@ -39,6 +46,8 @@ def suited_to_path(
         best_rad = view.task.viewpoint.yaw_rad
         off_rad = math.remainder(yaw_rad - best_rad, math.tau)
         yaw_rad = math.remainder(best_rad + min(max(off_rad, low_rad), high_rad), math.tau)
+        if sight is not None:
+            yaw_rad = sight.heading_rad(view, yaw_rad, best_rad + np.linspace(low_rad, high_rad, HEADINGS))
         suited.append(view.with_heading(yaw_rad))
     return suited
 

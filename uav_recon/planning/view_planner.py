@@ -28,6 +28,7 @@ from uav_recon.planning.frontier.frontiers import Frontiers, fence_box
 from uav_recon.planning.frontier.rejection_counts import count_rejected_frontiers
 from uav_recon.planning.paths import segments
 from uav_recon.planning.paths.path_cache import PathCache
+from uav_recon.planning.place_sight import PlaceSight
 from uav_recon.planning.presets import derived
 from uav_recon.planning.reconstruction import gain_field
 from uav_recon.planning.reconstruction.gain_field import FieldViews
@@ -172,13 +173,15 @@ class ViewPlanner:
             )
         )
         committed = self._committed(context, request)
-        tasks = _drop_duplicate_tasks(committed, self._not_refused(generated.proposals))
+        sight = None if request.cells is None else PlaceSight(request.cells, self.camera)
+        shown, blind = self._shown(sight, self._not_refused(generated.proposals))
+        tasks = _drop_duplicate_tasks(committed, shown)
         tasks_made_s = self._timer()
         order, dropped = self._order(context, request, tasks, len(committed))
         if not order:
-            return self._nothing(self._nothing_reason(context, dropped), start_s, tasks_made_s)
+            return self._nothing(self._nothing_reason(context, dropped, blind), start_s, tasks_made_s)
         nodes = self._within_horizon(order, generated.widening)
-        views = self._turned_to_path(request, [tasks[node - 1] for node in nodes], nodes, len(committed))
+        views = self._turned_to_path(request, [tasks[node - 1] for node in nodes], nodes, len(committed), sight)
         path = self._path(request, generated, views, nodes, start_s, tasks_made_s)
         self._newest_path = path, tuple(views)
         return path
@@ -186,6 +189,12 @@ class ViewPlanner:
     def _not_refused(self, proposals: list[CandidateView]) -> list[CandidateView]:
         """Return the views to which no motion was just refused; all if there is no other."""
         return [one for one in proposals if not self.view_history.is_set_aside(one)] or proposals
+
+    @staticmethod
+    def _shown(sight: PlaceSight | None, proposals: list[CandidateView]) -> tuple[list[CandidateView], int]:
+        """Return the views that show where the vehicle is, with the gains that count, and the number of others."""
+        shown = proposals if sight is None else sight.weighed(proposals)
+        return shown, len(proposals) - len(shown)
 
     def plan_views(
         self, voxels: VoxelMap, world_from_body: Pose, views: int, surface: SurfaceElements | None = None
@@ -289,7 +298,7 @@ class ViewPlanner:
         return tuple(self._path_cache.path_world(i, j) for i, j in zip([0, *nodes[:-1]], nodes, strict=True))
 
     def _turned_to_path(
-        self, request: PlanRequest, views: list[CandidateView], nodes: list[int], committed: int
+        self, request: PlanRequest, views: list[CandidateView], nodes: list[int], committed: int, sight: PlaceSight | None
     ) -> list[CandidateView]:
         """Return the views with headings that suit the path.
 
@@ -300,7 +309,7 @@ class ViewPlanner:
         if committed:
             yaw_rad = views[0].task.viewpoint.yaw_rad
         legs = self._legs(nodes)[committed:]
-        return views[:committed] + suited_to_path(views[committed:], legs, yaw_rad, lens, grid.shape)
+        return views[:committed] + suited_to_path(views[committed:], legs, yaw_rad, lens, grid.shape, sight)
 
     def _path(
         self,
@@ -325,10 +334,10 @@ class ViewPlanner:
             explored=generated.explored,
         )
 
-    def _nothing_reason(self, context: PlanningContext, not_worth: int) -> Reason:
+    def _nothing_reason(self, context: PlanningContext, not_worth: int, blind: int) -> Reason:
         """Return the reason for an empty plan.
 
-        It counts the frontiers by reason, and the dropped surface tasks.
+        It counts the frontiers by reason, the dropped surface tasks, and the views that do not show where the vehicle is.
 
         Example: '14 frontiers left: 9 too narrow, 5 outside the fence', or 'no frontiers left'.
         """
@@ -339,6 +348,7 @@ class ViewPlanner:
         total = sum(counts.values())
         details = [Reason(code, (n,)) for code, n in counts.items() if n]
         details += [Reason(ReasonCode.SURFACE_NOT_WORTH, (not_worth,))] if not_worth else []
+        details += [Reason(ReasonCode.VIEWS_BLIND, (blind,))] if blind else []
         if not total:
             return Reason(ReasonCode.NO_FRONTIERS_LEFT, details=tuple(details))
         return Reason(ReasonCode.FRONTIERS_LEFT, (total,), tuple(details))

@@ -471,6 +471,7 @@ class ReasonCode(str, Enum):
     FRONTIERS_NOT_REACHABLE = "frontiers-not-reachable", "{0:d} not reachable", "", (9999,)
     FRONTIERS_OUT_OF_VIEW = "frontiers-out-of-view", "{0:d} out of the camera's view", "", (9999,)
     SURFACE_NOT_WORTH = "surface-not-worth", "{0:d} surface tasks not worth their flight", "", (9999,)
+    VIEWS_BLIND = "views-blind", "{0:d} views do not show where the vehicle is", "", (9999,)
 
 
 # wrong axes or signs of poses, camera or inertial sensor

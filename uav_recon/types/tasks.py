@@ -8,6 +8,7 @@ from enum import Enum
 import numpy as np
 
 from uav_recon.types.frames import FloatArray, frozen
+from uav_recon.types.localizability import SurfaceCells
 from uav_recon.types.maps import SurfaceElements, VoxelMap
 from uav_recon.types.reason import Reason
 
@@ -106,7 +107,8 @@ class NextView(Enum):
 class PlanRequest:
     """All inputs of a plan; the same request gives the same plan.
 
-    next_view: what became of the next view of the accepted path.
+    next_view: what became of the next view of the accepted path. cells: surface by which the camera tells where it is; None if
+    that does not matter.
     """
 
     voxels: VoxelMap
@@ -116,3 +118,4 @@ class PlanRequest:
     views_left: int
     velocity_world_mps: FloatArray = field(default_factory=lambda: np.zeros(3))
     next_view: NextView = NextView.KEPT
+    cells: SurfaceCells | None = None

@@ -101,7 +101,8 @@ class Intent:
     """The mission's proposal, renewed at every mission step: stamp_s is the mission's heartbeat.
 
     note: message for people in flight, None for nothing. operator_lost: no operator attends any more, so an operator's hold no
-    longer applies.
+    longer applies. seeing_yaw_rad: the nearest heading, in the world, in which the camera shows where the vehicle is; None if
+    none is known.
     """
 
     stamp_s: float
@@ -109,6 +110,7 @@ class Intent:
     trajectory: Trajectory | None = None
     note: Reason | None = None
     operator_lost: bool = False
+    seeing_yaw_rad: float | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -69,8 +69,16 @@ class MapIntake:
         if views is not None:
             self._stages.motion.set_recent_views(views)
             self._stages.retreat.set_recent_views(views)
+        self._find_surface(posed)
         self.map = self._stages.voxels.snapshot()
         return posed
+
+    def _find_surface(self, posed: PosedFrame) -> None:
+        """Bring a frame into the surface by which the camera tells where it is."""
+        localizability = self._stages.localizability
+        if localizability is not None and localizability.add(posed):
+            self._stages.motion.set_surface(localizability.cells)
+            self._stages.retreat.set_surface(localizability.cells)
 
     def integrate_cone(self) -> None:
         """Free what the upward range finder found empty. The first map needs a depth frame."""

@@ -6,6 +6,7 @@ import numpy as np
 
 from uav_recon.mission.log.mission_log import MissionLog
 from uav_recon.mission.publication.map_publisher import MapPublisher
+from uav_recon.mission.publication.seeing_heading import SeeingHeading
 from uav_recon.mission.requests.operator_watchdog import OperatorWatchdog
 from uav_recon.mission.setup.mission_channels import MissionChannels
 from uav_recon.mission.setup.mission_stages import MissionStages
@@ -22,7 +23,13 @@ class MissionPublisher:
     """Publishes the result of each step: the intent always, maps and progress when they are due."""
 
     def __init__(
-        self, stages: MissionStages, channels: MissionChannels, track: FlightTrack, log: MissionLog, watchdog: OperatorWatchdog
+        self,
+        stages: MissionStages,
+        channels: MissionChannels,
+        track: FlightTrack,
+        log: MissionLog,
+        watchdog: OperatorWatchdog,
+        camera_pitch_down_rad: float,
     ) -> None:
         self._stages = stages
         self._channels = channels
@@ -30,6 +37,7 @@ class MissionPublisher:
         self._log = log
         self._watchdog = watchdog
         self._map_publisher = MapPublisher(channels)
+        self._heading = SeeingHeading(stages.localizability, track, camera_pitch_down_rad)
         self._reported_s = -np.inf
 
     def publish(self, now_s: float, phase: Phase, voxels: VoxelMap | None) -> None:
@@ -44,7 +52,8 @@ class MissionPublisher:
     def _intent(self, now_s: float, phase: Phase) -> Intent:
         goal = Goal.STANDBY if phase in _GROUNDED else Goal.LAND if phase is Phase.LANDING else Goal.FLY
         note = self._log.aborted or self._watchdog.note
-        return Intent(now_s, goal, self._track.trajectory, note, bool(self._watchdog.lost))
+        seeing_yaw_rad = self._heading.yaw_rad(now_s) if goal is Goal.FLY else None
+        return Intent(now_s, goal, self._track.trajectory, note, bool(self._watchdog.lost), seeing_yaw_rad)
 
     def _report_progress(self, now_s: float, phase: Phase) -> None:
         explored_m3, track = self._stages.voxels.explored_m3(), self._track

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from uav_recon.interfaces import (
+    LocalizabilityInterface,
     Mapper,
     OccupancyMapInterface,
     Planner,
@@ -19,6 +20,7 @@ class MissionStages:
     """The stages, through their protocols.
 
     retreat: motion along paths that were flown already, with less clearance.
+    localizability: None where poses do not come from the camera's view.
     """
 
     voxels: OccupancyMapInterface
@@ -28,3 +30,4 @@ class MissionStages:
     motion: SpeedLimitedMotion
     retreat: SpeedLimitedMotion
     recent_views: RecentViewMemoryInterface
+    localizability: LocalizabilityInterface | None = None

@@ -140,8 +140,9 @@ class Survey:
         departure = self._executor.track.departure(now_s + self._lead_s, vehicle)
         start, surface = departure.setpoint, self._surface()
         request = PlanRequest(
-            voxels, surface, start.position_m, start.yaw_rad, self._log.views_left, start.velocity_mps, self._next_view
-        )
+            voxels, surface, start.position_m, start.yaw_rad, self._log.views_left, start.velocity_mps, self._next_view,
+            None if self._stages.localizability is None else self._stages.localizability.cells,
+        )  # fmt: skip
         self._next_view = NextView.KEPT
         self._departure = departure
         self._pending_plan = self._planner.next_views(request, departure, self._executor.track.next_identifier())

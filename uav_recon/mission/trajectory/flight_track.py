@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from uav_recon.types.frames import FloatArray, IntArray
+from uav_recon.types.pose import Pose
 from uav_recon.types.trajectory import Setpoint, Trajectory
 from uav_recon.types.vehicle import VehicleState
 
@@ -48,6 +49,11 @@ class FlightTrack:
         """Return a new trajectory number."""
         self._identifier += 1
         return self._identifier
+
+    @property
+    def world_from_body(self) -> Pose:
+        """Position and heading of the vehicle."""
+        return Pose.from_yaw(self._yaw_rad, self.position_world)
 
     def follow(self, vehicle: VehicleState) -> None:
         """Record the vehicle's position."""

@@ -22,6 +22,8 @@ _LIFTED_M = 0.3  #: retreat: a view this much below the least height is flown at
 _SHARE = 0.9  # of the allowed speed: sampling adds the rest
 _TURN_SHARE = 0.7  #: retreat: share of the guard's yaw rate on the way back
 _TURN_SMOOTH_S = 0.2  #: retreat: as the corners of a path back, of turns: the place is lost after two seconds
+_MOST_TURN_RAD = math.radians(135.0)  #: retreat: a longer turn to a view that shows the place takes as long as the way back
+_LOOKS_S = 1.0  #: retreat: pause in that view, until the place is known again
 _LONGEST_S = 20.0  #: retreat: longest way back
 
 
@@ -47,15 +49,21 @@ class FlownViews:
         self._views.clear()
 
     def way_back(
-        self, rest: Setpoint, height_m: float, start_s: float, speed_mps: float, yaw_rate_radps: float, map_epoch: int
-    ) -> Trajectory:
+        self, rest: Setpoint, height_m: float, start_s: float, speed_mps: float, yaw_rate_radps: float, map_epoch: int,
+        seeing_yaw_rad: float | None = None,
+    ) -> Trajectory:  # fmt: skip
         """Return a trajectory from rest back through the views, newest first; a hold without any.
 
         It turns on the spot while the views are near. It does not go below a height, or the present one: it ends at a view
         that is far below. It stays below a speed and a yaw rate. Corners are rounded as on the path along breadcrumbs.
+        seeing_yaw_rad: heading in which the map says that the camera shows the place: it turns there first.
         """
         here, turn_radps = tuple(rest.position_m.tolist()), _TURN_SHARE * yaw_rate_radps
         corners, at_s, least_m = [(*here, rest.yaw_rad)], [0.0], min(height_m, here[2])
+        turn_rad = 0.0 if seeing_yaw_rad is None else math.remainder(seeing_yaw_rad - rest.yaw_rad, math.tau)
+        if _APART_RAD < abs(turn_rad) <= _MOST_TURN_RAD:
+            corners += [(*here, rest.yaw_rad + turn_rad)] * 2
+            at_s += [abs(turn_rad) / turn_radps, abs(turn_rad) / turn_radps + _LOOKS_S]
         for *place, yaw_rad in reversed(self._views):
             before, there = corners[-1], here if math.dist(place, here) < _NEAR_M else (*place[:2], max(place[2], least_m))
             if place[2] < least_m - _LIFTED_M or at_s[-1] > _LONGEST_S:

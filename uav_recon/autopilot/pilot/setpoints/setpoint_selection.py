@@ -256,7 +256,8 @@ class SetpointSelector:
         speed_mps, yaw_rate_radps = self._guard.bounds.retreat_speed_mps, self._guard.envelope.max_yaw_rate_radps
         if self._situation.poses.unsure is not None:
             self._turn_down()
-            return self._views.way_back(rest, height_m, now_s, speed_mps, yaw_rate_radps, inputs.map_epoch)
+            seeing_yaw_rad = self._situation.mission.seeing_yaw_rad(now_s)
+            return self._views.way_back(rest, height_m, now_s, speed_mps, yaw_rate_radps, inputs.map_epoch, seeing_yaw_rad)
         seeing = inputs.ahead is not None and now_s - inputs.ahead.stamp_s <= self._guard.bounds.depth_timeout_s
         return self._crumbs.way_back(rest, height_m, now_s, speed_mps, inputs.map_epoch, seeing)
 
