@@ -22,11 +22,11 @@ from uav_recon.recording.flight_log import FlightLog
 from uav_recon.types.camera import Frame, Intrinsics, PosedFrame
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.free_cone import FreeCone
+from uav_recon.types.localizability import SurfaceCells
 from uav_recon.types.maps import FREE, OCCUPIED, GridSpec, SurfaceElements, VoxelMap
 from uav_recon.types.pose import MapCorrection, Pose
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
-from uav_recon.types.localizability import SurfaceCells
 from uav_recon.types.recent_views import RecentViews
 from uav_recon.types.tasks import NothingLeft, PlanMode, PlanRequest, Task, TaskKind, ViewPath, Viewpoint
 from uav_recon.types.trajectory import Goal, Intent, Setpoint, Trajectory

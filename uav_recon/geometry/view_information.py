@@ -26,13 +26,14 @@ _PATCHES = 53.0  # across the width of the image: one patch is one measurement o
 _DEPTH_SHARE = 0.3  # of an independent measurement, that a patch of depth is
 _DEPTH_M, _DEPTH_PER_M2 = 0.003, 0.0019  # standard deviation of depth, and its growth with the square of the distance
 _CORNER_RAD = 1.0 / 380.0  # standard deviation of a corner
+_FEW_CORNERS, _MANY_CORNERS = 6.0, 20.0  # in view: so few say nothing, so many all they can
 _TURN_RAD = math.radians(0.15)  # of the turn of the camera since the frame before
-_WEAK_SHARE = 0.005  # of the information of the best direction, below which a direction is not shown
+_WEAK_SHARE = 0.015  # of the information of the best direction, below which a direction is not shown
 _WEAK_M = 0.03  # nor if it is shown less well than this
 #: plan: standard deviation of a view of space that no camera has seen: about that of a usual view, else none leads there
-_UNKNOWN_M = 0.01
-GOOD_M = 0.005  # standard deviation of a view that shows its place well
-BLIND_M = 0.03  #: plan: a view that shows its place less well is no goal, and a way past it is long
+_UNKNOWN_M = 0.006
+GOOD_M = 0.004  # standard deviation of a view that shows its place well
+BLIND_M = 0.012  #: plan: a view that shows its place less well is no goal, and a way past it is long
 MOST_M = 1.0  # standard deviation of a direction that is not shown
 
 
@@ -102,16 +103,27 @@ def _fill(
         information[:], both[:], of_turn[:] = 0.0, 0.0, 0.0
         for k in range(3):
             of_turn[k, k] = _TURN_RAD**-2
+        followed = _followed(corners, seen, shown, count, eye, nearest)
         for k in range(count):
             cell = shown[k]
             if not _hidden(seen[k], eye, nearest):
                 x, y, z = place[cell, 0] - at[0], place[cell, 1] - at[1], place[cell, 2] - at[2]
-                surface = (spread[cell], area_m2[cell], corners[cell])
+                surface = (spread[cell], area_m2[cell], followed * corners[cell])
                 _add_cell(x, y, z, seen[k, 2], normal[cell], surface, eye[0], information, both, of_turn)
         least, greatest = _ends(_without_turn(information, both, of_turn))
         left = least - max(_WEAK_SHARE * greatest, _WEAK_M**-2)
         sigma_m[n] = min(1.0 / math.sqrt(left), MOST_M) if left > 0.0 else MOST_M
         open_share[n] = np.sum(nearest == np.inf) / (_ROWS * _COLUMNS)
+
+
+@kernel
+def _followed(corners: AnyArray, seen: AnyArray, shown: AnyArray, count: int, eye: AnyArray, nearest: AnyArray) -> float:
+    """Return the share of the corners in view that a tracker follows: a few of them do not determine its place."""
+    total = 0.0
+    for k in range(count):
+        if not _hidden(seen[k], eye, nearest):
+            total += corners[shown[k]]
+    return min(max(total - _FEW_CORNERS, 0.0) / (_MANY_CORNERS - _FEW_CORNERS), 1.0)
 
 
 @kernel
@@ -137,9 +149,10 @@ def _add_cell(
     if facing < _ALONG_COSINE and spread < _UNEVEN:
         return
     patches = area_m2 / (deep * 2.0 * half_tan / _PATCHES) ** 2
-    depth = patches / (_DEPTH_M + _DEPTH_PER_M2 * deep * deep) ** 2
-    across = corners * patches / (_CORNER_RAD * deep) ** 2
-    along = (corners * depth - across) / far2
+    corners = min(corners, patches)
+    one = (_DEPTH_M + _DEPTH_PER_M2 * deep * deep) ** -2
+    depth, across = patches * one, corners / (_CORNER_RAD * deep) ** 2
+    along = (corners * one - across) / far2
     level, plane = _DEPTH_SHARE * depth * spread + across, _DEPTH_SHARE * depth * (1.0 - 3.0 * spread)
     # level I + plane n n' + along p p', and its products with the turn's derivative: for a vector v those are p x v
     nx, ny, nz = normal[0], normal[1], normal[2]

@@ -1,7 +1,7 @@
 """Localizability map: surface with its normals and its texture, as a camera uses them to tell where it is.
 
-Cells of 0.2 m. Each holds the first two moments of its surface points, whose smallest axis is the normal, and which share of
-the patches of an image of it shows a corner.
+Cells of 0.2 m. Each holds the first two moments of its surface points, whose smallest axis is the normal, and how many corners
+an image of it shows.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 from uav_recon.geometry import view_information
 from uav_recon.geometry.view_information import GOOD_M, Eye, view_sigmas
 from uav_recon.types.camera import Frame, PosedFrame
-from uav_recon.types.frames import BoolArray, FloatArray, IntArray
+from uav_recon.types.frames import BoolArray, ByteArray, Float32Array, FloatArray, IntArray
 from uav_recon.types.localizability import SurfaceCells
 from uav_recon.types.maps import GridSpec
 from uav_recon.types.pose import Pose
@@ -25,12 +25,17 @@ _SPACING_S = 0.2  # between frames that are taken
 _PATCH_SHARE = 1.0 / 53.0  # of the width of the depth image
 _NEAREST_M, _FARTHEST_M = 0.3, 4.0
 _WIDEST_PX = 424  # of the image in which corners are sought
-_MIN_TEXTURE = 7.5e-6  # least eigenvalue of a corner's structure; less is noise
+_MOST_CORNERS, _APART_PX, _CORNER_QUALITY = 220, 9, 0.01  # those that a tracker would take
+_BLOCK_PX = 7  # around a corner, in which its texture is measured
+_MIN_TEXTURE = 3e-5  # least eigenvalue of a corner's texture; less is noise
+# its two eigenvalues: ratio up to which it is an edge, and from which on a corner
+_EDGE_SHARE, _CORNER_SHARE = 0.15, 0.5
 _ABOVE_NOISE = 2.0  # factor of the texture that the plainest tenth of the patches does not exceed
 _PLAIN_SHARE = 0.1
 _FEWEST_POINTS = 6
-_FLAT = 0.1  # ratio of the two smallest axes of a plane, by the noise of depth
+_FLAT = 0.3  # ratio of the two smallest axes of a plane, by the noise of depth and of poses
 _SHOWN = 0.3  # weight of a new look in the mean of corners
+_FEWEST_CORNERS = 0.3  # a smaller mean is noise, or a corner that is not seen from everywhere
 _COLUMNS = 9  # of a row of surface: place, normal, spread, area, corners
 # from a heading to others, nearest first
 _TURNS_RAD = np.deg2rad([0.0, *(sign * turn for turn in range(15, 181, 15) for sign in (1, -1))])
@@ -105,6 +110,7 @@ class LocalizabilityMap:
 
         Return the numbers of the cells that have changed.
         """
+
         cell, which, number = np.unique(flat, return_inverse=True, return_counts=True)
 
         def total(of: FloatArray) -> FloatArray:
@@ -117,12 +123,12 @@ class LocalizabilityMap:
         to_eye /= np.linalg.norm(to_eye, axis=1, keepdims=True)
         self._facing[cell] += np.stack([total(of) for of in to_eye.T], axis=1)
         self._area_m2[cell] = np.maximum(self._area_m2[cell], total(patches.across_m2))
-        known = np.isfinite(patches.corner)
-        seen, shown = total(known.astype(np.float64)), total(np.where(known, patches.corner, 0.0))
+        known = np.isfinite(patches.corners)
+        seen, shown = total(known.astype(np.float64)), total(np.where(known, patches.corners, 0.0))
         looked = cell[seen > 0.0]
-        now, before = shown[seen > 0.0] / seen[seen > 0.0], self._corners[looked]
+        now, before = shown[seen > 0.0], self._corners[looked]
         self._corners[looked] = np.where(np.isnan(before), now, before + _SHOWN * (now - before))
-        return np.asarray(cell)
+        return cell.astype(np.int64)
 
     def _describe(self, cell: IntArray) -> None:
         """Write the rows of cells (N,) in the table of surface."""
@@ -133,7 +139,7 @@ class LocalizabilityMap:
         normal = axes[:, :, 0]
         normal = np.where(np.einsum("na,na->n", normal, self._facing[cell])[:, None] < 0.0, -normal, normal)
         uneven = np.clip(values[:, 0] / np.maximum(values[:, 1], 1e-9) - _FLAT, 0.0, 1.0) / 3.0
-        corners = np.nan_to_num(self._corners[cell])
+        corners = np.where(self._corners[cell] > _FEWEST_CORNERS, self._corners[cell], 0.0)  # NaN: not seen in colour
         rows = np.column_stack([self._grid.origin_world_m + mean, normal, uneven, self._area_m2[cell], corners])
         new = self._row[cell] < 0
         self._row[cell[new]] = len(self._surface) + np.arange(np.count_nonzero(new))
@@ -149,49 +155,63 @@ class LocalizabilityMap:
 class _Patches(NamedTuple):
     """Patches of a depth image.
 
-    points_m (N, 3): their middles, in the frame of the depth imager. across_m2 (N,): area across the view. corner (N,): 1 if
-    the colour image shows a corner there, 0 if not, NaN outside it.
+    points_m (N, 3): their middles, in the frame of the depth imager. across_m2 (N,): area across the view. corners (N,): number
+    of corners that the colour image shows there, NaN outside it.
     """
 
     points_m: FloatArray
     across_m2: FloatArray
-    corner: FloatArray
+    corners: FloatArray
 
     def of(self, some: BoolArray) -> _Patches:
         """Return some of the patches (N,)."""
-        return _Patches(self.points_m[some], self.across_m2[some], self.corner[some])
+        return _Patches(self.points_m[some], self.across_m2[some], self.corners[some])
 
 
 def _patches(frame: Frame) -> _Patches:
     """Return the patches of a frame."""
-    step = max(round(_PATCH_SHARE * frame.depth_intrinsics.width), 1)
-    lens, half = frame.depth_intrinsics, step // 2
+    lens = frame.depth_intrinsics
+    step = max(round(_PATCH_SHARE * lens.width), 1)
+    half = step // 2
     depth_m = frame.depth_m[half::step, half::step]
     v, u = np.nonzero((depth_m > _NEAREST_M) & (depth_m < _FARTHEST_M))
     z = depth_m[v, u].astype(np.float64)
     across = np.stack(((half + step * u - lens.cx) / lens.fx, (half + step * v - lens.cy) / lens.fy, np.ones(len(z))), axis=1)
     points_m = across * z[:, None]
-    return _Patches(points_m, z**2 * step**2 / (lens.fx * lens.fy), _corners(frame, points_m))
+    return _Patches(points_m, z**2 * step**2 / (lens.fx * lens.fy), _corners(frame, points_m, step / lens.fx))
 
 
-def _corners(frame: Frame, points_m: FloatArray) -> FloatArray:
-    """Return 1 for each patch that shows a corner, 0 for others, NaN outside the colour image.
+def _corners(frame: Frame, points_m: FloatArray, patch_rad: float) -> FloatArray:
+    """Return the number of corners of each patch (N,), NaN outside the colour image.
 
-    points_m (N, 3): middles of the patches.
+    points_m (N, 3): middles of the patches. patch_rad: their width. A corner counts for less the more it is an edge.
     """
     lens = frame.rgb_intrinsics
     scale = min(_WIDEST_PX / lens.width, 1.0)
     grey = cv2.cvtColor(frame.rgb, cv2.COLOR_RGB2GRAY)
     grey = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA) if scale < 1.0 else grey
-    step = max(round(_PATCH_SHARE * grey.shape[1]), 1)
-    texture = cv2.cornerMinEigenVal(grey, blockSize=3, ksize=3)
-    strongest = cv2.dilate(texture, np.ones((step, step), np.uint8))
-    least = max(_MIN_TEXTURE, _ABOVE_NOISE * float(np.quantile(texture, _PLAIN_SHARE)))
     x, y, z = frame.rgb_from_depth.apply(points_m).T
     column = np.rint(scale * (lens.fx * x / z + lens.cx)).astype(int)
     row = np.rint(scale * (lens.fy * y / z + lens.cy)).astype(int)
     height, width = grey.shape
     inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
+    patch_px = max(round(scale * lens.fx * patch_rad), 1)
     found = np.full(len(points_m), np.nan)
-    found[inside] = strongest[row[inside], column[inside]] > least
+    counts = cv2.boxFilter(_corner_image(grey), -1, (patch_px, patch_px), normalize=False, borderType=cv2.BORDER_CONSTANT)
+    found[inside] = counts[row[inside], column[inside]]
     return found
+
+
+def _corner_image(grey: ByteArray) -> Float32Array:
+    """Return an image that is not zero at the corners that a tracker would follow: 1, or less if it is nearly an edge."""
+    out = np.zeros(grey.shape, np.float32)
+    found = cv2.goodFeaturesToTrack(grey, _MOST_CORNERS, _CORNER_QUALITY, _APART_PX, blockSize=3)
+    if found is not None:
+        column, row = np.rint(found.reshape(-1, 2)).astype(int).T
+        values = cv2.cornerEigenValsAndVecs(grey, _BLOCK_PX, 3)[:, :, :2]
+        weaker, stronger = values.min(axis=2), values.max(axis=2)
+        least = max(_MIN_TEXTURE, _ABOVE_NOISE * float(np.quantile(weaker[::8, ::8], _PLAIN_SHARE)))
+        ratio = weaker[row, column] / np.maximum(stronger[row, column], _MIN_TEXTURE)
+        share = np.clip((ratio - _EDGE_SHARE) / (_CORNER_SHARE - _EDGE_SHARE), 0.0, 1.0)
+        out[row, column] = np.where(weaker[row, column] > least, share**2, 0.0)
+    return out

@@ -15,7 +15,7 @@ class SurfaceCells:
 
     size_m: edge of a cell. position_world (N, 3): mean of the surface in a cell. normal_world (N, 3): unit, towards the camera
     that saw it. spread (N,): share 0 to 1/3 of the normals in each direction across the mean one; 1/3 where surfaces face all
-    ways. area_m2 (N,): of the surface. corners (N,): share 0 to 1 of the patches of an image of the cell that show a corner.
+    ways. area_m2 (N,): of the surface. corners (N,): number of corners that an image of the cell shows.
     """
 
     size_m: float

@@ -37,7 +37,7 @@ def watchdog() -> OperatorWatchdog:
 
 @pytest.fixture()
 def publisher(desk: Desk, log: MissionLog, watchdog: OperatorWatchdog) -> MissionPublisher:
-    return MissionPublisher(desk.stages, desk.channels, FlightTrack(0.0), log, watchdog)
+    return MissionPublisher(desk.stages, desk.channels, FlightTrack(0.0), log, watchdog, 0.0)
 
 
 @pytest.mark.parametrize(
