@@ -16,8 +16,10 @@ from uav_recon.geometry.jit import kernel
 from uav_recon.types.frames import AnyArray, FloatArray
 from uav_recon.types.localizability import SurfaceCells
 
-_COLUMNS, _ROWS = 20, 15  # of the image of distances by which near cells hide far ones
-_BEHIND_M = 0.35  # a cell that is farther than the nearest one in its direction by more is hidden
+_COLUMNS, _ROWS = 32, 24  # of the image of distances by which near cells hide far ones
+# a cell that is farther than the nearest one in its direction by more is hidden: so much, and a share of its distance, since one
+# direction shows a floor from near to far
+_BEHIND_M, _BEHIND_SHARE = 0.35, 0.1
 _NEAREST_M, _FARTHEST_M = 0.3, 4.0
 _ALONG_COSINE = 0.1  # of the angle between view and normal; a surface that is seen flatter shows nothing
 _UNEVEN = 0.1  # spread from which a cell shows something from every side
@@ -247,7 +249,7 @@ def _hidden(seen: AnyArray, eye: AnyArray, nearest: AnyArray) -> bool:
     """Return True if a nearer cell hides one (3,) in the frame of the camera."""
     right, down, deep = seen
     column, row = int((0.5 + 0.5 * right / (deep * eye[0])) * _COLUMNS), int((0.5 + 0.5 * down / (deep * eye[1])) * _ROWS)
-    return bool(deep > nearest[min(row, _ROWS - 1), min(column, _COLUMNS - 1)] + _BEHIND_M)
+    return bool(deep > nearest[min(row, _ROWS - 1), min(column, _COLUMNS - 1)] + _BEHIND_M + _BEHIND_SHARE * deep)
 
 
 def warm_up() -> None:

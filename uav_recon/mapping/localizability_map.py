@@ -30,12 +30,12 @@ _BLOCK_PX = 7  # around a corner, in which its texture is measured
 _MIN_TEXTURE = 3e-5  # least eigenvalue of a corner's texture; less is noise
 # its two eigenvalues: ratio up to which it is an edge, and from which on a corner
 _EDGE_SHARE, _CORNER_SHARE = 0.15, 0.5
-_ABOVE_NOISE = 2.0  # factor of the texture that the plainest tenth of the patches does not exceed
+_ABOVE_NOISE = 5.0  # factor of the texture that the plainest tenth of an image does not exceed; noise reaches 3
 _PLAIN_SHARE = 0.1
 _FEWEST_POINTS = 6
 _FLAT = 0.3  # ratio of the two smallest axes of a plane, by the noise of depth and of poses
-_SHOWN = 0.3  # weight of a new look in the mean of corners
-_FEWEST_CORNERS = 0.3  # a smaller mean is noise, or a corner that is not seen from everywhere
+_SHOWN = 0.15  # weight of a new look in the mean of corners
+_FEWEST_CORNERS = 0.5  # a smaller mean is noise, or a corner that is not seen again
 _COLUMNS = 9  # of a row of surface: place, normal, spread, area, corners
 # from a heading to others, nearest first
 _TURNS_RAD = np.deg2rad([0.0, *(sign * turn for turn in range(15, 181, 15) for sign in (1, -1))])
@@ -110,11 +110,10 @@ class LocalizabilityMap:
 
         Return the numbers of the cells that have changed.
         """
-
         cell, which, number = np.unique(flat, return_inverse=True, return_counts=True)
 
         def total(of: FloatArray) -> FloatArray:
-            return np.bincount(which, of, len(cell))
+            return np.asarray(np.bincount(which, of, len(cell)), dtype=np.float64)
 
         x, y, z = (points - self._grid.origin_world_m).T
         sums = (x, y, z, x * x, x * y, x * z, y * y, y * z, z * z)
@@ -128,7 +127,7 @@ class LocalizabilityMap:
         looked = cell[seen > 0.0]
         now, before = shown[seen > 0.0], self._corners[looked]
         self._corners[looked] = np.where(np.isnan(before), now, before + _SHOWN * (now - before))
-        return cell.astype(np.int64)
+        return np.asarray(cell)
 
     def _describe(self, cell: IntArray) -> None:
         """Write the rows of cells (N,) in the table of surface."""
