@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import pytest
 from textured_room import LENS, RGB_LENS, depth_of, frame_of, rgb_of
 
 from uav_recon.geometry.view_information import BLIND_M, GOOD_M, Eye
@@ -70,7 +71,7 @@ def test_it_names_the_nearest_heading_that_shows_the_place() -> None:
     yaw_rad = surface.seeing_yaw_rad(bare, PITCH_RAD)
     assert yaw_rad is not None
     assert surface.sigma_m(Pose.from_yaw(yaw_rad, bare.translation_m), PITCH_RAD) < GOOD_M
-    assert surface.seeing_yaw_rad(painted, PITCH_RAD) == 0.1, "no turn where the view shows the place"
+    assert surface.seeing_yaw_rad(painted, PITCH_RAD) == pytest.approx(0.1), "no turn where the view shows the place"
     assert LocalizabilityMap(GRID, EYE).seeing_yaw_rad(bare, PITCH_RAD) is None
 
 
