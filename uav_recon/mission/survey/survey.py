@@ -103,7 +103,9 @@ class Survey:
             self._resting_since_s = min(self._resting_since_s, now_s)
         else:
             self._executor.brake_if_blocked(now_s, voxels)
-        if self._pending_plan is not None:
+        if _goes_back(vehicle):
+            self._pending_plan = None  # it would begin where the vehicle is no more
+        elif self._pending_plan is not None:
             self._fly_plan(now_s)
         elif resting and not self._looked_round:
             self._look_round(now_s, vehicle, self._parameters.survey_views)
@@ -201,3 +203,8 @@ class Survey:
         self._replan_s = now_s + RETHINK_S
         if self._log.failed_in_a_row >= MAX_FAILED_PLANS:
             self._log.stop_reason = Reason(ReasonCode.PLANS_FAILED, (MAX_FAILED_PLANS,), (reason,))
+
+
+def _goes_back(vehicle: VehicleState) -> bool:
+    """Return True while the pilot goes back to where the place is known."""
+    return vehicle.slow_reason is not None and ReasonCode.PLACE_UNSURE in vehicle.slow_reason.codes()
