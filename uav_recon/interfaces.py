@@ -250,7 +250,10 @@ class RecentViewMemoryInterface(Protocol):
 
 
 class LocalizabilityInterface(Protocol):
-    """Surface as the camera uses it to tell where it is. No call blocks; each costs a few milliseconds."""
+    """Surface as the camera uses it to tell where it is.
+
+    No call blocks; each costs a few milliseconds.
+    """
 
     @property
     def cells(self) -> SurfaceCells:
@@ -262,11 +265,17 @@ class LocalizabilityInterface(Protocol):
         ...
 
     def sigma_m(self, world_from_body: Pose, pitch_down_rad: float) -> float:
-        """Return how well the view of a level body shows its place: standard deviation in the worst direction, m."""
+        """Return how well the view of a level body shows its place.
+
+        Standard deviation in the worst direction, m.
+        """
         ...
 
     def seeing_yaw_rad(self, world_from_body: Pose, pitch_down_rad: float) -> float | None:
-        """Return the heading nearest to that of a body at which a view shows its place well; None if there is none."""
+        """Return the nearest heading in which the view shows the place well.
+
+        None if there is none.
+        """
         ...
 
 
@@ -348,7 +357,7 @@ class SpeedLimitedMotion(MotionPlannerInterface, Protocol):
         ...
 
     def set_surface(self, cells: SurfaceCells) -> None:
-        """Set the surface by which the camera tells where it is, for all trajectories planned from now on."""
+        """Set the surface by which the camera tells where it is, for the next trajectories."""
         ...
 
 

@@ -75,7 +75,7 @@ def test_it_names_the_nearest_heading_that_shows_the_place() -> None:
     assert LocalizabilityMap(GRID, EYE).seeing_yaw_rad(bare, PITCH_RAD) is None
 
 
-def test_frames_that_are_early_or_of_an_uncertain_place_add_nothing_and_another_map_begins_anew() -> None:
+def test_frames_that_are_early_or_of_an_uncertain_place_add_nothing_and_another_map_is_new() -> None:
     surface, here = LocalizabilityMap(GRID, EYE), Pose.from_yaw(0.0, np.array([0.0, 0.0, 1.3]))
     assert surface.add(posed(0.0, here))
     assert not surface.add(posed(0.1, here))

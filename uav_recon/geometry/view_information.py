@@ -1,4 +1,4 @@
-"""Information of a view: how well a camera would know its place by the surface that it shows.
+"""Information of a view: standard deviation of the place by the surface that it shows.
 
 Depth tells the distance along the normals, corners of the image tell both directions across the view. The turn of the camera is
 known by its gyro to a fraction of a degree, and eliminated. Zhang and Scaramuzza 2020, Fisher Information Field.
@@ -17,8 +17,8 @@ from uav_recon.types.frames import AnyArray, FloatArray
 from uav_recon.types.localizability import SurfaceCells
 
 _COLUMNS, _ROWS = 32, 24  # of the image of distances by which near cells hide far ones
-# a cell that is farther than the nearest one in its direction by more is hidden: so much, and a share of its distance, since one
-# direction shows a floor from near to far
+# a cell that is farther than the nearest one in its direction by more is hidden: a length, and a share of its distance, because
+# one direction shows a floor from near to far
 _BEHIND_M, _BEHIND_SHARE = 0.35, 0.1
 _NEAREST_M, _FARTHEST_M = 0.3, 4.0
 _ALONG_COSINE = 0.1  # of the angle between view and normal; a surface that is seen flatter shows nothing
@@ -28,7 +28,7 @@ _PATCHES = 53.0  # across the width of the image: one patch is one measurement o
 _DEPTH_SHARE = 0.3  # of an independent measurement, that a patch of depth is
 _DEPTH_M, _DEPTH_PER_M2 = 0.003, 0.0019  # standard deviation of depth, and its growth with the square of the distance
 _CORNER_RAD = 1.0 / 380.0  # standard deviation of a corner
-_FEW_CORNERS, _MANY_CORNERS = 6.0, 20.0  # in view: so few say nothing, so many all they can
+_FEW_CORNERS, _MANY_CORNERS = 6.0, 20.0  # in view: the smaller number says nothing, the larger one all it can
 _TURN_RAD = math.radians(0.15)  # of the turn of the camera since the frame before
 _WEAK_SHARE = 0.015  # of the information of the best direction, below which a direction is not shown
 _WEAK_M = 0.03  # nor if it is shown less well than this
@@ -51,7 +51,7 @@ class Eye:
 
 
 class ViewSigmas(NamedTuple):
-    """How well views show their place.
+    """Standard deviations of the place by what views show of it.
 
     sigma_m (N,): standard deviation in the worst direction, at most MOST_M. open_share (N,): share of the image in which no
     surface is known within 4 m.
@@ -92,7 +92,7 @@ def _fill(
     sigma_m: AnyArray,
     open_share: AnyArray,
 ) -> None:
-    """Write the standard deviation of the place in its worst direction for each view (N, 5), and its open share."""
+    """Write the result of view_sigmas() for views (N, 5): position, yaw, and tilt of the camera."""
     seen, shown, nearest = np.empty((place.shape[0], 3)), np.empty(place.shape[0], np.int64), np.empty((_ROWS, _COLUMNS))
     information, both, of_turn = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
     at = np.empty(7)
@@ -120,7 +120,10 @@ def _fill(
 
 @kernel
 def _followed(corners: AnyArray, seen: AnyArray, shown: AnyArray, count: int, eye: AnyArray, nearest: AnyArray) -> float:
-    """Return the share of the corners in view that a tracker follows: a few of them do not determine its place."""
+    """Return the share of the corners in view that a tracker follows.
+
+    A few of them do not determine its place.
+    """
     total = 0.0
     for k in range(count):
         if not _hidden(seen[k], eye, nearest):
@@ -141,8 +144,9 @@ def _add_cell(
     both: AnyArray,
     of_turn: AnyArray,
 ) -> None:
-    """Add a cell at an offset in world: information (3, 3) on the place, on turn and place, and on the turn of the camera.
+    """Add the information of a cell at an offset in world.
 
+    of_place, both, of_turn (3, 3): on the place, on turn and place, and on the turn of the camera.
     surface: spread, area and corners of the cell.
     """
     spread, area_m2, corners = surface
@@ -216,9 +220,10 @@ def _ends(of: AnyArray) -> tuple[float, float]:
 
 @kernel
 def _in_view(place: AnyArray, eye: AnyArray, at: AnyArray, seen: AnyArray, shown: AnyArray, nearest: AnyArray) -> int:
-    """Write the cells in view: in the frame of the camera, their numbers, and the nearest distance in each direction.
+    """Write the cells in view; return their number.
 
-    Return their number. at (7,): position of the camera, cosine and sine of its heading and of its tilt.
+    seen, shown, nearest: in the frame of the camera, their numbers, and the nearest distance in each
+    direction. at (7,): position of the camera, cosine and sine of its heading and of its tilt.
     """
     cos, sin, pitch_cos, pitch_sin = at[3], at[4], at[5], at[6]
     right_scale, down_scale = 0.5 * _COLUMNS / eye[0], 0.5 * _ROWS / eye[1]

@@ -1,4 +1,4 @@
-"""Localizability map: surface with its normals and its texture, as a camera uses them to tell where it is.
+"""Localizability map: surface as a camera uses it to tell where it is.
 
 Cells of 0.2 m. Each holds the first two moments of its surface points, whose smallest axis is the normal, and how many corners
 an image of it shows.
@@ -72,7 +72,10 @@ class LocalizabilityMap:
         return self._cells
 
     def add(self, posed: PosedFrame) -> bool:
-        """Take a frame; return False if it adds nothing: it is too soon after another one, or its place is uncertain."""
+        """Take a frame; return False if it adds nothing.
+
+        It is too soon after another one, or its place is uncertain.
+        """
         if posed.map_epoch != self._map_epoch:
             self._map_epoch = posed.map_epoch
             self._begin()
@@ -98,7 +101,10 @@ class LocalizabilityMap:
         return float(view_sigmas(self._cells, self._eye, position, angles).sigma_m[0])
 
     def seeing_yaw_rad(self, world_from_body: Pose, pitch_down_rad: float) -> float | None:
-        """Return the heading nearest to that of a body at which a view shows its place well; None if there is none."""
+        """Return the nearest heading in which the view shows the place well.
+
+        None if there is none.
+        """
         turn_rad = _TURNS_RAD[:, None]
         position = np.tile(world_from_body.translation_m, (len(turn_rad), 1))
         angles = np.hstack([world_from_body.yaw_rad() + turn_rad, np.full_like(turn_rad, pitch_down_rad)])
@@ -106,9 +112,9 @@ class LocalizabilityMap:
         return math.remainder(float(angles[np.argmax(good), 0]), math.tau) if good.any() else None
 
     def _take(self, flat: IntArray, points: FloatArray, eye_m: FloatArray, patches: _Patches) -> IntArray:
-        """Add patches (N,) of a view from eye_m (3,), with the numbers of their cells and their points (N, 3) in world.
+        """Add patches (N,) of a view from eye_m (3,).
 
-        Return the numbers of the cells that have changed.
+        flat (N,): numbers of their cells. points (N, 3): in world. Return the numbers of the cells that have changed.
         """
         cell, which, number = np.unique(flat, return_inverse=True, return_counts=True)
 
@@ -202,7 +208,10 @@ def _corners(frame: Frame, points_m: FloatArray, patch_rad: float) -> FloatArray
 
 
 def _corner_image(grey: ByteArray) -> Float32Array:
-    """Return an image that is not zero at the corners that a tracker would follow: 1, or less if it is nearly an edge."""
+    """Return an image that is not zero at the corners that a tracker would follow.
+
+    It is 1 there, or less where a corner is nearly an edge.
+    """
     out = np.zeros(grey.shape, np.float32)
     found = cv2.goodFeaturesToTrack(grey, _MOST_CORNERS, _CORNER_QUALITY, _APART_PX, blockSize=3)
     if found is not None:

@@ -36,7 +36,7 @@ USUAL_SHARE = 0.6  # mean speed on a path as a share of the greatest
 # lengths of the path within which it turns at the start of an edge, and to the view at its end; pairs are compared
 TURNS_M = ((TURNS_IN_M, TURNS_IN_M), (TURNS_IN_M, 0.5), (TURNS_IN_M, 1.0), (0.5, 0.5), (1.0, 1.0))
 BLIND_WEIGHT = 4.0  # what a second before a view that does not show the place counts more than others
-WEIGHED = 3  # one of so many positions of a path whose view is examined
+WEIGHED = 3  # positions of a path from one whose view is examined to the next
 EDGE_HEADINGS = 5  # of an edge that are examined
 SPARSE = 5  # rows of a motion between two whose age is examined
 SAMPLE_M = 0.15  # of a path whose duration is estimated ...
@@ -173,8 +173,9 @@ class YawAlongPath:
     def along(
         self, leg: FloatArray, begin: FloatArray, goal: FloatArray, forecast: SightForecast | None
     ) -> tuple[FloatArray, SightForecast | None]:
-        """Return the vertices that take the least time, in which a view that does not show the place counts for more.
+        """Return the vertices that take the least time.
 
+        A second before a view that does not show the place counts for more.
         They turn evenly, or the nose is first and turns within one of TURNS_M, or it turns to where the view shows the place.
         """
         candidates = [_with_even_turn(leg, begin, goal), *(self._nose_first(leg, begin, goal, *turns_m) for turns_m in TURNS_M)]
@@ -298,13 +299,16 @@ class YawAlongPath:
         return PathPass(place, begin_s + np.cumsum(piece_s), weighted_s, bool((limit_mps <= self.blind_speed_mps).any()))
 
     def _weight(self, place: FloatArray, cells: SurfaceCells) -> FloatArray:
-        """Return how much a second at positions (M, 5) counts: more where the view shows the place less well."""
+        """Return how much a second at positions (M, 5) counts.
+
+        It is more where the view shows the place less well.
+        """
         eye = Eye(self.half_tan, self.camera_body_m)
         sigma_m = view_sigmas(cells, eye, place[:, :3], place[:, 3:]).expected_m()
         return np.asarray(1.0 + BLIND_WEIGHT * (np.clip(sigma_m, GOOD_M, BLIND_M) - GOOD_M) / (BLIND_M - GOOD_M))
 
     def _turn_rad(self, here: FloatArray, there: FloatArray, angles: FloatArray, off_rad: float, cells: SurfaceCells) -> float:
-        """Return the turn at the start of an edge after which its passage counts least, turn included.
+        """Return the turn at the start of an edge after which its passage counts least.
 
         angles (2,): heading before it, and tilt of the camera. off_rad: from that heading to the direction of the edge.
         """

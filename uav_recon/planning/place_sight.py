@@ -19,7 +19,10 @@ from uav_recon.types.localizability import SurfaceCells
 
 
 class PlaceSight:
-    """What views show of the place, by the surface that is known. camera: on the body."""
+    """Weighs views by the surface that is known.
+
+    camera: on the body.
+    """
 
     def __init__(self, cells: SurfaceCells, camera: CameraGeometry) -> None:
         x, y, z = camera.position_body_m.tolist()
@@ -27,7 +30,7 @@ class PlaceSight:
         self._eye = Eye((math.tan(camera.hfov_rad / 2.0), math.tan(camera.vfov_rad / 2.0)), (x, y, z))
 
     def weighed(self, views: Sequence[CandidateView]) -> list[CandidateView]:
-        """Return the views that show the place, with gains that count the better the more they show of it."""
+        """Return the views that show the place; the gains of weak ones count for less."""
         at = np.array([one.task.viewpoint.position_world for one in views]).reshape(-1, 3)
         angles = np.array([[one.task.viewpoint.yaw_rad, one.task.viewpoint.pitch_down_rad] for one in views]).reshape(-1, 2)
         sigma_m = self._sigma_m(at, angles)

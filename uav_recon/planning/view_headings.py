@@ -34,7 +34,7 @@ def suited_to_path(
     shape: tuple[int, int, int],
     sight: PlaceSight | None = None,
 ) -> list[CandidateView]:
-    """Return the views of a tour with headings that suit the path, and show where the vehicle is.
+    """Return the views of a tour with headings that suit the path and show the place.
 
     legs: (N, 3) waypoints of the leg to each view, in any unit. yaw_rad: heading at the start. lens: of the camera, see
     CameraGeometry.lens(). shape: of the map. sight: None if that does not matter.

@@ -192,7 +192,10 @@ class ViewPlanner:
 
     @staticmethod
     def _shown(sight: PlaceSight | None, proposals: list[CandidateView]) -> tuple[list[CandidateView], int]:
-        """Return the views that show where the vehicle is, with the gains that count, and the number of others."""
+        """Return the views that show the place, with the gains that count.
+
+        And the number of others.
+        """
         shown = proposals if sight is None else sight.weighed(proposals)
         return shown, len(proposals) - len(shown)
 

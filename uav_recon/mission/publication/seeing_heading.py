@@ -1,4 +1,7 @@
-"""The nearest heading in which the camera shows where the vehicle is, for the pilot's way back from a view that does not."""
+"""Seeing heading: the nearest in which the camera shows where the vehicle is.
+
+For the pilot's way back from a view that does not.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +14,10 @@ _PERIOD_S = 0.3  #: internal: time after which it is sought again
 
 
 class SeeingHeading:
-    """Seeks the heading again and again. localizability: None if the place does not depend on the view."""
+    """Seeks the heading again and again.
+
+    localizability: None if the place does not depend on the view.
+    """
 
     def __init__(self, localizability: LocalizabilityInterface | None, track: FlightTrack, pitch_down_rad: float) -> None:
         self._localizability = localizability

@@ -76,7 +76,10 @@ class MissionInput:
         return self._intent is not None and self.age_s(now_s) <= self._fresh_s and self._intent.operator_lost
 
     def seeing_yaw_rad(self, now_s: float) -> float | None:
-        """Return the nearest heading in which the camera shows the place, by a mission that is not silent; None if unknown."""
+        """Return the nearest heading in which the camera shows the place.
+
+        By a mission that is not silent; None if unknown.
+        """
         yaw_rad = None if self._intent is None or self.age_s(now_s) > self._fresh_s else self._intent.seeing_yaw_rad
         return yaw_rad if yaw_rad is not None and math.isfinite(yaw_rad) else None
 
