@@ -506,3 +506,19 @@ def test_cones_alone_are_no_map(desk: Desk) -> None:
     desk.run(1.0)
     assert desk.conductor.map is None
     assert desk.voxels.cones == []
+
+
+def test_it_plans_no_motion_while_the_pilot_goes_back(desk: Desk) -> None:
+    desk.conductor.requests.start()
+    desk.run(60.0, until=Phase.SURVEY)
+    while desk.speed_mps() < 0.3:
+        desk.run(0.1)
+    desk.note = desk.slow_reason = Reason(ReasonCode.PLACE_UNSURE, (0.09,))
+    desk.refusals += 1
+    desk.run(0.3)
+    asked = len(desk.planner.asked)
+    desk.run(3.0)
+    assert len(desk.planner.asked) == asked, "a plan would begin where the vehicle is no more"
+    desk.slow_reason = None
+    desk.run(1.0)
+    assert len(desk.planner.asked) > asked

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hall import CLEARANCE_M, CONFIG, HALL, RATE, assert_rests, assert_sees, assert_within_limits, flown, path_of, paths
@@ -10,10 +12,13 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from uav_recon.motion import MotionPlanner
-from uav_recon.motion.sight_forecast import EnteredHull
+from uav_recon.motion.clearance import ClearanceMap
+from uav_recon.motion.sight_forecast import EnteredHull, SightForecast
 from uav_recon.motion.yaw_policy import AT_VIEWS, BLIND_SHARE, SHARE, YawAlongPath
 from uav_recon.safety.sight_speed_limit import SightSpeedLimit
 from uav_recon.types.frames import BoolArray, FloatArray
+from uav_recon.types.localizability import SurfaceCells
+from uav_recon.types.recent_views import RecentViews
 from uav_recon.types.tasks import ViewPath
 from uav_recon.types.trajectory import Setpoint, Trajectory
 
@@ -111,3 +116,42 @@ def test_out_of_a_motion_it_brakes_before_it_turns_away(path: ViewPath, share: f
     if isinstance(trajectory, Trajectory):
         assert_slow_where_blind(trajectory)
         assert_rests(trajectory, -1)
+
+
+def seen_all_around(*bearings_rad: float) -> SightForecast:
+    """A forecast from an old view, in a round bare room with corners at bearings from the hall's middle."""
+    turn, up = (axis.ravel() for axis in np.meshgrid(np.arange(-np.pi, np.pi, 0.05), np.arange(-1.5, 4.0, 0.2)))
+    normal = -np.stack([np.cos(turn), np.sin(turn), np.zeros(len(turn))], axis=1)
+    off = np.min([np.abs(np.remainder(turn - one + np.pi, 2 * np.pi) - np.pi) for one in bearings_rad], axis=0)
+    cells = SurfaceCells(
+        0.2, -2.5 * normal + up[:, None] * (0.0, 0.0, 1.0), normal, np.zeros(len(turn)), np.full(len(turn), 0.04),
+        np.where(off < 0.3, 2.0, 0.0),
+    )  # fmt: skip
+    views = RecentViews(
+        np.zeros(1), np.eye(3)[None], np.zeros((1, 3)), np.zeros((1, 3)), np.zeros((1, 2, 2), np.float32), np.ones(2)
+    )
+    clearance = ClearanceMap.of(HALL, np.full(3, -np.inf), np.full(3, np.inf), CLEARANCE_M)
+    forecast = NOSE_AHEAD.forecast(views, clearance, 100.0)
+    assert forecast is not None
+    return replace(forecast, cells=cells)
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_on_its_way_it_looks_at_what_shows_the_place(side: float) -> None:
+    """Ahead is a bare wall, 1.2 rad beside the path are corners, which the camera can see with the path in view."""
+    leg = np.array([[-1.0, 0.0, 1.2], [1.0, 0.0, 1.2]])
+    begin, goal = np.array([-1.0, 0.0, 1.2, 0.0, 0.1]), np.array([1.0, 0.0, 1.2, 0.0, 0.1])
+    seeing = seen_all_around(side * 1.2)
+    plain, _ = NOSE_AHEAD.along(leg, begin, goal, replace(seeing, cells=None))
+    chosen, _ = NOSE_AHEAD.along(leg, begin, goal, seeing)
+    assert np.abs(plain[:, 3]).max() < 1e-9
+    assert (side * chosen[:-1, 3]).max() > 0.25
+    assert np.abs(chosen[:, 3]).max() <= NOSE_AHEAD.max_offset_rad + 1e-9
+    assert chosen[-1, 3] == 0.0
+
+
+def test_it_flies_straight_ahead_where_all_shows_the_place() -> None:
+    leg = np.array([[-1.0, 0.0, 1.2], [1.0, 0.0, 1.2]])
+    begin, goal = np.array([-1.0, 0.0, 1.2, 0.0, 0.1]), np.array([1.0, 0.0, 1.2, 0.0, 0.1])
+    chosen, _ = NOSE_AHEAD.along(leg, begin, goal, seen_all_around(*np.arange(0.0, 6.2, 0.3)))
+    assert np.abs(chosen[:, 3]).max() < 1e-9

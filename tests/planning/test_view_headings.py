@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from uav_recon.planning.camera_frustum import CameraGeometry
 from uav_recon.planning.candidate_view import CandidateView
+from uav_recon.planning.place_sight import PlaceSight
 from uav_recon.planning.view_headings import KEPT_SHARE, MAX_STEPS, OFF_RAD, STEP_RAD, suited_to_path
 from uav_recon.types.frames import FloatArray
+from uav_recon.types.localizability import SurfaceCells
 from uav_recon.types.tasks import Task, TaskKind, Viewpoint
 
 SHAPE = (100, 100, 30)
@@ -72,3 +75,45 @@ def test_on_a_long_leg_the_nose_turns_to_the_path_and_a_later_view_begins_where_
     assert second.task.viewpoint.yaw_rad == pytest.approx(first.task.viewpoint.yaw_rad)
     assert second.task.viewpoint.position_world is views[1].task.viewpoint.position_world
     assert second.expected_voxels is views[1].expected_voxels
+
+
+def marked_wall(bearing_rad: float) -> SurfaceCells:
+    """Bare cells all around at 2.5 m, and corners only within 0.25 rad of a bearing."""
+    turn, up = (axis.ravel() for axis in np.meshgrid(np.arange(-math.pi, math.pi, 0.08), np.arange(-2.6, 2.7, 0.2)))
+    normal = -np.stack([np.cos(turn), np.sin(turn), np.zeros(len(turn))], axis=1)
+    place = PLACE * 0.1 - 2.5 * normal + up[:, None] * (0.0, 0.0, 1.0)
+    corners = np.where(np.abs(np.remainder(turn - bearing_rad + math.pi, math.tau) - math.pi) < 0.25, 2.0, 0.0)
+    return SurfaceCells(0.2, place, normal, np.zeros(len(turn)), np.full(len(turn), 0.04), corners)
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_a_view_is_turned_to_what_shows_the_place(side: float) -> None:
+    """The corners are on one side: there the heading goes, and no farther than the view still shows its cells."""
+    view, bearing_rad = view_of(0.0, 0.15), side * 0.95
+    sight = PlaceSight(marked_wall(bearing_rad), CAMERA)
+    (plain,) = suited_to_path([view], [leg(0.5)], -side * 0.6, LENS, SHAPE)
+    (suited,) = suited_to_path([view], [leg(0.5)], -side * 0.6, LENS, SHAPE, sight)
+    assert plain.task.viewpoint.yaw_rad * side < 0.0
+    assert suited.task.viewpoint.yaw_rad * side > 0.1
+    assert shown_share(suited) >= KEPT_SHARE * shown_share(view) - 1e-9
+
+
+def test_a_heading_that_shows_the_place_is_kept() -> None:
+    view, start_rad = view_of(0.0, 0.15), 0.4
+    sight = PlaceSight(marked_wall(0.2), CAMERA)
+    (plain,), (suited,) = (suited_to_path([view], [leg(0.5)], start_rad, LENS, SHAPE, one) for one in (None, sight))
+    assert suited.task.viewpoint.yaw_rad == plain.task.viewpoint.yaw_rad
+
+
+def test_a_view_that_shows_no_place_is_no_goal_and_a_weak_one_counts_for_less() -> None:
+    sight = PlaceSight(marked_wall(0.0), CAMERA)
+    to_marks, to_bare = view_of(0.0, 0.1), view_of(2.5, 0.1)
+    (kept,) = sight.weighed([to_marks, to_bare])
+    assert kept.expected_voxels is to_marks.expected_voxels
+    assert kept.task.gain == pytest.approx(to_marks.task.gain)
+    bare = marked_wall(0.0)
+    weak = replace(bare, corners=0.065 * bare.corners)
+    (weighed,) = PlaceSight(weak, CAMERA).weighed([to_marks])
+    assert 0.2 < weighed.task.gain / to_marks.task.gain < 0.98
+    (unknown,) = PlaceSight(SurfaceCells.none(0.2), CAMERA).weighed([to_bare])
+    assert unknown.task.gain > 0.5 * to_bare.task.gain, "space that no camera has seen is entered"

@@ -20,7 +20,8 @@ _COLUMNS, _ROWS = 32, 24  # of the image of distances by which near cells hide f
 # a cell that is farther than the nearest one in its direction by more is hidden: a length, and a share of its distance, because
 # one direction shows a floor from near to far
 _BEHIND_M, _BEHIND_SHARE = 0.35, 0.1
-_NEAREST_M, _FARTHEST_M = 0.3, 4.0
+_NEAREST_M, _FARTHEST_M = 0.3, 4.0  # of surface that shows something
+_KNOWN_M = 8.0  # surface that is farther leaves a direction open
 _ALONG_COSINE = 0.1  # of the angle between view and normal; a surface that is seen flatter shows nothing
 _UNEVEN = 0.1  # spread from which a cell shows something from every side
 _HALF_CELL_M = 0.1
@@ -54,7 +55,7 @@ class ViewSigmas(NamedTuple):
     """Standard deviations of the place by what views show of it.
 
     sigma_m (N,): standard deviation in the worst direction, at most MOST_M. open_share (N,): share of the image in which no
-    surface is known within 4 m.
+    surface is known within 8 m.
     """
 
     sigma_m: FloatArray
@@ -108,7 +109,7 @@ def _fill(
         followed = _followed(corners, seen, shown, count, eye, nearest)
         for k in range(count):
             cell = shown[k]
-            if not _hidden(seen[k], eye, nearest):
+            if seen[k, 2] <= _FARTHEST_M and not _hidden(seen[k], eye, nearest):
                 x, y, z = place[cell, 0] - at[0], place[cell, 1] - at[1], place[cell, 2] - at[2]
                 surface = (spread[cell], area_m2[cell], followed * corners[cell])
                 _add_cell(x, y, z, seen[k, 2], normal[cell], surface, eye[0], information, both, of_turn)
@@ -126,7 +127,7 @@ def _followed(corners: AnyArray, seen: AnyArray, shown: AnyArray, count: int, ey
     """
     total = 0.0
     for k in range(count):
-        if not _hidden(seen[k], eye, nearest):
+        if seen[k, 2] <= _FARTHEST_M and not _hidden(seen[k], eye, nearest):
             total += corners[shown[k]]
     return min(max(total - _FEW_CORNERS, 0.0) / (_MANY_CORNERS - _FEW_CORNERS), 1.0)
 
@@ -233,7 +234,7 @@ def _in_view(place: AnyArray, eye: AnyArray, at: AnyArray, seen: AnyArray, shown
         x, y, z = place[n, 0] - at[0], place[n, 1] - at[1], place[n, 2] - at[2]
         ahead = cos * x + sin * y
         deep = pitch_cos * ahead - pitch_sin * z
-        if deep < _NEAREST_M or deep > _FARTHEST_M:
+        if deep < _NEAREST_M or deep > _KNOWN_M:
             continue
         right, down = sin * x - cos * y, -pitch_sin * ahead - pitch_cos * z
         if abs(right) >= deep * eye[0] or abs(down) >= deep * eye[1]:

@@ -77,3 +77,25 @@ def test_without_views_it_holds() -> None:
     way = _back(views, 2.0, 0.3)
     assert not way.velocity_mps.any()
     assert np.ptp(way.yaw_rad) == 0.0
+
+
+def test_it_turns_first_to_where_the_map_shows_the_place() -> None:
+    """A metre ahead with the nose to a bare wall; the corner of the room is behind the left shoulder."""
+    views = _flown((0.0, 0.0, 1.1, 0.0), (1.0, 0.0, 1.1, 0.0))
+    rest = Setpoint.hold(np.array([1.0, 0.0, 1.1]), 0.0)
+    way = views.way_back(rest, HEIGHT_M, 50.0, 0.3, TURN_RADPS / 0.7, 0, 1.5)
+    assert trajectory_fault(way) is None
+    there = np.flatnonzero(np.abs(way.yaw_rad - 1.5) < 0.05)
+    assert there[0] * way.step_s < 1.5 / TURN_RADPS + 0.4
+    assert len(there) * way.step_s > 0.8, "it looks there for a while"
+    np.testing.assert_allclose(way.position_m[: there[-1], 0], 1.0, atol=0.05)
+    assert way.position_m[-1][0] < 0.1, "and goes on back if the place stays unknown"
+    assert np.abs(way.yaw_rate_radps).max() <= TURN_RADPS + 1e-6
+
+
+def test_a_view_behind_the_back_is_no_shorter_than_the_way_back() -> None:
+    views = _flown((0.0, 0.0, 1.1, 0.0), (1.0, 0.0, 1.1, 0.0))
+    rest = Setpoint.hold(np.array([1.0, 0.0, 1.1]), 0.0)
+    for yaw_rad in (None, 3.0, 0.02):
+        way = views.way_back(rest, HEIGHT_M, 50.0, 0.3, TURN_RADPS / 0.7, 0, yaw_rad)
+        assert np.abs(way.yaw_rad).max() < 0.05
