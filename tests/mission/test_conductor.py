@@ -516,9 +516,11 @@ def test_it_plans_no_motion_while_the_pilot_goes_back(desk: Desk) -> None:
     desk.note = desk.slow_reason = Reason(ReasonCode.PLACE_UNSURE, (0.09,))
     desk.refusals += 1
     desk.run(0.3)
-    asked = len(desk.planner.asked)
+    asked, held = len(desk.planner.asked), desk.intent.trajectory
     desk.run(3.0)
     assert len(desk.planner.asked) == asked, "a plan would begin where the vehicle is no more"
+    assert held is not None and desk.intent.trajectory is not None
+    assert desk.intent.trajectory.start_s > desk.clock.now_s() - 0.3 > held.start_s, "it holds where the pilot is now"
     desk.slow_reason = None
     desk.run(1.0)
     assert len(desk.planner.asked) > asked

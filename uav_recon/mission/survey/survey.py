@@ -22,6 +22,7 @@ from uav_recon.types.tasks import NextView, NothingLeft, PlanRequest
 from uav_recon.types.trajectory import Setpoint, Trajectory
 from uav_recon.types.vehicle import VehicleState
 
+HOLD_AGAIN_S = 0.2  #: plan: interval of holds where the pilot has gone back to
 RETHINK_S = 0.5  #: plan: pause after a plan that could not be flown, and at least between two in motion
 MAX_FAILED_PLANS = 5  #: return: after this many plans in a row that could not be flown
 SAME_PLACE_M = 0.05  #: plan: a motion that ends nearer to the present one's end is not worth leaving it
@@ -58,7 +59,7 @@ class Survey:
         self._departure = Departure(Setpoint.hold(np.zeros(3), 0.0))
         self._looked_round = self._settled = self._look_again = False
         self._next_view = NextView.KEPT
-        self._stopped_s = -np.inf
+        self._stopped_s = self._held_s = -np.inf
         self._unseen_stops = self._stopped_with = 0  # stops by space not seen lately since the last view, views left then
         self._asked_revision = -1
         self.interrupt()
@@ -104,7 +105,8 @@ class Survey:
         else:
             self._executor.brake_if_blocked(now_s, voxels)
         if _goes_back(vehicle):
-            self._pending_plan = None  # it would begin where the vehicle is no more
+            self._pending_plan = None  # it would begin where the vehicle is no more, as an older hold does
+            self._hold_again(now_s, vehicle)
         elif self._pending_plan is not None:
             self._fly_plan(now_s)
         elif resting and not self._looked_round:
@@ -114,6 +116,11 @@ class Survey:
                 self._look_round(now_s, vehicle, 0)
         elif now_s >= self._replan_s and (resting or self._should_replan_in_motion(now_s, voxels)):
             self._request_plan(now_s, vehicle, voxels)
+
+    def _hold_again(self, now_s: float, vehicle: VehicleState) -> None:
+        if now_s - self._held_s >= HOLD_AGAIN_S:
+            self._held_s = now_s
+            self._executor.hold(now_s, vehicle)
 
     def _look_round(self, now_s: float, vehicle: VehicleState, views: int) -> None:
         self._looked_round = True
