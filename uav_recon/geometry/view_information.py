@@ -95,110 +95,107 @@ def _fill(
 ) -> None:
     """Write the result of view_sigmas() for views (N, 5): position, yaw, and tilt of the camera."""
     seen, shown, nearest = np.empty((place.shape[0], 3)), np.empty(place.shape[0], np.int64), np.empty((_ROWS, _COLUMNS))
-    information, both, of_turn = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
-    at = np.empty(7)
+    at, information = np.empty(7), np.empty((3, 3))
     for n in range(views.shape[0]):
         at[3], at[4], at[5], at[6] = math.cos(views[n, 3]), math.sin(views[n, 3]), math.cos(views[n, 4]), math.sin(views[n, 4])
         at[0] = views[n, 0] + at[3] * eye[2] - at[4] * eye[3]
         at[1] = views[n, 1] + at[4] * eye[2] + at[3] * eye[3]
         at[2] = views[n, 2] + eye[4]
         count = _in_view(place, eye, at, seen, shown, nearest)
-        information[:], both[:], of_turn[:] = 0.0, 0.0, 0.0
-        for k in range(3):
-            of_turn[k, k] = _TURN_RAD**-2
-        followed = _followed(corners, seen, shown, count, eye, nearest)
-        for k in range(count):
-            cell = shown[k]
-            if seen[k, 2] <= _FARTHEST_M and not _hidden(seen[k], eye, nearest):
-                x, y, z = place[cell, 0] - at[0], place[cell, 1] - at[1], place[cell, 2] - at[2]
-                surface = (spread[cell], area_m2[cell], followed * corners[cell])
-                _add_cell(x, y, z, seen[k, 2], normal[cell], surface, eye[0], information, both, of_turn)
-        least, greatest = _ends(_without_turn(information, both, of_turn))
+        open_share[n] = np.sum(nearest == np.inf) / (_ROWS * _COLUMNS)
+        count, followed = _visible(corners, eye, seen, shown, count, nearest)
+        _information(place, normal, spread, area_m2, followed * corners, eye, at, seen, shown[:count], information)
+        least, greatest = _ends(information)
         left = least - max(_WEAK_SHARE * greatest, _WEAK_M**-2)
         sigma_m[n] = min(1.0 / math.sqrt(left), MOST_M) if left > 0.0 else MOST_M
-        open_share[n] = np.sum(nearest == np.inf) / (_ROWS * _COLUMNS)
 
 
 @kernel
-def _followed(corners: AnyArray, seen: AnyArray, shown: AnyArray, count: int, eye: AnyArray, nearest: AnyArray) -> float:
-    """Return the share of the corners in view that a tracker follows.
+def _visible(
+    corners: AnyArray, eye: AnyArray, seen: AnyArray, shown: AnyArray, count: int, nearest: AnyArray
+) -> tuple[int, float]:
+    """Keep the cells in view that are near and not hidden; return their number.
 
-    A few of them do not determine its place.
+    And the share of their corners that a tracker follows: a few of them do not determine its place.
     """
-    total = 0.0
+    kept, total = 0, 0.0
     for k in range(count):
-        if seen[k, 2] <= _FARTHEST_M and not _hidden(seen[k], eye, nearest):
+        right, down, deep = seen[k, 0], seen[k, 1], seen[k, 2]
+        column, row = int((0.5 + 0.5 * right / (deep * eye[0])) * _COLUMNS), int((0.5 + 0.5 * down / (deep * eye[1])) * _ROWS)
+        before = nearest[min(row, _ROWS - 1), min(column, _COLUMNS - 1)]
+        if deep <= _FARTHEST_M and deep <= before + _BEHIND_M + _BEHIND_SHARE * deep:
+            seen[kept, 2], shown[kept] = deep, shown[k]
+            kept += 1
             total += corners[shown[k]]
-    return min(max(total - _FEW_CORNERS, 0.0) / (_MANY_CORNERS - _FEW_CORNERS), 1.0)
+    return kept, min(max(total - _FEW_CORNERS, 0.0) / (_MANY_CORNERS - _FEW_CORNERS), 1.0)
 
 
 @kernel
-def _add_cell(
-    x: float,
-    y: float,
-    z: float,
-    deep: float,
+def _information(
+    place: AnyArray,
     normal: AnyArray,
-    surface: tuple[float, float, float],
-    half_tan: float,
-    of_place: AnyArray,
-    both: AnyArray,
-    of_turn: AnyArray,
+    spread: AnyArray,
+    area_m2: AnyArray,
+    corners: AnyArray,
+    eye: AnyArray,
+    at: AnyArray,
+    seen: AnyArray,
+    shown: AnyArray,
+    out: AnyArray,
 ) -> None:
-    """Add the information of a cell at an offset in world.
+    """Write the information (3, 3) on the place of a view that shows cells (M,) at depths seen[:, 2].
 
-    of_place, both, of_turn (3, 3): on the place, on turn and place, and on the turn of the camera.
-    surface: spread, area and corners of the cell.
+    A cell weighs level I + plane n n' + along p p' for an offset p and a normal n: on the place as it is, on the turn of the
+    camera through p x.
     """
-    spread, area_m2, corners = surface
-    far2 = x * x + y * y + z * z
-    facing = -(normal[0] * x + normal[1] * y + normal[2] * z) / math.sqrt(far2)
-    if facing < _ALONG_COSINE and spread < _UNEVEN:
-        return
-    patches = area_m2 / (deep * 2.0 * half_tan / _PATCHES) ** 2
-    corners = min(corners, patches)
-    one = (_DEPTH_M + _DEPTH_PER_M2 * deep * deep) ** -2
-    depth, across = patches * one, corners / (_CORNER_RAD * deep) ** 2
-    along = (corners * one - across) / far2
-    level, plane = _DEPTH_SHARE * depth * spread + across, _DEPTH_SHARE * depth * (1.0 - 3.0 * spread)
-    # level I + plane n n' + along p p', and its products with the turn's derivative: for a vector v those are p x v
-    nx, ny, nz = normal[0], normal[1], normal[2]
-    mx, my, mz = y * nz - z * ny, z * nx - x * nz, x * ny - y * nx
-    for k in range(3):
-        n_k, p_k, m_k = (nx, ny, nz)[k], (x, y, z)[k], (mx, my, mz)[k]
-        of_place[k, 0] += plane * n_k * nx + along * p_k * x
-        of_place[k, 1] += plane * n_k * ny + along * p_k * y
-        of_place[k, 2] += plane * n_k * nz + along * p_k * z
-        of_place[k, k] += level
-        both[k, 0] += plane * m_k * nx
-        both[k, 1] += plane * m_k * ny
-        both[k, 2] += plane * m_k * nz
-        of_turn[k, 0] += plane * m_k * mx - level * p_k * x
-        of_turn[k, 1] += plane * m_k * my - level * p_k * y
-        of_turn[k, 2] += plane * m_k * mz - level * p_k * z
-        of_turn[k, k] += level * far2
-    both[0, 1], both[0, 2], both[1, 2] = both[0, 1] - level * z, both[0, 2] + level * y, both[1, 2] - level * x
-    both[1, 0], both[2, 0], both[2, 1] = both[1, 0] + level * z, both[2, 0] - level * y, both[2, 1] + level * x
-
-
-@kernel
-def _without_turn(of_place: AnyArray, both: AnyArray, of_turn: AnyArray) -> AnyArray:
-    """Return the information (3, 3) on the place alone, while the turn is known as of_turn says."""
-    a, b, c, d, e, f = of_turn[0, 0], of_turn[0, 1], of_turn[0, 2], of_turn[1, 1], of_turn[1, 2], of_turn[2, 2]
-    inverse = np.empty((3, 3))
-    inverse[0, 0], inverse[0, 1], inverse[0, 2] = d * f - e * e, c * e - b * f, b * e - c * d
-    inverse[1, 1], inverse[1, 2], inverse[2, 2] = a * f - c * c, b * c - a * e, a * d - b * b
-    inverse[1, 0], inverse[2, 0], inverse[2, 1] = inverse[0, 1], inverse[0, 2], inverse[1, 2]
-    determinant = a * inverse[0, 0] + b * inverse[0, 1] + c * inverse[0, 2]
-    left = np.empty((3, 3))
-    for i in range(3):
+    a00 = a01 = a02 = a11 = a12 = a22 = 0.0  # on the place
+    b00 = b01 = b02 = b10 = b11 = b12 = b20 = b21 = b22 = 0.0  # on turn and place
+    c01 = c02 = c12 = 0.0  # on the turn
+    c00 = c11 = c22 = _TURN_RAD**-2
+    for k in range(shown.shape[0]):
+        cell, deep = shown[k], seen[k, 2]
+        x, y, z = place[cell, 0] - at[0], place[cell, 1] - at[1], place[cell, 2] - at[2]
+        nx, ny, nz = normal[cell, 0], normal[cell, 1], normal[cell, 2]
+        far2 = x * x + y * y + z * z
+        facing = -(nx * x + ny * y + nz * z) / math.sqrt(far2)
+        if facing < _ALONG_COSINE and spread[cell] < _UNEVEN:
+            continue
+        patches = area_m2[cell] / (deep * 2.0 * eye[0] / _PATCHES) ** 2
+        one = 1.0 / (_DEPTH_M + _DEPTH_PER_M2 * deep * deep) ** 2
+        held = min(corners[cell], patches)
+        across, depth = held / (_CORNER_RAD * deep) ** 2, _DEPTH_SHARE * patches * one
+        along = (held * one - across) / far2
+        level, plane = depth * spread[cell] + across, depth * (1.0 - 3.0 * spread[cell])
+        a00, a11, a22 = a00 + level, a11 + level, a22 + level
+        a00, a01, a02 = (
+            a00 + plane * nx * nx + along * x * x,
+            a01 + plane * nx * ny + along * x * y,
+            a02 + plane * nx * nz + along * x * z,
+        )
+        a11, a12, a22 = (
+            a11 + plane * ny * ny + along * y * y,
+            a12 + plane * ny * nz + along * y * z,
+            a22 + plane * nz * nz + along * z * z,
+        )
+        mx, my, mz = y * nz - z * ny, z * nx - x * nz, x * ny - y * nx
+        b00, b01, b02 = b00 + plane * mx * nx, b01 + plane * mx * ny - level * z, b02 + plane * mx * nz + level * y
+        b10, b11, b12 = b10 + plane * my * nx + level * z, b11 + plane * my * ny, b12 + plane * my * nz - level * x
+        b20, b21, b22 = b20 + plane * mz * nx - level * y, b21 + plane * mz * ny + level * x, b22 + plane * mz * nz
+        c00, c11, c22 = c00 + level * (far2 - x * x), c11 + level * (far2 - y * y), c22 + level * (far2 - z * z)
+        c00, c01, c02 = c00 + plane * mx * mx, c01 + plane * mx * my - level * x * y, c02 + plane * mx * mz - level * x * z
+        c11, c12, c22 = c11 + plane * my * my, c12 + plane * my * mz - level * y * z, c22 + plane * mz * mz
+    both = np.array(((b00, b01, b02), (b10, b11, b12), (b20, b21, b22)))
+    inverse = np.array(((c11 * c22 - c12 * c12, c02 * c12 - c01 * c22, c01 * c12 - c02 * c11),
+                        (c02 * c12 - c01 * c22, c00 * c22 - c02 * c02, c01 * c02 - c00 * c12),
+                        (c01 * c12 - c02 * c11, c01 * c02 - c00 * c12, c00 * c11 - c01 * c01)))  # fmt: skip
+    inverse /= c00 * inverse[0, 0] + c01 * inverse[0, 1] + c02 * inverse[0, 2]
+    out[0, 0], out[0, 1], out[0, 2], out[1, 0], out[1, 1], out[1, 2] = a00, a01, a02, a01, a11, a12
+    out[2, 0], out[2, 1], out[2, 2] = a02, a12, a22
+    for i in range(3):  # without what the turn explains
         for j in range(3):
-            total = 0.0
             for k in range(3):
                 for m in range(3):
-                    total += both[k, i] * inverse[k, m] * both[m, j]
-            left[i, j] = of_place[i, j] - total / determinant
-    return left
+                    out[i, j] -= both[k, i] * inverse[k, m] * both[m, j]
 
 
 @kernel
@@ -248,14 +245,6 @@ def _in_view(place: AnyArray, eye: AnyArray, at: AnyArray, seen: AnyArray, shown
             for i in range(max(left, 0), min(int(0.5 * _COLUMNS + column + reach) + 1, _COLUMNS)):
                 nearest[j, i] = min(nearest[j, i], deep)
     return count
-
-
-@kernel
-def _hidden(seen: AnyArray, eye: AnyArray, nearest: AnyArray) -> bool:
-    """Return True if a nearer cell hides one (3,) in the frame of the camera."""
-    right, down, deep = seen
-    column, row = int((0.5 + 0.5 * right / (deep * eye[0])) * _COLUMNS), int((0.5 + 0.5 * down / (deep * eye[1])) * _ROWS)
-    return bool(deep > nearest[min(row, _ROWS - 1), min(column, _COLUMNS - 1)] + _BEHIND_M + _BEHIND_SHARE * deep)
 
 
 def warm_up() -> None:
