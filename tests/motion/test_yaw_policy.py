@@ -131,9 +131,9 @@ def seen_all_around(*bearings_rad: float) -> SightForecast:
         np.zeros(1), np.eye(3)[None], np.zeros((1, 3)), np.zeros((1, 3)), np.zeros((1, 2, 2), np.float32), np.ones(2)
     )
     clearance = ClearanceMap.of(HALL, np.full(3, -np.inf), np.full(3, np.inf), CLEARANCE_M)
-    forecast = NOSE_AHEAD.forecast(views, clearance, 100.0)
+    forecast = NOSE_AHEAD.forecast(views, cells, clearance, 100.0)
     assert forecast is not None
-    return replace(forecast, cells=cells)
+    return forecast
 
 
 @pytest.mark.parametrize("side", [-1.0, 1.0])
@@ -142,7 +142,7 @@ def test_on_its_way_it_looks_at_what_shows_the_place(side: float) -> None:
     leg = np.array([[-1.0, 0.0, 1.2], [1.0, 0.0, 1.2]])
     begin, goal = np.array([-1.0, 0.0, 1.2, 0.0, 0.1]), np.array([1.0, 0.0, 1.2, 0.0, 0.1])
     seeing = seen_all_around(side * 1.2)
-    plain, _ = NOSE_AHEAD.along(leg, begin, goal, replace(seeing, cells=None))
+    plain, _ = NOSE_AHEAD.along(leg, begin, goal, replace(seeing, sight=None))
     chosen, _ = NOSE_AHEAD.along(leg, begin, goal, seeing)
     assert np.abs(plain[:, 3]).max() < 1e-9
     assert (side * chosen[:-1, 3]).max() > 0.25

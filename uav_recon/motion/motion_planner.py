@@ -196,8 +196,7 @@ class MotionPlanner:
         self, views: RecentViews | None, cells: SurfaceCells | None, clearance_map: ClearanceMap, start_s: float
     ) -> SightForecast | None:
         newest_s = -np.inf if views is None else float(views.stamp_s[-1])
-        forecast = self._generator.yaw_policy.forecast(views, clearance_map, max(start_s, newest_s + PLANNED_S))
-        return None if forecast is None else dataclasses.replace(forecast, cells=cells)
+        return self._generator.yaw_policy.forecast(views, cells, clearance_map, max(start_s, newest_s + PLANNED_S))
 
     def _clearance_map(self, voxels: VoxelMap) -> ClearanceMap:
         return ClearanceMap.of(voxels, self._low_m, self._high_m, self._clearance_m)

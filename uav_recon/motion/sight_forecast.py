@@ -14,9 +14,9 @@ import numpy as np
 
 from uav_recon.geometry.jit import kernel
 from uav_recon.motion.clearance import ClearanceMap, clearance_at
+from uav_recon.motion.path_sight import PathSight
 from uav_recon.safety.sight_speed_limit import SightSpeedLimit, entered_points
 from uav_recon.types.frames import AnyArray, BoolArray, Float32Array, FloatArray, IntArray
-from uav_recon.types.localizability import SurfaceCells
 from uav_recon.types.maps import FREE, GridSpec, VoxelMap
 from uav_recon.types.recent_views import RecentViews
 
@@ -74,8 +74,8 @@ class SightForecast:
     """Forecast for one motion that begins at begin_s.
 
     tangents: (2,) of half the camera's angles, horizontal and vertical, as far as they are relied on. place: (P, 5), and
-    reached_s: (P,), of the part of the motion that is chosen already. cells: surface by which the camera tells where it is;
-    None if that does not matter.
+    reached_s: (P,), of the part of the motion that is chosen already. sight: weights of positions; None if the camera is not
+    needed to tell where it is.
     """
 
     views: RecentViews
@@ -86,7 +86,7 @@ class SightForecast:
     begin_s: float
     place: FloatArray = dataclasses.field(default_factory=lambda: np.zeros((0, 5)))
     reached_s: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(0))
-    cells: SurfaceCells | None = None
+    sight: PathSight | None = None
 
     @property
     def end_s(self) -> float:

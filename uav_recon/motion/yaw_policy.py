@@ -13,8 +13,9 @@ from typing import Protocol
 import numpy as np
 
 from uav_recon.config import Config
-from uav_recon.geometry.view_information import BLIND_M, GOOD_M, Eye, view_sigmas
+from uav_recon.geometry.view_information import Eye
 from uav_recon.motion.clearance import ClearanceMap
+from uav_recon.motion.path_sight import PathSight
 from uav_recon.motion.sight_forecast import EnteredHull, SightForecast
 from uav_recon.motion.time_scaling import STEP_S
 from uav_recon.safety.sight_speed_limit import SightSpeedLimit
@@ -35,8 +36,6 @@ PREFERRED = 1.4
 USUAL_SHARE = 0.6  # mean speed on a path as a share of the greatest
 # lengths of the path within which it turns at the start of an edge, and to the view at its end; pairs are compared
 TURNS_M = ((TURNS_IN_M, TURNS_IN_M), (TURNS_IN_M, 0.5), (TURNS_IN_M, 1.0), (0.5, 0.5), (1.0, 1.0))
-BLIND_WEIGHT = 4.0  # what a second before a view that does not show the place counts more than others
-WEIGHED = 3  # positions of a path from one whose view is examined to the next
 EDGE_HEADINGS = 5  # of an edge that are examined
 SPARSE = 5  # rows of a motion between two whose age is examined
 SAMPLE_M = 0.15  # of a path whose duration is estimated ...
@@ -55,10 +54,13 @@ class YawPolicy(Protocol):
         """Speed limit where the camera does not look."""
         ...
 
-    def forecast(self, views: RecentViews | None, clearance_map: ClearanceMap, begin_s: float) -> SightForecast | None:
+    def forecast(
+        self, views: RecentViews | None, cells: SurfaceCells | None, clearance_map: ClearanceMap, begin_s: float
+    ) -> SightForecast | None:
         """Return the forecast of what the camera will have seen.
 
-        None if the limits do not depend on it. views: of the last seconds. begin_s: instant at which the motion begins.
+        None if the limits do not depend on it. views: of the last seconds. cells: surface by which the camera tells where it
+        is, None if that does not matter. begin_s: instant at which the motion begins.
         """
         ...
 
@@ -105,7 +107,9 @@ class YawAtViews:
 
     blind_speed_mps = math.inf
 
-    def forecast(self, views: RecentViews | None, clearance_map: ClearanceMap, begin_s: float) -> SightForecast | None:
+    def forecast(
+        self, views: RecentViews | None, cells: SurfaceCells | None, clearance_map: ClearanceMap, begin_s: float
+    ) -> SightForecast | None:
         """Return None: nothing depends on it."""
         return None
 
@@ -164,11 +168,14 @@ class YawAlongPath:
         """Tangent of half the vertical angle in which a path is seen."""
         return SHARE * self.half_tan[1]
 
-    def forecast(self, views: RecentViews | None, clearance_map: ClearanceMap, begin_s: float) -> SightForecast | None:
+    def forecast(
+        self, views: RecentViews | None, cells: SurfaceCells | None, clearance_map: ClearanceMap, begin_s: float
+    ) -> SightForecast | None:
         """Return the forecast, None if no view is known."""
         if views is None:
             return None
-        return SightForecast(views, clearance_map, self.limit, self.hull, SHARE * np.array(self.half_tan), begin_s)
+        sight = None if cells is None else PathSight(cells, Eye(self.half_tan, self.camera_body_m))
+        return SightForecast(views, clearance_map, self.limit, self.hull, SHARE * np.array(self.half_tan), begin_s, sight=sight)
 
     def along(
         self, leg: FloatArray, begin: FloatArray, goal: FloatArray, forecast: SightForecast | None
@@ -179,8 +186,8 @@ class YawAlongPath:
         They turn evenly, or the nose is first and turns within one of TURNS_M, or it turns to where the view shows the place.
         """
         candidates = [_with_even_turn(leg, begin, goal), *(self._nose_first(leg, begin, goal, *turns_m) for turns_m in TURNS_M)]
-        if forecast is not None and forecast.cells is not None:
-            candidates += [self._nose_first(leg, begin, goal, *turns_m, forecast.cells) for turns_m in TURNS_M[:2]]
+        if forecast is not None and forecast.sight is not None:
+            candidates += [self._nose_first(leg, begin, goal, *turns_m, forecast.sight) for turns_m in TURNS_M[:2]]
         passes = [self._estimated_pass(np.vstack([begin, vertex]), forecast) for vertex in candidates]
         # where space was not seen lately the guard may refuse a turn in flight, and the nose turns first
         fit = [n for n, one in enumerate(passes) if n <= 1 or not one.stale]
@@ -247,13 +254,13 @@ class YawAlongPath:
         goal: FloatArray,
         turns_m: float,
         turns_to_view_m: float,
-        cells: SurfaceCells | None = None,
+        sight: PathSight | None = None,
     ) -> FloatArray:
         """Return the vertices with the nose first.
 
         At the start of each edge, within turns_m, the nose turns no farther than it has to. Where the last edge ends, within
-        turns_to_view_m, it turns to the view. cells: surface by which the camera tells where it is; the nose turns to where the
-        view shows the place, while the path stays in view.
+        turns_to_view_m, it turns to the view. sight: the nose turns to where the view shows the place, while the path stays in
+        view.
         """
         yaw_rad, places, yaws = float(begin[3]), [leg[0]], [float(begin[3])]
         for here, there in itertools.pairwise(leg):
@@ -262,7 +269,7 @@ class YawAlongPath:
                 off = math.remainder(math.atan2(step[1], step[0]) - yaw_rad, math.tau)
                 least_rad = math.copysign(max(abs(off) - self.max_offset_rad, 0.0), off)
                 yaw_rad += (
-                    least_rad if cells is None else self._turn_rad(here, there, np.array([yaw_rad, begin[4]]), off, cells)
+                    least_rad if sight is None else self._turn_rad(here, there, np.array([yaw_rad, begin[4]]), off, sight)
                 )
             places += [here + step * _share(step, turns_m), there]
             yaws += [yaw_rad, yaw_rad]
@@ -293,21 +300,12 @@ class YawAlongPath:
             limit_mps = np.minimum(limit_mps, self.max_speed_mps(step, place, forecast, begin_s + np.cumsum(piece_s)))
             piece_s = self._piece_s(limit_mps, piece_m, turning_s)
         weight = np.where(np.isfinite(limit_mps), PREFERRED, 1.0)
-        if forecast is not None and forecast.cells is not None:
-            weight = weight * np.repeat(self._weight(place[::WEIGHED], forecast.cells), WEIGHED)[: len(place)]
+        if forecast is not None and forecast.sight is not None:
+            weight = weight * forecast.sight.weight(place)
         weighted_s = float(np.sum(weight * piece_s))
         return PathPass(place, begin_s + np.cumsum(piece_s), weighted_s, bool((limit_mps <= self.blind_speed_mps).any()))
 
-    def _weight(self, place: FloatArray, cells: SurfaceCells) -> FloatArray:
-        """Return how much a second at positions (M, 5) counts.
-
-        It is more where the view shows the place less well.
-        """
-        eye = Eye(self.half_tan, self.camera_body_m)
-        sigma_m = view_sigmas(cells, eye, place[:, :3], place[:, 3:]).expected_m()
-        return np.asarray(1.0 + BLIND_WEIGHT * (np.clip(sigma_m, GOOD_M, BLIND_M) - GOOD_M) / (BLIND_M - GOOD_M))
-
-    def _turn_rad(self, here: FloatArray, there: FloatArray, angles: FloatArray, off_rad: float, cells: SurfaceCells) -> float:
+    def _turn_rad(self, here: FloatArray, there: FloatArray, angles: FloatArray, off_rad: float, sight: PathSight) -> float:
         """Return the turn at the start of an edge after which its passage counts least.
 
         angles (2,): heading before it, and tilt of the camera. off_rad: from that heading to the direction of the edge.
@@ -317,7 +315,7 @@ class YawAlongPath:
         place = np.empty((len(turns), 2, 5))
         place[:, 0, :3], place[:, 1, :3] = 0.75 * here + 0.25 * there, 0.25 * here + 0.75 * there
         place[:, :, 3], place[:, :, 4] = angles[0] + turns[:, None], angles[1]
-        weight = self._weight(place.reshape(-1, 5), cells).reshape(-1, 2).mean(axis=1)
+        weight = sight.weight(place.reshape(-1, 5)).reshape(-1, 2).mean(axis=1)
         flight_s = float(np.linalg.norm(there - here)) / (USUAL_SHARE * self.speed_mps)
         return float(turns[np.argmin(weight * flight_s + np.abs(turns) / self.rate_radps)])
 
