@@ -131,6 +131,7 @@ class Rig:
         self.pilot = self.new_pilot(log)
         self.intent: tuple[Goal, Trajectory | None] | None = (Goal.STANDBY, None)
         self.said: Reason | None = None
+        self.seeing_yaw_rad: float | None = None
         self.operator_lost = False
         self.poses = True
         self.health = PoseHealth.GOOD
@@ -199,7 +200,7 @@ class Rig:
             ranges = np.full((12, 16), self.wall_m, dtype=np.float32)
             self.channels.nearby.publish(MinRangeGrid(now, BODY_FROM_DEPTH, ranges, (0.95, 0.55), 0.9))
         if self.intent is not None and self.turn % 5 == 0:
-            self.channels.intent.publish(Intent(now, *self.intent, self.said, self.operator_lost))
+            self.channels.intent.publish(Intent(now, *self.intent, self.said, self.operator_lost, self.seeing_yaw_rad))
         self.pilot.step()
         self.track.append((now, np.array(truth.position)))
         self.turn += 1

@@ -139,6 +139,39 @@ def test_uncertain_of_its_place_it_goes_back_to_what_it_has_seen_before(hovering
     assert hovering.pilot.phase is FlightPhase.FLYING
 
 
+@pytest.mark.parametrize(("seeing_yaw_rad", "turns"), [(1.2, True), (math.nan, False), (None, False)])
+def test_uncertain_of_its_place_it_turns_first_to_what_shows_it(
+    hovering: Rig, seeing_yaw_rad: float | None, turns: bool
+) -> None:
+    hovering.run(hovering.fly((2.5, 0.0, 1.1), identifier=2).duration_s / 2)
+    hovering.seeing_yaw_rad = seeing_yaw_rad
+    hovering.run(0.2)
+    hovering.health, hovering.health_reason = PoseHealth.DEGRADED, Reason(ReasonCode.PLACE_UNSURE, (0.09,))
+    yaws_rad, places_m = [], []
+    for _ in range(40):
+        hovering.run(0.1)
+        yaws_rad.append(hovering.state.world_from_body.yaw_rad())
+        places_m.append(float(hovering.px4.truth().position[0]))
+    there = [n for n, yaw_rad in enumerate(yaws_rad) if abs(yaw_rad - 1.2) < 0.1]
+    assert bool(there) == turns
+    if turns:
+        assert max(places_m) - places_m[there[0]] < 0.15, "it turns on the spot"
+        assert len(there) >= 8, "and looks there for a while"
+    else:
+        assert max(places_m) - places_m[-1] > 0.3, "back through the flown views"
+
+
+def test_a_heading_of_a_silent_mission_does_not_count(hovering: Rig) -> None:
+    hovering.run(hovering.fly((2.5, 0.0, 1.1), identifier=2).duration_s / 2)
+    hovering.seeing_yaw_rad = 1.2
+    hovering.run(0.2)
+    hovering.intent = None
+    hovering.run(0.5)
+    hovering.health, hovering.health_reason = PoseHealth.DEGRADED, Reason(ReasonCode.PLACE_UNSURE, (0.09,))
+    hovering.run(3.0)
+    assert abs(hovering.state.world_from_body.yaw_rad()) < 0.3
+
+
 def test_uncertain_of_its_place_on_the_pad_it_takes_off() -> None:
     """From the pad little is seen, and there is no view to go back to."""
     rig = Rig()
