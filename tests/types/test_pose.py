@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from uav_recon.types.camera import BODY_FROM_OPTICAL, body_from_camera
-from uav_recon.types.pose import Pose
+from uav_recon.types.pose import Pose, StampedPose
 
 metres = st.tuples(*[st.floats(-100.0, 100.0)] * 3).map(np.array)
 rotation_vectors = st.tuples(*[st.floats(-4.0, 4.0)] * 3).map(np.array)
@@ -100,3 +100,15 @@ def test_the_rotation_vector_is_that_of_the_smaller_angle(rotation_rad: np.ndarr
     found = pose.rotation_vector()
     assert np.linalg.norm(found) <= np.pi + 1e-9
     np.testing.assert_allclose(Rotation.from_rotvec(found).as_matrix(), matrix[:3, :3], atol=1e-9)
+
+
+def test_the_uncertainty_of_the_place_is_that_in_the_worst_direction() -> None:
+    spread = np.diag([0.01**2, 0.05**2, 0.02**2, 1.0, 1.0, 1.0])
+    pose = StampedPose(0.0, Pose.identity(), np.zeros(3), spread)
+    assert pose.place_sigma_m == pytest.approx(0.05)
+    assert pose.moved(Pose.from_yaw(0.7, np.zeros(3))).place_sigma_m == pytest.approx(0.05)
+
+
+@pytest.mark.parametrize("covariance", [np.eye(3), np.full((6, 6), np.nan), np.diag([np.inf] * 6)])
+def test_a_covariance_that_tells_no_uncertainty_of_the_place_gives_none(covariance: np.ndarray) -> None:
+    assert np.isnan(StampedPose(0.0, Pose.identity(), np.zeros(3), covariance).place_sigma_m)

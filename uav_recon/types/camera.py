@@ -96,12 +96,14 @@ class PosedFrame:
     """A frame and the pose of its depth imager at its own stamp.
 
     unsure: the source of the poses is uncertain of the place. The frame shows that the camera works, and is not mapped.
+    place_sigma_m: standard deviation of the place in its worst direction, by the covariance of the pose; NaN if unknown.
     """
 
     frame: Frame
     world_from_depth: Pose
     map_epoch: int = 0
     unsure: bool = False
+    place_sigma_m: float = math.nan
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -193,6 +193,16 @@ class StampedPose:
         )
 
     @property
+    def place_sigma_m(self) -> float:
+        """Standard deviation of the position in its worst direction, m.
+
+        NaN if the covariance is malformed.
+        """
+        if self.covariance.shape != (6, 6) or not np.isfinite(self.covariance[:3, :3]).all():
+            return math.nan
+        return math.sqrt(max(float(np.linalg.eigvalsh(self.covariance[:3, :3])[-1]), 0.0))
+
+    @property
     def unsure(self) -> Reason | None:
         """Reason why the source is uncertain of the place, None if it is not."""
         reason = self.health_reason if self.health is PoseHealth.DEGRADED else None

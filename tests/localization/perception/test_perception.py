@@ -14,6 +14,7 @@ from uav_recon.config import LocalizationConfig
 from uav_recon.localization.calibration.camera_motion import CameraMotion
 from uav_recon.localization.calibration.camera_mount import FixedMount, Mount
 from uav_recon.localization.consistency.depth_consistency import DepthConsistencyMonitor
+from uav_recon.localization.perception.fused_odometry import FusedOdometry
 from uav_recon.localization.perception.perception import Perception
 from uav_recon.types.camera import Frame, ImuSample, Intrinsics, PosedFrame, body_from_camera
 from uav_recon.types.pose import Pose, PoseHealth, StampedPose
@@ -220,6 +221,21 @@ def test_frames_of_an_uncertain_place_are_marked_and_no_drift_is_measured(
     assert not [taken_s for taken_s in compared if 1.6 < taken_s < 2.4]
     assert 1.5 < min(forgotten) < 1.7
     assert max(forgotten) < 2.7
+
+
+def test_a_frame_carries_the_uncertainty_of_its_place(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
+    known = FusedOdometry.corrected
+
+    def corrected(self: FusedOdometry, stamp_s: float) -> StampedPose | None:
+        pose, sigma_m = known(self, stamp_s), 0.01 * (1.0 + stamp_s - MOTION.start_s)
+        covariance = np.diag([1e-6, sigma_m**2, 1e-6, 1.0, 1.0, 1.0])
+        return None if pose is None else replace(pose, covariance=covariance).moved(Pose.from_yaw(0.5, np.zeros(3)))
+
+    monkeypatch.setattr(FusedOdometry, "corrected", corrected)
+    _perception, seen = _run(world, 2.0)
+    assert len(seen.frames) > 20
+    for _, posed in seen.frames:
+        assert posed.place_sigma_m == pytest.approx(0.01 * (1.0 + posed.frame.stamp_s - MOTION.start_s))
 
 
 def test_without_poses_quality_falls_and_then_nothing_is_published(world: World) -> None:

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from slam_flight import BODY_FROM_DEPTH, RATE_HZ, covered, frames, imu, truth
+from slam_flight import BODY_FROM_DEPTH, RATE_HZ, colourless, covered, frames, imu, truth
 
 from uav_recon.localization.flow.measured_motion import MeasuredMotion
 from uav_recon.localization.slam.outside_motion import NoOutsideMotion, OutsideMotion
@@ -79,6 +79,13 @@ def test_a_gap_is_bridged_without_a_jump(gap_s: float) -> None:
     assert found[-1][2] < 0.06
     assert steps_m(found) < 0.07
     assert {odom.reset_counter for _, odom, _ in found} == {0}
+
+
+def test_its_covariance_grows_while_the_view_does_not_show_the_place() -> None:
+    """Without colour the depth of a wall leaves its directions open, and each frame is accepted."""
+    _, found = fly(frames(7.0, lambda true: colourless(true) if true.stamp_s >= FAULT_S else true))
+    assert max(odom.place_sigma_m for now_s, odom, _ in found if now_s < FAULT_S) < 0.015
+    assert found[-1][1].place_sigma_m > 0.05
 
 
 def test_after_a_longer_gap_the_place_is_lost_and_found_again() -> None:

@@ -175,7 +175,8 @@ class Perception:
         if estimate is None or estimate.quality == 0 or body_from_depth is None:
             return None
         odom_from_depth = estimate.odom_from_body @ body_from_depth @ calibration.nominal_from_true
-        return PosedFrame(calibration.corrected(frame), odom_from_depth, estimate.map_epoch, estimate.unsure is not None)
+        unsure = estimate.unsure is not None
+        return PosedFrame(calibration.corrected(frame), odom_from_depth, estimate.map_epoch, unsure, estimate.place_sigma_m)
 
 
 def warm_up() -> None:
