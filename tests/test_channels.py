@@ -64,6 +64,7 @@ VALUES = [
     OPTICS,
     FRAME,
     PosedFrame(FRAME, POSE, 3),
+    PosedFrame(FRAME, POSE, 3, True, 0.0425),
     ImuSample(1.0, np.array([0.1, 0.2, 0.3]), np.array([0.0, 0.0, 9.8])),
     GRID,
     VOXELS,
@@ -87,6 +88,7 @@ VALUES = [
     VehicleState(1.0, POSE, np.zeros(3), True, "OFFBOARD", FlightPhase.FLYING, float("nan"), False, float("nan"), -1, 3, None),
     VehicleState(1.0, POSE, np.zeros(3), True, "OFFBOARD", FlightPhase.FLYING, 0.5, False, 0.2, 4, 3, LEFT, 0.3, 9.5),
     MissionProgress(1.0, "SURVEY", "explore", 3, 60, 41.5, 12.25, 5, 2, 7, 0.75, None, False),
+    MissionProgress(1.0, "SURVEY", "explore", 3, 60, 41.5, 12.25, 5, 2, 7, 0.75, None, False, np.ones(3), 0.0041, 0.0425),
 ]
 
 

@@ -99,6 +99,8 @@ def progress(t_s: float, phase: str = "EXPLORE") -> MissionProgress:
         note=None,
         finished=False,
         position_world=position(t_s),
+        predicted_sigma_m=0.003 + 0.001 * t_s,
+        measured_sigma_m=None if t_s < 1.0 else 0.011,
     )
 
 

@@ -25,7 +25,32 @@ def test_everything_written_is_read_back(tmp_path: Path) -> None:
     assert timeline.start_s() == START_S
     stamps, path = timeline.path_world()
     assert stamps.shape == (60,) and path[7] == pytest.approx(position(3.5))
+    samples = timeline.progress
+    assert (samples[1].predicted_sigma_m, samples[1].measured_sigma_m) == (0.0035, None)
+    assert (samples[4].predicted_sigma_m, samples[4].measured_sigma_m) == (0.005, 0.011)
     assert timeline.views[4].world_from_depth().matrix() == pytest.approx(frame(8.0).world_from_depth.matrix())
+
+
+def test_a_log_from_before_the_uncertainty_of_the_place_was_written_is_read(tmp_path: Path) -> None:
+    write_timeline(tmp_path)
+    lines = [json.loads(line) for line in (tmp_path / TIMELINE).read_text().splitlines()]
+    old = [{key: value for key, value in line.items() if not key.endswith("_sigma_m")} for line in lines]
+    assert old != lines
+    (tmp_path / TIMELINE).write_text("".join(json.dumps(line) + "\n" for line in old))
+    timeline = read_timeline(tmp_path)
+    assert (timeline.torn_lines, len(timeline.progress)) == (0, 60)
+    assert {(sample.predicted_sigma_m, sample.measured_sigma_m) for sample in timeline.progress} == {(None, None)}
+
+
+def test_the_uncertainty_of_the_place_is_unknown_on_the_ground(tmp_path: Path) -> None:
+    log = FlightLog(tmp_path)
+    for t_s, phase in ((0.5, "ready"), (1.5, "survey"), (2.5, "done")):
+        log.progress(progress(t_s, phase))
+    log.close()
+    stamps_s, predicted_m, measured_m = read_timeline(tmp_path).place_sigmas_m()
+    assert stamps_s == pytest.approx([START_S + 0.5, START_S + 1.5, START_S + 2.5])
+    assert predicted_m == pytest.approx([np.nan, 0.0045, np.nan], nan_ok=True)
+    assert measured_m == pytest.approx([np.nan, 0.011, np.nan], nan_ok=True)
 
 
 def test_each_line_is_on_disk_before_the_log_is_closed(tmp_path: Path) -> None:

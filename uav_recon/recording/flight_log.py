@@ -26,12 +26,16 @@ from uav_recon.types.vehicle import MissionProgress
 
 TIMELINE = "timeline.jsonl"
 TAKE_OFF = "take-off"
+_ON_THE_GROUND = ("idle", "ready", "done")
 _LOG = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
 class ProgressSample:
-    """One MissionProgress. position_world in metres."""
+    """One MissionProgress. position_world in metres.
+
+    predicted_sigma_m, measured_sigma_m: as there; None also in logs from before they were written.
+    """
 
     stamp_s: Float
     phase: str
@@ -42,6 +46,13 @@ class ProgressSample:
     frontiers: int
     planning_s: Float
     position_world: tuple[Float, Float, Float]
+    predicted_sigma_m: float | None = None
+    measured_sigma_m: float | None = None
+
+    @property
+    def in_the_air(self) -> bool:
+        """True in the phases of a flight."""
+        return self.phase not in _ON_THE_GROUND
 
 
 @dataclass(frozen=True, slots=True)
@@ -204,6 +215,17 @@ class Timeline:
         stamps = np.array([sample.stamp_s for sample in self.progress])
         return stamps, np.array([sample.position_world for sample in self.progress]).reshape(-1, 3)
 
+    def place_sigmas_m(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return the standard deviations of the place: stamps, predicted, measured (N,) each.
+
+        Those of the progress samples. NaN where they are unknown, and on the ground.
+        """
+        samples = self.progress
+        predicted_m = [sample.predicted_sigma_m if sample.in_the_air else None for sample in samples]
+        measured_m = [sample.measured_sigma_m if sample.in_the_air else None for sample in samples]
+        stamps_s = np.array([sample.stamp_s for sample in samples])
+        return stamps_s, np.array(predicted_m, dtype=np.float64), np.array(measured_m, dtype=np.float64)
+
 
 _KINDS: dict[str, type[Any]] = {
     "progress": ProgressSample,
@@ -246,6 +268,8 @@ class FlightLog:
                 frontiers=now.frontiers,
                 planning_s=now.planning_s,
                 position_world=_vec3(now.position_world),
+                predicted_sigma_m=now.predicted_sigma_m,
+                measured_sigma_m=now.measured_sigma_m,
             ),
         )
 

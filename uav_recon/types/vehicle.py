@@ -90,7 +90,11 @@ class ReportedPoses:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MissionProgress:
-    """A sample of the mission's progress, for screens, recorders and the report."""
+    """A sample of the mission's progress, for screens, recorders and the report.
+
+    Standard deviations of the place, in the worst direction: predicted_sigma_m: by what the view shows of the map, None where
+    poses do not come from it. measured_sigma_m: by the pose of the newest frame, None if unknown.
+    """
 
     stamp_s: float
     phase: str
@@ -106,3 +110,5 @@ class MissionProgress:
     note: Reason | None
     finished: bool
     position_world: FloatArray = field(default_factory=lambda: np.zeros(3))
+    predicted_sigma_m: float | None = None
+    measured_sigma_m: float | None = None

@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+import dataclasses
+import math
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from conductor_fixture import Desk
+from conductor_fixture import Desk, posed_frame, vehicle_state
 
 from uav_recon.mission.log.mission_log import MissionLog
 from uav_recon.mission.publication.mission_publisher import PROGRESS_PERIOD_S, MissionPublisher
 from uav_recon.mission.requests.operator_watchdog import OperatorWatchdog
 from uav_recon.mission.state_machine import Phase
 from uav_recon.mission.trajectory.flight_track import FlightTrack
+from uav_recon.recording.flight_log import read_timeline
+from uav_recon.types.camera import PosedFrame
+from uav_recon.types.localizability import SurfaceCells
+from uav_recon.types.pose import Pose
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.trajectory import Goal
@@ -73,3 +79,48 @@ def test_a_lost_operator_and_an_abort_are_in_the_intent(
     log.aborted = Reason(ReasonCode.OPERATOR_LAND)
     publisher.publish(111.1, Phase.LANDING, None)
     assert desk.intent.note == log.aborted
+
+
+class KnownSurface:
+    """A surface whose view shows the place the better the farther the vehicle is; notes the pitch that it is asked for."""
+
+    cells = SurfaceCells.none(0.2)
+
+    def __init__(self) -> None:
+        self.pitches_rad: list[float] = []
+
+    def add(self, posed: PosedFrame) -> bool:
+        return False
+
+    def sigma_m(self, world_from_body: Pose, pitch_down_rad: float) -> float:
+        self.pitches_rad.append(pitch_down_rad)
+        return 0.1 - 0.02 * float(world_from_body.translation_m[0])
+
+    def seeing_yaw_rad(self, world_from_body: Pose, pitch_down_rad: float) -> float | None:
+        return None
+
+
+def test_the_predicted_uncertainty_is_that_of_the_view_from_the_vehicle(
+    desk: Desk, log: MissionLog, watchdog: OperatorWatchdog
+) -> None:
+    surface, track = KnownSurface(), FlightTrack(0.0)
+    stages = dataclasses.replace(desk.stages, localizability=surface)
+    publisher = MissionPublisher(stages, desk.channels, track, log, watchdog, 0.26)
+    track.follow(vehicle_state(1.0, x_m=2.0))
+    publisher.publish(1.0, Phase.SURVEY, None)
+    assert desk.progress.predicted_sigma_m == pytest.approx(0.06)
+    assert surface.pitches_rad == [0.26]
+    (logged,) = read_timeline(desk.folder).progress
+    assert (logged.predicted_sigma_m, logged.measured_sigma_m) == (desk.progress.predicted_sigma_m, None)
+
+
+def test_the_measured_uncertainty_is_that_of_the_newest_frame(desk: Desk, publisher: MissionPublisher) -> None:
+    found = []
+    for number, sigma_m in enumerate((None, 0.011, 0.052, math.nan)):
+        if sigma_m is not None:
+            desk.channels.frames.publish(dataclasses.replace(posed_frame(float(number)), place_sigma_m=sigma_m))
+        publisher.publish(float(number), Phase.SURVEY, None)
+        found.append(desk.progress.measured_sigma_m)
+    assert found == [None, 0.011, 0.052, None]
+    assert [sample.measured_sigma_m for sample in read_timeline(desk.folder).progress] == found
+    assert desk.progress.predicted_sigma_m is None

@@ -89,12 +89,24 @@ class MissionLog:
             self.note = vehicle.note or (waits if phase in (Phase.IDLE, Phase.READY) else None)
 
     def progress(
-        self, stamp_s: float, phase: Phase, explored_m3: float, path_length_m: float, position_world: FloatArray, finished: bool
+        self,
+        stamp_s: float,
+        phase: Phase,
+        explored_m3: float,
+        path_length_m: float,
+        position_world: FloatArray,
+        finished: bool,
+        predicted_sigma_m: float | None = None,
+        measured_sigma_m: float | None = None,
     ) -> MissionProgress:
-        """Log and return a sample of the mission's progress."""
+        """Log and return a sample of the mission's progress.
+
+        predicted_sigma_m, measured_sigma_m: as in MissionProgress.
+        """
         now = MissionProgress(
             stamp_s, phase.value, self.mode, self.views, self.views_budget, explored_m3, path_length_m, self.frontiers,
             self.tasks, self.plans, self.planning_s, self.note, finished, position_world,
+            predicted_sigma_m, measured_sigma_m,
         )  # fmt: skip
         self.journal.progress(now)
         return now

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from uav_recon.mission.log.mission_log import MissionLog
@@ -37,6 +39,7 @@ class MissionPublisher:
         self._log = log
         self._watchdog = watchdog
         self._map_publisher = MapPublisher(channels)
+        self._camera_pitch_down_rad = camera_pitch_down_rad
         self._heading = SeeingHeading(stages.localizability, track, camera_pitch_down_rad)
         self._reported_s = -np.inf
 
@@ -57,5 +60,20 @@ class MissionPublisher:
 
     def _report_progress(self, now_s: float, phase: Phase) -> None:
         explored_m3, track = self._stages.voxels.explored_m3(), self._track
-        progress = self._log.progress(now_s, phase, explored_m3, track.path_length_m, track.position_world, phase.finished)
+        progress = self._log.progress(
+            now_s, phase, explored_m3, track.path_length_m, track.position_world, phase.finished,
+            self._predicted_sigma_m(), self._measured_sigma_m(),
+        )  # fmt: skip
         self._channels.progress.publish(progress)
+
+    def _predicted_sigma_m(self) -> float | None:
+        """Return how well the view should show the place; None without a surface for it."""
+        localizability = self._stages.localizability
+        if localizability is None:
+            return None
+        return localizability.sigma_m(self._track.world_from_body, self._camera_pitch_down_rad)
+
+    def _measured_sigma_m(self) -> float | None:
+        """Return how well the pose of the newest frame is known; None if that is not known."""
+        posed = self._channels.frames.latest()
+        return None if posed is None or math.isnan(posed.place_sigma_m) else posed.place_sigma_m
