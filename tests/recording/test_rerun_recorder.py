@@ -80,6 +80,7 @@ def test_a_flight_is_recorded_completely(tmp_path: Path) -> None:
     ):  # fmt: skip
         assert found.get(entity, 0) > 0, entity
     assert found[names.SPEED] == 60
+    assert (found[names.PLACE_PREDICTED], found[names.PLACE_MEASURED]) == (60, 50)  # the measured one is known from 1 s on
 
 
 def test_images_are_recorded_at_a_reduced_rate_and_a_trajectory_once(tmp_path: Path) -> None:

@@ -29,10 +29,12 @@ PLANNING = "plots/planning/step_ms"
 PLANNING_TASKS = "plots/planning/tasks_ms"
 VIEWS = "plots/views/taken"
 FRONTIERS = "plots/views/frontiers"
+PLACE_PREDICTED = "plots/place/predicted_cm"
+PLACE_MEASURED = "plots/place/measured_cm"
 
 
 def review_blueprint() -> Any:
-    """Return the layout: 3-D view beside both images; below them five time series and the log."""
+    """Return the layout: 3-D view beside both images; below them six time series and the log."""
     import rerun.blueprint as rrb
 
     def series(origin: str, name: str) -> Any:
@@ -52,6 +54,7 @@ def review_blueprint() -> Any:
                 rrb.Tabs(
                     series("plots/speed", "Speed"),
                     series("plots/distance", "Distance to anything not known free"),
+                    series("plots/place", "Uncertainty of the place, cm"),
                 ),
                 series("plots/explored", "Explored"),
                 series("plots/planning", "Planning"),

@@ -190,6 +190,12 @@ class RerunRecorder:
             self._plot(names.EXPLORED, progress.explored_m3)
             self._plot(names.VIEWS, float(progress.views))
             self._plot(names.FRONTIERS, float(progress.frontiers))
+            for entity, sigma_m in (
+                (names.PLACE_PREDICTED, progress.predicted_sigma_m),
+                (names.PLACE_MEASURED, progress.measured_sigma_m),
+            ):
+                if sigma_m is not None:
+                    self._plot(entity, 100.0 * sigma_m)
             self._say("mission", f"{progress.phase} {progress.mode}".strip())
             self._say("mission note", text_of(progress.note))
         plan = self._plan.new()
