@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +12,7 @@ import pytest
 
 from uav_recon.recording.flight_log import FlightLog, read_timeline
 from uav_recon.recording.flight_report import FlightInfo, build_report, publish
-from uav_recon.recording.report import Report
+from uav_recon.recording.report import Report, ReportSight
 from uav_recon.types.perception_status import PerceptionStatus
 from uav_recon.types.pose import Pose
 from uav_recon.types.reason import Reason
@@ -126,3 +128,68 @@ def test_the_time_at_reduced_speed_is_counted_by_reason_and_within_the_flight(tm
     assert report.reduced_speed_s == {"no inertial samples": 6.0, "7 poses a second": 9.0}
     limits = read_timeline(tmp_path).speed_limits
     assert [(limit.max_speed_mps, limit.codes) for limit in limits[:2]] == [(0.3, ("no-imu",)), (None, ())]
+
+
+Sight = tuple[float, str, float | None, float | None]  # stamp, phase, predicted and measured uncertainty of the place
+
+
+def sight(folder: Path, samples: Iterable[Sight]) -> ReportSight | None:
+    log = FlightLog(folder)
+    for stamp_s, phase, predicted_m, measured_m in samples:
+        now = progress(stamp_s, phase, 0.0)
+        log.progress(dataclasses.replace(now, predicted_sigma_m=predicted_m, measured_sigma_m=measured_m))
+    log.close()
+    return build_report(folder, CARD, 1.0).sight
+
+
+def test_the_time_in_which_the_view_shows_the_place_badly_is_counted_in_the_air(tmp_path: Path) -> None:
+    found = sight(
+        tmp_path,
+        (
+            (0.0, "ready", 1.0, 0.5),  # on the ground
+            (1.0, "take-off", 0.003, 0.011),
+            (1.5, "survey", 0.005, 0.030),  # half a second
+            (2.0, "survey", 0.013, 0.050),  # 0.75 s
+            (2.75, "survey", 0.003, 0.011),
+            (3.0, "retreat", 0.020, 0.060),  # half a second and ...
+            (3.5, "survey", None, 0.045),  # ... the same
+            (4.0, "survey", 0.003, None),
+            (4.5, "return", 0.003, 0.041),  # the mission process was down for longer than it counts
+            (9.5, "landing", 0.003, 0.011),
+            (10.0, "done", 1.0, 0.5),
+            (10.5, "done", 1.0, 0.5),
+        ),
+    )
+    assert found is not None
+    assert found.weak_s == pytest.approx(0.5 + 0.75 + 0.5 + 0.5 + 1.0)
+    assert found.blind_s == pytest.approx(0.75 + 0.5 + 0.5 + 1.0)
+    assert found.longest_blind_s == pytest.approx(1.0)
+    assert found.predicted_weak_s == pytest.approx(0.5 + 0.75 + 0.5)
+    assert found.predicted_blind_s == pytest.approx(0.75 + 0.5)
+
+
+def test_the_longest_stretch_is_not_the_sum_of_all(tmp_path: Path) -> None:
+    measured_m = (0.05, 0.05, 0.01, 0.05, 0.05, 0.05, 0.01)
+    found = sight(tmp_path, ((0.25 * n, "survey", 0.001, sigma_m) for n, sigma_m in enumerate(measured_m)))
+    assert found is not None
+    assert found.blind_s == pytest.approx(1.25)
+    assert found.longest_blind_s == pytest.approx(0.75)
+
+
+def test_without_predictions_in_the_air_nothing_is_said_of_the_sight(tmp_path: Path) -> None:
+    samples: tuple[Sight, ...] = ((0.0, "ready", 0.1, 0.1), (1.0, "survey", None, 0.05), (2.0, "survey", None, 0.05))
+    assert sight(tmp_path, samples) is None
+    publish(build_report(tmp_path, CARD, 1.0), tmp_path)
+    assert not (tmp_path / "pictures" / "place.png").exists()
+    assert "Uncertainty of the place" not in (tmp_path / "report.html").read_text(encoding="utf-8")
+
+
+def test_a_sight_that_was_predicted_but_not_measured_has_no_measured_times(tmp_path: Path) -> None:
+    found = sight(tmp_path, ((1.0, "survey", 0.02, None), (1.5, "survey", 0.001, None)))
+    assert found == ReportSight(None, None, None, 0.5, 0.5)
+    publish(build_report(tmp_path, CARD, 1.0), tmp_path)
+    assert Report.load(tmp_path / "report.json").sight == found
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "<th>Above 2 cm</th><td>–</td>" in page
+    assert (tmp_path / "pictures" / "place.png").exists()
+    assert page.count("How well the place was known, and how well the view should show it.</figcaption>") == 1

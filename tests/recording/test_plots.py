@@ -5,7 +5,9 @@ Their appearance was checked by eye.
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -14,7 +16,7 @@ from flight_inputs import INSIDE, mesh, voxel_map, write_timeline
 
 from uav_recon.recording.flight_log import Timeline, read_timeline
 from uav_recon.recording.mesh_renders import render_mesh_images
-from uav_recon.recording.plots import coverage_over_time, path_over_plan, planning_over_time
+from uav_recon.recording.plots import coverage_over_time, path_over_plan, place_sigma_over_time, planning_over_time
 from uav_recon.types.frames import ByteArray
 from uav_recon.types.maps import TriangleMesh
 
@@ -38,7 +40,8 @@ def test_flight_plots_have_content(tmp_path: Path, timeline: Timeline) -> None:
     coverage_over_time(tmp_path / "p" / "coverage.png", timeline)
     coverage_over_time(tmp_path / "p" / "share.png", timeline, free_volume_m3=25.0)
     planning_over_time(tmp_path / "p" / "planning.png", timeline)
-    for name in ("path", "coverage", "share", "planning"):
+    place_sigma_over_time(tmp_path / "p" / "place.png", timeline)
+    for name in ("path", "coverage", "share", "planning", "place"):
         image = loaded(tmp_path / "p" / f"{name}.png")
         assert image.shape[1] == 1200 and 300 < image.shape[0] < 1400
         assert 0.01 < np.mean(image < 250) < 0.9
@@ -49,7 +52,23 @@ def test_an_empty_flight_still_has_its_plots(tmp_path: Path) -> None:
     path_over_plan(tmp_path / "plan.png", EMPTY, voxel_map())
     coverage_over_time(tmp_path / "coverage.png", EMPTY)
     planning_over_time(tmp_path / "planning.png", EMPTY)
-    assert len(list(tmp_path.glob("*.png"))) == 4
+    place_sigma_over_time(tmp_path / "place.png", EMPTY)
+    assert len(list(tmp_path.glob("*.png"))) == 5
+
+
+def test_both_uncertainties_of_the_place_are_drawn(tmp_path: Path, timeline: Timeline) -> None:
+    def drawn(*unknown: str) -> tuple[int, int]:
+        """Return the number of orange and of blue pixels."""
+        changed: dict[str, Any] = dict.fromkeys(unknown)
+        samples = tuple(dataclasses.replace(sample, **changed) for sample in timeline.progress)
+        place_sigma_over_time(tmp_path / "place.png", dataclasses.replace(timeline, progress=samples))
+        blue, _, red = (loaded(tmp_path / "place.png")[..., k].astype(int) for k in range(3))
+        return int(np.sum(red > blue + 120)), int(np.sum(blue > red + 120))
+
+    (orange, blue), without_measured, without_predicted = drawn(), drawn("measured_sigma_m"), drawn("predicted_sigma_m")
+    assert without_measured[0] < orange - 800 and without_measured[1] == pytest.approx(blue, rel=0.1)
+    assert without_predicted[1] < blue - 800 and without_predicted[0] == pytest.approx(orange, rel=0.1)
+    assert min(without_measured[0], without_predicted[1]) > 800  # the limits of each
 
 
 @pytest.fixture(scope="module")

@@ -46,6 +46,9 @@ def tree() -> dict[str, Any]:
         "camera": ["camera streams: depth 424x240 at 30 Hz, colour 424x240 at 30 Hz, IMU none, USB 3.2"],
         "odometry": {"ate_cm": 3.41, "largest_cm": 9.2, "shift_cm": 6.5, "turn_deg": 1.2, "model_aligned": True},
         "unseen": {"upper_share": 0.02, "lower_share": 0.01, "split_m": 1.7, "text": ""},
+        "sight": {
+            "weak_s": 21.62, "blind_s": 8.4, "longest_blind_s": 3.1, "predicted_weak_s": 30.26, "predicted_blind_s": 9.8,
+        },
     }  # fmt: skip
 
 
@@ -149,6 +152,11 @@ def test_the_page_needs_no_other_file(tmp_path: Path) -> None:
         "<th>Memory is full</th><td>11</td></tr><tr><th>No depth</th><td>2</td></tr><tr><th>All</th><td>13</td>",
         "<th>Error of the position (ATE)</th><td>3.4 cm</td>",
         "<td>after this alignment</td>",
+        "<h2>Uncertainty of the place in flight, standard deviation</h2>",
+        "<th>Above 2 cm</th><td>21.6 s</td></tr><tr><th>Above 4 cm</th><td>8.4 s</td>",
+        "<th>Longest time above 4 cm</th><td>3.1 s</td>",
+        "<th>Predicted for the view: above 0.4 cm</th><td>30.3 s</td>",
+        "<th>Predicted for the view: above 1.2 cm</th><td>9.8 s</td>",
         "<th>delay_s</th><td>0.0281 ± 0.0062</td>",
         "<th>Pose jump</th><td>7</td></tr><tr><th>Depth frame empty</th><td>4</td></tr><tr><th>All</th><td>11</td>",
     ):
@@ -194,6 +202,13 @@ def test_much_unseen_space_is_said_first_and_is_no_good_flight() -> None:
     assert verdict(report) == ("Completed, but 35 % of the room above 1.7 m was not seen", "fair")
     assert report.headline == "completed, but 35 % of the room above 1.7 m was not seen"
     assert Report.from_tree(tree()).headline == "completed"
+
+
+def test_a_report_from_before_the_sight_was_measured_is_read(tmp_path: Path) -> None:
+    report = Report.from_tree(without("sight"))
+    assert report.sight is None
+    _, page = write_report(tmp_path, report)
+    assert "Uncertainty of the place" not in page.read_text()
 
 
 def test_a_report_from_before_reduced_speed_was_logged_is_read(tmp_path: Path) -> None:

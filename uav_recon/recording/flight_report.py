@@ -7,17 +7,29 @@ from pathlib import Path
 
 import numpy as np
 
+from uav_recon.geometry.view_information import BLIND_M, GOOD_M
 from uav_recon.recording.flight_log import Timeline, read_timeline
 from uav_recon.recording.map_file import load_map
 from uav_recon.recording.mesh_file import load_mesh
 from uav_recon.recording.mesh_renders import render_mesh_images
-from uav_recon.recording.plots import coverage_over_time, path_over_plan, planning_over_time
+from uav_recon.recording.plots import coverage_over_time, path_over_plan, place_sigma_over_time, planning_over_time
 from uav_recon.recording.recall_plot import recall_over_time
-from uav_recon.recording.report import TIMED_RECALLS, MedianP95, ModeTimes, Report, ReportPlanning, ReportSafety
+from uav_recon.recording.report import (
+    BLIND_SIGMA_M,
+    TIMED_RECALLS,
+    WEAK_SIGMA_M,
+    MedianP95,
+    ModeTimes,
+    Report,
+    ReportPlanning,
+    ReportSafety,
+    ReportSight,
+)
 from uav_recon.recording.report_page import Picture, write_report
 from uav_recon.types.flight_metrics import StreamStatistics
+from uav_recon.types.frames import BoolArray, FloatArray
 
-ON_THE_GROUND = ("idle", "ready", "done")
+_LONGEST_SAMPLE_S = 1.0  # time for which a sample of the progress stands: in a longer gap there was no mission process
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +51,7 @@ def build_report(folder: Path, card: FlightInfo, wall_s: float) -> Report:
     """
     timeline = read_timeline(folder)
     outcome = timeline.outcomes[-1] if timeline.outcomes else None
-    stamps_s = [sample.stamp_s for sample in timeline.progress if sample.phase not in ON_THE_GROUND]
+    stamps_s = [sample.stamp_s for sample in timeline.progress if sample.in_the_air]
     return Report(
         scene=card.scene,
         variant=card.variant,
@@ -72,6 +84,7 @@ def build_report(folder: Path, card: FlightInfo, wall_s: float) -> Report:
         camera=tuple(dict.fromkeys(text for record in timeline.perception for text in record.camera)),
         kept_calibration=timeline.perception[-1].kept if timeline.perception else "",
         correction=timeline.perception[-1].correction if timeline.perception else "",
+        sight=_sight(timeline),
     )
 
 
@@ -99,6 +112,38 @@ def _waiting_share(timeline: Timeline) -> float | None:
     return timeline.waited_s(begin_s, begin_s + lasted_s) / lasted_s if begin_s is not None and lasted_s else None
 
 
+def _sight(timeline: Timeline) -> ReportSight | None:
+    """Return how long the view showed the place badly, in the air; None without predictions."""
+    stamps_s, predicted_m, measured_m = timeline.place_sigmas_m()
+    if not np.isfinite(predicted_m).any():
+        return None
+    lasted_s = np.append(np.clip(np.diff(stamps_s), 0.0, _LONGEST_SAMPLE_S), 0.0)
+
+    def above_s(sigma_m: FloatArray, limit_m: float) -> float:
+        return float(lasted_s[sigma_m > limit_m].sum())
+
+    measured = bool(np.isfinite(measured_m).any())
+    return ReportSight(
+        weak_s=above_s(measured_m, WEAK_SIGMA_M) if measured else None,
+        blind_s=above_s(measured_m, BLIND_SIGMA_M) if measured else None,
+        longest_blind_s=_longest_s(lasted_s, measured_m > BLIND_SIGMA_M) if measured else None,
+        predicted_weak_s=above_s(predicted_m, GOOD_M),
+        predicted_blind_s=above_s(predicted_m, BLIND_M),
+    )
+
+
+def _longest_s(lasted_s: FloatArray, held: BoolArray) -> float:
+    """Return the longest time in a row in which something held.
+
+    lasted_s (N,): of each sample. held (N,): whether it held in it.
+    """
+    longest_s = stretch_s = 0.0
+    for sample_s, here in zip(lasted_s.tolist(), held.tolist(), strict=True):
+        stretch_s = stretch_s + sample_s if here else 0.0
+        longest_s = max(longest_s, stretch_s)
+    return longest_s
+
+
 def _pictures(folder: Path, report: Report) -> list[Picture]:
     timeline, voxels, mesh = read_timeline(folder), load_map(folder), load_mesh(folder)
     drawn = folder / "pictures"
@@ -114,9 +159,12 @@ def _pictures(folder: Path, report: Report) -> list[Picture]:
     if report.recall_over_time:
         recall_over_time(drawn / "recall.png", timeline, report)
         pictures.append(Picture(drawn / "recall.png", "How much of the surface the model held, while it flew."))
-    return [
-        *pictures,
+    pictures += [
         Picture(drawn / "path.png", "The flown path over the floor plan that the drone found."),
         Picture(drawn / "coverage.png", "Explored volume and views over time."),
         Picture(drawn / "planning.png", "Computing time of each plan."),
     ]
+    if report.sight is not None:
+        place_sigma_over_time(drawn / "place.png", timeline)
+        pictures.append(Picture(drawn / "place.png", "How well the place was known, and how well the view should show it."))
+    return pictures

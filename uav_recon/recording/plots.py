@@ -1,5 +1,6 @@
-"""Plots of a flight as PNG: path over the floor plan, coverage and planning time over time.
+"""Plots of a flight as PNG.
 
+Path over the floor plan; coverage, planning time and uncertainty of the place over time.
 Every figure is a separate object on the Agg canvas; no state is shared and no display is needed.
 """
 
@@ -11,7 +12,9 @@ from typing import Any
 
 import numpy as np
 
+from uav_recon.geometry.view_information import BLIND_M, GOOD_M
 from uav_recon.recording.flight_log import PhaseRecord, Timeline
+from uav_recon.recording.report import BLIND_SIGMA_M, WEAK_SIGMA_M
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.maps import FREE, OCCUPIED, VoxelMap
 
@@ -113,6 +116,39 @@ def planning_over_time(picture: Path, timeline: Timeline) -> None:
     if timeline.plans:
         axes.vlines([], 0.0, [], color=INK, lw=2.4, label="dark: making tasks")
         axes.legend(loc="upper center", frameon=False, fontsize=8.5, ncols=4, columnspacing=1.2, handletextpad=0.4)
+    save(figure, picture)
+
+
+def place_sigma_over_time(picture: Path, timeline: Timeline) -> None:
+    """Plot the standard deviation of the place in the air, predicted beside measured.
+
+    The limits of each are horizontal lines.
+    """
+    start_s = timeline.start_s()
+    stamps_s, predicted_m, measured_m = timeline.place_sigmas_m()
+    time_s = stamps_s - start_s
+    end_s = max(float(time_s.max(initial=0.0)), 1.0)
+    figure = new_figure(_WIDTH_IN, 4.2)
+    axes = figure.add_subplot()
+    style(axes, "flight time, s", "standard deviation, cm", "Uncertainty of the place")
+    axes.set_yscale("log")
+    axes.yaxis.set_major_formatter("{x:g}")
+    axes.tick_params(which="minor", length=0)
+    for sigma_m, colour, name, limits_m in (
+        (measured_m, ORANGE, "measured", (WEAK_SIGMA_M, BLIND_SIGMA_M)),
+        (predicted_m, BLUE, "predicted for the view", (GOOD_M, BLIND_M)),
+    ):
+        weak, blind = (100.0 * limit_m for limit_m in limits_m)
+        axes.plot(time_s, 100.0 * sigma_m, color=colour, lw=1.8, label=name)
+        axes.axhline(weak, color=colour, lw=1.2, ls=":", label=f"weak: {weak:g} cm")
+        axes.axhline(blind, color=colour, lw=1.2, ls="--", label=f"blind: {blind:g} cm")
+    known_cm = 100.0 * np.concatenate((predicted_m, measured_m))
+    known_cm = known_cm[np.isfinite(known_cm)]
+    least_cm, most_cm = max(float(known_cm.min(initial=0.2)), 0.02), float(known_cm.max(initial=10.0))
+    axes.set_ylim(least_cm / 1.5, 8.0 * most_cm)  # the names of the phases are above the curves
+    axes.set_xlim(0.0, end_s)
+    _draw_phases(axes, timeline.phases, start_s, end_s)
+    figure.legend(loc="outside lower center", ncols=6, frameon=False, fontsize=8.5, columnspacing=1.4, handletextpad=0.5)
     save(figure, picture)
 
 

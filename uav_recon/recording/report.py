@@ -17,6 +17,8 @@ from uav_recon.types.flight_metrics import ModelQuality, StreamStatistics
 
 REPORT = "report.json"
 TIMED_RECALLS = ("0.90", "0.95")  # the keys of time_to_recall_s
+# measured standard deviation of the place above which the view shows it weakly, or not at all
+WEAK_SIGMA_M, BLIND_SIGMA_M = 0.02, 0.04
 
 
 class ReportError(Exception):
@@ -50,6 +52,23 @@ class ReportUnseen:
     lower_share: float
     split_m: float
     text: str
+
+
+@dataclass(frozen=True, slots=True)
+class ReportSight:
+    """Seconds in the air in which the view showed the place badly, as measured and as predicted.
+
+    weak_s, blind_s: the place of the frames had a standard deviation above 2 cm, 4 cm; longest_blind_s: longest stretch above
+    4 cm; null if it was not measured. It is measured against the place of one or two seconds before, and never below 1 cm.
+    predicted_weak_s, predicted_blind_s: that which one view should give by the map of surface was above 0.4 cm, 1.2 cm (GOOD_M
+    and BLIND_M of view_information). A measured value and a predicted one are not on the same scale.
+    """
+
+    weak_s: float | None
+    blind_s: float | None
+    longest_blind_s: float | None
+    predicted_weak_s: float
+    predicted_blind_s: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,6 +131,7 @@ class Report:
     rejected_by_perception: depth frames, poses and inertial samples that perception rejected, by reason; None if it published
     no counts. camera: its streams, and what was wrong with it, as texts. odometry: against the true path; None without it.
     unseen: space that the flight left unknown; None without a map, and in reports from before it was measured.
+    sight: how well the view showed the place; None where it is not predicted, and in reports from before it was.
     """
 
     scene: str
@@ -145,6 +165,7 @@ class Report:
     camera: tuple[str, ...] = ()
     odometry: ReportOdometry | None = None
     unseen: ReportUnseen | None = None
+    sight: ReportSight | None = None
 
     @property
     def completed(self) -> bool:

@@ -8,7 +8,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from uav_recon.recording.report import MedianP95, ModeTimes, Report, save_report
+from uav_recon.geometry.view_information import BLIND_M, GOOD_M
+from uav_recon.recording.report import BLIND_SIGMA_M, WEAK_SIGMA_M, MedianP95, ModeTimes, Report, save_report
 from uav_recon.recording.report_style import CSS
 
 PAGE = "report.html"
@@ -76,6 +77,7 @@ def render_page(report: Report, pictures: Sequence[Picture], notes: Sequence[str
         _rejected_by_perception(report),
         _camera(report),
         _odometry(report),
+        _sight(report),
         _camera_calibration(report),
         _correction(report),
         _safety(report),
@@ -186,6 +188,20 @@ def _odometry(report: Report) -> str:
     return _table("Odometry against the true path", rows)
 
 
+def _sight(report: Report) -> str:
+    found = report.sight
+    if found is None:
+        return ""
+    rows = [
+        (f"Above {_centimetres(WEAK_SIGMA_M)}", _number(found.weak_s, 1, " s")),
+        (f"Above {_centimetres(BLIND_SIGMA_M)}", _number(found.blind_s, 1, " s")),
+        (f"Longest time above {_centimetres(BLIND_SIGMA_M)}", _number(found.longest_blind_s, 1, " s")),
+        (f"Predicted for the view: above {_centimetres(GOOD_M)}", f"{found.predicted_weak_s:.1f} s"),
+        (f"Predicted for the view: above {_centimetres(BLIND_M)}", f"{found.predicted_blind_s:.1f} s"),
+    ]
+    return _table("Uncertainty of the place in flight, standard deviation", rows)
+
+
 def _camera_calibration(report: Report) -> str:
     errors = report.camera_calibration
     if not errors:
@@ -294,6 +310,10 @@ def _number(value: float | None, digits: int, unit: str) -> str:
 
 def _percent(value: float | None) -> str:
     return "–" if value is None else f"{100.0 * value:.1f} %"
+
+
+def _centimetres(value_m: float) -> str:
+    return f"{100.0 * value_m:g} cm"
 
 
 def _milliseconds(value: float | None) -> str:
