@@ -58,10 +58,12 @@ class ReportUnseen:
 class ReportSight:
     """Seconds in the air in which the view showed the place badly, as measured and as predicted.
 
-    weak_s, blind_s: the place of the frames had a standard deviation above 2 cm, 4 cm; longest_blind_s: longest stretch above
-    4 cm; null if it was not measured. It is measured against the place of one or two seconds before, and never below 1 cm.
+    weak_s, blind_s: the place of the newest frame had a standard deviation above 2 cm, 4 cm; longest_blind_s: longest stretch
+    above 4 cm; null if it was not measured. It is measured against the place of one or two seconds before, and never below
+    1 cm. While no frame has a pose, the last one that had a pose counts.
     predicted_weak_s, predicted_blind_s: that which one view should give by the map of surface was above 0.4 cm, 1.2 cm (GOOD_M
-    and BLIND_M of view_information). A measured value and a predicted one are not on the same scale.
+    and BLIND_M of view_information). It is 1 m where no surface is known. A measured value and a predicted one are not on the
+    same scale.
     """
 
     weak_s: float | None

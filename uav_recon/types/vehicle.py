@@ -93,7 +93,7 @@ class MissionProgress:
     """A sample of the mission's progress, for screens, recorders and the report.
 
     Standard deviations of the place, in the worst direction: predicted_sigma_m: by what the view shows of the map, None where
-    poses do not come from it. measured_sigma_m: by the pose of the newest frame, None if unknown.
+    poses do not come from it. measured_sigma_m: by the pose of the newest frame, however old; None if unknown.
     """
 
     stamp_s: float
