@@ -143,8 +143,9 @@ def _information(
     shown: AnyArray,
     out: AnyArray,
 ) -> None:
-    """Write the information (3, 3) on the place of a view that shows cells (M,) at depths seen[:, 2].
+    """Write the information (3, 3) of a view on its place.
 
+    The view shows cells (M,) at depths seen[:, 2].
     A cell weighs level I + plane n n' + along p p' for an offset p and a normal n: on the place as it is, on the turn of the
     camera through p x.
     """

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -88,4 +87,4 @@ def test_where_nobody_need_attend_nobody_is_missed(tmp_path: Path) -> None:
     desk.journal.close()
     told = read_timeline(desk.folder)
     assert not [record for record in told.refusals if record.codes[0].startswith("operator-")]
-    assert dataclasses.astuple(desk.intent)[3:] == (None, False)
+    assert (desk.intent.note, desk.intent.operator_lost) == (None, False)
