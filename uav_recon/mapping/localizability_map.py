@@ -21,11 +21,12 @@ from uav_recon.types.maps import GridSpec
 from uav_recon.types.pose import Pose
 
 CELL_M = 0.2
-_SPACING_S = 0.2  # between frames that are taken
+_SPACING_S = 0.3  # between frames that are taken
 _PATCH_SHARE = 1.0 / 53.0  # of the width of the depth image
 _NEAREST_M, _FARTHEST_M = 0.3, 4.0
 _WIDEST_PX = 424  # of the image in which corners are sought
 _MOST_CORNERS, _APART_PX, _CORNER_QUALITY = 220, 9, 0.01  # those that a tracker would take
+_SOBEL = 1.0 / 1020.0  # of its gradients: a step from black to white is 1
 _BLOCK_PX = 7  # around a corner, in which its texture is measured
 _MIN_TEXTURE = 3e-5  # least eigenvalue of a corner's texture; less is noise
 # its two eigenvalues: ratio up to which it is an edge, and from which on a corner
@@ -216,10 +217,17 @@ def _corner_image(grey: ByteArray) -> Float32Array:
     found = cv2.goodFeaturesToTrack(grey, _MOST_CORNERS, _CORNER_QUALITY, _APART_PX, blockSize=3)
     if found is not None:
         column, row = np.rint(found.reshape(-1, 2)).astype(int).T
-        values = cv2.cornerEigenValsAndVecs(grey, _BLOCK_PX, 3)[:, :, :2]
-        weaker, stronger = values.min(axis=2), values.max(axis=2)
+        weaker, stronger = _texture(grey)
         least = max(_MIN_TEXTURE, _ABOVE_NOISE * float(np.quantile(weaker[::8, ::8], _PLAIN_SHARE)))
         ratio = weaker[row, column] / np.maximum(stronger[row, column], _MIN_TEXTURE)
         share = np.clip((ratio - _EDGE_SHARE) / (_CORNER_SHARE - _EDGE_SHARE), 0.0, 1.0)
         out[row, column] = np.where(weaker[row, column] > least, share**2, 0.0)
     return out
+
+
+def _texture(grey: ByteArray) -> tuple[Float32Array, Float32Array]:
+    """Return the lesser and the greater eigenvalue (h, w) of the mean products of the gradients around each pixel."""
+    dx, dy = (cv2.Sobel(grey, cv2.CV_32F, right, 1 - right, scale=_SOBEL) for right in (1, 0))
+    xx, xy, yy = (cv2.boxFilter(product, -1, (_BLOCK_PX, _BLOCK_PX)) for product in (dx * dx, dx * dy, dy * dy))
+    middle, off = 0.5 * (xx + yy), np.hypot(0.5 * (xx - yy), xy)
+    return np.asarray(middle - off), np.asarray(middle + off)

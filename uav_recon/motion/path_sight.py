@@ -9,7 +9,7 @@ from uav_recon.types.frames import FloatArray
 from uav_recon.types.localizability import SurfaceCells
 
 _BLIND_WEIGHT = 5.0  # of a second before a view that does not show the place, 1 before one that does
-_APART = np.array([0.25, 0.25, 0.25, 0.2, 0.2])  # between positions (m) and angles (rad) that are examined
+_APART = np.array([0.4, 0.4, 0.4, 0.3, 0.3])  # between positions (m) and angles (rad) that are examined
 
 
 class PathSight:
