@@ -39,7 +39,7 @@ def looked_round() -> LocalizabilityMap:
     """A map after a turn on the spot in the middle of the room, at a height of 1.3 m."""
     surface = LocalizabilityMap(GRID, EYE)
     for n in range(72):
-        assert surface.add(posed(0.3 * n, Pose.from_yaw(n * math.tau / 24, np.array([0.0, 0.0, 1.3]))))
+        assert surface.add(posed(0.35 * n, Pose.from_yaw(n * math.tau / 24, np.array([0.0, 0.0, 1.3]))))
     return surface
 
 
