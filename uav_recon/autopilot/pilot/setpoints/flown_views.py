@@ -23,7 +23,7 @@ _SHARE = 0.9  # of the allowed speed: sampling adds the rest
 _TURN_SHARE = 0.7  #: retreat: share of the guard's yaw rate on the way back
 _TURN_SMOOTH_S = 0.2  #: retreat: as the corners of a path back, of turns: the place is lost after two seconds
 _MOST_TURN_RAD = math.radians(135.0)  #: retreat: a longer turn to a view that shows the place takes as long as the way back
-_LOOKS_S = 1.0  #: retreat: pause in that view, until the place is known again
+_LOOKS_S = 3.0  #: retreat: pause in that view, until the place is known again and odometry is there
 _LONGEST_S = 20.0  #: retreat: longest way back
 
 
