@@ -28,9 +28,9 @@ def product(one: AnyArray, other: AnyArray) -> AnyArray:
 
 @kernel
 def solve_in_place(matrix: AnyArray, right: AnyArray) -> None:
-    """Replace the right sides (N, K) of linear equations by their solutions; the matrix (N, N) is overwritten.
+    """Replace the right sides (N, K) of linear equations by their solutions.
 
-    The matrix must be regular.
+    The matrix (N, N) must be regular, and is overwritten.
     """
     size = matrix.shape[0]
     for a in range(size):
@@ -62,7 +62,10 @@ def _subtract_row(matrix: AnyArray, a: int, b: int, share: float) -> None:
 
 @kernel
 def symmetric_eigen(matrix: AnyArray) -> tuple[AnyArray, AnyArray]:
-    """Return the eigenvalues (N,) of a symmetric matrix (N, N), smallest first, and the eigenvectors in columns (N, N)."""
+    """Return the eigenvalues (N,) of a symmetric matrix (N, N), smallest first.
+
+    And the eigenvectors in columns (N, N).
+    """
     size = matrix.shape[0]
     left, vectors = matrix.copy(), np.eye(size)
     for _ in range(_SWEEPS):

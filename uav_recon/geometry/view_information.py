@@ -31,7 +31,7 @@ _DEPTH_M, _DEPTH_PER_M2 = 0.003, 0.0019  # standard deviation of depth, and its 
 _CORNER_RAD = 1.0 / 380.0  # standard deviation of a corner
 _FEW_CORNERS, _MANY_CORNERS = 6.0, 20.0  # in view: the smaller number says nothing, the larger one all it can
 _TURN_RAD = math.radians(0.15)  # of the turn of the camera since the frame before
-_WEAK_SHARE = 0.015  # of the information of the best direction, below which a direction is not shown
+_WEAK_SHARE = 0.03  # of the information of the best direction, below which a direction is not shown
 _WEAK_M = 0.03  # nor if it is shown less well than this
 #: plan: standard deviation of a view of space that no camera has seen: about that of a usual view, else none leads there
 _UNKNOWN_M = 0.006

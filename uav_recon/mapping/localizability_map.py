@@ -226,7 +226,10 @@ def _corner_image(grey: ByteArray) -> Float32Array:
 
 
 def _texture(grey: ByteArray) -> tuple[Float32Array, Float32Array]:
-    """Return the lesser and the greater eigenvalue (h, w) of the mean products of the gradients around each pixel."""
+    """Return the lesser and the greater eigenvalue (h, w) of the texture around each pixel.
+
+    Texture: mean products of the gradients.
+    """
     dx, dy = (cv2.Sobel(grey, cv2.CV_32F, right, 1 - right, scale=_SOBEL) for right in (1, 0))
     xx, xy, yy = (cv2.boxFilter(product, -1, (_BLOCK_PX, _BLOCK_PX)) for product in (dx * dx, dx * dy, dy * dy))
     middle, off = 0.5 * (xx + yy), np.hypot(0.5 * (xx - yy), xy)

@@ -11,9 +11,9 @@ from textured_room import RGB_FROM_DEPTH
 from uav_recon.localization.slam.depth_points import add_depth_equations
 from uav_recon.localization.slam.frame_equations import (
     DEPTH_SHARE,
-    Compared,
+    ComparedFrame,
     Equations,
-    Estimate,
+    PoseEstimate,
     Predicted,
     converge,
     determined_share,
@@ -29,17 +29,17 @@ DEPTH_FROM_RGB = RGB_FROM_DEPTH.inverse()
 MOTION, SLOW, TURN_SIGMA_RAD = np.array([0.1, -0.2, 0.1, 0.3, 0.2, -0.1]), np.array([0.004, 0.002]), 0.01
 
 
-def _imager(at: Estimate) -> MovingImager:
+def _imager(at: PoseEstimate) -> MovingImager:
     pose = at.rotation @ DEPTH_FROM_RGB.rotation(), at.rotation @ DEPTH_FROM_RGB.translation_m + at.place_m
     return MovingImager(RGB_LENS.pinhole_px(), *pose, at.place_m, MOTION, at.slow)
 
 
-def _estimate(most: int, moved_m: FloatArray) -> Estimate:
+def _estimate(most: int, moved_m: FloatArray) -> PoseEstimate:
     moved = np.concatenate((moved_m, 0.002 * np.arange(3 + 3 * most)))
-    return Estimate(HERE.rotation(), HERE.translation_m + moved_m, np.array([0.01, 0.0, -0.02]), SLOW + 0.001, moved)
+    return PoseEstimate(HERE.rotation(), HERE.translation_m + moved_m, np.array([0.01, 0.0, -0.02]), SLOW + 0.001, moved)
 
 
-def _compared(many: int) -> Compared:
+def _compared(many: int) -> ComparedFrame:
     """A view of a room against keyframes, with a number of landmarks, some of which are off."""
     points, keyframes = compared()
     most, random = len(keyframes.number), np.random.default_rng(3)
@@ -49,7 +49,7 @@ def _compared(many: int) -> Compared:
     texture = np.tile(np.diag([1.0, 0.3]), (many, 1, 1))
     whose = random.integers(0, most, many)
     landmarks = Landmarks(place_m, random.normal(0.0, 0.1, (many, 3, 2)), at_px, texture, whose, np.arange(many))
-    return Compared(
+    return ComparedFrame(
         points, RGB_LENS.pinhole_px(), DEPTH_FROM_RGB.rotation(), DEPTH_FROM_RGB.translation_m, MOTION,
         keyframes, landmarks,
         np.zeros((most, 3, 3)), np.linspace(0.0, 1e-4, most), 0.5, TURN_SIGMA_RAD,
@@ -99,7 +99,7 @@ def test_a_step_solves_the_equations_with_the_prediction() -> None:
     most = len(seen.doubt)
     predicted, at, out = _predicted(most), _estimate(most, np.array([0.02, -0.03, 0.01])), Equations.empty(most)
     write_equations(seen, at, SLOW, 1.0, False, True, out)
-    before = Estimate(*(each.copy() for each in at))
+    before = PoseEstimate(*(each.copy() for each in at))
     size, places = SIZE + 3 + 3 * most, np.concatenate((np.arange(3, 6), np.arange(SIZE, SIZE + 3 + 3 * most)))
     expected, pull = np.zeros((size, size)), np.zeros(size)
     for m in range(most):

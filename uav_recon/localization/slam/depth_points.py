@@ -128,9 +128,9 @@ def _match(
 def _sum_products(
     of: AnyArray, number: int, which: AnyArray, showing: AnyArray, share: float, wider: float, first: int, out: AnyArray
 ) -> None:
-    """Write the weighted sums (7, 7) of the products of the first seven rows of matches (8, N), or of those from ``first`` on.
+    """Write the weighted sums (7, 7) of the products of the first seven rows of matches (8, N).
 
-    Other arguments: as of add_depth_equations() and Matches.
+    Or of those rows from ``first`` on. Other arguments: as of add_depth_equations() and Matches.
     """
     weight, scaled = np.empty(number), np.empty(number)
     for i in range(number):
@@ -174,9 +174,9 @@ def _add_turned(whole: AnyArray, turn: AnyArray, information: AnyArray, gradient
 
 @kernel
 def _along(matrix: AnyArray, turn: AnyArray, nx: float, ny: float, nz: float) -> float:
-    """Return the value of a quadratic form (3, 3) in odom for a direction in the axes of a keyframe.
+    """Return the value of a quadratic form (3, 3) for a direction.
 
-    turn (3, 3): from these to odom.
+    The form is in odom, the direction in the axes of a keyframe. turn (3, 3): from these to odom.
     """
     out = 0.0
     for a in range(3):

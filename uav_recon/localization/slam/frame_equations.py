@@ -1,4 +1,4 @@
-"""Gauss-Newton equations of a frame against keyframes: depth, landmarks and prediction in kernels.
+"""Gauss-Newton equations of a frame against keyframes: depth, landmarks and prediction.
 
 The unknowns are a small rotation in odom axes about the camera, its place, delay and width of the colour image, the place
 lately, and the places of M keyframes: SIZE + 3 + 3 M.
@@ -37,7 +37,7 @@ _STILL_M = 2e-4
 _STILL_RAD = 1e-4
 
 
-class Compared(NamedTuple):
+class ComparedFrame(NamedTuple):
     """A frame, and what it is compared with, for kernels.
 
     points (N, 3): of depth. camera (4,): of the colour image. rotation (3, 3), offset_m (3,): pose of the colour imager in the
@@ -71,7 +71,7 @@ class Predicted(NamedTuple):
     slow_was: AnyArray
 
 
-class Estimate(NamedTuple):
+class PoseEstimate(NamedTuple):
     """Pose of a frame during Gauss-Newton; the kernels change its elements.
 
     rotation (3, 3), place_m (3,): in odom. turned_rad (3,): against the predicted pose. slow (2,). moved_m (6 + 3 M,): as in
@@ -104,7 +104,7 @@ class Equations(NamedTuple):
 
 @kernel
 def write_equations(
-    compared: Compared, at: Estimate, slow_was: AnyArray, wide: float, far: bool, tried: bool, out: Equations
+    compared: ComparedFrame, at: PoseEstimate, slow_was: AnyArray, wide: float, far: bool, tried: bool, out: Equations
 ) -> tuple[int, int, float, float]:
     """Write the equations of depth and landmarks at an estimate; return what depth alone says.
 
@@ -143,8 +143,13 @@ def write_equations(
 
 
 @kernel
-def _add_corners(compared: Compared, at: Estimate, moved_m: AnyArray, slow_was: AnyArray, wide: float, out: Equations) -> None:
-    """Add the equations of landmarks. moved_m (M, 3): of the keyframes. Other arguments: as of write_equations()."""
+def _add_corners(
+    compared: ComparedFrame, at: PoseEstimate, moved_m: AnyArray, slow_was: AnyArray, wide: float, out: Equations
+) -> None:
+    """Add the equations of landmarks.
+
+    moved_m (M, 3): of the keyframes. Other arguments: as of write_equations().
+    """
     most, landmarks = moved_m.shape[0], compared.landmarks
     if not landmarks.keyframe.shape[0]:
         return
@@ -179,10 +184,10 @@ def _support(known: int, inliers: int) -> float:
 
 
 @kernel
-def take_step(equations: Equations, predicted: Predicted, at: Estimate, whole: AnyArray) -> bool:
-    """Go to the solution of the equations and the prediction; return True if the pose has hardly moved.
+def take_step(equations: Equations, predicted: Predicted, at: PoseEstimate, whole: AnyArray) -> bool:
+    """Go to the solution of the equations and the prediction.
 
-    whole: information of all unknowns, which is written.
+    Return True if the pose has hardly moved. whole: information of all unknowns, which is written.
     """
     pull = np.zeros((whole.shape[0], 1))
     _write_whole(equations, predicted, at, whole, pull)
@@ -201,7 +206,7 @@ def take_step(equations: Equations, predicted: Predicted, at: Estimate, whole: A
 
 
 @kernel
-def _write_whole(equations: Equations, predicted: Predicted, at: Estimate, whole: AnyArray, pull: AnyArray) -> None:
+def _write_whole(equations: Equations, predicted: Predicted, at: PoseEstimate, whole: AnyArray, pull: AnyArray) -> None:
     """Write information (K, K) and gradient (K, 1) of all unknowns."""
     information, gradient = equations.information, equations.gradient
     whole[:], pull[:] = 0.0, 0.0
@@ -241,7 +246,7 @@ def _rotation(turn_rad: AnyArray) -> AnyArray:
 
 @kernel
 def converge(
-    compared: Compared, predicted: Predicted, at: Estimate, equations: Equations, whole: AnyArray, far: bool
+    compared: ComparedFrame, predicted: Predicted, at: PoseEstimate, equations: Equations, whole: AnyArray, far: bool
 ) -> tuple[int, int, float, float]:
     """Run Gauss-Newton from an estimate, which becomes the pose of the frame.
 

@@ -267,9 +267,10 @@ class KeyframeCorners(NamedTuple):
 def expect(
     corners: KeyframeCorners, change: AnyArray, imager: MovingImager, stamp_s: float, height: int, width: int, out: Expected
 ) -> int:
-    """Write the first corners of a keyframe that an image (height, width) is expected to show as the keyframe did.
+    """Write the first corners of a keyframe that an image (height, width) should show.
 
-    change (2,): of ``slow`` since their places were right. Returns their number, at most that for which ``out`` has room.
+    As the keyframe showed them. change (2,): of ``slow`` since their places were right.
+    Returns their number, at most that for which ``out`` has room.
     """
     pixel, columns, place_m, room_px, found = np.empty(2), np.empty((2, SIZE)), np.empty(3), _WINDOW_PX // 2, 0
     for n in range(corners.place_m.shape[0]):

@@ -186,9 +186,10 @@ class PlaceErrors:
 
 @kernel
 def worst_variances(joint: AnyArray) -> AnyArray:
-    """Return the variances (1 + M,) of the ways from the place to others, each in its worst direction, m².
+    """Return the variances (1 + M,) of the ways from the place to others.
 
-    To the one lately, and to those of M keyframes. joint (6 + 3 M, 6 + 3 M): of PlaceErrors.joint().
+    Each in its worst direction, m². To the one lately, and to those of M keyframes.
+    joint (6 + 3 M, 6 + 3 M): of PlaceErrors.joint().
     """
     out = np.empty(joint.shape[0] // 3 - 1)
     for m in range(out.shape[0]):

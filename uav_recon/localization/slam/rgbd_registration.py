@@ -15,9 +15,9 @@ import numpy as np
 from uav_recon.localization.slam.depth_points import add_depth_equations
 from uav_recon.localization.slam.frame_equations import (
     DEPTH_SHARE,
-    Compared,
+    ComparedFrame,
     Equations,
-    Estimate,
+    PoseEstimate,
     Predicted,
     converge,
     determined_share,
@@ -288,7 +288,7 @@ def _converge(
     """
     joint = prior.places.joint(keyframes.number)
     leaning = np.asarray(_NORMAL_RAD**2 * worst_variances(joint)[1:], dtype=np.float64)
-    compared = Compared(
+    compared = ComparedFrame(
         view.points, view.camera, view.depth_from_rgb.rotation(),
         view.depth_from_rgb.translation_m,
         np.concatenate((prior.rate_radps, prior.velocity_mps)), keyframes, landmarks,
@@ -296,7 +296,7 @@ def _converge(
     )  # fmt: skip
     moved_m = np.concatenate((np.zeros(3) if shift_m is None else shift_m, np.zeros(len(joint) - 3)))
     place_m = prior.odom_from_depth.translation_m + moved_m[:3]
-    at = Estimate(prior.odom_from_depth.rotation(), place_m, np.zeros(3), prior.slow.copy(), moved_m)
+    at = PoseEstimate(prior.odom_from_depth.rotation(), place_m, np.zeros(3), prior.slow.copy(), moved_m)
     predicted = _predicted(prior, joint)
     equations, whole = Equations.empty(len(keyframes.number)), np.empty((SIZE + len(joint) - 3,) * 2)
     known, inliers, depth_sigma_m, match = converge(compared, predicted, at, equations, whole, shift_m is not None)

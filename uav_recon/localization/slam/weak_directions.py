@@ -80,7 +80,10 @@ def noise_of_normals(
 
 @kernel
 def _pulled(depth: TriedDepth, directions: AnyArray, moved_m: float) -> AnyArray:
-    """Return the information (M,) with which depth pulls a camera back that is moved in a direction (M, 3) of each keyframe."""
+    """Return the information (M,) with which depth pulls a moved camera back.
+
+    It is moved in a direction (M, 3) of each keyframe.
+    """
     most, frames = directions.shape[0], depth.keyframes
     away = Keyframes(
         frames.number, frames.depth_m, frames.normal, frames.camera, frames.rotation,
@@ -98,9 +101,9 @@ def _pulled(depth: TriedDepth, directions: AnyArray, moved_m: float) -> AnyArray
 
 @kernel
 def _place_alone(information: AnyArray, turn_sigma_rad: float) -> tuple[AnyArray, AnyArray]:
-    """Return eigenvalues (3,) and directions (3, 3) of what information (SIZE, SIZE) says of the place alone.
+    """Return eigenvalues (3,) and directions (3, 3) of the information on the place alone.
 
-    The turn is eliminated. Smallest value first, directions in columns.
+    Of information (SIZE, SIZE). The turn is eliminated. Smallest value first, directions in columns.
     """
     turn, gain = information[:3, :3].copy(), information[:3, 3:6].copy()
     for a in range(3):
