@@ -95,6 +95,12 @@ def jumped(since_s: float, true: Pose) -> Pose:
     return true if since_s < FAULT_S else Pose(true.quat_wxyz, MOTION.position(MOTION.start_s + FAULT_S))
 
 
+def spiked(since_s: float, true: Pose) -> Pose:
+    """Return the pose by a source of which one pose is off by 0.5 m, at five instants."""
+    off_m = 0.5 if any(at_s <= since_s < at_s + 0.065 for at_s in (5.0, 6.31, 7.62, 8.93, 10.24)) else 0.0
+    return Pose(true.quat_wxyz, true.translation_m + np.array([off_m, 0.0, 0.0]))
+
+
 def fly(
     said: Said,
     seen: Said = honest,
@@ -221,3 +227,9 @@ def test_a_lying_accelerometer_excludes_nothing_else() -> None:
     found = fly(honest, force=lambda since_s: 2.0 * (FAULT_S <= since_s < FAULT_S + 0.5))
     assert excluded(found) == []
     assert max(error for _, _, error in found) < 0.1
+
+
+def test_one_wrong_pose_excludes_nothing() -> None:
+    found = fly(spiked)
+    assert excluded(found) == []
+    assert max(error_m for _, _, error_m in found) < 0.05

@@ -17,6 +17,7 @@ from dataclasses import replace
 import numpy as np
 
 from uav_recon.localization.exclusion.motion_comparison import MotionComparison
+from uav_recon.localization.exclusion.spike_filter import SpikeFilter
 from uav_recon.localization.fusion.error_release import ErrorRelease
 from uav_recon.localization.fusion.eskf import PoseNoise
 from uav_recon.localization.fusion.filter_pose_gates import PoseRejection, pose_fault
@@ -63,6 +64,7 @@ class CheckedOdometry:
         self._source = source
         self._view = view
         self._comparison = MotionComparison()
+        self._spikes = SpikeFilter()
         self._check = InertialCheck(view.tracker.gyro.at)
         self._source_resets = 0
         self._row = self._exclusions = 0
@@ -155,12 +157,14 @@ class CheckedOdometry:
             self._source_resets = pose.reset_counter
             self._comparison.forget()
             self._check.forget()
+            self._spikes.forget()
             self._row = 0
         self._last = pose
-        noise_m = math.sqrt(PoseNoise.claimed(pose.covariance).position_m2)
-        self._check.update(pose.stamp_s, pose.odom_from_body, _EVERYTHING, noise_m)
-        if self._comparison.add_first(pose.stamp_s, pose.odom_from_body):
-            self._judge(now_s)
+        for each in self._spikes.passed(pose):
+            noise_m = math.sqrt(PoseNoise.claimed(each.covariance).position_m2)
+            self._check.update(each.stamp_s, each.odom_from_body, _EVERYTHING, noise_m)
+            if self._comparison.add_first(each.stamp_s, each.odom_from_body):
+                self._judge(now_s)
 
     def _judge(self, now_s: float) -> None:
         """Exclude the source, or use it again, after a comparison."""
