@@ -14,6 +14,7 @@ from conductor_fixture import TOO_NARROW, Desk
 from uav_recon.clock import InlineExecutor
 from uav_recon.mission.conductor import Conductor
 from uav_recon.mission.state_machine import Phase
+from uav_recon.mission.survey.survey import MOST_UNSURE_STOPS
 from uav_recon.recording.flight_log import read_timeline
 from uav_recon.types.free_cone import FreeCone
 from uav_recon.types.pose import MapCorrection, Pose
@@ -325,6 +326,22 @@ def test_a_view_on_whose_way_the_place_is_uncertain_is_given_up_once(desk: Desk)
     desk.run(2.0)
     assert [request.next_view for request in desk.planner.asked].count(NextView.LEFT) == 1
     assert turned_rad < 6.0, "it looks round, past the same wall again"
+
+
+def test_where_the_place_becomes_uncertain_again_and_again_it_flies_home(desk: Desk) -> None:
+    desk.conductor.requests.start()
+    desk.run(60.0, until=Phase.SURVEY)
+    while desk.speed_mps() < 0.3:
+        desk.run(0.1)
+    desk.note, views = Reason(ReasonCode.PLACE_UNSURE, (0.09,)), len(desk.mapper.stamps)
+    for _ in range(MOST_UNSURE_STOPS):
+        assert desk.conductor.phase is Phase.SURVEY
+        desk.refusals += 1
+        desk.run(0.2)
+    desk.run(1.0, until=Phase.RETURN)
+    assert len(desk.mapper.stamps) == views, "no view in between"
+    desk.run(60.0, until=Phase.DONE)
+    assert desk.conductor.close(desk.clock.now_s()) is None
 
 
 def test_stopped_by_space_not_seen_it_asks_for_another_view_and_looks_round_at_the_third_time(desk: Desk) -> None:

@@ -432,6 +432,7 @@ class ReasonCode(str, Enum):
     PLANNER_SILENT = "planner-silent", "planner silent for {0:.0f} s", "the planner has not answered for {0:.0f} s", (120.0,)
     MAP_BLOCKS_PATH = "map-blocks-path", "map shows an obstacle on the path", "the map shows an obstacle on the path"
     PLAN_NOT_FLYABLE = "plan-not-flyable", "plan not flyable"  # details: why
+    PLACE_UNSURE_OFTEN = "place-unsure-often", "the place became uncertain {0:d} times without a view", "", (99,)
     PLANS_FAILED = "plans-failed", "{0:d} plans in a row not flyable", "", (99,)  # details: why
     VIEWS_SPENT = "views-spent", "view budget of {0:d} spent", "", (9999,)
     TIME_SPENT = "time-spent", "flight time of {0:.0f} s spent", "", (9999.0,)

@@ -29,6 +29,8 @@ SAME_PLACE_M = 0.05  #: plan: a motion that ends nearer to the present one's end
 AHEAD_S = 1.6  #: plan: a plan leaves its predecessor this long before that one's end, so that it does not brake in between
 STOPPED_AGAIN_S = 5.0  #: plan: two stops within this time: the space ahead was not seen lately, so the vehicle looks round
 LOOK_AFTER_STOPS = 3  #: plan: stops by space not seen lately, without a view in between, after which the vehicle looks round
+#: return: the place became uncertain this many times without a view in between; flights that were completed had up to 2
+MOST_UNSURE_STOPS = 4
 LEAD_S = 0.25  #: plan: from a plan's start to the instant at which it leaves the present motion, added to its declared cost
 
 # the guard's reasons for which another view is chosen
@@ -61,6 +63,7 @@ class Survey:
         self._next_view = NextView.KEPT
         self._stopped_s = self._held_s = -np.inf
         self._unseen_stops = self._stopped_with = 0  # stops by space not seen lately since the last view, views left then
+        self._unsure_stops = self._unsure_with = 0  # the same by an uncertain place
         self._asked_revision = -1
         self.interrupt()
 
@@ -81,11 +84,16 @@ class Survey:
 
         The pilot goes back where the place is uncertain. If it is, or if space was not seen lately, the next plan chooses
         another view. Looking round would not help: it leads past the same bare wall, and a camera that looks ahead does not
-        see where a climb leads. Only if it is stopped by space not seen again and again, the vehicle looks round.
+        see where a climb leads. Only if it is stopped by space not seen again and again, the vehicle looks round. If the place
+        becomes uncertain again and again, the room does not show it, and the survey ends.
         """
         codes, again = set(reason.codes()), False
         if ReasonCode.PLACE_UNSURE in codes:
             self._next_view = NextView.LEFT
+            self._unsure_stops = self._unsure_stops + 1 if self._log.views_left == self._unsure_with else 1
+            self._unsure_with = self._log.views_left
+            if self._unsure_stops >= MOST_UNSURE_STOPS:
+                self._log.stop_reason = Reason(ReasonCode.PLACE_UNSURE_OFTEN, (self._unsure_stops,), (reason,))
         elif NOT_SEEN & codes:
             self._next_view = NextView.REFUSED
             self._unseen_stops = self._unseen_stops + 1 if self._log.views_left == self._stopped_with else 1
