@@ -1,4 +1,4 @@
-"""Spike filter: leaves out one pose that both the pose before it and the next one contradict.
+"""Spike filter: leaves out one pose that the pose before it and the next one contradict.
 
 A spike counts twice in comparisons over windows: as their newest pose, and as their oldest one.
 """
@@ -19,7 +19,7 @@ class SpikeFilter:
         self._held: StampedPose | None = None
 
     def forget(self) -> None:
-        """Forget the poses so far: the source has started again."""
+        """Forget all poses: the source has started again."""
         self._last = self._held = None
 
     def passed(self, pose: StampedPose) -> list[StampedPose]:
