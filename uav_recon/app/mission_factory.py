@@ -172,13 +172,9 @@ def is_perception_aware(config: Config) -> bool:
 
 def make_localizability_map(config: Config, grid: GridSpec) -> LocalizabilityMap:
     """Return the map of surface by which the camera tells where it is."""
-    from uav_recon.geometry.view_information import Eye
     from uav_recon.mapping.localizability_map import LocalizabilityMap
 
-    camera = config.camera
-    x, y, z = camera.position_body_m
-    half_tan = (math.tan(math.radians(camera.horizontal_fov_deg) / 2), math.tan(math.radians(camera.vertical_fov_deg) / 2))
-    return LocalizabilityMap(grid, Eye(half_tan, (x, y, z)))
+    return LocalizabilityMap(grid, camera_geometry(config).eye)
 
 
 def make_keyframe_selection(config: Config, voxels: OccupancyMap) -> KeyframeSelection | PlannedViewsOnly:

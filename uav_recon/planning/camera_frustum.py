@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from uav_recon.geometry.jit import kernel
+from uav_recon.geometry.view_information import Eye
 from uav_recon.types.frames import FloatArray, frozen
 from uav_recon.types.rgbd_camera import Camera
 
@@ -61,6 +62,12 @@ class CameraGeometry:
             range_m=max_range_m * RANGE_SHARE,
             near_m=camera.depth_min_m,
         )
+
+    @property
+    def eye(self) -> Eye:
+        """The camera as view_sigmas() takes it."""
+        x, y, z = self.position_body_m.tolist()
+        return Eye((math.tan(self.hfov_rad / 2.0), math.tan(self.vfov_rad / 2.0)), (x, y, z))
 
     def lens(self, resolution_m: float, range_m: float) -> FloatArray:
         """Pack the parameters for a kernel, lengths in voxels: (13,) in the order TAN_H ... SIN_MAX."""

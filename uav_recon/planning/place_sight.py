@@ -6,12 +6,11 @@ wall. Such a view is no goal, and a weaker view counts for less.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
 
-from uav_recon.geometry.view_information import BLIND_M, GOOD_M, Eye, view_sigmas
+from uav_recon.geometry.view_information import BLIND_M, GOOD_M, view_sigmas
 from uav_recon.planning.camera_frustum import CameraGeometry
 from uav_recon.planning.candidate_view import CandidateView
 from uav_recon.types.frames import FloatArray
@@ -25,9 +24,8 @@ class PlaceSight:
     """
 
     def __init__(self, cells: SurfaceCells, camera: CameraGeometry) -> None:
-        x, y, z = camera.position_body_m.tolist()
         self._cells = cells
-        self._eye = Eye((math.tan(camera.hfov_rad / 2.0), math.tan(camera.vfov_rad / 2.0)), (x, y, z))
+        self._eye = camera.eye
 
     def weighed(self, views: Sequence[CandidateView]) -> list[CandidateView]:
         """Return the views that show the place; the gains of weak ones count for less."""

@@ -161,17 +161,6 @@ def test_uncertain_of_its_place_it_turns_first_to_what_shows_it(
         assert max(places_m) - places_m[-1] > 0.3, "back through the flown views"
 
 
-def test_a_heading_of_a_silent_mission_does_not_count(hovering: Rig) -> None:
-    hovering.run(hovering.fly((2.5, 0.0, 1.1), identifier=2).duration_s / 2)
-    hovering.seeing_yaw_rad = 1.2
-    hovering.run(0.2)
-    hovering.intent = None
-    hovering.run(0.5)
-    hovering.health, hovering.health_reason = PoseHealth.DEGRADED, Reason(ReasonCode.PLACE_UNSURE, (0.09,))
-    hovering.run(3.0)
-    assert abs(hovering.state.world_from_body.yaw_rad()) < 0.3
-
-
 def test_uncertain_of_its_place_on_the_pad_it_takes_off() -> None:
     """From the pad little is seen, and there is no view to go back to."""
     rig = Rig()
