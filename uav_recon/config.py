@@ -217,6 +217,7 @@ class LocalizationConfig(Section):
     frame_wait_s: Annotated[float, Field(ge=0.0, le=0.5)] = 0.2  # max. time a frame waits for the next pose
     correct_drift: bool = False  # source not slam: correct a drift of the poses by a tracker beside them (docs/pose-sources)
     calibration: File | None = None  # file of the camera's errors: written in flight, read by the next; unset: none is kept
+    flown_map: File | None = None  # file of the tracker's map: written at rest after a flight, found again by the next one
 
 
 class Ros2Config(Section):

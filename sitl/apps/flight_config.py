@@ -113,6 +113,7 @@ def flight_config(options: SimOptions, scene: Scene, runtime: Path) -> Config:
             "correct_drift": options.pose == "corrected",
             "pad_heading_deg": math.degrees(scene.start_yaw_rad),
             **({} if options.calibration is None else {"calibration": str(options.calibration.absolute())}),
+            **({} if options.flown_map is None else {"flown_map": str(options.flown_map.absolute())}),
         },
         "voxels": {"takeoff_top_m": max(free_height_m(scene, clearance_m + COLUMN_MARGIN_M) - COLUMN_TOP_M, 0.1)},
         "range_up": {} if options.range_up_deg is None else {"fov_deg": options.range_up_deg, "position_body_m": list(MOUNT_M)},

@@ -5,10 +5,10 @@ from __future__ import annotations
 import itertools
 import os
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 from uav_recon.app.option_validation import OUTPUTS, UsageError, readable, require_writable_folder
-from uav_recon.localization.calibration.kept_calibration import is_calibration
 
 
 def dated_folder(scene: str | None) -> Path:
@@ -63,21 +63,21 @@ def make_folder(folder: Path) -> None:
         raise UsageError(f"--out {folder}: cannot be written ({error.strerror})") from None
 
 
-def check_calibration(file: Path | None) -> None:
-    """Check the file of the camera's errors before the flight.
+def check_kept_file(option: str, file: Path | None, is_one: Callable[[Path], bool], what: str) -> None:
+    """Check a file that one flight leaves to the next, before the flight. It need not exist.
 
-    It need not exist. Raises UserError with exit code 2.
+    is_one: whether a file is of this kind, which ``what`` names. Raises UserError with exit code 2.
     """
     if file is None:
         return
-    with readable(f"--calibration {file}"):
+    with readable(f"{option} {file}"):
         if file.is_dir():
-            raise UsageError(f"--calibration {file}: is a folder")
+            raise UsageError(f"{option} {file}: is a folder")
         if not file.parent.is_dir():
-            raise UsageError(f"--calibration {file}: folder {file.parent} does not exist")
-        if file.exists() and not (file.is_file() and is_calibration(file)):
-            raise UsageError(f"--calibration {file}: not a calibration file")
-    require_writable_folder("--calibration", file.parent)
+            raise UsageError(f"{option} {file}: folder {file.parent} does not exist")
+        if file.exists() and not (file.is_file() and is_one(file)):
+            raise UsageError(f"{option} {file}: not {what}")
+    require_writable_folder(option, file.parent)
 
 
 def check_program(firmware: Path | None) -> None:

@@ -14,8 +14,8 @@ from rich.console import Console
 
 from sitl.apps.flight_config import fitted_mount, flight_config, world_options
 from sitl.apps.flight_folder import (
-    check_calibration,
     check_folder,
+    check_kept_file,
     check_program,
     dated_folder,
     make_folder,
@@ -76,7 +76,11 @@ def simulate(options: SimOptions) -> int:
 
 def _check_files(options: SimOptions) -> None:
     """Check files, folder, scene and port before anything is loaded. Raises UserError."""
-    check_calibration(options.calibration)
+    from uav_recon.localization.calibration.kept_calibration import is_calibration
+    from uav_recon.localization.slam.kept_map import is_map
+
+    check_kept_file("--calibration", options.calibration, is_calibration, "a calibration file")
+    check_kept_file("--flown-map", options.flown_map, is_map, "the map of a flight")
     check_program(options.firmware)
     require_writable_file("--json", options.json)
     check_folder(options.folder)

@@ -157,6 +157,14 @@ class SimOptions:
             "FILE",
         ),
     ] = None
+    flown_map: Annotated[
+        Path | None,
+        CommandOption(
+            "Find the start of this flight in the map that an earlier flight left in FILE, and leave its own map there.",
+            CAMERA_PANEL,
+            "FILE",
+        ),
+    ] = None
     mapper: Annotated[
         str,
         CommandOption(

@@ -175,6 +175,7 @@ def test_status_reads_like_an_instrument_panel() -> None:
         "origin    -",
         "calibr.   -",
         "corrected -",
+        "flown map -",
         "rejected  -",
     ]
 

@@ -42,7 +42,7 @@ def tree() -> dict[str, Any]:
         "reduced_speed_s": {"poses disagree for 0.3 s": 1.5, "no inertial samples": 62.4},
         "rejected_by_perception": {"depth-frame-empty": 4, "pose jump": 7},
         "camera_calibration": {"delay_s": [0.0281, 0.0062]}, "kept_calibration": "begun from an earlier flight",
-        "correction": "odometry corrected by 0.21 m",
+        "correction": "odometry corrected by 0.21 m", "earlier_map": "not found yet",
         "camera": ["camera streams: depth 424x240 at 30 Hz, colour 424x240 at 30 Hz, IMU none, USB 3.2"],
         "odometry": {"ate_cm": 3.41, "largest_cm": 9.2, "shift_cm": 6.5, "turn_deg": 1.2, "model_aligned": True},
         "unseen": {"upper_share": 0.02, "lower_share": 0.01, "split_m": 1.7, "text": ""},

@@ -33,7 +33,7 @@ def make_perception(
 ) -> Perception:
     """Build the loop next to the camera. compile_ahead() is called once there is a camera.
 
-    writer: writes the camera's errors beside the loop; None: on the clock of a simulation.
+    writer: writes the camera's errors and the tracker's map beside the loop; None: on the clock of a simulation.
 
     Raises UserError if there is no camera; with exit code 0 if stopped() becomes true while it waits for one.
     """
@@ -42,7 +42,8 @@ def make_perception(
         camera.lock_exposure(lambda: _flight_is_near(channels.vehicle.latest()))
     remarks = camera.remarks if isinstance(camera, CameraRemarks) else tuple
     compile_ahead()
-    context = pose_sources.SourceContext(config, channels, clock, camera, mount)
+    writer = writer or InlineExecutor(clock)
+    context = pose_sources.SourceContext(config, channels, clock, camera, mount, writer)
     opened = pose_sources.with_view(pose_sources.open_poses(context), context)
     poses = opened.poses
     if config.localization.origin == "pad" and config.camera.source != "recorded":
@@ -52,7 +53,7 @@ def make_perception(
         poses = PadOrigin(poses, channels.vehicle, config.runtime.folder / PAD_FILE, heading_rad=heading_rad)
     from uav_recon.localization.perception.perception import Perception
 
-    kept = _kept_calibration(config, writer or InlineExecutor(clock))
+    kept = _kept_calibration(config, writer)
     return Perception(
         config.localization, opened.camera, poses, mount, channels, clock, view=opened.view, kept=kept, remarks=remarks
     )

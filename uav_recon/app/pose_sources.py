@@ -12,7 +12,7 @@ from uav_recon.app import camera_sources
 from uav_recon.app.flight_channels import FlightChannels
 from uav_recon.config import Config
 from uav_recon.errors import UserError
-from uav_recon.interfaces import Clock, DepthCamera, PoseSource
+from uav_recon.interfaces import Clock, DepthCamera, Executor, PoseSource
 from uav_recon.sensors.stream_format import StreamError
 from uav_recon.types.pose import Pose
 
@@ -40,6 +40,7 @@ class SourceContext:
     """Objects that a pose source may use.
 
     They are the config, the channels, the clock, the camera, and the pose of the camera on the body.
+    writer: writes what the next flight reads; None if nothing is left to it.
     """
 
     config: Config
@@ -47,6 +48,7 @@ class SourceContext:
     clock: Clock
     camera: DepthCamera
     mount: Mount
+    writer: Executor | None = None
 
 
 def open_poses(context: SourceContext) -> OpenedPoses:
@@ -62,10 +64,19 @@ def with_view(opened: OpenedPoses, context: SourceContext) -> OpenedPoses:
     if opened.view is not None:
         return opened
     from uav_recon.localization.slam.slam_source import TrackedCamera
+
+    view = _view(context, Pose.identity())
+    return OpenedPoses(TrackedCamera(opened.camera, context.mount, view, now_s=context.clock.now_s), opened.poses, view)
+
+
+def _view(context: SourceContext, world_from_tracker: Pose | None) -> ViewOdometry:
+    """Return the odometry of the tracked images, with the file of its map."""
+    from uav_recon.localization.slam.kept_map import KeptMap
     from uav_recon.localization.slam.view_odometry import ViewOdometry
 
-    view = ViewOdometry(_tracker(context), Pose.identity())
-    return OpenedPoses(TrackedCamera(opened.camera, context.mount, view, now_s=context.clock.now_s), opened.poses, view)
+    tracker, file = _tracker(context), context.config.localization.flown_map
+    kept_map = KeptMap(file, lambda: tracker.surfaces, context.writer) if file and context.writer else None
+    return ViewOdometry(tracker, world_from_tracker, kept_map)
 
 
 def _tracker(context: SourceContext) -> SlamTracker:
@@ -96,9 +107,8 @@ def _open_stream_poses(context: SourceContext) -> OpenedPoses:
 
 def _open_slam(context: SourceContext) -> OpenedPoses:
     from uav_recon.localization.slam.slam_source import SlamSource
-    from uav_recon.localization.slam.view_odometry import ViewOdometry
 
-    source = SlamSource(context.camera, context.mount, ViewOdometry(_tracker(context)), now_s=context.clock.now_s)
+    source = SlamSource(context.camera, context.mount, _view(context, None), now_s=context.clock.now_s)
     return OpenedPoses(source, source, source.odometry)
 
 

@@ -175,7 +175,7 @@ def perception(config_path: Path) -> int:
     def compile_ahead() -> None:
         compile_kernels(kernel_jobs.perception_jobs(), config_path, log_progress(LOG), lambda: stop.asked)
 
-    writer = ThreadExecutor("calibration", WRITER_PATIENCE_S)
+    writer = ThreadExecutor("kept-files", WRITER_PATIENCE_S)
     the_perception = perception_factory.make_perception(config, channels, clock, lambda: stop.asked, compile_ahead, writer)
     systemd_notify.ready()
     gone = run_perception(the_perception.step, channels.vehicle, clock, lambda: stop.asked)

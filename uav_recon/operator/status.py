@@ -26,7 +26,8 @@ class Status:
     counts by reason; perception_newest, perception_newest_s: the newest rejected depth frame and its age. origin:
     where the take-off pad is, if not at the pose source's origin, or that it is awaited. camera: its streams, and what is wrong
     with it, as texts; camera_codes: their codes. calibration: whether the errors of the camera began from those of an earlier
-    flight. correction: of the odometry, for a drift of the pose source.
+    flight. correction: of the odometry, for a drift of the pose source. earlier_map: where this flight began in the map of an
+    earlier one, or that it was not found there.
     """
 
     pilot: str
@@ -55,6 +56,7 @@ class Status:
     camera_codes: tuple[str, ...] = ()
     calibration: str = ""
     correction: str = ""
+    earlier_map: str = ""
 
     @staticmethod
     def of(
@@ -101,6 +103,7 @@ class Status:
             camera_codes=() if perception is None else tuple(reason.code.value for reason in perception.camera),
             calibration="" if perception is None else text_of(perception.kept),
             correction="" if perception is None else text_of(perception.correction),
+            earlier_map="" if perception is None else text_of(perception.earlier_map),
         )
 
     @staticmethod
@@ -132,6 +135,7 @@ class Status:
             "origin": self.origin or None,
             "calibr.": self.calibration or None,
             "corrected": self.correction or None,
+            "flown map": self.earlier_map or None,
             "rejected": self._rejected(),
         }
         lines = [f"{name:9} {value if value is not None else '-'}" for name, value in known.items()]

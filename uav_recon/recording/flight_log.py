@@ -133,6 +133,7 @@ class PerceptionRecord:
     newest: the newest rejected depth frame as text. origin: where the take-off pad is, if not at the pose source's origin.
     calibration: errors of the camera: name with unit, value, standard deviation. camera: its streams, and what is wrong with
     it. kept: whether the errors began from an earlier flight. correction: of the odometry, for a drift of the pose source.
+    earlier_map: whether the flight was found in the map of an earlier one.
     """
 
     stamp_s: Float
@@ -144,6 +145,7 @@ class PerceptionRecord:
     camera: tuple[str, ...] = ()
     kept: str = ""
     correction: str = ""
+    earlier_map: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -313,7 +315,8 @@ class FlightLog:
         """Add the counts of what perception has rejected."""
         counts = tuple(sorted(status.counts().items()))
         texts = text_of(status.newest), text_of(status.origin)
-        camera, last = tuple(text_of(reason) for reason in status.camera), (text_of(status.kept), text_of(status.correction))
+        camera = tuple(text_of(reason) for reason in status.camera)
+        last = text_of(status.kept), text_of(status.correction), text_of(status.earlier_map)
         self._write(
             "perception", PerceptionRecord(status.stamp_s, status.frames, counts, *texts, status.calibration, camera, *last)
         )

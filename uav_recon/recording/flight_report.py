@@ -84,6 +84,7 @@ def build_report(folder: Path, card: FlightInfo, wall_s: float) -> Report:
         camera=tuple(dict.fromkeys(text for record in timeline.perception for text in record.camera)),
         kept_calibration=timeline.perception[-1].kept if timeline.perception else "",
         correction=timeline.perception[-1].correction if timeline.perception else "",
+        earlier_map=timeline.perception[-1].earlier_map if timeline.perception else "",
         sight=_sight(timeline),
     )
 

@@ -129,7 +129,8 @@ class Report:
     reduced_speed_s: seconds of the flight at a reduced speed, by reason; null in reports from before it was logged.
     camera_calibration: errors of the camera at the end, by name with unit: value and standard deviation; None if not published.
     kept_calibration: whether these began from an earlier flight, as text; '' for nothing. correction: of the odometry at the
-    end, for a drift of the pose source; '' for none.
+    end, for a drift of the pose source; '' for none. earlier_map: whether the flight was found in the map of an earlier one,
+    and where it began there; '' without one.
     rejected_by_perception: depth frames, poses and inertial samples that perception rejected, by reason; None if it published
     no counts. camera: its streams, and what was wrong with it, as texts. odometry: against the true path; None without it.
     unseen: space that the flight left unknown; None without a map, and in reports from before it was measured.
@@ -164,6 +165,7 @@ class Report:
     camera_calibration: Mapping[str, tuple[float, float]] | None = None
     kept_calibration: str = ""
     correction: str = ""
+    earlier_map: str = ""
     camera: tuple[str, ...] = ()
     odometry: ReportOdometry | None = None
     unseen: ReportUnseen | None = None

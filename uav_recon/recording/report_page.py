@@ -80,6 +80,7 @@ def render_page(report: Report, pictures: Sequence[Picture], notes: Sequence[str
         _sight(report),
         _camera_calibration(report),
         _correction(report),
+        _earlier_map(report),
         _safety(report),
         _planning(report),
         _flight(report),
@@ -214,6 +215,10 @@ def _camera_calibration(report: Report) -> str:
 
 def _correction(report: Report) -> str:
     return _table("Correction of the odometry", [("At the end", report.correction)]) if report.correction else ""
+
+
+def _earlier_map(report: Report) -> str:
+    return _table("Map of an earlier flight", [("At the end", report.earlier_map)]) if report.earlier_map else ""
 
 
 def _rejected_by_perception(report: Report) -> str:

@@ -18,7 +18,8 @@ class PerceptionStatus:
     origin: where the take-off pad is, if not at the pose source's origin, or that it is awaited. calibration: errors of the
     camera as known now, each with its name and unit, its value and its standard deviation. camera: remarks about the camera:
     its streams, and what is wrong with it. kept: None, or that these errors began from those of an earlier flight, or why a
-    file of them is not used. correction: of the odometry, for a drift of the pose source; None for none.
+    file of them is not used. correction: of the odometry, for a drift of the pose source; None for none. earlier_map: whether
+    this flight was found in the map of an earlier one, and where it began there; None without one.
     """
 
     stamp_s: float
@@ -32,6 +33,7 @@ class PerceptionStatus:
     camera: tuple[Reason, ...] = ()
     kept: Reason | None = None
     correction: Reason | None = None
+    earlier_map: Reason | None = None
 
     def counts(self) -> dict[str, int]:
         """Return all counts of rejections by name.

@@ -201,6 +201,19 @@ class ReasonCode(str, Enum):
         "calibration-ignored", "kept camera errors not used: {0}", "the kept errors of the camera are not used: {0}",
         ("no calibration file",),
     )  # fmt: skip
+    EARLIER_MAP_SEARCHED = (
+        "earlier-map-searched", "map of an earlier flight: not found yet",
+        "this flight was not found in the map of an earlier one yet, which has {0:d} keyframes", (200,),
+    )  # fmt: skip
+    EARLIER_MAP_FOUND = (
+        "earlier-map-found", "began {0:.2f} {1:.2f} {2:.2f} m {3:.0f} deg",
+        "found in the map of an earlier flight: this one began at {0:.2f}, {1:.2f}, {2:.2f} m from its start, turned by "
+        "{3:.1f} degrees", (-1.23, -1.23, -0.12, -123.4),
+    )  # fmt: skip
+    EARLIER_MAP_IGNORED = (
+        "earlier-map-ignored", "map of an earlier flight: {0}", "the map of an earlier flight is not used: {0}",
+        ("not the map of a flight",),
+    )  # fmt: skip
     ODOMETRY_RESTARTED = "odometry-restarted", "odometry restarted, the map does not fit it"
     POSE_SOURCE_RESET = "pose-source-reset", "pose source was reset, holding"
 

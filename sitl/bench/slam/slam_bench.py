@@ -238,6 +238,7 @@ def _row(name: str, options: SequenceOptions, method: str, figures: TrackingFigu
         "lost": figures.lost,
         "first_pose_s": figures.first_pose_s,
         "false_good": figures.false_good,
+        "within_claimed": figures.within_claimed,
         "frames": figures.frames,
         "reactions": [asdict(reaction) for reaction in figures.reactions],
     }
@@ -253,6 +254,8 @@ def _summary(rows: list[Result]) -> Result:
     for name in _WORST_IS_LARGEST:
         values = np.array([math.inf if row[name] is None else row[name] for row in rows], np.float64)
         out[name] = {"median": float(np.median(values)), "worst": float(values.max())}
+    shares = [0.0 if row["within_claimed"] is None else row["within_claimed"] for row in rows]
+    out["within_claimed"] = {"mean": float(np.mean(shares)), "worst": min(shares)}
     reactions = [reaction for row in rows for reaction in row["reactions"]]
     return out | ({"reactions": reaction_summary(reactions)} if reactions else {})
 

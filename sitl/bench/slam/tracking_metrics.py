@@ -6,15 +6,18 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.stats import chi2
 
 from sitl.bench.slam.tracking_run import TrackingRun
 from uav_recon.evaluation.trajectory_error import MIN_POSES, TrajectoryError, aligned, trajectory_error
 from uav_recon.types.frames import BoolArray, FloatArray
+from uav_recon.types.pose import Pose
 
 if TYPE_CHECKING:
     from sitl.apps.rgbd_sequences import RgbdSequence
     from sitl.apps.sequence_faults import FaultWindow
 
+CLAIMED_SHARE = 0.95
 GROSS_M = 0.3  # a pose with a larger error may not be reported as good
 
 
@@ -40,7 +43,9 @@ class TrackingFigures:
 
     error: of the good poses outside the windows of a fault; None with fewer than MIN_POSES. lost: share of the frames after
     the first pose, outside the windows, that are lost. first_pose_s: from the first frame to the first pose. false_good:
-    share of all frames whose pose is reported good with an error above GROSS_M. median_ms, p95_ms: processor time of a frame.
+    share of all frames whose pose is reported good with an error above GROSS_M. within_claimed: share of the good poses outside
+    the windows whose place is within the region that the tracker claims for CLAIMED_SHARE of them; None as error. median_ms,
+    p95_ms: processor time of a frame.
     """
 
     error: TrajectoryError | None
@@ -48,6 +53,7 @@ class TrackingFigures:
     lost: float
     first_pose_s: float | None
     false_good: float
+    within_claimed: float | None
     median_ms: float
     p95_ms: float
     reactions: tuple[FaultReaction, ...]
@@ -75,10 +81,26 @@ def figures_of(run: TrackingRun, sequence: RgbdSequence, windows: list[FaultWind
         lost=float((~good[after]).mean()) if after.any() else 1.0,
         first_pose_s=None if started is None else float(stamp_s[started] - stamp_s[0]),
         false_good=float(gross.mean()),
+        within_claimed=within_claimed(run, truth, judged) if judged.sum() >= MIN_POSES else None,
         median_ms=1e3 * float(median_s),
         p95_ms=1e3 * float(p95_s),
         reactions=reactions(stamp_s, good, gross, windows),
     )
+
+
+def within_claimed(run: TrackingRun, truth: FloatArray, judged: BoolArray) -> float:
+    """Return the share of places that lie within their claimed ellipsoids of CLAIMED_SHARE.
+
+    truth (N, 4, 4): true poses. judged (N,): frames that count. Place and heading are compared from the first pose on.
+    """
+    first = Pose.from_matrix(truth[run.good][0]) @ Pose.from_matrix(run.odom_from_body[run.good][0]).inverse()
+    world_from_odom = Pose.from_yaw(first.yaw_rad(), np.zeros(3))
+    places_m, true_m = world_from_odom.apply(run.odom_from_body[:, :3, 3]), truth[:, :3, 3]
+    off_m = (places_m - true_m) - (places_m - true_m)[run.good][0]
+    turn = world_from_odom.rotation()
+    claimed = turn @ run.place_covariance[judged] @ turn.T
+    distance2 = np.einsum("ni,ni->n", off_m[judged], np.linalg.solve(claimed, off_m[judged][..., None])[..., 0])
+    return float((distance2 <= chi2.ppf(CLAIMED_SHARE, 3)).mean())
 
 
 def reactions(stamp_s: FloatArray, good: BoolArray, gross: BoolArray, windows: list[FaultWindow]) -> tuple[FaultReaction, ...]:

@@ -26,7 +26,8 @@ class TrackingRun:
     """Answers of a tracker to N frames.
 
     stamp_s (N,): of the frames. quality (N,): 0 = lost, of None too. answered (N,): there was a pose. pose_stamp_s (N,),
-    odom_from_body (N, 4, 4): of the pose; NaN without one. took_s (N,): processor time.
+    odom_from_body (N, 4, 4): of the pose; NaN without one. place_covariance (N, 3, 3): that the tracker claims, m².
+    took_s (N,): processor time.
     """
 
     stamp_s: FloatArray
@@ -34,6 +35,7 @@ class TrackingRun:
     answered: BoolArray
     pose_stamp_s: FloatArray
     odom_from_body: FloatArray
+    place_covariance: FloatArray
     took_s: FloatArray
 
     @property
@@ -90,9 +92,10 @@ def tracking_run(stamp_s: FloatArray, answers: list[StampedPose | None], took_s:
     """Return the run of answers to frames with stamps (N,)."""
     count = len(answers)
     poses, pose_stamp_s = np.full((count, 4, 4), np.nan), np.full(count, np.nan)
-    quality = np.zeros(count, np.int64)
+    covariance, quality = np.full((count, 3, 3), np.nan), np.zeros(count, np.int64)
     for number, answer in enumerate(answers):
         if answer is not None:
             poses[number], pose_stamp_s[number] = answer.odom_from_body.matrix(), answer.stamp_s
+            covariance[number] = answer.covariance[:3, :3]
             quality[number] = answer.quality
-    return TrackingRun(stamp_s, quality, np.isfinite(pose_stamp_s), pose_stamp_s, poses, np.array(took_s))
+    return TrackingRun(stamp_s, quality, np.isfinite(pose_stamp_s), pose_stamp_s, poses, covariance, np.array(took_s))

@@ -14,6 +14,7 @@ from uav_recon.localization.perception.frame_intake import FrameIntake
 from uav_recon.localization.perception.fused_odometry import FusedOdometry
 from uav_recon.localization.perception.sensor_checks import SensorChecks
 from uav_recon.localization.perception.status_report import StatusReport
+from uav_recon.localization.slam.kept_map import NoKeptMap
 from uav_recon.types.perception_status import PerceptionStatus
 from uav_recon.types.pose import Pose, StampedPose
 from uav_recon.types.reason import Reason
@@ -36,7 +37,7 @@ def status_of(poses: PoseSource, *remarks: Reason) -> PerceptionStatus:
     intake.drop(4.0, Reason(ReasonCode.DEPTH_FRAME_STAMP))
     intake.drop(5.0, EMPTY)
     odometry = FusedOdometry.of(CONFIG, FixedMount(Pose.identity()))
-    report = StatusReport(poses, intake, odometry, SensorChecks(CONFIG), NoKeptCalibration(), lambda: remarks)
+    report = StatusReport(poses, intake, odometry, SensorChecks(CONFIG), NoKeptCalibration(), NoKeptMap(), lambda: remarks)
     return report.status(6.0, published_frames=7)
 
 
@@ -45,7 +46,7 @@ def test_counts_the_newest_drop_and_the_remarks_of_the_camera_are_reported() -> 
     assert (status.stamp_s, status.frames, status.camera) == (6.0, 7, (EMPTY,))
     assert status.counts() == {"depth-frame-empty": 1, "depth-frame-stamp": 1}
     assert (status.newest, status.newest_s) == (EMPTY, 5.0)
-    assert (status.origin, status.kept, status.correction) == (None, None, None)
+    assert (status.origin, status.kept, status.correction, status.earlier_map) == (None, None, None, None)
     assert "delay_s" in {name for name, _, _ in status.calibration}
 
 

@@ -402,7 +402,7 @@ def test_a_found_error_enters_the_poses_slowly() -> None:
     fly(tracker, frames(0.8))
     shown_m = []
     for n in range(20):
-        tracker._release(np.array([0.12 if n == 0 else 0.0, 0.0, 0.0]), 0.1)
+        tracker._doubt.found(np.array([0.12 if n == 0 else 0.0, 0.0, 0.0]), 0.1)
         shown_m.append(0.12 + float(tracker._stamped(10.0 + 0.1 * n).odom_from_body.translation_m[0]))
     speed_mps = np.diff(shown_m) / 0.1
     assert 0.08 < speed_mps.max() < 0.15
@@ -413,12 +413,12 @@ def test_poses_that_still_contain_a_found_error_are_doubted() -> None:
     """Depth does not fit earlier views while an error of 12 cm is taken out of the poses at 0.1 m/s."""
     tracker, reported = SlamTracker(), list[PoseHealth]()
     fly(tracker, frames(0.8))
-    tracker._release(np.array([0.12, 0.0, 0.0]), 0.1)
+    tracker._doubt.found(np.array([0.12, 0.0, 0.0]), 0.1)
     for n in range(10):
         pose = tracker._pose(10.0 + 0.1 * n, _found(0.01, 0.005))
         assert pose is not None
         reported.append(pose.health)
-        tracker._release(np.zeros(3), 0.1)
+        tracker._doubt.found(np.zeros(3), 0.1)
     assert reported == [PoseHealth.DEGRADED] * 6 + [PoseHealth.GOOD] * 4
 
 
@@ -427,8 +427,8 @@ def test_what_a_view_corrects_after_doubt_enters_the_poses_slowly(unsure: bool, 
     """While the place is sure, the view corrects the prediction by millimetres in each frame, and the poses follow at once."""
     tracker, images, found_m = SlamTracker(), list(frames(2.0)), list[FloatArray]()
     fly(tracker, images[:-1])
-    tracker._unsure = unsure
-    monkeypatch.setattr(tracker, "_release", lambda off_m, _: found_m.append(off_m))
+    tracker._doubt.unsure = unsure
+    monkeypatch.setattr(tracker._doubt, "found", lambda off_m, _: found_m.append(off_m))
     fly(tracker, images[-1:], tuple(sample for sample in imu() if sample.stamp_s > images[-2].stamp_s + 0.02))
     assert tracker._state is not None
     corrected_m = tracker._state.odom_from_body.translation_m - tracker._predicted.place_m

@@ -6,10 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from sitl.apps.flight_folder import check_calibration, check_folder, check_program, dated_folder, make_own_folder
+from sitl.apps.flight_folder import check_folder, check_kept_file, check_program, dated_folder, make_own_folder
 from uav_recon.app.option_validation import UsageError
 from uav_recon.errors import UserError
 from uav_recon.localization.calibration import kept_calibration
+from uav_recon.localization.calibration.kept_calibration import is_calibration
 
 
 def test_a_folder_that_cannot_be_used_is_refused_before_the_scene_is_loaded(tmp_path: Path) -> None:
@@ -50,10 +51,10 @@ def test_a_calibration_file_that_cannot_be_used_is_refused_before_the_flight(tmp
         (tmp_path / ("x" * 300), f"--calibration {tmp_path / ('x' * 300)}: cannot be read (File name too long)"),
     ):
         with pytest.raises(UserError) as failure:
-            check_calibration(file)
+            check_kept_file("--calibration", file, is_calibration, "a calibration file")
         assert (str(failure.value), failure.value.code) == (named, 2)
     for file in (kept, new):
-        check_calibration(file)
+        check_kept_file("--calibration", file, is_calibration, "a calibration file")
     assert sorted(tmp_path.iterdir()) == [kept, notes]
 
 

@@ -22,6 +22,7 @@ from uav_recon.localization.perception.odometry_publisher import OdometryPublish
 from uav_recon.localization.perception.perception_channels import PerceptionChannels
 from uav_recon.localization.perception.sensor_checks import SensorChecks
 from uav_recon.localization.perception.status_report import StatusReport
+from uav_recon.localization.slam.kept_map import NoKeptMap
 from uav_recon.localization.slam.view_odometry import ViewOdometry
 from uav_recon.types.camera import Frame, PosedFrame
 from uav_recon.types.reason import Reason
@@ -64,12 +65,13 @@ class Perception:
         self._channels = channels
         self._clock = clock
         self._kept = kept or NoKeptCalibration()
+        self._kept_map = NoKeptMap() if view is None else view.kept_map
         self._inertial = InertialSelection(camera.imu, channels.rates)
         self._intake = FrameIntake(camera, config.frame_wait_s)
         self._odometry = FusedOdometry.of(config, mount, view)
         self._checks = SensorChecks(config)
         self._odometry_publisher = OdometryPublisher(channels.odom, RateKeeper(config.rate_hz, clock.now_s()))
-        self._report = StatusReport(poses, self._intake, self._odometry, self._checks, self._kept, remarks)
+        self._report = StatusReport(poses, self._intake, self._odometry, self._checks, self._kept, self._kept_map, remarks)
         self._status_rate = RateKeeper(_STATUS_RATE_HZ, clock.now_s())
         self.published_frames = 0
 
@@ -83,13 +85,17 @@ class Perception:
         self._odometry_publisher.step(now_s, self._odometry, self._checks)
         if self._status_rate.due(now_s):
             self._channels.perception.publish(self._report.status(now_s, self.published_frames))
-            self._keep_calibration(now_s)
+            self._keep(now_s)
         self._admit_frame(now_s)  # after the status: a camera that is gone raises
         self._check_frame(now_s)
         self._publish_frame(now_s)
 
     def close(self) -> None:
-        """Write the camera's errors for the next flight, if they are kept. Blocks for milliseconds."""
+        """Write the camera's errors and the map for the next flight, if they are kept.
+
+        Blocks for up to a second.
+        """
+        self._kept_map.close()
         self._kept.close(self._checks.calibration_filter)
 
     @property
@@ -114,8 +120,9 @@ class Perception:
             else:
                 self._checks.add_pose(pose)
 
-    def _keep_calibration(self, now_s: float) -> None:
+    def _keep(self, now_s: float) -> None:
         wrong = self._checks.fault(now_s) is not None
+        self._kept_map.update(at_rest=self._checks.at_rest, wrong=wrong)
         self._kept.update(now_s, self._checks.calibration_filter, at_rest=self._checks.at_rest, wrong=wrong)
 
     def _admit_frame(self, now_s: float) -> None:

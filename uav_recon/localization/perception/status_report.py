@@ -10,6 +10,7 @@ from uav_recon.localization.pad_origin import PadOrigin
 from uav_recon.localization.perception.frame_intake import FrameIntake
 from uav_recon.localization.perception.fused_odometry import FusedOdometry
 from uav_recon.localization.perception.sensor_checks import SensorChecks
+from uav_recon.localization.slam.kept_map import KeptMap, NoKeptMap
 from uav_recon.types.perception_status import PerceptionStatus
 from uav_recon.types.reason import Reason
 
@@ -27,6 +28,7 @@ class StatusReport:
         odometry: FusedOdometry,
         checks: SensorChecks,
         kept: KeptCalibration | NoKeptCalibration,
+        kept_map: KeptMap | NoKeptMap,
         remarks: Callable[[], tuple[Reason, ...]],
     ) -> None:
         self._pad = poses if isinstance(poses, PadOrigin) else None
@@ -34,6 +36,7 @@ class StatusReport:
         self._odometry = odometry
         self._checks = checks
         self._kept = kept
+        self._kept_map = kept_map
         self._remarks = remarks
 
     def status(self, now_s: float, published_frames: int) -> PerceptionStatus:
@@ -51,4 +54,5 @@ class StatusReport:
             camera=self._remarks(),
             kept=self._kept.reason,
             correction=self._odometry.correction,
+            earlier_map=self._kept_map.reason,
         )

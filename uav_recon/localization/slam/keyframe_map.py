@@ -17,7 +17,7 @@ from uav_recon.localization.slam.depth_image import DepthImage, grid_points, wri
 from uav_recon.localization.slam.landmarks import Corners, Landmarks, moving_imager, project
 from uav_recon.localization.slam.place_recognition import Description, UnplacedView
 from uav_recon.localization.slam.prepared_view import PreparedView
-from uav_recon.types.frames import AnyArray, BoolArray, FloatArray, IntArray
+from uav_recon.types.frames import AnyArray, BoolArray, ByteArray, FloatArray, IntArray
 from uav_recon.types.pose import Pose
 
 SHOWN, THROUGH = 1, 2  # what a keyframe says of a point
@@ -44,6 +44,7 @@ _LEAST_MORE_SHARE = 0.1  # of the view, that a further one must have looked at
 _AGAIN_SHARE = 0.25  # worth of what another one has looked at already
 _SURE_M2 = 0.02**2  # variance of a place that halves the worth
 _CANDIDATES = 12  # keyframes that show most of a view, of which the one with most of its landmarks is one more
+_MAX_TURN_RAD = np.radians(6.0)  # between the pose that a keyframe's corners give and the predicted attitude
 _TRIED_KEYFRAMES = 4  # that may show a view whose place is not known, and as many of the others
 _MOST_FUSED = 20.0  # depths in a mean
 _FUSED_M = 0.02  # difference of depths that are fused, and per square metre of range
@@ -133,10 +134,22 @@ class KeyframeMap:
         unplaced = UnplacedView(view)
         for number in np.concatenate((_most(share, _MIN_SHARE, _TRIED_KEYFRAMES), others)).tolist():
             if self._all.variance[number].max() <= most_variance:
-                pose = unplaced.place(self._corners[number], self._descriptions[number], self.pose(number), predicted)
-                if pose is not None:
+                pose = unplaced.place(*self.described(number), self.pose(number))
+                if pose is not None and np.linalg.norm((pose @ predicted.inverse()).rotation_vector()) < _MAX_TURN_RAD:
                     return pose
         return None
+
+    def described(self, number: int) -> tuple[ByteArray, FloatArray]:
+        """Return descriptors (K, 32) and places (K, 3) of the corners of a keyframe.
+
+        The places are in the frame of its depth imager, NaN where not known.
+        """
+        description = self._descriptions[number]
+        return description.bits, self._corners[number].place_m[description.which]
+
+    def every(self) -> Keyframes:
+        """Return all keyframes; they change with the map."""
+        return self._chosen(np.arange(self.count))
 
     def _like(self, looked: BoolArray, odom_from_depth: Pose) -> FloatArray:
         """Return how much each keyframe is like a view, (N,).
@@ -250,8 +263,7 @@ class KeyframeMap:
         SHOWN, THROUGH, or 0 for nothing.
         """
         points_m = grid_points(image.depth_m, image.camera, _TRIED_POINTS)
-        keyframes = self._chosen(np.arange(self.count))
-        return shown_points(odom_from_depth.apply(points_m), odom_from_depth.translation_m, keyframes, reach_m)
+        return shown_points(odom_from_depth.apply(points_m), odom_from_depth.translation_m, self.every(), reach_m)
 
     def _chosen(self, number: IntArray) -> Keyframes:
         every = self._all

@@ -7,24 +7,22 @@ which most of the matches agree (P3P in RANSAC, OpenCV). It is a proposal, which
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import cv2
 import numpy as np
 
-from uav_recon.localization.slam.landmarks import Corners, corners_px
+from uav_recon.localization.slam.landmarks import corners_px
 from uav_recon.localization.slam.prepared_view import PreparedView
 from uav_recon.types.frames import AnyArray, ByteArray, FloatArray, IntArray
 from uav_recon.types.pose import Pose
 
 _PATCH_PX = 31
-_FARTHEST_BITS = 60  # between descriptors of the same corner
+FARTHEST_BITS = 60  # between descriptors of the same corner
 _FEWEST = 12  # matches that must agree
 _AGREEING_SHARE = 0.4
 _REPROJECTED_PX = 3.0
 _TRIES = 100
-_MAX_TURN_RAD = math.radians(6.0)  # between the pose of a match and the predicted attitude
 
 
 class Description(NamedTuple):
@@ -54,26 +52,28 @@ class UnplacedView:
         self._description = Description.of(grey, at_px)
         self._at_px = at_px[self._description.which].astype(np.float64)
 
-    def place(self, corners: Corners, description: Description, odom_from_keyframe: Pose, predicted: Pose) -> Pose | None:
+    @property
+    def bits(self) -> ByteArray:
+        """Descriptors (N, 32) of the corners of the view."""
+        return self._description.bits
+
+    def place(self, bits: ByteArray, corners_m: FloatArray, odom_from_keyframe: Pose) -> Pose | None:
         """Return odom_from_depth by the corners of a keyframe, None if too few agree. About 1 ms.
 
-        predicted: its attitude is known, its place is not.
+        bits (K, 32): their descriptors. corners_m (K, 3): in the frame of its depth imager, NaN where not known.
         """
-        if min(len(self._at_px), len(description.which)) < _FEWEST:
+        if min(len(self._at_px), len(bits)) < _FEWEST:
             return None
-        matches = cv2.BFMatcher(cv2.NORM_HAMMING, crossCheck=True).match(description.bits, self._description.bits)
-        pairs = np.array([(m.queryIdx, m.trainIdx) for m in matches if m.distance <= _FARTHEST_BITS], np.int64).reshape(-1, 2)
-        place_m = corners.place_m[description.which[pairs[:, 0]]]
+        matches = cv2.BFMatcher(cv2.NORM_HAMMING, crossCheck=True).match(bits, self._description.bits)
+        pairs = np.array([(m.queryIdx, m.trainIdx) for m in matches if m.distance <= FARTHEST_BITS], np.int64).reshape(-1, 2)
+        place_m = corners_m[pairs[:, 0]]
         known = np.isfinite(place_m[:, 0])
         if np.count_nonzero(known) < _FEWEST:
             return None
         turn, moved_m, agreeing = self._solved(odom_from_keyframe.apply(place_m[known]), self._at_px[pairs[known, 1]])
         if agreeing < max(_FEWEST, _AGREEING_SHARE * np.count_nonzero(known)):
             return None
-        odom_from_depth = Pose.from_rotation_vector(turn, moved_m).inverse() @ self._view.depth_from_rgb.inverse()
-        turned = (odom_from_depth @ predicted.inverse()).quat_wxyz
-        turn_rad = 2.0 * math.atan2(float(np.linalg.norm(turned[1:])), abs(float(turned[0])))
-        return odom_from_depth if turn_rad < _MAX_TURN_RAD else None
+        return Pose.from_rotation_vector(turn, moved_m).inverse() @ self._view.depth_from_rgb.inverse()
 
     def _solved(self, place_m: FloatArray, at_px: FloatArray) -> tuple[FloatArray, FloatArray, int]:
         """Return rotation vector and translation of rgb_from_odom, and how many agree."""

@@ -21,6 +21,7 @@ from uav_recon.localization.slam.keyframe_map import KeyframeMap, no_keyframes
 from uav_recon.localization.slam.landmarks import Landmarks
 from uav_recon.localization.slam.motion_filter import MotionFilter, PredictedMotion
 from uav_recon.localization.slam.outside_motion import NoOutsideMotion, OutsideMotion
+from uav_recon.localization.slam.place_doubt import LONG_WAY_BACK_S, PlaceDoubt
 from uav_recon.localization.slam.place_errors import Update
 from uav_recon.localization.slam.prepared_view import PreparedView
 from uav_recon.localization.slam.rgbd_registration import (
@@ -36,8 +37,6 @@ from uav_recon.localization.slam.tracking_monitor import TrackingFault, Tracking
 from uav_recon.types.camera import Frame, ImuSample, Intrinsics, body_from_camera
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.pose import Pose, PoseHealth, StampedPose
-from uav_recon.types.reason import Reason
-from uav_recon.types.reason_code import ReasonCode
 
 _BLIND_TURN_RADPS = math.radians(30.0)  # uncertainty of the turn rate without a gyro
 _AT_REST = 1e-4**2 * np.eye(3)  # covariance of the attitude
@@ -50,18 +49,6 @@ _PROOF_FRAMES = 2  # frames that must be accepted after doubt until poses are gi
 _VIEWLESS = (TrackingFault.FEW_POINTS, TrackingFault.FROZEN)  # frames that show nothing, which is no doubt of the track
 _ACCEPTED = (None, TrackingFault.LOOSE, TrackingFault.DEPTH, TrackingFault.UNPROVEN)
 _BRIEF_GAP_S = 0.5  #: reject: frames after a longer time without an accepted one raise doubt, whatever was wrong
-_MOST_SIGMA_M = 0.12  #: reject: no pose is given while the place is more uncertain than this in a direction
-_MOST_ON_WAY_BACK_M = 0.35  #: reject: the same on the way back: a blind landing would drift farther
-_WAY_BACK_S = 3.0  #: reject: time of the way back, after the newest pose that was sure
-_LONG_WAY_BACK_S = 5.0  #: reject: the same while another source knows the motion
-#: retreat: the place has become more uncertain than this in a direction: back to a view in which it was not
-_DOUBT_M = 0.08
-_DRIFT_MPS = 0.004  # growth of the uncertainty with the flight, which no way back reduces
-_BLIND_M = 0.04  #: retreat: the place is more uncertain than this against the track: the view has not shown it for 0.6 s
-_LEFT_M = 0.05  #: retreat: while more than this of a found error is not yet in the poses; not tuned
-_SURE_AGAIN_SHARE = 0.85  #: retreat: until both are less than this share of their limits
-# a found error is taken out of the poses at this speed: faster, they would contradict the inertial samples of the autopilot
-_RELEASE_MPS = 0.1
 _SEARCHED = (TrackingFault.FIT, TrackingFault.STEP, TrackingFault.TURN)
 _SEARCH_SIGMAS = 3.0  # reach of the search, in standard deviations of the predicted place
 _LEAST_SEARCH_M = 0.05
@@ -161,11 +148,7 @@ class SlamTracker:
         self._predicted = self._motion.predict(0.0, Pose.identity(), None)
         self._without_frame: _WithoutFrame | None = None  # the newest accepted one
         self._accepted_frames = 0
-        self._unsure = False
-        self._sure_s = -math.inf
-        self._judged_s = math.inf
-        self._drifted_m = 0.0  # standard deviation of the place by the drift of the flight
-        self._unreleased_m = np.zeros(3)  # found error of the place that is still in the poses
+        self._doubt = PlaceDoubt()
         self._unproven = 0
         self._accepted_s = -math.inf
         self._images = RepeatedImage()
@@ -185,7 +168,7 @@ class SlamTracker:
         """The estimate at the newest frame; None before the first."""
         if self._state is None:
             return None
-        motion = self._motion.now_against_lag.shifted(self._unreleased_m)
+        motion = self._motion.now_against_lag.shifted(self._doubt.unreleased_m)
         return TrackerState(self._state.stamp_s - self.delay_s, motion, self._attitude.odom_from_body)
 
     @property
@@ -194,7 +177,7 @@ class SlamTracker:
 
         What is not released yet does not count.
         """
-        return not self._unsure
+        return not self._doubt.unsure
 
     @property
     def accelerometer_used(self) -> bool:
@@ -402,7 +385,7 @@ class SlamTracker:
         self._motion.coast(self._predicted)
         self._attitude.coast(self._turned)
         self._state = TrackedState(stamp_s, odom_from_body, self._motion.velocity_mps)
-        brief_s = _LONG_WAY_BACK_S if self._moved_outside(stamp_s) else _BRIEF_GAP_S
+        brief_s = LONG_WAY_BACK_S if self._moved_outside(stamp_s) else _BRIEF_GAP_S
         if self.fault in _VIEWLESS and stamp_s - self._accepted_s <= brief_s:
             return
         self._accepted_frames = 0
@@ -423,8 +406,7 @@ class SlamTracker:
     def _forget(self) -> None:
         """Forget the map and the track; what is known of the sensors stays."""
         self.surfaces, self._state, self._without_frame = KeyframeMap(), None, None
-        self._unreleased_m, self._drifted_m, self._lag_s = np.zeros(3), 0.0, -math.inf
-        self._unsure, self._unproven, self._sure_s, self._judged_s = False, 0, -math.inf, math.inf
+        self._doubt, self._unproven, self._lag_s = PlaceDoubt(), 0, -math.inf
 
     def _start(self, view: PreparedView, body_from_depth: Pose) -> StampedPose | None:
         start = self._begin.start(view.frame, self.delay_s, body_from_depth)
@@ -511,7 +493,7 @@ class SlamTracker:
         self._without_frame = self._as_if_not(without, stamp_s, registration, prior, body_from_depth, moved_m, update)
         self.surfaces.move(moved_m, self._motion.errors.variance)
         unseen_m = odom_from_body.translation_m - self._predicted.place_m  # error of the time without a view
-        self._release(unseen_m if self._unsure else registration.shift_m, step_s)
+        self._doubt.found(unseen_m if self._doubt.unsure else registration.shift_m, step_s)
         self._attitude.update(self._turned, odom_from_body, registration.covariance[:3, :3])
         self.determined = registration.determined_share
         velocity = self._motion.velocity_mps
@@ -561,43 +543,27 @@ class SlamTracker:
         if self.surfaces.add(view, odom_from_depth, motion, self._slow, variance, landmarks):
             self._motion.add_keyframe(_PLACED_M)
 
-    def _release(self, found_m: FloatArray, step_s: float) -> None:
-        """Take a found error (3,) of the place into the poses, little by little."""
-        left_m = self._unreleased_m - found_m
-        length_m = float(np.linalg.norm(left_m))
-        self._unreleased_m = left_m * max(1.0 - _RELEASE_MPS * step_s / max(length_m, 1e-9), 0.0)
-
     def _pose(self, stamp_s: float, registration: Registration) -> StampedPose | None:
         """Return the pose of a frame; None while it is not sure, or not yet again."""
-        self.step_sigma_m = registration.sigma_against_track_m
-        sigma_m, limit = registration.sigma_m, _SURE_AGAIN_SHARE if self._unsure else 1.0
-        self._drifted_m = min(self._drifted_m + _DRIFT_MPS * max(stamp_s - self._judged_s, 0.0), sigma_m)
-        self._judged_s = stamp_s
-        lately_m = math.sqrt(sigma_m**2 - self._drifted_m**2)
-        self._unsure = lately_m > limit * _DOUBT_M or registration.sigma_against_track_m > limit * _BLIND_M
-        self._sure_s = self._sure_s if self._unsure else stamp_s
-        if self._state is not None and not (self._unsure or self._unproven or self._unreleased_m.any()):
+        sigma_m, self.step_sigma_m = registration.sigma_m, registration.sigma_against_track_m
+        self._doubt.judge(stamp_s, sigma_m, self.step_sigma_m)
+        if self._state is not None and not (self._doubt.unsure or self._unproven or self._doubt.unreleased_m.any()):
             self._outside.show(stamp_s - self.delay_s, self._state.odom_from_body, self.step_sigma_m)
-        way_back_s = _LONG_WAY_BACK_S if self._moved_outside(stamp_s) else _WAY_BACK_S
-        most_m = _MOST_ON_WAY_BACK_M if stamp_s - self._sure_s <= way_back_s else _MOST_SIGMA_M
-        if sigma_m > most_m or self._unproven:
-            self._unreleased_m = np.zeros(3)
+        if self._unproven or not self._doubt.allows(stamp_s, sigma_m, moved_outside=self._moved_outside(stamp_s)):
+            self._doubt.drop()
             return None
-        quality = max(round(registration.quality * min(_DOUBT_M / sigma_m, 1.0)), 1)
-        pose = replace(self._stamped(stamp_s, sigma_m), quality=quality)
-        left_m = float(np.linalg.norm(self._unreleased_m))
-        if not self._unsure and left_m <= _LEFT_M:
-            return pose
-        unsure = Reason(ReasonCode.PLACE_UNSURE, (math.hypot(sigma_m, left_m),))
-        return replace(pose, health=PoseHealth.DEGRADED, health_reason=unsure)
+        pose = replace(self._stamped(stamp_s, sigma_m), quality=self._doubt.quality(registration.quality, sigma_m))
+        unsure = self._doubt.reason(sigma_m)
+        return pose if unsure is None else replace(pose, health=PoseHealth.DEGRADED, health_reason=unsure)
 
     def _stamped(self, stamp_s: float, sigma_m: float = 0.0) -> StampedPose:
         assert self._state is not None
-        place_m2 = _POSITION_SIGMA_M**2 + sigma_m**2 + float(self._unreleased_m @ self._unreleased_m)
+        unreleased_m = self._doubt.unreleased_m
+        place_m2 = _POSITION_SIGMA_M**2 + sigma_m**2 + float(unreleased_m @ unreleased_m)
         state = self._state
         place_m2 += (_SCALE_SHARE * float(np.linalg.norm(state.odom_from_body.translation_m))) ** 2
         covariance = np.diag([place_m2] * 3 + [_ROTATION_SIGMA_RAD**2] * 3)
-        shown = Pose(state.odom_from_body.quat_wxyz, state.odom_from_body.translation_m + self._unreleased_m)
+        shown = Pose(state.odom_from_body.quat_wxyz, state.odom_from_body.translation_m + unreleased_m)
         return StampedPose(stamp_s - self.delay_s, shown, state.velocity_mps, covariance)
 
 

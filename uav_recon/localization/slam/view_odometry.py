@@ -17,6 +17,7 @@ from uav_recon.localization.fusion.filter_pose_gates import PoseRejection
 from uav_recon.localization.fusion.imu_sample_gate import ImuSampleGate
 from uav_recon.localization.fusion.inertial_check import InertialCheck
 from uav_recon.localization.fusion.pose_stream_health import most_quality
+from uav_recon.localization.slam.kept_map import KeptMap, NoKeptMap
 from uav_recon.localization.slam.motion_filter import PredictedMotion, propagate
 from uav_recon.localization.slam.place_errors import PLACE
 from uav_recon.localization.slam.slam_tracker import SlamTracker
@@ -63,10 +64,14 @@ class ViewOdometry:
     world_from_tracker: None: known with the first add_pose(). ``newest_pose``: of the newest accepted frame, in the tracker's
     frame; ``newest_pose_s``: its stamp, -inf before the first. ``shown`` (3, 3): share of its place that the view has
     determined, in the tracker's axes. ``rejected``: counts of inertial samples. ``check``: of the inertial sensors.
+    ``kept_map``: the map of an earlier flight, in which this one is looked for.
     """
 
-    def __init__(self, tracker: SlamTracker, world_from_tracker: Pose | None = None) -> None:
+    def __init__(
+        self, tracker: SlamTracker, world_from_tracker: Pose | None = None, kept_map: KeptMap | NoKeptMap | None = None
+    ) -> None:
         self.tracker = tracker
+        self.kept_map = kept_map or NoKeptMap()
         self.rejected: Counter[PoseRejection] = Counter()
         self.check = InertialCheck(tracker.gyro.at)
         self._gate = ImuSampleGate(self.rejected)
@@ -101,6 +106,8 @@ class ViewOdometry:
             self._accept(pose)
             self.shown = self.tracker.determined
             self._check_inertial(pose)
+            if self.sure:
+                self.kept_map.look(frame, pose.odom_from_body @ body_from_depth)
         self._nodes.append(_Node(stamp_s, state.motion, state.odom_from_body, pose))
         self._continue(before)
         while stamp_s - self._nodes[0].stamp_s > _KEPT_S:

@@ -130,12 +130,17 @@ def test_a_tracker_that_never_answers_is_the_worst(
 
 
 def test_summary_is_median_and_worst() -> None:
-    keys = ("drift_percent", "rotation_deg", "median_ms", "p95_ms", "lost", "false_good")
+    keys = ("drift_percent", "rotation_deg", "median_ms", "p95_ms", "lost", "false_good", "within_claimed")
     rows: list[dict[str, Any]] = [
         {"method": "joint", "ate_cm": ate, "reactions": [], **dict.fromkeys(keys, 1.0)} for ate in (3.0, 9.0, 4.0, None, 2.0)
     ]
     found = slam_bench.summary(rows)["joint"]
     assert found["ate_cm"] == {"median": 4.0, "worst": math.inf}
+    assert found["within_claimed"] == {"mean": 1.0, "worst": 1.0}
+    rows[1] |= {"within_claimed": None}
+    assert slam_bench.summary(rows)["joint"]["within_claimed"] == {"mean": 0.8, "worst": 0.0}, (
+        "a track that is lost keeps no claim"
+    )
     assert "reactions" not in found
     reactions: list[dict[str, Any]] = [
         {"reported_s": 0.3, "back_s": 2.0, "false_good_s": 0.1},

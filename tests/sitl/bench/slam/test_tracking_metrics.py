@@ -20,9 +20,33 @@ def answers(age_s: FloatArray | float = 0.0) -> TrackingRun:
     """Return the run of a perfect tracker, whose poses are age_s (N,) older than the frames."""
     count = len(STAMP_S)
     poses = SEQUENCE.true_body_at(STAMP_S - age_s)
+    claimed = np.broadcast_to(np.diag([0.02**2, 0.02**2, 0.01**2]), (count, 3, 3)).copy()
     return TrackingRun(
-        STAMP_S, np.full(count, 80), np.ones(count, np.bool_), STAMP_S - age_s, poses, np.linspace(1e-3, 11e-3, count)
+        STAMP_S, np.full(count, 80), np.ones(count, np.bool_), STAMP_S - age_s, poses, claimed, np.linspace(1e-3, 11e-3, count)
     )
+
+
+def test_errors_are_compared_with_what_the_tracker_claims() -> None:
+    assert figures_of(answers(), SEQUENCE, []).within_claimed == 1.0
+    off, random = answers(), np.random.default_rng(3)
+    off.odom_from_body[1:, :3, 3] += random.normal(0.0, (0.02, 0.02, 0.01), (len(STAMP_S) - 1, 3))
+    share = figures_of(off, SEQUENCE, []).within_claimed
+    assert share == pytest.approx(0.95, abs=0.03)
+    off.place_covariance[:] /= 4.0  # sigma is claimed to be half of what it is: 58 % of a chi-square with 3 degrees of freedom
+    share = figures_of(off, SEQUENCE, []).within_claimed
+    assert share == pytest.approx(0.42, abs=0.07)
+
+
+def test_a_world_that_is_turned_is_no_error_and_one_that_tilts_is() -> None:
+    one = answers()
+    turned = Pose.from_yaw(1.0, np.array([3.0, -2.0, 1.0])).matrix()
+    one.odom_from_body[:] = turned @ one.odom_from_body
+    assert figures_of(one, SEQUENCE, []).within_claimed == 1.0
+    tilted = Pose.from_rotation_vector(np.array([0.05, 0.0, 0.0]), np.zeros(3)).matrix()
+    one.odom_from_body[:] = tilted @ one.odom_from_body
+    share = figures_of(one, SEQUENCE, []).within_claimed
+    assert share is not None
+    assert share < 0.6
 
 
 def test_a_perfect_tracker_has_no_error() -> None:
