@@ -295,7 +295,7 @@ def summary(report: Report, folder: Path) -> str:
 
     lines = [
         *([report.headline] if report.headline != report.outcome else []),
-        f"{report.outcome}: {report.stop_reason}",
+        ": ".join(filter(None, (report.outcome, report.stop_reason))),
         f"flight {report.flight_time_s:.0f} s, path {report.path_length_m:.1f} m, {report.views} views, "
         f"explored {figure(report.explored_fraction, '')}",
         f"min clearance {figure(safety.min_clearance_m, ' m')}, contacts {safety.contacts}, "

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,12 +13,13 @@ import pytest
 from slam_flight import BODY_FROM_DEPTH, RATE_HZ, fly, frame, frames, rendered, truth
 
 from uav_recon.clock import InlineExecutor, ManualClock
-from uav_recon.localization.slam.flown_map import FlownMap, ForeignMapError
+from uav_recon.localization.slam.flown_map import FlownMap, ForeignMapError, copied, file_of
 from uav_recon.localization.slam.kept_map import KeptMap, is_map, write
 from uav_recon.localization.slam.keyframe_map import KeyframeMap
 from uav_recon.localization.slam.prepared_view import PreparedView
 from uav_recon.localization.slam.slam_tracker import SlamTracker
 from uav_recon.types.camera import Frame
+from uav_recon.types.frames import AnyArray
 from uav_recon.types.pose import Pose
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
@@ -35,8 +37,13 @@ def surfaces() -> KeyframeMap:
 
 
 @functools.cache
+def arrays() -> dict[str, AnyArray]:
+    return copied(surfaces())
+
+
+@functools.cache
 def flown() -> FlownMap:
-    return FlownMap.of(surfaces())
+    return FlownMap.from_bytes(file_of(arrays()))
 
 
 def later_frame(number: int) -> tuple[Frame, Pose]:
@@ -64,7 +71,7 @@ def look(found: KeptMap, numbers: range, odom: Pose | None = None) -> None:
 
 
 def test_a_flight_finds_where_it_began_in_the_map_of_the_one_before(tmp_path: Path) -> None:
-    write(tmp_path / "map.npz", flown())
+    write(tmp_path / "map.npz", arrays())
     found = kept(tmp_path / "map.npz")
     assert said(found).code is ReasonCode.EARLIER_MAP_SEARCHED
     look(found, range(18, 150, 5))
@@ -78,7 +85,7 @@ def test_a_flight_finds_where_it_began_in_the_map_of_the_one_before(tmp_path: Pa
 
 
 def test_the_same_view_again_and_again_proves_nothing(tmp_path: Path) -> None:
-    write(tmp_path / "map.npz", flown())
+    write(tmp_path / "map.npz", arrays())
     found = kept(tmp_path / "map.npz")
     for n in range(20):
         seen, odom_from_depth = later_frame(18)
@@ -86,8 +93,21 @@ def test_the_same_view_again_and_again_proves_nothing(tmp_path: Path) -> None:
     assert found.earlier_from_odom is None
 
 
+def test_a_flight_elsewhere_looks_less_and_less(tmp_path: Path) -> None:
+    write(tmp_path / "map.npz", arrays())
+    found = kept(tmp_path / "map.npz")
+    seen, odom_from_depth = later_frame(18)
+    bare = replace(seen, rgb=np.zeros_like(seen.rgb))
+    looked_s = list[float]()
+    for n in range(1000):
+        found.look(replace(bare, stamp_s=0.1 * n), odom_from_depth)
+        looked_s.append(found._looked_s)
+    assert len(set(looked_s[:600])) == pytest.approx(60.0 / 0.3, abs=55)
+    assert len(set(looked_s[600:])) == pytest.approx(40.0 / 2.0, abs=3)
+
+
 def test_odometry_that_wanders_is_not_placed(tmp_path: Path) -> None:
-    write(tmp_path / "map.npz", flown())
+    write(tmp_path / "map.npz", arrays())
     found = kept(tmp_path / "map.npz")
     for k, number in enumerate(range(18, 150, 5)):  # 0.3 m farther with each view: no two agree
         look(found, range(number, number + 1), Pose(np.array([1.0, 0.0, 0.0, 0.0]), np.array([0.3 * k, 0.0, 0.0])))
@@ -109,40 +129,48 @@ def test_surfaces_that_are_gone_refute_a_place() -> None:
 
 
 def test_a_map_survives_its_file() -> None:
-    again = FlownMap.from_bytes(flown().to_bytes())
-    assert again.count == flown().count >= 10
-    assert np.abs(again.keyframes.depth_m - flown().keyframes.depth_m).max() <= 0.00051
+    left, every = flown(), surfaces().every()
+    assert left.count == surfaces().count >= 10
+    assert np.abs(left.keyframes.depth_m - every.depth_m[: left.count]).max() <= 0.00051
     for name in ("camera", "rotation", "place_m", "variance"):
-        assert np.array_equal(getattr(again.keyframes, name), getattr(flown().keyframes, name))
-    assert np.array_equal(again.bits, flown().bits)
-    assert np.allclose(again.corners_m, flown().corners_m, atol=1e-5)
+        assert np.array_equal(getattr(left.keyframes, name), getattr(every, name)[: left.count])
+    bits, corners_m = surfaces().described(3)
+    known, of = np.isfinite(corners_m[:, 0]), slice(left.first[3], left.first[4])
+    assert np.array_equal(left.bits[of], bits[known])
+    assert np.allclose(left.corners_m[of], corners_m[known], atol=1e-5)
 
 
-def _cut(data: bytes) -> bytes:
-    return data[: len(data) // 2]
+def _cut() -> bytes:
+    whole = file_of(arrays())
+    return whole[: len(whole) // 2]
 
 
-def _garbage(data: bytes) -> bytes:
+def _garbage() -> bytes:
     return bytes(range(256)) * 4
 
 
-def _changed(data: bytes) -> bytes:
-    """Return a map whose corners do not fit its keyframes."""
-    whole = FlownMap.from_bytes(data)
-    return replace(whole, first=whole.first + 1).to_bytes()
+def _does_not_fit() -> bytes:
+    return file_of({**arrays(), "first": arrays()["first"] + 1})
 
 
-def _infinite(data: bytes) -> bytes:
-    whole = FlownMap.from_bytes(data)
-    place_m = whole.keyframes.place_m.copy()
+def _infinite() -> bytes:
+    place_m = arrays()["place_m"].copy()
     place_m[3, 1] = np.inf
-    return replace(whole, keyframes=whole.keyframes._replace(place_m=place_m)).to_bytes()
+    return file_of({**arrays(), "place_m": place_m})
 
 
-@pytest.mark.parametrize("damage", [_cut, _garbage, _changed, _infinite, lambda data: b""])
-def test_a_damaged_file_is_refused_and_never_replaced(damage, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+def _without_poses() -> bytes:
+    return file_of({name: array for name, array in arrays().items() if name != "rotation"})
+
+
+def _of_the_future() -> bytes:
+    return file_of({**arrays(), "format": np.array(99)})
+
+
+@pytest.mark.parametrize("damage", [_cut, _garbage, _does_not_fit, _infinite, _without_poses, _of_the_future, bytes])
+def test_a_damaged_file_is_refused_and_never_replaced(damage: Callable[[], bytes], tmp_path: Path) -> None:
     file = tmp_path / "map.npz"
-    file.write_bytes(damage(flown().to_bytes()))
+    file.write_bytes(damage())
     before = file.read_bytes()
     with pytest.raises(ForeignMapError):
         FlownMap.from_bytes(before)
@@ -188,5 +216,5 @@ def test_a_flight_that_was_wrong_once_or_saw_nothing_leaves_no_map(tmp_path: Pat
 
 
 def test_a_folder_that_is_gone_ends_nothing(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    write(tmp_path / "gone" / "map.npz", flown())
+    write(tmp_path / "gone" / "map.npz", arrays())
     assert "cannot be written (No such file or directory)" in caplog.text

@@ -10,6 +10,7 @@ import io
 import math
 import zipfile
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -51,39 +52,10 @@ class FlownMap:
     bits: AnyArray
     corners_m: FloatArray
 
-    @staticmethod
-    def of(surfaces: KeyframeMap) -> FlownMap:
-        """Return a copy of a tracker's map. About 20 ms for 200 keyframes."""
-        every = surfaces.every()
-        count = surfaces.count
-        arrays = (array[:count].copy() for array in every[1:])
-        bits, corners_m, first = [np.empty((0, _DESCRIPTOR_BYTES), np.uint8)], [np.empty((0, 3))], [0]
-        for number in range(count):
-            described, place_m = surfaces.described(number)
-            known = np.isfinite(place_m[:, 0])
-            bits.append(described[known])
-            corners_m.append(place_m[known])
-            first.append(first[-1] + int(known.sum()))
-        keyframes = Keyframes(every.number.copy(), *arrays)
-        return FlownMap(keyframes, np.array(first), np.concatenate(bits), np.concatenate(corners_m))
-
     @property
     def count(self) -> int:
         """Number of keyframes."""
         return len(self.first) - 1
-
-    def to_bytes(self) -> bytes:
-        """Return the map as the content of a file.
-
-        About 1 s for 200 keyframes; it can run on any thread.
-        """
-        out, every = io.BytesIO(), self.keyframes
-        np.savez_compressed(
-            out, format=np.array(_FORMAT), depth=np.rint(every.depth_m / _M_PER_UNIT).astype(np.uint16), camera=every.camera,
-            rotation=every.rotation, place_m=every.place_m, variance=every.variance, first=self.first, bits=self.bits,
-            corners_m=self.corners_m.astype(np.float32),
-        )  # fmt: skip
-        return out.getvalue()
 
     @staticmethod
     def from_bytes(data: bytes) -> FlownMap:
@@ -144,6 +116,37 @@ class FlownMap:
         through = (looked == THROUGH).any(axis=0) & ~shown
         seen = int(shown.sum() + through.sum())
         return bool(shown.mean() >= _LEAST_SHOWN_SHARE and through.sum() <= _MOST_THROUGH_SHARE * seen)
+
+
+def copied(surfaces: KeyframeMap) -> dict[str, AnyArray]:
+    """Return a copy of what a file holds of a tracker's map. About 20 ms for 150 keyframes."""
+    every, count = surfaces.every(), surfaces.count
+    bits, corners_m, first = [np.empty((0, _DESCRIPTOR_BYTES), np.uint8)], [np.empty((0, 3))], [0]
+    for number in range(count):
+        described, place_m = surfaces.described(number)
+        known = np.isfinite(place_m[:, 0])
+        bits.append(described[known])
+        corners_m.append(place_m[known])
+        first.append(first[-1] + int(known.sum()))
+    poses = {name: getattr(every, name)[:count].copy() for name in _POSES}
+    depth = np.rint(every.depth_m[:count] / np.float32(_M_PER_UNIT)).astype(np.uint16)
+    corners = {
+        "first": np.array(first),
+        "bits": np.concatenate(bits),
+        "corners_m": np.concatenate(corners_m).astype(np.float32),
+    }
+    return {"format": np.array(_FORMAT), "depth": depth, **poses, **corners}
+
+
+def file_of(arrays: dict[str, AnyArray]) -> bytes:
+    """Return the content of a file of a copied map.
+
+    About 1 s for 150 keyframes; it can run on any thread.
+    """
+    out = io.BytesIO()
+    named: dict[str, Any] = dict(arrays)  # numpy's own keywords have other types
+    np.savez_compressed(out, **named)
+    return out.getvalue()
 
 
 def _arrays(data: bytes) -> dict[str, AnyArray]:

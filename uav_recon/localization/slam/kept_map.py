@@ -17,16 +17,18 @@ import numpy as np
 
 from uav_recon import atomic_file
 from uav_recon.interfaces import Executor, Pending
-from uav_recon.localization.slam.flown_map import FlownMap, ForeignMapError
+from uav_recon.localization.slam.flown_map import FlownMap, ForeignMapError, copied, file_of
 from uav_recon.localization.slam.keyframe_map import KeyframeMap
 from uav_recon.localization.slam.prepared_view import PreparedView
 from uav_recon.types.camera import Frame
-from uav_recon.types.frames import FloatArray
+from uav_recon.types.frames import AnyArray, FloatArray
 from uav_recon.types.pose import Pose
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
 
 _LOOK_EVERY_S = 0.3  # between views that are looked at: 20 ms each
+_SOON_S = 60.0  # after which a flight that was not found is rather elsewhere, and looks ...
+_RARELY_EVERY_S = 2.0  # ... after this time only
 _SAME_M = 0.15  #: reject: places of one view by two transforms differ by more: they are not the same
 _SAME_RAD = math.radians(3.0)  #: reject: the same of their turns
 _AGREEING = 3  #: reject: fewer views that agree prove nothing
@@ -77,7 +79,7 @@ class KeptMap:
         self._surfaces = surfaces
         self._executor = executor
         self._earlier: FlownMap | None = None
-        self._looked_s = -math.inf
+        self._began_s, self._looked_s = math.inf, -math.inf
         self._placed: list[_PlacedView] = []
         self._pending: Pending[None] | None = None
         self._moved = self._wrong = self._foreign = False
@@ -91,7 +93,9 @@ class KeptMap:
         About 20 ms, three times a second.
         """
         earlier = self._earlier
-        if earlier is None or frame.stamp_s - self._looked_s < _LOOK_EVERY_S:
+        self._began_s = min(self._began_s, frame.stamp_s)
+        every_s = _LOOK_EVERY_S if frame.stamp_s - self._began_s < _SOON_S else _RARELY_EVERY_S
+        if earlier is None or frame.stamp_s - self._looked_s < every_s:
             return
         self._looked_s = frame.stamp_s
         found = earlier.place(PreparedView(frame), odom_from_depth)
@@ -147,8 +151,8 @@ class KeptMap:
             return False
         surfaces = self._surfaces()
         if surfaces.count >= _FEWEST_KEYFRAMES and not (self._foreign or self._wrong):
-            file, flown = self._file, FlownMap.of(surfaces)
-            self._pending = self._executor.submit(lambda: write(file, flown), _WRITE_COST_S)
+            file, arrays = self._file, copied(surfaces)
+            self._pending = self._executor.submit(lambda: write(file, arrays), _WRITE_COST_S)
         return True
 
 
@@ -167,13 +171,13 @@ class NoKeptMap:
         """Do nothing."""
 
 
-def write(file: Path, flown: FlownMap) -> None:
-    """Replace the file, atomically, also across a loss of power.
+def write(file: Path, arrays: dict[str, AnyArray]) -> None:
+    """Replace the file by a copied map, atomically, also across a loss of power.
 
     A folder that cannot be written is logged and changes nothing.
     """
     try:
-        atomic_file.replace(file, flown.to_bytes(), durable=True)
+        atomic_file.replace(file, file_of(arrays), durable=True)
     except OSError as error:
         _LOG.warning("%s: cannot be written (%s)", file, error.strerror)
 
