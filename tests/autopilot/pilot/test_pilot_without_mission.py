@@ -175,6 +175,30 @@ def test_uncertain_of_its_place_on_the_pad_it_takes_off() -> None:
     assert rig.height_m > 0.9
 
 
+def test_a_climb_that_loses_its_place_goes_back_down_to_where_it_knew_it() -> None:
+    """Before a bare wall the floor is in view near the pad only."""
+    rig = Rig()
+    rig.until(FlightPhase.READY, 20.0)
+    rig.intent = (Goal.FLY, None)
+    rig.until(FlightPhase.FLYING, 8.0)
+    way = smooth_way(rig.clock.now_s() + 0.1, [(0.0, 0.0, 0.0), (0.0, 0.0, 1.1)], 1, 0.12)
+    rig.intent = (Goal.FLY, way)
+    while rig.height_m < 0.5:
+        rig.run(0.1)
+    rig.health, rig.health_reason = PoseHealth.DEGRADED, Reason(ReasonCode.PLACE_UNSURE, (0.05,))
+    rig.run(2.0)
+    assert rig.height_m == pytest.approx(0.2, abs=0.08), "down at once: the place is lost after three seconds"
+    assert abs(rig.state.world_from_body.yaw_rad()) < 0.1
+    rig.run(1.0)
+    assert rig.height_m == pytest.approx(0.2, abs=0.05), "it does not land"
+    rig.health = PoseHealth.GOOD
+    rig.run(2.5)
+    rig.intent = (Goal.FLY, smooth_way(rig.clock.now_s() + 0.1, [(0.0, 0.0, 0.2), (0.0, 0.0, 1.1)], 2, 0.12))
+    rig.run(way.duration_s + 1.0)
+    assert rig.pilot.phase is FlightPhase.FLYING
+    assert rig.height_m > 0.9
+
+
 @pytest.mark.parametrize("in_a_row", [1, 2])
 def test_one_missing_frame_at_the_rate_of_a_slow_camera_stops_nothing_and_two_do(hovering: Rig, in_a_row: int) -> None:
     """A camera of 6 Hz, whose frames arrive 0.08 s late: every sixth one shows nothing."""

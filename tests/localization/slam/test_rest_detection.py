@@ -100,6 +100,22 @@ def test_motors_that_run_or_a_turn_end_the_rest(rate: float, rate_noise: float, 
     assert not rest.still(0.8)
 
 
+@pytest.mark.parametrize(
+    ("lift_mps2", "rate_radps", "stands"), [(0.0, 0.0, True), (0.3, 0.0, True), (0.9, 0.0, False), (0.0, 0.04, False)]
+)
+def test_a_body_whose_motors_run_stands_until_it_lifts(lift_mps2: float, rate_radps: float, stands: bool) -> None:
+    """The specific force shakes by 0.6 m/s² about that of the rest; 60 samples a second, as a camera's."""
+    tilted = Rotation.from_euler("Y", 0.1).inv().apply(LEVEL_MPS2)
+    rest, random = _fed(np.zeros(3), tilted, rate_noise=0.002, force_noise=0.03), np.random.default_rng(2)
+    assert rest.level(0.8) is not None
+    answers = []
+    for n in range(180):
+        shaken = tilted + np.array([0.0, 0.0, lift_mps2]) + 0.6 * random.standard_normal(3)
+        rest.add([ImuSample(0.8 + n / 60, np.array([rate_radps, 0.0, 0.0]) + 0.01 * random.standard_normal(3), shaken)])
+        answers.append(rest.still(0.8 + n / 60))
+    assert np.mean(answers) > 0.95 if stands else not any(answers[30:])
+
+
 def test_nothing_is_still_without_inertial_samples() -> None:
     assert not RestDetector().still(1.0)
 

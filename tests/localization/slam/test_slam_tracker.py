@@ -11,7 +11,9 @@ import numpy as np
 import pytest
 from slam_flight import (
     BODY_FROM_DEPTH,
+    FORCE_NOISE_MPS2,
     GYRO_BIAS_RADPS,
+    GYRO_NOISE_RADPS,
     RATE_HZ,
     REST_S,
     SECONDS,
@@ -420,6 +422,39 @@ def test_poses_that_still_contain_a_found_error_are_doubted() -> None:
         reported.append(pose.health)
         tracker._doubt.found(np.zeros(3), 0.1)
     assert reported == [PoseHealth.DEGRADED] * 6 + [PoseHealth.GOOD] * 4
+
+
+def _spooled(seconds: float) -> tuple[ImuSample, ...]:
+    """Return the samples of a flight whose motors run for this time before it lifts."""
+    shaken, random = list[ImuSample](), np.random.default_rng(8)
+    for sample in imu():
+        if sample.stamp_s > REST_S and not shaken:
+            still = np.array([each.specific_force_mps2 for each in imu() if each.stamp_s < REST_S]).mean(axis=0)
+            for n in range(round(seconds * 200)):
+                rate = GYRO_BIAS_RADPS + GYRO_NOISE_RADPS * random.standard_normal(3)
+                shaken.append(ImuSample(REST_S + n / 200, rate, still + FORCE_NOISE_MPS2 * random.standard_normal(3)))
+    before = [sample for sample in imu() if sample.stamp_s <= REST_S]
+    return (*before, *shaken, *(replace(s, stamp_s=s.stamp_s + seconds) for s in imu() if s.stamp_s > REST_S))
+
+
+def test_a_body_whose_motors_run_stands_where_it_stood_and_its_first_motion_is_known() -> None:
+    """A view of nothing but a wall does not show that the body has not slid along it."""
+    waits_s, tracker, seen = 2.0, SlamTracker(), list[Frame]()
+    for n in range(round((REST_S + waits_s) * RATE_HZ)):
+        depth_m, rgb = rendered(truth(0.0) @ BODY_FROM_DEPTH, 500 + n)
+        seen.append(replace(frame(0), stamp_s=n / RATE_HZ, depth_m=depth_m, rgb=rgb))
+    seen += [replace(frame(n), stamp_s=n / RATE_HZ + waits_s) for n in range(round(REST_S * RATE_HZ) + 1, round(3.5 * RATE_HZ))]
+    errors_m, stood_m = list[float](), list[float]()
+    for answer in fly(tracker, map(colourless, seen), _spooled(waits_s)):
+        if answer.pose is not None:
+            shown_s = answer.stamp_s if answer.stamp_s < REST_S else max(answer.stamp_s - waits_s, REST_S)
+            off = truth(shown_s).inverse() @ answer.pose.odom_from_body
+            (stood_m if answer.stamp_s < REST_S + waits_s else errors_m).append(float(np.linalg.norm(off.translation_m)))
+            if len(errors_m) == 2:  # the first frame whose inertial samples or image show the motion
+                true_mps = (truth(shown_s + 1e-3).translation_m - truth(shown_s - 1e-3).translation_m) / 2e-3
+                assert answer.pose.velocity_odom_mps[0] == pytest.approx(true_mps[0], abs=0.03)
+    assert max(stood_m) < 0.002
+    assert max(errors_m) < 0.05
 
 
 @pytest.mark.parametrize("unsure", [False, True])

@@ -14,11 +14,13 @@ from uav_recon.types.pose import Pose
 
 _REST_S = 0.5  #: refuse: no pose of our own before the inertial samples were at rest for this time
 _KEPT_S = 1.0  #: internal: the rest is measured over the inertial samples of this time
-_STILL_S = 0.3  #: internal: time over which the rest on the pad is measured
+STILL_S = 0.3  #: internal: time over which the rest on the pad is measured
 #: internal: a body that turns faster has moved for the first time; until then it stands on the pad
 _STILL_RADPS = 0.02
-#: internal: a larger standard deviation of the specific force also ends the rest on the pad: the motors run
+#: internal: with a larger standard deviation of the specific force the motors run. Then the rest on the pad ends ...
 _STILL_MPS2 = 0.3
+#: internal: ... when its mean differs from that of the rest by more, four times its noise; an image shows a lift earlier
+_LIFTS_MPS2 = 0.6
 _WITHOUT_S = 0.25  #: refuse: without inertial samples for this time, the body is taken as level
 _MAX_SPREAD_RADPS = 0.05  #: refuse: a larger standard deviation of the turn rate is no rest
 _MAX_RATE_RADPS = 0.1  #: refuse: nor a larger mean
@@ -46,17 +48,19 @@ class RestDetector:
         return bool(self._samples)
 
     def still(self, stamp_s: float) -> bool:
-        """Return True while the newest inertial samples are those of a body with its motors off."""
-        newest = [sample for sample in self._samples if sample.stamp_s > stamp_s - _STILL_S]
+        """Return True while the newest inertial samples are those of a body that stands.
+
+        Its motors may run: until it lifts, the specific force shakes about that of the rest.
+        """
+        newest = [sample for sample in self._samples if sample.stamp_s > stamp_s - STILL_S]
         if not newest:
             return False
         rate = np.array([sample.gyro_radps for sample in newest]) - self.gyro_bias_radps
         force = np.array([sample.specific_force_mps2 for sample in newest])
-        return bool(
-            np.abs(rate.mean(axis=0)).max() < _STILL_RADPS
-            and rate.std(axis=0).max() < _MAX_SPREAD_RADPS
-            and force.std(axis=0).max() < _STILL_MPS2
-        )
+        if np.abs(rate.mean(axis=0)).max() >= _STILL_RADPS or rate.std(axis=0).max() >= _MAX_SPREAD_RADPS:
+            return False
+        stands = self._force_mps2 is not None and np.abs(force.mean(axis=0) - self._force_mps2).max() < _LIFTS_MPS2
+        return bool(force.std(axis=0).max() < _STILL_MPS2 or stands)
 
     def level(self, stamp_s: float) -> Pose | None:
         """Return odom_from_body of a body at rest with heading zero; None while it is not known.

@@ -24,6 +24,7 @@ from uav_recon.localization.slam.outside_motion import NoOutsideMotion, OutsideM
 from uav_recon.localization.slam.place_doubt import LONG_WAY_BACK_S, PlaceDoubt
 from uav_recon.localization.slam.place_errors import Update
 from uav_recon.localization.slam.prepared_view import PreparedView
+from uav_recon.localization.slam.rest_detection import STILL_S
 from uav_recon.localization.slam.rgbd_registration import (
     MotionPrior,
     Registration,
@@ -209,6 +210,7 @@ class SlamTracker:
         found = self._registered(view, prior)
         if self._rests(frame.stamp_s, found, prior):
             return self._stay(view, self._state, body_from_depth)
+        found, prior = self._after_rest(view, found, prior, body_from_depth)
         frozen = repeats_s > FROZEN_S
         self.fault = TrackingFault.FROZEN if frozen else self._monitor.fault(found, prior)
         if self.fault in _SEARCHED:
@@ -437,6 +439,16 @@ class SlamTracker:
         odom_from_depth = state.odom_from_body @ body_from_depth
         self._add_to_map(view, odom_from_depth, np.zeros(6))
         return self._stamped(view.frame.stamp_s)
+
+    def _after_rest(
+        self, view: PreparedView, registration: Registration, prior: MotionPrior, body_from_depth: Pose
+    ) -> tuple[Registration, MotionPrior]:
+        """Register the first frame of the flight again: the body has moved since it last rested for sure."""
+        if self._state is None or not self._begin.launches:
+            return registration, prior
+        self._state = replace(self._state, stamp_s=self._state.stamp_s - STILL_S)
+        prior = self._predict(self._state, view.frame.stamp_s, body_from_depth)
+        return self._registered(view, prior), prior
 
     def _predict(self, state: TrackedState, stamp_s: float, body_from_depth: Pose) -> MotionPrior:
         """Return the predicted motion from the newest accepted frame."""

@@ -50,13 +50,17 @@ class Start:
 
 
 class StartDetector:
-    """Finds where a track begins, and when a body at rest is launched. Not thread-safe."""
+    """Finds where a track begins, and when a body at rest is launched. Not thread-safe.
+
+    ``launches``: the newest frame is the first one that is not of the rest; it may have moved for up to STILL_S.
+    """
 
     def __init__(self) -> None:
         self._rest = RestDetector()
         self._odom_at: OdomAt | None = None
         self._level_assumed_s = -math.inf  # start without inertial samples
         self._launched = False  # inertial samples or images have shown that the body has moved once
+        self.launches = False
 
     def add_imu(self, samples: list[ImuSample]) -> None:
         """Add inertial samples, oldest first."""
@@ -105,5 +109,7 @@ class StartDetector:
         known_points, landmarks: that show in the image that the body has moved by moved_m.
         """
         seen = known_points >= _SEEN_POINTS or landmarks >= _SEEN_LANDMARKS
+        before = self._launched
         self._launched = self._launched or not self._rest.still(stamp_s) or (seen and moved_m > _REST_M)
+        self.launches = self._launched and not before
         return not self._launched

@@ -6,8 +6,9 @@ import itertools
 import math
 
 import numpy as np
+import pytest
 
-from uav_recon.autopilot.pilot.setpoints.flown_views import FlownViews
+from uav_recon.autopilot.pilot.setpoints.flown_views import FlownViews, way_down
 from uav_recon.autopilot.pilot.situation.message_validation import trajectory_fault
 from uav_recon.types.pose import Pose
 from uav_recon.types.trajectory import Setpoint, Trajectory
@@ -28,6 +29,18 @@ def _flown(*views: tuple[float, float, float, float]) -> FlownViews:
 
 def _back(views: FlownViews, x: float, yaw_rad: float, z: float = 1.1) -> Trajectory:
     return views.way_back(Setpoint.hold(np.array([x, 0.0, z]), yaw_rad), HEIGHT_M, 50.0, 0.3, TURN_RADPS / 0.7, 0)
+
+
+@pytest.mark.parametrize("z", [0.15, 0.5, 1.0])
+def test_the_way_down_is_straight_quick_and_ends_off_the_floor(z: float) -> None:
+    way = way_down(Setpoint.hold(np.array([0.3, -0.2, z]), 0.7), 50.0, 0.3, 0)
+    assert trajectory_fault(way) is None
+    np.testing.assert_allclose(way.position_m[:, :2], np.tile([0.3, -0.2], (len(way.position_m), 1)), atol=1e-9)
+    np.testing.assert_allclose(way.yaw_rad, 0.7)
+    assert way.position_m[-1, 2] == pytest.approx(min(z, 0.2))
+    assert way.duration_s <= max(z - 0.2, 0.0) / 0.27 + 1.0
+    assert np.linalg.norm(way.velocity_mps, axis=1).max() <= 0.3
+    assert np.linalg.norm(way.acceleration_mps2, axis=1).max() <= 1.5
 
 
 def test_it_turns_back_on_the_spot_and_then_flies_back_as_it_looked() -> None:

@@ -140,7 +140,7 @@ class FlightSequence:
 
     def _failsafe_inputs(self, now_s: float) -> FailsafeInputs:
         return self._situation.failsafe_inputs(
-            now_s, self._failsafe.refusals, self._preflight.parameter_changed, has_climbed=self._selector.has_climbed
+            now_s, self._failsafe.refusals, self._preflight.parameter_changed, has_views=self._selector.has_views
         )
 
     # ---- act --------------------------------------------------------------------------------------------------

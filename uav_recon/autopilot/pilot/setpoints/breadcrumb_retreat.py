@@ -101,14 +101,20 @@ def flown(
 
 
 def smoothed(
-    rows: FloatArray, rest: Setpoint, start_s: float, map_epoch: int, identifier: int, turn_smooth_s: float = _SMOOTH_S
+    rows: FloatArray,
+    rest: Setpoint,
+    start_s: float,
+    map_epoch: int,
+    identifier: int,
+    turn_smooth_s: float = _SMOOTH_S,
+    smooth_s: float = _SMOOTH_S,
 ) -> Trajectory:
     """Return a trajectory that begins and ends at rest, with its corners rounded.
 
-    rows (M, 4): positions and unwrapped headings, STEP_S apart. turn_smooth_s: as _SMOOTH_S, of the headings; with less they
-    lead the positions.
+    rows (M, 4): positions and unwrapped headings, STEP_S apart. smooth_s: time over which corners are rounded.
+    turn_smooth_s: the same of the headings, no more; with less they lead the positions.
     """
-    box, turn_box = round(_SMOOTH_S / STEP_S), round(turn_smooth_s / STEP_S)
+    box, turn_box = round(smooth_s / STEP_S), round(turn_smooth_s / STEP_S)
     padded = np.vstack([np.repeat(rows[:1], 2 * box, axis=0), rows, np.repeat(rows[-1:], 2 * box, axis=0)])
     weights = [_rounding(box)] * 3 + [np.pad(_rounding(turn_box), (0, 2 * (box - turn_box)))]
     smooth = np.column_stack([np.convolve(padded[:, n], weights[n], mode="valid") for n in range(4)])

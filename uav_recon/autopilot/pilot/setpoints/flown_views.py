@@ -24,7 +24,22 @@ _TURN_SHARE = 0.7  #: retreat: share of the guard's yaw rate on the way back
 _TURN_SMOOTH_S = 0.2  #: retreat: as the corners of a path back, of turns: the place is lost after two seconds
 _MOST_TURN_RAD = math.radians(135.0)  #: retreat: a longer turn to a view that shows the place takes as long as the way back
 _LOOKS_S = 3.0  #: retreat: pause in that view, until the place is known again and odometry is there
+_LOW_M = 0.2  #: retreat: height above the pad to which a climb goes back that has lost its place: the floor is in view there
 _LONGEST_S = 20.0  #: retreat: longest way back
+
+
+def way_down(rest: Setpoint, start_s: float, speed_mps: float, map_epoch: int) -> Trajectory:
+    """Return a trajectory from rest straight down to _LOW_M, where the climb has seen the floor; a hold below it.
+
+    It stays below a speed.
+    """
+    x, y, z = rest.position_m.tolist()
+    low_m = min(z, _LOW_M)
+    samples_s = np.arange(0.0, (z - low_m) / (_SHARE * speed_mps) + 2.0 * STEP_S, STEP_S)
+    heights_m = np.maximum(z - _SHARE * speed_mps * samples_s, low_m)
+    same = np.ones_like(heights_m)
+    rows = np.column_stack([x * same, y * same, heights_m, rest.yaw_rad * same])
+    return smoothed(rows, rest, start_s, map_epoch, IDENTIFIER, _TURN_SMOOTH_S, _TURN_SMOOTH_S)
 
 
 class FlownViews:

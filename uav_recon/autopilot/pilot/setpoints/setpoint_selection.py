@@ -13,7 +13,7 @@ import numpy as np
 
 from uav_recon.autopilot.pilot.hull_geometry import HullGeometry
 from uav_recon.autopilot.pilot.setpoints.breadcrumb_retreat import Breadcrumbs
-from uav_recon.autopilot.pilot.setpoints.flown_views import FlownViews
+from uav_recon.autopilot.pilot.setpoints.flown_views import FlownViews, way_down
 from uav_recon.autopilot.pilot.setpoints.obstacle_evasion import ObstacleEvasion
 from uav_recon.autopilot.pilot.setpoints.setpoint_blending import SetpointBlender
 from uav_recon.autopilot.pilot.situation.situation import Situation
@@ -37,6 +37,7 @@ _LED_MPS = 0.2  #: hold: with slower setpoints the present deviation counts: at 
 _LONGEST_AGE_S = 0.1  # max. age of a setpoint that is extrapolated by its velocity
 #: retreat: share of the hover height: the first breadcrumb this high ends the climb, and no way back leads below it
 _HOVER_SHARE = 0.9
+_LIFTED_M = 0.2  #: retreat: a climb that still knew its place at this height can go back down to it
 
 
 class SetpointSelector:
@@ -52,7 +53,7 @@ class SetpointSelector:
         self._hover_height_m = hull.hover_height_m
         self._crumbs = Breadcrumbs()
         self._views = FlownViews()
-        self._climbed = False
+        self._climbed = self._lifted = False
         self._flown: Setpoint | None = None  # the newest setpoint that was sent
         self._flown_s = -math.inf
         self._off: deque[tuple[float, float]] = deque()  # (instant, metres) off its path
@@ -94,15 +95,17 @@ class SetpointSelector:
         return self._guard.refusals.total
 
     @property
-    def has_climbed(self) -> bool:
-        """True once the vehicle has been at its hover height: there are views to go back to."""
-        return self._climbed
+    def has_views(self) -> bool:
+        """True once the vehicle has known its place in the air: there are views to go back to."""
+        return self._climbed or self._lifted
 
     def was_at(self, odom_from_body: Pose) -> None:
         """Record a position in flight that is not on the path back."""
         self._crumbs.drop(odom_from_body)
         self._views.add(odom_from_body)
-        self._climbed = self._climbed or float(odom_from_body.translation_m[2]) >= _HOVER_SHARE * self._hover_height_m
+        height_m = float(odom_from_body.translation_m[2])
+        self._lifted = self._lifted or (height_m >= _LIFTED_M and self._situation.poses.unsure is None)
+        self._climbed = self._climbed or height_m >= _HOVER_SHARE * self._hover_height_m
         self._way_back = None
         self._refused_ways = 0
 
@@ -121,7 +124,7 @@ class SetpointSelector:
         self._flown = None
         self._crumbs.forget()
         self._views.forget()
-        self._climbed = False
+        self._climbed = self._lifted = False
         self._situation.mission.reject_trajectory()
         self._way_back = None
         self._refused_ways = 0
@@ -256,6 +259,8 @@ class SetpointSelector:
         speed_mps, yaw_rate_radps = self._guard.bounds.retreat_speed_mps, self._guard.envelope.max_yaw_rate_radps
         if self._situation.poses.unsure is not None:
             self._turn_down()
+            if not self._climbed:
+                return way_down(rest, now_s, speed_mps, inputs.map_epoch)
             seeing_yaw_rad = self._situation.mission.seeing_yaw_rad(now_s)
             return self._views.way_back(rest, height_m, now_s, speed_mps, yaw_rate_radps, inputs.map_epoch, seeing_yaw_rad)
         seeing = inputs.ahead is not None and now_s - inputs.ahead.stamp_s <= self._guard.bounds.depth_timeout_s

@@ -90,12 +90,11 @@ class Situation:
         )  # fmt: skip
 
     def failsafe_inputs(
-        self, now_s: float, refusals: RefusalHistory, parameter_changed: Reason | None, *, has_climbed: bool
+        self, now_s: float, refusals: RefusalHistory, parameter_changed: Reason | None, *, has_views: bool
     ) -> FailsafeInputs:
         """Return the failsafe's inputs.
 
-        refusals: of this flight. parameter_changed: what changed since arming. has_climbed: the vehicle was at its hover
-        height.
+        refusals: of this flight. parameter_changed: what changed since arming. has_views: there are views to go back to.
         """
         inside = self._guard.envelope.fence.holds(self._position_m)
         pose_s = min(self.poses.sound_s, self._link.status.pose_fed_s)  # no other poses are used for flight
@@ -104,7 +103,7 @@ class Situation:
         wrong = self.poses.wrong or self.estimate.land_reason
         ages_s = (now_s - pose_s, self.mission.age_s(now_s), self.surroundings.depth_age_s(now_s))
         rejected = self.surroundings.rejects_depth(now_s, self._guard.bounds.depth_timeout_s)
-        unsure = self.poses.unsure if has_climbed else None
+        unsure = self.poses.unsure if has_views else None
         many = refusals.many(now_s)
         missing_s = self.surroundings.one_missing_s
         return FailsafeInputs(now_s, *ages_s, inside, many, lost, wrong, refusals.refused_s, rejected, unsure, missing_s)
