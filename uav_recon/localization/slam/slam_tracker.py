@@ -443,7 +443,10 @@ class SlamTracker:
     def _after_rest(
         self, view: PreparedView, registration: Registration, prior: MotionPrior, body_from_depth: Pose
     ) -> tuple[Registration, MotionPrior]:
-        """Register the first frame of the flight again: the body has moved since it last rested for sure."""
+        """Register the first frame of the flight again.
+
+        The body has moved since it last rested for sure.
+        """
         if self._state is None or not self._begin.launches:
             return registration, prior
         self._state = replace(self._state, stamp_s=self._state.stamp_s - STILL_S)

@@ -29,9 +29,9 @@ _LONGEST_S = 20.0  #: retreat: longest way back
 
 
 def way_down(rest: Setpoint, start_s: float, speed_mps: float, map_epoch: int) -> Trajectory:
-    """Return a trajectory from rest straight down to _LOW_M, where the climb has seen the floor; a hold below it.
+    """Return a trajectory from rest straight down to _LOW_M; a hold below it.
 
-    It stays below a speed.
+    The climb has seen the floor there. It stays below a speed.
     """
     x, y, z = rest.position_m.tolist()
     low_m = min(z, _LOW_M)
