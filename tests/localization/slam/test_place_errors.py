@@ -114,6 +114,20 @@ def test_keyframes_that_stay_where_they_are_cost_little_and_claim_nothing(seed: 
     np.testing.assert_allclose(state[:3], dense.mean[:3], atol=0.003)
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_of_many_keyframes_those_move_that_an_update_moves_most(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The time of an update is bounded; the others claim no less than one large filter does."""
+    monkeypatch.setattr(place_errors, "_MOST_MOVED", 6)
+    errors, dense, *_ = _flown(seed, 120)
+    assert errors.count > 12
+    assert np.diagonal(errors.places - dense.covariance[12:, 12:]).min() > -1e-9
+    assert np.linalg.eigvalsh(errors.places).min() > -1e-12
+    after, _, moved_m, update = errors.updated(*_seen(errors, 0, np.array([0.02, 0.0, 0.0])))
+    length_m = np.linalg.norm(moved_m, axis=1)
+    assert np.count_nonzero(length_m) == 6 == len(update.elements) // 3
+    assert after.count == errors.count
+
+
 def test_an_update_can_be_undone_and_done_again() -> None:
     errors, *_ = _flown(1)
     before = errors.places.copy()

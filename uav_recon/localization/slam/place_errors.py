@@ -21,6 +21,7 @@ PLACE = slice(0, 3)  # of the body's state
 _FIRST_LAG_M = 1e-3
 _FIRST_CAPACITY = 64  # keyframes
 _LEAST_GAIN = 0.01  # a keyframe that an update would move by less than this share of the corrections stays where it is
+_MOST_MOVED = 100  # keyframes that an update moves, those by most: its time grows with their number
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -149,8 +150,9 @@ class PlaceErrors:
         gain = np.hstack((self.cross[own].T, self.shared[: self.cross.shape[1], at])) @ inverse
         less = _positive(before - joint)
         by_body = body_gain @ less
-        moves = np.abs(gain.reshape(-1, 3, gain.shape[1])).max(axis=(1, 2)) > _LEAST_GAIN
-        active = _elements(np.flatnonzero(moves))
+        moves = np.abs(gain.reshape(-1, 3, gain.shape[1])).max(axis=(1, 2))
+        most = np.argsort(-moves, kind="stable")[:_MOST_MOVED]
+        active = _elements(np.sort(most[moves[most] > _LEAST_GAIN]))
         update = Update(active, gain[active] @ less, gain)
         self._add(update, -1.0)
         body = self.body - by_body @ body_gain.T
