@@ -71,8 +71,8 @@ def look(found: KeptMap, numbers: range, odom: Pose | None = None) -> None:
 
 
 def test_a_flight_finds_where_it_began_in_the_map_of_the_one_before(tmp_path: Path) -> None:
-    write(tmp_path / "map.npz", arrays())
-    found = kept(tmp_path / "map.npz")
+    write(tmp_path / "map.bin", arrays())
+    found = kept(tmp_path / "map.bin")
     assert said(found).code is ReasonCode.EARLIER_MAP_SEARCHED
     look(found, range(18, 150, 5))
     assert found.earlier_from_odom is not None
@@ -85,8 +85,8 @@ def test_a_flight_finds_where_it_began_in_the_map_of_the_one_before(tmp_path: Pa
 
 
 def test_the_same_view_again_and_again_proves_nothing(tmp_path: Path) -> None:
-    write(tmp_path / "map.npz", arrays())
-    found = kept(tmp_path / "map.npz")
+    write(tmp_path / "map.bin", arrays())
+    found = kept(tmp_path / "map.bin")
     for n in range(20):
         seen, odom_from_depth = later_frame(18)
         found.look(replace(seen, stamp_s=float(n)), odom_from_depth)
@@ -94,8 +94,8 @@ def test_the_same_view_again_and_again_proves_nothing(tmp_path: Path) -> None:
 
 
 def test_a_flight_elsewhere_looks_less_and_less(tmp_path: Path) -> None:
-    write(tmp_path / "map.npz", arrays())
-    found = kept(tmp_path / "map.npz")
+    write(tmp_path / "map.bin", arrays())
+    found = kept(tmp_path / "map.bin")
     seen, odom_from_depth = later_frame(18)
     bare = replace(seen, rgb=np.zeros_like(seen.rgb))
     looked_s = list[float]()
@@ -107,8 +107,8 @@ def test_a_flight_elsewhere_looks_less_and_less(tmp_path: Path) -> None:
 
 
 def test_odometry_that_wanders_is_not_placed(tmp_path: Path) -> None:
-    write(tmp_path / "map.npz", arrays())
-    found = kept(tmp_path / "map.npz")
+    write(tmp_path / "map.bin", arrays())
+    found = kept(tmp_path / "map.bin")
     for k, number in enumerate(range(18, 150, 5)):  # 0.3 m farther with each view: no two agree
         look(found, range(number, number + 1), Pose(np.array([1.0, 0.0, 0.0, 0.0]), np.array([0.3 * k, 0.0, 0.0])))
     assert found.earlier_from_odom is None
@@ -145,6 +145,13 @@ def _cut() -> bytes:
     return whole[: len(whole) // 2]
 
 
+def _flipped() -> bytes:
+    """Return a file with one wrong bit amid its compressed arrays, which zlib may not survive."""
+    whole = bytearray(file_of(arrays()))
+    whole[len(whole) // 2] ^= 4
+    return bytes(whole)
+
+
 def _garbage() -> bytes:
     return bytes(range(256)) * 4
 
@@ -167,9 +174,9 @@ def _of_the_future() -> bytes:
     return file_of({**arrays(), "format": np.array(99)})
 
 
-@pytest.mark.parametrize("damage", [_cut, _garbage, _does_not_fit, _infinite, _without_poses, _of_the_future, bytes])
+@pytest.mark.parametrize("damage", [_cut, _flipped, _garbage, _does_not_fit, _infinite, _without_poses, _of_the_future, bytes])
 def test_a_damaged_file_is_refused_and_never_replaced(damage: Callable[[], bytes], tmp_path: Path) -> None:
-    file = tmp_path / "map.npz"
+    file = tmp_path / "map.bin"
     file.write_bytes(damage())
     before = file.read_bytes()
     with pytest.raises(ForeignMapError):
@@ -186,7 +193,7 @@ def test_a_damaged_file_is_refused_and_never_replaced(damage: Callable[[], bytes
 
 
 def test_a_flight_leaves_its_map_once_it_rests(tmp_path: Path) -> None:
-    file, clock = tmp_path / "map.npz", ManualClock(0.0)
+    file, clock = tmp_path / "map.bin", ManualClock(0.0)
     left = kept(file, surfaces(), clock)
     assert left.reason is None
     left.update(at_rest=True, wrong=False)
@@ -206,15 +213,15 @@ def test_a_flight_leaves_its_map_once_it_rests(tmp_path: Path) -> None:
 
 
 def test_a_flight_that_was_wrong_once_or_saw_nothing_leaves_no_map(tmp_path: Path) -> None:
-    wrong = kept(tmp_path / "wrong.npz", surfaces())
+    wrong = kept(tmp_path / "wrong.bin", surfaces())
     wrong.update(at_rest=False, wrong=True)
     wrong.update(at_rest=True, wrong=False)
-    empty = kept(tmp_path / "empty.npz")
+    empty = kept(tmp_path / "empty.bin")
     empty.update(at_rest=False, wrong=False)
     empty.update(at_rest=True, wrong=False)
     assert not list(tmp_path.iterdir())
 
 
 def test_a_folder_that_is_gone_ends_nothing(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    write(tmp_path / "gone" / "map.npz", arrays())
+    write(tmp_path / "gone" / "map.bin", arrays())
     assert "cannot be written (No such file or directory)" in caplog.text

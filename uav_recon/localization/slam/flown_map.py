@@ -6,9 +6,9 @@ stand upright: a place with another vertical is wrong.
 
 from __future__ import annotations
 
+import hashlib
 import io
 import math
-import zipfile
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 
 from uav_recon.localization.slam.depth_image import grid_points, write_normals
-from uav_recon.localization.slam.keyframe_map import SHOWN, THROUGH, KeyframeMap, Keyframes, shown_points
+from uav_recon.localization.slam.keyframe_map import SHOWN, THROUGH, KeyframeMap, Keyframes, pose_of, shown_points
 from uav_recon.localization.slam.place_recognition import FARTHEST_BITS, UnplacedView
 from uav_recon.localization.slam.prepared_view import PreparedView
 from uav_recon.types.frames import AnyArray, FloatArray, IntArray
@@ -24,8 +24,9 @@ from uav_recon.types.pose import Pose
 
 _FORMAT = 1
 _POSES = ("camera", "rotation", "place_m", "variance")  # arrays of Keyframes in the file
+_ARRAYS = {"depth", *_POSES, "first", "bits", "corners_m"}
 _M_PER_UNIT = 1e-3  # depth in the file
-_MOST_BYTES = 1 << 30  # of an array in the file: a larger one is no map
+_DIGEST_BYTES = 32  # of a file, before its arrays: a damaged file is refused before it is parsed
 _DESCRIPTOR_BYTES = 32
 _NEAREST = 4  # corners of the map that each corner of a view votes for
 _TRIED = 6  # keyframes with most votes
@@ -60,13 +61,13 @@ class FlownMap:
     @staticmethod
     def from_bytes(data: bytes) -> FlownMap:
         """Return the map in a file. About 0.5 s for 200 keyframes. Raises ForeignMapError."""
-        try:
-            arrays = _arrays(data)
-            whole = int(arrays["format"]) == _FORMAT and _is_whole(arrays)
-        except (KeyError, ValueError, TypeError, OSError, EOFError, zipfile.BadZipFile, NotImplementedError):
-            whole = False
-        if not whole:
-            raise ForeignMapError("not the map of a flight")
+        digest, content = data[:_DIGEST_BYTES], data[_DIGEST_BYTES:]
+        if hashlib.sha256(content).digest() != digest:
+            raise ForeignMapError("not the map of a flight, or damaged")
+        with np.load(io.BytesIO(content), allow_pickle=False) as file:
+            arrays = {name: np.asarray(file[name]) for name in file.files}
+        if int(arrays.get("format", 0)) != _FORMAT or not (arrays.keys() >= _ARRAYS and _is_whole(arrays)):
+            raise ForeignMapError("of another version")
         depth_m = arrays["depth"].astype(np.float32) * np.float32(_M_PER_UNIT)
         normal = np.zeros((*depth_m.shape, 3), np.float32)
         for image_m, camera, normals in zip(depth_m, arrays["camera"], normal, strict=True):
@@ -82,7 +83,7 @@ class FlownMap:
         unplaced = UnplacedView(view)
         for n in self._likely(unplaced.bits).tolist():
             of = slice(int(self.first[n]), int(self.first[n + 1]))
-            found = unplaced.place(self.bits[of], self.corners_m[of], self._pose(n))
+            found = unplaced.place(self.bits[of], self.corners_m[of], pose_of(self.keyframes, n))
             upright = None if found is None else _upright(found, odom_from_depth)
             if upright is not None and self._confirms(view, upright @ odom_from_depth):
                 return upright
@@ -100,11 +101,6 @@ class FlownMap:
         votes = np.bincount(np.searchsorted(self.first, which, side="right") - 1, minlength=self.count)
         order = np.argsort(-votes, kind="stable")[:_TRIED]
         return np.asarray(order[votes[order] > 0])
-
-    def _pose(self, number: int) -> Pose:
-        matrix = np.eye(4)
-        matrix[:3, :3], matrix[:3, 3] = self.keyframes.rotation[number], self.keyframes.place_m[number]
-        return Pose.from_matrix(matrix)
 
     def _confirms(self, view: PreparedView, earlier_from_depth: Pose) -> bool:
         """Return True if the surfaces show the depth of a view from there, and hardly contradict it."""
@@ -146,20 +142,11 @@ def file_of(arrays: dict[str, AnyArray]) -> bytes:
     out = io.BytesIO()
     named: dict[str, Any] = dict(arrays)  # numpy's own keywords have other types
     np.savez_compressed(out, **named)
-    return out.getvalue()
-
-
-def _arrays(data: bytes) -> dict[str, AnyArray]:
-    """Return the arrays of a file. Raises what numpy and zipfile raise for a damaged one."""
-    with zipfile.ZipFile(io.BytesIO(data)) as archive:
-        if any(entry.file_size > _MOST_BYTES for entry in archive.infolist()):
-            raise ValueError("too large")
-    with np.load(io.BytesIO(data), allow_pickle=False) as file:
-        return {name: np.asarray(file[name]) for name in file.files}
+    return hashlib.sha256(out.getvalue()).digest() + out.getvalue()
 
 
 def _is_whole(arrays: dict[str, AnyArray]) -> bool:
-    """Return True if the arrays of a file fit together. Raises KeyError for a missing one."""
+    """Return True if the arrays of a file fit together."""
     count, corners, first = len(arrays["depth"]), len(arrays["bits"]), arrays["first"]
     kinds: dict[str, tuple[str, tuple[int, ...]]] = {
         "depth": ("uint16", (count, *arrays["depth"].shape[1:3])), "camera": ("float64", (count, 4)),

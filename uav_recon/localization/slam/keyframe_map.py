@@ -186,9 +186,7 @@ class KeyframeMap:
 
     def pose(self, number: int) -> Pose:
         """Return odom_from_depth of a keyframe."""
-        matrix = np.eye(4)
-        matrix[:3, :3], matrix[:3, 3] = self._all.rotation[number], self._all.place_m[number]
-        return Pose.from_matrix(matrix)
+        return pose_of(self._all, number)
 
     def remember(
         self,
@@ -320,6 +318,13 @@ class KeyframeMap:
         if looks & (looks - 1) == 0:
             write_normals(arrays.depth_m[number], arrays.camera[number], arrays.normal[number])
             self._corners[number].place(DepthImage(arrays.depth_m[number], arrays.camera[number]))
+
+
+def pose_of(keyframes: Keyframes, number: int) -> Pose:
+    """Return odom_from_depth of one of the keyframes."""
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = keyframes.rotation[number], keyframes.place_m[number]
+    return Pose.from_matrix(matrix)
 
 
 def _share(of: BoolArray) -> FloatArray:
