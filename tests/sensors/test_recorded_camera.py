@@ -80,7 +80,7 @@ def test_a_missing_image_is_left_out_and_counted(flight: Path) -> None:
 @pytest.mark.parametrize("text", ["", "[]", "{}", '{"keyframes": 3}', '{"keyframes": [{"sequence": 1}]}'])
 def test_a_folder_that_is_not_a_flight_is_a_one_line_error(flight: Path, text: str) -> None:
     (flight / "keyframes" / "poses.json").write_text(text)
-    with pytest.raises(RecordingError, match=r"poses\.json: not a keyframe list") as error:
+    with pytest.raises(RecordingError, match=r"poses\.json: (not a keyframe list|is no JSON from line 1,)") as error:
         RecordedCamera(flight, ManualClock())
     assert "\n" not in str(error.value)
 

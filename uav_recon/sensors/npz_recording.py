@@ -14,7 +14,7 @@ import numpy as np
 
 from uav_recon.interfaces import Clock
 from uav_recon.sensors.recordings.checked_recording import faults_of
-from uav_recon.sensors.recordings.recording import require_increasing
+from uav_recon.sensors.recordings.frame_stamps import require_increasing
 from uav_recon.sensors.stream_camera import depth_lookup_table
 from uav_recon.sensors.stream_format import StreamError
 from uav_recon.types.camera import Frame, ImuSample, Intrinsics

@@ -13,11 +13,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 
 from uav_recon.interfaces import Clock
-from uav_recon.sensors.recordings.recording import RecordingError, require_increasing
+from uav_recon.sensors.recordings.frame_stamps import require_increasing
+from uav_recon.sensors.recordings.image_decoding import read_depth, read_rgb
+from uav_recon.sensors.recordings.recording import DamagedItemError, RecordingError
 from uav_recon.sensors.stream_camera import depth_lookup_table
 from uav_recon.types.camera import Frame, ImuSample, Intrinsics
 from uav_recon.types.frames import Float32Array
@@ -47,20 +48,17 @@ class Keyframe:
         poses = [_pose(entry[name]) for name in ("rgb_from_depth", "world_from_depth")]
         return Keyframe(int(entry["sequence"]), float(entry["stamp_s"]), files[0], depth, files[1], rgb, *poses)
 
-    def load(self, table: Float32Array, stamp_s: float) -> Frame | None:
-        """Read the images (about 5 ms); None if one is missing or has another size.
+    def load(self, table: Float32Array, stamp_s: float) -> Frame:
+        """Read the images (about 5 ms). Raises DamagedItemError if one is missing, damaged or of another size.
 
         table: metres of 16-bit depth.
         """
-        depth_mm: Any = cv2.imread(str(self.depth), cv2.IMREAD_UNCHANGED)
-        bgr: Any = cv2.imread(str(self.rgb), cv2.IMREAD_COLOR)
+        depth_mm, image = read_depth(self.depth), read_rgb(self.rgb)
         depth, rgb = self.depth_intrinsics, self.rgb_intrinsics
-        if (
-            depth_mm is None or bgr is None or depth_mm.dtype != np.uint16
-            or depth_mm.shape != (depth.height, depth.width) or bgr.shape != (rgb.height, rgb.width, 3)
-        ):  # fmt: skip
-            return None
-        return Frame(stamp_s, self.sequence, table[depth_mm], depth, bgr[..., ::-1], rgb, self.rgb_from_depth)
+        for path, pixels, lens in ((self.depth, depth_mm, depth), (self.rgb, image, rgb)):
+            if pixels.shape[:2] != (lens.height, lens.width):
+                raise DamagedItemError(f"{path}: is {pixels.shape[1]} x {pixels.shape[0]}; want {lens.width} x {lens.height}")
+        return Frame(stamp_s, self.sequence, table[depth_mm], depth, image, rgb, self.rgb_from_depth)
 
 
 def read_keyframes(folder: Path) -> list[Keyframe]:
@@ -75,8 +73,12 @@ def read_keyframes(folder: Path) -> list[Keyframe]:
         frames = [Keyframe.read(images, entry) for entry in tree["keyframes"] if entry["world_from_depth"] is not None]
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read ({error.strerror})") from None
-    except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
-        raise RecordingError(f"{path}: not a keyframe list: {' '.join(repr(error).split())}") from None
+    except json.JSONDecodeError as error:
+        raise RecordingError(f"{path}: is no JSON from line {error.lineno}, column {error.colno} on; was it cut?") from None
+    except KeyError as error:
+        raise RecordingError(f"{path}: not a keyframe list: {error} is missing") from None
+    except (ValueError, TypeError, OverflowError, RecursionError) as error:
+        raise RecordingError(f"{path}: not a keyframe list: {' '.join(str(error).split())}") from None
     if not frames or any(not a.stamp_s < b.stamp_s for a, b in itertools.pairwise(frames)):
         raise RecordingError(f"{path}: wants at least one keyframe, with stamps that increase")
     require_increasing(path, [frame.stamp_s for frame in frames])
@@ -118,9 +120,11 @@ class RecordedCamera:
             return None
         self._next = due
         keyframe = recording.frames[due - 1]
-        frame = keyframe.load(self._table, keyframe.stamp_s + recording.shift_s)
-        self.missing_images += frame is None
-        return frame
+        try:
+            return keyframe.load(self._table, keyframe.stamp_s + recording.shift_s)
+        except DamagedItemError:
+            self.missing_images += 1
+            return None
 
     def imu(self) -> list[ImuSample]:
         """Return an empty list: keyframes have no inertial samples."""

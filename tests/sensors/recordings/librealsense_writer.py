@@ -36,7 +36,7 @@ def rgb_pixels(number: int) -> Any:
     return pixels
 
 
-def write(path: Path) -> None:
+def write(path: Path, *, compress: bool = True) -> None:
     """Write frames 40 ms apart by their stamps; they reach the recorder at once."""
     device = rs.software_device()
     device.create_matcher(rs.matchers.dlr_c)
@@ -49,7 +49,7 @@ def write(path: Path) -> None:
     rgb_from_depth = rs.extrinsics()
     rgb_from_depth.rotation, rgb_from_depth.translation = ROTATION.T.ravel().tolist(), TRANSLATION  # by columns
     depth.register_extrinsics_to(rgb, rgb_from_depth)
-    recorder = rs.recorder(str(path), device)
+    recorder = rs.recorder(str(path), device, compress)
     sensors = recorder.query_sensors()
     for sensor in sensors:
         sensor.open(sensor.get_stream_profiles())

@@ -12,14 +12,8 @@ from recording_folders import K, depth_mm, rgb, world_from_optical, write_seven_
 
 from uav_recon.clock import ManualClock
 from uav_recon.sensors.recordings.detection import ReadOptions, open_recording
-from uav_recon.sensors.recordings.recording import (
-    DepthUnit,
-    PlaybackCamera,
-    PlaybackPoses,
-    Recording,
-    RecordingError,
-    require_increasing,
-)
+from uav_recon.sensors.recordings.frame_stamps import require_increasing
+from uav_recon.sensors.recordings.recording import DepthUnit, PlaybackCamera, PlaybackPoses, Recording, RecordingError
 from uav_recon.sensors.recordings.seven_scenes_folder import DEFAULT_K, SevenScenesFolder
 from uav_recon.sensors.recordings.tum_folder import CALIBRATIONS, TumFolder
 from uav_recon.types.pose import Pose
@@ -45,7 +39,7 @@ def test_depth_in_metres_without_zero_and_65535(recording: Recording) -> None:
 
 
 def test_largest_raw_depth_is_no_return_in_any_unit() -> None:
-    unit = DepthUnit.of(1 / 5000, 0.3, 20.0)
+    unit = DepthUnit(1 / 5000)
     raw = np.array([[0, 65534, 65535, 5000]], np.uint16)
     np.testing.assert_allclose(unit.metres(raw), [[np.nan, 65534 / 5000, np.nan, 1.0]], rtol=1e-6)
 
@@ -136,6 +130,12 @@ def one_line(folder: Path) -> str:
         ("depth.txt", "yesterday depth/a.png\n", "want a stamp in seconds and a file name"),
         ("depth.txt", "1.0 ../../etc/passwd\n", "leads out of the folder"),
         ("depth.txt", "# nothing\n", "has no depth frame"),
+        (
+            "depth.txt",
+            "100.0 depth/1.png\n100.1 depth/2.png\n",
+            "depth.txt: none of its 2 images exists, the first: depth/1.png",
+        ),
+        ("rgb.txt", "# nothing\n", "depth.txt is 100.000 to 100.033 s, rgb.txt is empty"),
         ("groundtruth.txt", "1 2 3\n", "want 8 numbers"),
         ("groundtruth.txt", "1 nan 3 4 0 0 0 1\n", "want 8 numbers"),
         ("camera-intrinsics.txt", "1 2 3\n", "want a matrix of 3 x 3 numbers"),
@@ -148,17 +148,29 @@ def test_wrong_tum_folder_is_one_line(tmp_path: Path, name: str, text: str, said
     assert said in one_line(tmp_path / "r")
 
 
-def test_cut_image_is_one_line(tmp_path: Path) -> None:
-    write_seven_scenes(tmp_path, 2)
-    image = tmp_path / "frame-000001.depth.png"
-    image.write_bytes(image.read_bytes()[:20])
-    assert "frame-000001.depth.png" in one_line(tmp_path)
+@pytest.mark.parametrize("kept", [0, 20])
+@pytest.mark.parametrize("kind", ["depth", "color"])
+def test_a_damaged_image_is_left_out_and_counted(
+    tmp_path: Path, kind: str, kept: int, capfd: pytest.CaptureFixture[str]
+) -> None:
+    write_seven_scenes(tmp_path, 3)
+    image = tmp_path / f"frame-000001.{kind}.png"
+    image.write_bytes(image.read_bytes()[:kept])
+    recording = opened(tmp_path)
+    for _ in range(2):
+        assert [frame.sequence for frame in recording.frames()] == [0, 2]
+        ((reason, count),) = recording.info.skipped
+        assert (image.name in reason, count) == (True, 1)
+    assert capfd.readouterr() == ("", ""), "nothing of a library is printed"
 
 
-def test_colour_in_place_of_depth_is_one_line(tmp_path: Path) -> None:
+def test_a_folder_of_damaged_images_is_one_line(tmp_path: Path) -> None:
     write_seven_scenes(tmp_path, 2)
-    shutil.copy(tmp_path / "frame-000000.color.png", tmp_path / "frame-000000.depth.png")
-    assert "want a 16-bit grey image" in one_line(tmp_path)
+    for number in range(2):
+        shutil.copy(tmp_path / f"frame-00000{number}.color.png", tmp_path / f"frame-00000{number}.depth.png")
+    said = one_line(tmp_path)
+    assert "none of 2 frames can be read, the first:" in said
+    assert "frame-000000.depth.png: is an image of mode RGB; want a 16-bit grey PNG" in said
 
 
 def test_other_things_say_what_was_found_and_what_is_wanted(tmp_path: Path) -> None:
@@ -234,23 +246,23 @@ def test_the_camera_of_a_tum_folder_is_known_by_its_name_and_its_distortion_take
     cv2.polylines(image, [np.rint(bent).astype(np.int32)], False, (255, 255, 255), 2)
     for file, content in zip([*folder.glob("rgb/*.png"), *folder.glob("depth/*.png")], (image, depth), strict=True):
         cv2.imwrite(str(file), content)
-    frame = next(TumFolder(folder, 0.3, 6.0, None).frames())
+    frame = next(TumFolder(folder, None).frames())
     assert (frame.depth_intrinsics.fx, frame.rgb_intrinsics.cy) == (fx, cy)
     row, column = np.nonzero(frame.rgb[..., 0] > 128)
     inside = (column > cx - 0.3 * fx) & (column < cx + 0.3 * fx)
     assert inside.sum() > 200
     np.testing.assert_allclose(row[inside], cy - 0.3 * fy, atol=2.0)
     assert np.abs(bent[:, 0, 1] - (cy - 0.3 * fy)).max() > 2.0, "the image is bent by more"
-    own = next(TumFolder(folder, 0.3, 6.0, K).frames())
+    own = next(TumFolder(folder, K).frames())
     assert own.depth_intrinsics.fx == K[0], "what the user says counts"
 
 
 def test_the_colour_of_seven_scenes_is_that_of_another_camera(tmp_path: Path) -> None:
     """Its depth camera is named by its authors, its colour camera is a Kinect's; other folders hold registered colour."""
     write_seven_scenes(tmp_path, 1)
-    registered = next(SevenScenesFolder(tmp_path, 0.3, 6.0, None).frames())
+    registered = next(SevenScenesFolder(tmp_path, None).frames())
     assert registered.rgb_intrinsics.fx == K[0]
     np.testing.assert_array_equal(registered.rgb_from_depth.translation_m, np.zeros(3))
-    raw = next(SevenScenesFolder(tmp_path, 0.3, 6.0, DEFAULT_K).frames())
+    raw = next(SevenScenesFolder(tmp_path, DEFAULT_K).frames())
     assert (raw.depth_intrinsics.fx, raw.rgb_intrinsics.fx) == (585.0, 525.0)
     np.testing.assert_allclose(raw.rgb_from_depth.translation_m, [-0.025, 0.0, 0.0])

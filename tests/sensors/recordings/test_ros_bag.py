@@ -308,9 +308,22 @@ def test_a_lens_that_is_none_is_one_line(tmp_path: Path, coefficients: list[floa
     assert f"/d/camera_info: {said}" in said_of(bag(tmp_path / "b", StoragePlugin.MCAP, messages))
 
 
-def test_an_empty_compressed_image_is_one_line(tmp_path: Path) -> None:
+def test_an_empty_image_costs_its_frame_only(tmp_path: Path) -> None:
     empty = T["sensor_msgs/msg/CompressedImage"](header=head(2.0, "optical"), format="jpeg", data=np.zeros(0, np.uint8))
-    messages = [("/c/image_raw/compressed", 2.0, empty), *without(usual(), "/c/image_raw")]
-    assert "/c/image_raw/compressed: compressed image of format 'jpeg'" in said_of(
-        bag(tmp_path / "b", StoragePlugin.MCAP, messages)
+    only_empty = open_recording(
+        bag(
+            tmp_path / "empty", StoragePlugin.MCAP, [("/c/image_raw/compressed", 2.0, empty), *without(usual(), "/c/image_raw")]
+        ),
+        ReadOptions(),
     )
+    assert len(list(only_empty.frames())) == 3, "a topic of empty images is not read"
+    damaged = [
+        (t, s, image(s, depth_mm(0), "16UC1") if t == "/d/image_raw" and round(s, 3) == 2.067 else m) for t, s, m in usual(6)
+    ]
+    for topic, _, message in damaged:
+        if topic == "/d/image_raw" and round(message.header.stamp.nanosec * 1e-9, 3) == 0.067:
+            object.__setattr__(message, "data", np.zeros(0, np.uint8))
+    recording = open_recording(bag(tmp_path / "one", StoragePlugin.MCAP, damaged), ReadOptions())
+    assert [frame.sequence for frame in recording.frames()] == [0, 1, 3, 4, 5]
+    ((reason, count),) = recording.info.skipped
+    assert ("0 bytes for 64 x 48 16UC1" in reason, count) == (True, 1)

@@ -11,7 +11,9 @@ from typing import Any
 import cv2
 import numpy as np
 
-from uav_recon.sensors.recordings.recording import RecordingError
+from uav_recon.sensors.recordings.compressed_depth import DEPTH_ENCODINGS, decoded_depth, encoding_of, holds_depth
+from uav_recon.sensors.recordings.image_decoding import rgb_of
+from uav_recon.sensors.recordings.recording import MM, DamagedItemError, RecordingError
 from uav_recon.types.camera import Intrinsics
 from uav_recon.types.frames import AnyArray
 from uav_recon.types.pose import Pose
@@ -19,9 +21,12 @@ from uav_recon.types.pose import Pose
 IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 IMU = "sensor_msgs/msg/Imu"
-POSES = ("nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/TransformStamped")
+POSES = (
+    "nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PoseWithCovarianceStamped",
+    "geometry_msgs/msg/TransformStamped",
+)  # fmt: skip
 TF = "tf2_msgs/msg/TFMessage"
-_PNG = b"\x89PNG"
+DEPTH, COLOUR = "depth", "colour"
 _DISTORTED_SHARE = 1e-9  #: internal: smaller coefficients of a lens are none
 _COEFFICIENTS = (0, 4, 5, 8, 12, 14)  #: internal: of the distortion models of OpenCV
 _DEPTH_ENCODINGS = {"16UC1": np.uint16, "mono16": np.uint16, "32FC1": np.float32}
@@ -58,25 +63,32 @@ def only_topic(path: Path, what: str, option: str, named: str | None, found: Ite
     return topics[0] if topics else None
 
 
-def is_depth(message: Any, topic: str) -> bool:
-    """Return True if an Image or CompressedImage holds depth."""
+def image_use(message: Any) -> str | None:
+    """Return DEPTH or COLOUR for an Image or CompressedImage, by its format; None for one that is neither.
+
+    Depth as JPEG is neither: it has 8 bits a pixel.
+    """
     if hasattr(message, "encoding"):
-        return message.encoding in _DEPTH_ENCODINGS
-    return "16UC1" in message.format or "32FC1" in message.format or "compressedDepth" in message.format or "depth" in topic
+        return DEPTH if message.encoding in _DEPTH_ENCODINGS else COLOUR
+    data = bytes(message.data)
+    if holds_depth(message.format, data):
+        return DEPTH
+    return None if encoding_of(message.format) in DEPTH_ENCODINGS or not data else COLOUR
+
+
+def metres_per_unit(message: Any) -> float:
+    """Return the metres per unit of a depth image by its encoding: float is in metres, 16 bits are millimetres."""
+    encoding = message.encoding if hasattr(message, "encoding") else encoding_of(message.format)
+    return 1.0 if encoding == "32FC1" else MM
 
 
 def depth_image(message: Any, where: str) -> AnyArray:
-    """Return the depth (H, W) of an image: uint16 in millimetres or float32 in metres.
+    """Return the depth (H, W) of an image: uint16 raw, or float32 (in metres if it was compressed).
 
-    Raises RecordingError.
+    Raises DamagedItemError, and RecordingError for an encoding that is not known.
     """
     if not hasattr(message, "encoding"):
-        data = bytes(message.data)
-        begin = data.find(_PNG)
-        image = cv2.imdecode(np.frombuffer(data[max(begin, 0) :], np.uint8), cv2.IMREAD_UNCHANGED) if begin >= 0 else None
-        if image is None or image.dtype != np.uint16:
-            raise RecordingError(f"{where}: compressed depth of format {message.format!r}; want a 16-bit PNG (16UC1)")
-        return np.asarray(image)
+        return decoded_depth(message.format, bytes(message.data), where)
     kind = _DEPTH_ENCODINGS.get(message.encoding)
     if kind is None:
         raise RecordingError(f"{where}: depth encoding {message.encoding!r}; want 16UC1 or 32FC1")
@@ -84,13 +96,12 @@ def depth_image(message: Any, where: str) -> AnyArray:
 
 
 def rgb_image(message: Any, where: str) -> AnyArray:
-    """Return the colour (h, w, 3) uint8 RGB of an image. Raises RecordingError."""
+    """Return the colour (h, w, 3) uint8 RGB of an image.
+
+    Raises DamagedItemError, and RecordingError for an encoding that is not known.
+    """
     if not hasattr(message, "encoding"):
-        data = np.frombuffer(bytes(message.data), np.uint8)
-        bgr = cv2.imdecode(data, cv2.IMREAD_COLOR) if data.size else None
-        if bgr is None:
-            raise RecordingError(f"{where}: compressed image of format {message.format!r} cannot be read")
-        return np.ascontiguousarray(bgr[..., ::-1])
+        return rgb_of(bytes(message.data), f"{where}: format {message.format!r}")
     if message.encoding not in _CHANNELS:
         raise RecordingError(f"{where}: colour encoding {message.encoding!r}; want one of {', '.join(_CHANNELS)}")
     channels, code = _CHANNELS[message.encoding]
@@ -100,8 +111,8 @@ def rgb_image(message: Any, where: str) -> AnyArray:
 
 def _pixels(message: Any, kind: np.dtype[Any], channels: int, where: str) -> AnyArray:
     data, row = np.asarray(message.data, dtype=np.uint8), message.width * channels * kind.itemsize
-    if message.step < row or data.size < message.step * message.height:
-        raise RecordingError(f"{where}: {data.size} bytes for {message.width} x {message.height} {message.encoding}")
+    if row == 0 or message.step < row or data.size < message.step * message.height:
+        raise DamagedItemError(f"{where}: {data.size} bytes for {message.width} x {message.height} {message.encoding}")
     rows = np.ascontiguousarray(data[: message.step * message.height].reshape(message.height, message.step)[:, :row])
     pixels = rows.view(kind.newbyteorder(">" if message.is_bigendian else "<")).astype(kind, copy=False)
     return pixels.reshape(message.height, message.width, channels)
@@ -193,17 +204,16 @@ def pose_of(position: Any, rotation: Any) -> Pose:
 
 
 def body_frame_of(message: Any) -> str:
-    """Return the frame whose pose an Odometry, PoseStamped or TransformStamped tells, or ''."""
+    """Return the frame whose pose a message tells, or ''."""
     return str(getattr(message, "child_frame_id", ""))
 
 
 def stamped_pose_of(message: Any) -> Pose:
-    """Return the pose of an Odometry, PoseStamped or TransformStamped.
+    """Return the pose of a message of one of the types POSES.
 
     Raises ValueError for a pose that is not finite or has no rotation.
     """
     if hasattr(message, "transform"):
         return pose_of(message.transform.translation, message.transform.rotation)
-    if hasattr(message, "child_frame_id"):
-        return pose_of(message.pose.pose.position, message.pose.pose.orientation)
-    return pose_of(message.pose.position, message.pose.orientation)
+    pose = getattr(message.pose, "pose", message.pose)  # with a covariance, it is one level deeper
+    return pose_of(pose.position, pose.orientation)

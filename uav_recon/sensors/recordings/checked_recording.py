@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
+
+import numpy as np
 
 from uav_recon.sensors.recordings.recording import Recording, RecordingError, RecordingInfo
 from uav_recon.sensors.stream_format import StreamError
@@ -12,36 +15,58 @@ from uav_recon.types.camera import Frame, ImuSample
 from uav_recon.types.pose import StampedPose
 
 _TEXT_CHARACTERS = 160  #: internal: of the message of a library
+_ROUNDING_M = 1e-6  #: internal: a depth may be outside the range by this
+_AROUND_S = 1.0  #: reject: poses and inertial samples that far from a part that is used, where the stamps jump
 
 
 class CheckedRecording:
-    """Recording protocol over another recording; every call raises RecordingError only.
+    """Recording protocol over the reader of a format; every call raises RecordingError only.
 
-    path: what the errors name.
+    path: what the errors name. depth_range_m: depths outside become no returns; None keeps all.
     """
 
-    def __init__(self, path: Path, recording: Recording) -> None:
-        self._path, self._recording = path, recording
+    def __init__(self, path: Path, recording: Recording, depth_range_m: tuple[float, float] | None) -> None:
+        self._path, self._recording, self._depth_range_m = path, recording, depth_range_m
 
     @property
     def info(self) -> RecordingInfo:
         """Return the head of the recording."""
         return self._recording.info
 
+    @property
+    def depth_range_m(self) -> tuple[float, float] | None:
+        """The depths that are kept."""
+        return self._depth_range_m
+
+    def of_any_depth(self) -> CheckedRecording:
+        """Return the same recording with all of its depth, also what the camera cannot measure."""
+        return CheckedRecording(self._path, self._recording, None)
+
     def frames(self, step: int = 1) -> Iterator[Frame]:
         """Yield every step-th frame. Raises RecordingError."""
         with faults_of(self._path):
-            yield from self._recording.frames(step)
+            for frame in self._recording.frames(step):
+                yield frame if self._depth_range_m is None else _clipped(frame, *self._depth_range_m)
 
     def poses(self) -> list[StampedPose]:
         """Return all poses of the body. Raises RecordingError."""
         with faults_of(self._path):
-            return self._recording.poses()
+            return [pose for pose in self._recording.poses() if self._is_used(pose.stamp_s)]
 
     def imu(self) -> list[ImuSample]:
         """Return all inertial samples. Raises RecordingError."""
         with faults_of(self._path):
-            return self._recording.imu()
+            return [sample for sample in self._recording.imu() if self._is_used(sample.stamp_s)]
+
+    def _is_used(self, stamp_s: float) -> bool:
+        info = self._recording.info
+        return not info.is_part or info.first_s - _AROUND_S <= stamp_s <= info.last_s + _AROUND_S
+
+
+def _clipped(frame: Frame, low_m: float, high_m: float) -> Frame:
+    """Return the frame without depths outside a range."""
+    inside = (frame.depth_m >= low_m - _ROUNDING_M) & (frame.depth_m <= high_m + _ROUNDING_M)
+    return replace(frame, depth_m=np.where(inside, frame.depth_m, np.float32(np.nan)))
 
 
 @contextmanager

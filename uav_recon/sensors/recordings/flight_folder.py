@@ -4,37 +4,40 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from uav_recon.clock import ManualClock
 from uav_recon.sensors.recorded_camera import RecordedPoses, read_keyframes
-from uav_recon.sensors.recordings.recording import LEVEL_MOUNT, RecordingError, RecordingInfo
-from uav_recon.sensors.stream_camera import depth_lookup_table
+from uav_recon.sensors.recordings.damaged_frames import DamagedFrames
+from uav_recon.sensors.recordings.recording import LEVEL_MOUNT, MM, DepthUnit, RecordingInfo
 from uav_recon.types.camera import Frame, ImuSample
 from uav_recon.types.pose import StampedPose
 
 
 class FlightFolder:
-    """Recording protocol over the keyframes of a flight folder. Raises RecordingError."""
+    """Recording protocol over the keyframes of a flight folder. Raises RecordingError.
 
-    def __init__(self, folder: Path, depth_min_m: float, depth_max_m: float) -> None:
+    metres_per_unit: of the depth images; None: millimetres.
+    """
+
+    def __init__(self, folder: Path, metres_per_unit: float | None) -> None:
         self._folder = folder
         self._keyframes = read_keyframes(folder)
-        self._table = depth_lookup_table(depth_min_m, depth_max_m)
+        self._unit = DepthUnit(metres_per_unit or MM)
+        self._damaged = DamagedFrames()
 
     @property
     def info(self) -> RecordingInfo:
         """Return the head of the recording."""
-        first_s, last_s = self._keyframes[0].stamp_s, self._keyframes[-1].stamp_s
-        return RecordingInfo("flight folder", len(self._keyframes), first_s, last_s, LEVEL_MOUNT, up_is_z=True)
+        first_s, last_s, unit = self._keyframes[0].stamp_s, self._keyframes[-1].stamp_s, self._unit.metres_per_unit
+        skipped = self._damaged.counts()
+        return RecordingInfo("flight folder", len(self._keyframes), first_s, last_s, LEVEL_MOUNT, True, unit, skipped)
 
     def frames(self, step: int = 1) -> Iterator[Frame]:
-        """Yield every step-th keyframe. Raises RecordingError for one without its images."""
-        for keyframe in self._keyframes[::step]:
-            frame = keyframe.load(self._table, keyframe.stamp_s)
-            if frame is None:
-                raise RecordingError(f"{keyframe.depth}: image or its colour image is missing or has another size")
-            yield frame
+        """Yield every step-th keyframe that has its images. Raises RecordingError if none has."""
+        numbered = list(enumerate(self._keyframes))[::step]
+        return self._damaged.readable((number, partial(one.load, self._unit.table_m, one.stamp_s)) for number, one in numbered)
 
     def poses(self) -> list[StampedPose]:
         """Return the poses of a body that carries the camera level, at 15 Hz between the keyframes."""

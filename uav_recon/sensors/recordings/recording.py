@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 import functools
-import itertools
-import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
 from uav_recon.interfaces import Clock
-from uav_recon.sensors.stream_camera import depth_lookup_table
 from uav_recon.sensors.stream_format import StreamError
 from uav_recon.types.camera import BODY_FROM_OPTICAL, Frame, ImuSample, Intrinsics
 from uav_recon.types.frames import AnyArray, Float32Array
@@ -21,11 +17,15 @@ from uav_recon.types.pose import Pose, StampedPose
 
 Pinhole = tuple[float, float, float, float]  # fx, fy, cx, cy in pixels
 LEVEL_MOUNT = Pose.from_matrix(BODY_FROM_OPTICAL)  # body_from_depth where the recording is of a camera without a body
-_MAX_GAP_S = 600.0  #: reject: a recording with a longer gap between two frames: its clock has jumped
+MM = 0.001  # metres a unit of 16-bit depth, where a format says nothing else
 
 
 class RecordingError(StreamError):
     """Raised for a recording that cannot be read; the text is one line."""
+
+
+class DamagedItemError(RecordingError):
+    """Raised for an image or message that cannot be read; those beside it may be good."""
 
 
 @dataclass(frozen=True)
@@ -33,8 +33,9 @@ class RecordingInfo:
     """Head of a recording.
 
     kind: its format in words. frames: number of depth frames. first_s, last_s: stamps of the first and the last of them, in the
-    recording's time. body_from_depth: mount of the depth imager. up_is_z: True if z of the poses' frame is up. skipped: what
-    cannot be used: (reason, count) each.
+    recording's time. body_from_depth: mount of the depth imager. up_is_z: True if z of the poses' frame is up. metres_per_unit:
+    of the depth images as they are read. skipped: what cannot be used: (reason, count) each. remarks: what else the user should
+    know, a line each. is_part: True if frames before first_s or after last_s are left out, at a jump of the stamps.
     """
 
     kind: str
@@ -43,7 +44,10 @@ class RecordingInfo:
     last_s: float
     body_from_depth: Pose
     up_is_z: bool
+    metres_per_unit: float = MM
     skipped: tuple[tuple[str, int], ...] = ()
+    remarks: tuple[str, ...] = ()
+    is_part: bool = False
 
 
 class Recording(Protocol):
@@ -60,7 +64,7 @@ class Recording(Protocol):
     def frames(self, step: int = 1) -> Iterator[Frame]:
         """Yield every step-th frame, with increasing stamps.
 
-        Raises RecordingError for one that cannot be read.
+        A frame whose images are damaged is left out and counted. Raises RecordingError if none can be read.
         """
         ...
 
@@ -73,29 +77,24 @@ class Recording(Protocol):
         ...
 
 
-@dataclass(frozen=True)
 class DepthUnit:
     """Metres of raw depth.
 
-    table_m: (65536,), NaN for no return and for depths outside the camera's range.
+    metres_per_unit: of the images. table_m: (65536,) metres of 16-bit depth; NaN, no return, for 0 and 65535.
     """
 
-    table_m: Float32Array
-
-    @staticmethod
-    def of(metres_per_unit: float, depth_min_m: float, depth_max_m: float) -> DepthUnit:
-        """Return the table of a 16-bit image. 0 and 65535 are no return."""
-        table = depth_lookup_table(depth_min_m, depth_max_m, metres_per_unit)
-        table[65535] = np.nan
-        return DepthUnit(table)
+    def __init__(self, metres_per_unit: float) -> None:
+        self.metres_per_unit = metres_per_unit
+        table = np.arange(65536) * metres_per_unit
+        table[[0, 65535]] = np.nan
+        self.table_m: Float32Array = table.astype(np.float32)
 
     def metres(self, raw: AnyArray) -> Float32Array:
-        """Return the depth in metres of a uint16 image (H, W), or of a float image in metres."""
+        """Return the depth in metres of an image (H, W) of uint16 or float; NaN is no return."""
         if raw.dtype == np.uint16:
             return self.table_m[raw]
-        valid = self.table_m[np.isfinite(self.table_m)]
-        inside = np.isfinite(raw) & (raw >= valid[0] - 1e-3) & (raw <= valid[-1] + 1e-3)
-        return np.where(inside, raw, np.nan).astype(np.float32)
+        measured = np.isfinite(raw) & (raw > 0.0)
+        return np.where(measured, raw * self.metres_per_unit, np.nan).astype(np.float32)
 
 
 class PlaybackCamera:
@@ -164,35 +163,6 @@ class PlaybackPoses:
         return self._poses[begin : self._next]
 
 
-def require_increasing(path: Path, stamps_s: list[float]) -> None:
-    """Check the stamps of frames.
-
-    Raises RecordingError if there are none, if they do not increase, or for a jump of the clock.
-    """
-    if not stamps_s:
-        raise RecordingError(f"{path}: has no depth frame")
-    if not math.isfinite(stamps_s[0]):
-        raise RecordingError(f"{path}: the first stamp is {stamps_s[0]}")
-    for before_s, after_s in itertools.pairwise(stamps_s):
-        if not before_s < after_s or not math.isfinite(after_s):
-            raise RecordingError(f"{path}: stamps must increase, and {after_s:.6f} s follows {before_s:.6f} s")
-        if after_s - before_s > _MAX_GAP_S:
-            raise RecordingError(
-                f"{path}: gap of {after_s - before_s:.4g} s after {before_s:.3f} s; want at most {_MAX_GAP_S:g} s"
-            )
-
-
-def read_depth(path: Path) -> AnyArray:
-    """Read a 16-bit image (H, W). Raises RecordingError."""
-    return _image(path, lambda image: image.dtype == np.uint16 and image.ndim == 2, "a 16-bit grey image", colour=False)
-
-
-def read_rgb(path: Path) -> AnyArray:
-    """Read a colour image (h, w, 3) uint8 as RGB. Raises RecordingError."""
-    bgr = _image(path, lambda image: image.dtype == np.uint8, "a colour image", colour=True)
-    return np.ascontiguousarray(bgr[..., ::-1])
-
-
 def pinhole(numbers: Pinhole, shape: tuple[int, ...]) -> Intrinsics:
     """Return the intrinsics fx, fy, cx, cy of an image of this shape (H, W, ...)."""
     return Intrinsics(*numbers, width=shape[1], height=shape[0])
@@ -218,14 +188,3 @@ def _undistortion(k: Pinhole, distortion: tuple[float, ...], width: int, height:
     matrix = np.array([[k[0], 0.0, k[2]], [0.0, k[1], k[3]], [0.0, 0.0, 1.0]])
     maps = cv2.initUndistortRectifyMap(matrix, np.array(distortion), None, matrix, (width, height), cv2.CV_32FC1)
     return maps[0], maps[1]
-
-
-def _image(path: Path, fits: Callable[[AnyArray], bool], wanted: str, *, colour: bool) -> AnyArray:
-    import cv2
-
-    image: Any = cv2.imread(str(path), cv2.IMREAD_COLOR if colour else cv2.IMREAD_UNCHANGED)
-    if image is None:
-        raise RecordingError(f"{path}: cannot be read as an image; want {wanted}")
-    if not fits(image):
-        raise RecordingError(f"{path}: is {image.dtype} of shape {image.shape}; want {wanted}")
-    return np.asarray(image)

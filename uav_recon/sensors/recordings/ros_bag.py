@@ -1,120 +1,77 @@
-"""ROS 2 bag as a recording: MCAP or SQLite (.db3).
+"""ROS 2 bag as a recording: MCAP or SQLite (.db3), compressed or not.
 
-Recordings of `uav-recon record` are such bags.
-
-A file that was cut, for example by a loss of power, is read up to the cut. Needs the packages mcap and rosbags (`pip install
-uav-recon[recordings]`), not ROS.
+Recordings of `uav-recon record` are such bags. Needs the packages mcap and rosbags (`pip install uav-recon[recordings]`), not
+ROS.
 """
 
 from __future__ import annotations
 
-import sqlite3
-import struct
 from collections import Counter
-from collections.abc import Callable, Iterator
-from contextlib import closing
-from dataclasses import dataclass, field
-from pathlib import Path
+from collections.abc import Iterator
+from functools import partial
 from typing import Any
 
 import numpy as np
 
+from uav_recon.sensors.recordings.bag_contents import TF_TOPIC, BagContents, MessageDecoder, stamp_s_of
 from uav_recon.sensors.recordings.bag_messages import (
-    CAMERA_INFO,
-    IMAGES,
-    IMU,
-    POSES,
-    TF,
     BagTopics,
     Lens,
-    StaticTransforms,
     body_frame_of,
     depth_image,
-    is_depth,
     only_topic,
     rgb_image,
     stamped_pose_of,
 )
+from uav_recon.sensors.recordings.bag_storage import BagStorage, RawMessage
+from uav_recon.sensors.recordings.damaged_frames import DamagedFrames
 from uav_recon.sensors.recordings.frame_pairing import paired
-from uav_recon.sensors.recordings.realsense_file import ROS1_MAGIC, read_only
-from uav_recon.sensors.recordings.recording import LEVEL_MOUNT, DepthUnit, RecordingError, RecordingInfo, require_increasing
+from uav_recon.sensors.recordings.frame_stamps import used_frames
+from uav_recon.sensors.recordings.recording import LEVEL_MOUNT, DepthUnit, RecordingError, RecordingInfo
 from uav_recon.types.camera import Frame, ImuSample
 from uav_recon.types.frames import AnyArray
 from uav_recon.types.pose import Pose, StampedPose
-
-MCAP_MAGIC = b"\x89MCAP0\r\n"
-SQLITE_MAGIC = b"SQLite format 3\x00"
-
-
-@dataclass(frozen=True)
-class RawMessage:
-    """A message of a bag: topic, type, and CDR bytes."""
-
-    topic: str
-    kind: str
-    data: bytes
-
-    def stamp_s(self) -> float:
-        """Return the stamp of its header, which comes first in every type with a header."""
-        seconds, nanoseconds = struct.unpack_from("<iI" if self.data[1] & 1 else ">iI", self.data, 4)
-        return float(seconds + nanoseconds * 1e-9)
-
-
-@dataclass
-class _Contents:
-    """Result of the first pass over a bag."""
-
-    depth: set[str] = field(default_factory=set)
-    colour: set[str] = field(default_factory=set)
-    infos: dict[str, Any] = field(default_factory=dict)
-    poses: dict[str, list[Any]] = field(default_factory=dict)
-    imu: dict[str, list[Any]] = field(default_factory=dict)
-    stamps_s: dict[str, list[float]] = field(default_factory=dict)
-    frame_ids: dict[str, str] = field(default_factory=dict)
-    transforms: StaticTransforms = field(default_factory=StaticTransforms)
 
 
 class RosBag:
     """Recording protocol over a bag. Raises RecordingError.
 
-    skipped: counts of what cannot be used, by reason.
+    metres_per_unit: of the depth images; None: as their encoding has them. skipped: counts of what cannot be used, by reason.
     """
 
-    def __init__(self, file: Path, depth_min_m: float, depth_max_m: float, topics: BagTopics) -> None:
-        self._file = file
-        self._unit = DepthUnit.of(0.001, depth_min_m, depth_max_m)
-        self._decode = _decoder()
-        self.skipped: Counter[str] = Counter()
-        found = self._contents = self._read_contents()
-        depth = only_topic(file, "depth", "--depth-topic", topics.depth, found.depth)
-        if depth is None:
-            kinds = ", ".join(sorted(found.stamps_s)) or "no image"
-            raise RecordingError(f"{file}: has no depth image (16UC1 or 32FC1); it has {kinds}")
-        self._depth = depth
+    def __init__(self, storage: BagStorage, metres_per_unit: float | None, topics: BagTopics) -> None:
+        file, self._storage = storage.path, storage
+        self._file, self._decode, self._damaged = file, MessageDecoder(), DamagedFrames()
+        found = self._contents = BagContents.read(storage, self._decode)
+        self._depth = self._depth_topic(topics.depth)
         self._colour = only_topic(file, "colour", "--colour-topic", topics.colour, found.colour)
-        self._pose = only_topic(file, "pose", "--pose-topic", topics.pose, found.poses)
         self._imu = only_topic(file, "IMU", "--imu-topic", topics.imu, found.imu)
-        self._depth_lens = self._lens(depth)
+        self._unit = DepthUnit(metres_per_unit or found.depth[self._depth])
+        self._depth_lens = self._lens(self._depth)
         self._rgb_lens = self._lens(self._colour) if self._colour else self._depth_lens
-        self._rgb_from_depth = self._between(self._colour, depth) if self._colour else Pose.identity()
-        self._stamps_s = found.stamps_s[depth]
-        require_increasing(file, self._stamps_s)
-        self._poses, self._body_from_depth, self._body = self._placed(topics.pose_of)
+        self._rgb_from_depth = self._between(self._colour, self._depth) if self._colour else Pose.identity()
+        self._used = used_frames(file, found.stamps_s[self._depth])
+        self.skipped: Counter[str] = Counter(self._used.skipped)
+        self.skipped.update({f"messages of {topic} that cannot be decoded": n for topic, n in found.damaged.items()})
+        cut = f"the file is cut: it is read up to {self._used.stamps_s[-1]:.3f} s"
+        self._remarks = [*self._used.remarks, *([cut] if storage.cut else [])]
+        self._poses, self._body_from_depth, self._body = self._placed(self._pose_messages(topics.pose), topics.pose_of)
 
     @property
     def info(self) -> RecordingInfo:
         """Return the head of the recording."""
-        stamps_s = self._stamps_s
+        stamps_s, skipped = self._used.stamps_s, (*self.skipped.items(), *self._damaged.counts())
         return RecordingInfo(
-            "ROS 2 bag", len(stamps_s), stamps_s[0], stamps_s[-1], self._body_from_depth, True, tuple(self.skipped.items())
-        )
+            "ROS 2 bag", len(stamps_s), stamps_s[0], stamps_s[-1], self._body_from_depth, True, self._unit.metres_per_unit,
+            skipped, tuple(self._remarks), self._used.is_part,
+        )  # fmt: skip
 
     def frames(self, step: int = 1) -> Iterator[Frame]:
         """Yield every step-th depth image with its nearest colour image. Raises RecordingError."""
-        is_depth, is_colour = (lambda one: one.topic == self._depth), (lambda one: one.topic == self._colour)
-        pairs = paired(self._messages(), is_depth, is_colour, RawMessage.stamp_s, step, colour=self._colour is not None)
-        for number, depth, colour in pairs:
-            yield self._frame(number, depth, colour)
+        is_depth, is_colour = (lambda one: one.topic == self._depth), self._is_colour
+        order = self._used.order[::step]
+        pairs = paired(self._storage.messages(), is_depth, is_colour, stamp_s_of, order, colour=self._colour is not None)
+        return self._damaged.readable((at * step, partial(self._frame, at * step, depth, rgb)) for at, depth, rgb in pairs)
 
     def poses(self) -> list[StampedPose]:
         """Return the poses of the body."""
@@ -126,7 +83,7 @@ class RosBag:
         frame = messages[0].header.frame_id if messages else ""
         body_from_imu = self._contents.transforms.between(self._body, frame)
         if body_from_imu is None:
-            self.skipped["imu samples without a transform to the body"] += len(messages)
+            self.skipped["imu samples without a transform to the body"] = len(messages)
             return []
         turn = body_from_imu.rotation()
         out = []
@@ -145,36 +102,30 @@ class RosBag:
         lens, rgb_lens = self._depth_lens.intrinsics, self._rgb_lens.intrinsics
         return Frame(stamp_s, number, self._unit.metres(raw), lens, rgb, rgb_lens, self._rgb_from_depth)
 
-    # -- first pass -----------------------------------------------------------------------------------------------------
+    def _is_colour(self, message: RawMessage) -> bool:
+        return message.topic == self._colour and np.isfinite(stamp_s_of(message))
 
-    def _read_contents(self) -> _Contents:
-        found = _Contents()
-        readers: dict[str, Callable[[RawMessage], None]] = {
-            CAMERA_INFO: lambda one: self._note_info(found, one),
-            TF: lambda one: self._note_transforms(found, one) if one.topic.endswith("tf_static") else None,
-            IMU: lambda one: found.imu.setdefault(one.topic, []).append(self._decode(one)),
-            **dict.fromkeys(POSES, lambda one: found.poses.setdefault(one.topic, []).append(self._decode(one))),
-            **dict.fromkeys(IMAGES, lambda one: self._note_image(found, one)),
-        }
-        for message in self._messages():
-            if (reader := readers.get(message.kind)) is not None:
-                reader(message)
-        return found
+    # -- topics ---------------------------------------------------------------------------------------------------------
 
-    def _note_info(self, found: _Contents, message: RawMessage) -> None:
-        if message.topic not in found.infos:
-            found.infos[message.topic] = self._decode(message)
+    def _depth_topic(self, named: str | None) -> str:
+        found = self._contents
+        depth = only_topic(self._file, "depth", "--depth-topic", named, found.depth)
+        if depth is not None:
+            return depth
+        images = [f"{topic} ({found.unused[topic]})" if topic in found.unused else topic for topic in sorted(found.stamps_s)]
+        raise RecordingError(f"{self._file}: has no depth image (16UC1 or 32FC1); it has {', '.join(images) or 'no image'}")
 
-    def _note_transforms(self, found: _Contents, message: RawMessage) -> None:
-        found.transforms.add(self._decode(message), f"{self._file}: {message.topic}")
-
-    def _note_image(self, found: _Contents, message: RawMessage) -> None:
-        topic = message.topic
-        if topic not in found.stamps_s:
-            image = self._decode(message)
-            (found.depth if is_depth(image, topic) else found.colour).add(topic)
-            found.frame_ids[topic] = image.header.frame_id
-        found.stamps_s.setdefault(topic, []).append(message.stamp_s())
+    def _pose_messages(self, named: str | None) -> list[Any]:
+        """Return the messages that tell the poses: of a topic, or else of /tf; says in a remark what is not used."""
+        found, depth_frame = self._contents, self._contents.frame_ids[self._depth]
+        topics = dict(found.poses)
+        moves = found.pose_of_depth(depth_frame)
+        if moves and (named == TF_TOPIC or not topics):
+            topics[TF_TOPIC] = moves
+        topic = only_topic(self._file, "pose", "--pose-topic", named, topics)
+        if topic is None and (unused := found.unused_poses()):
+            self._remarks.append(f"no poses are used; found and not read: {unused}")
+        return topics.get(topic or "", [])
 
     def _lens(self, topic: str) -> Lens:
         """Return the lens of an image topic: the CameraInfo beside it, or the only one."""
@@ -194,11 +145,13 @@ class RosBag:
             raise RecordingError(f"{self._file}: /tf_static does not connect {source_frame!r} with {target_frame!r}")
         return pose
 
-    def _placed(self, pose_of: str) -> tuple[list[StampedPose], Pose, str]:
-        """Return the poses of the body, body_from_depth, and the name of the body's frame."""
-        messages, depth_frame = self._contents.poses.get(self._pose or "", []), self._contents.frame_ids[self._depth]
+    def _placed(self, messages: list[Any], pose_of: str) -> tuple[list[StampedPose], Pose, str]:
+        """Return the poses of the body, body_from_depth, and the name of the body's frame; a remark says what is assumed."""
+        depth_frame = self._contents.frame_ids[self._depth]
         first = body_frame_of(messages[0]) if messages else ""
         body_from_depth = self._contents.transforms.between(first, depth_frame) if first else None
+        if messages and body_from_depth is None:
+            self._remarks.append(_assumed_mount(first, depth_frame, pose_of))
         optical = first.lstrip("/") == depth_frame.lstrip("/") or (body_from_depth is None and pose_of == "camera")
         optical_from_body = LEVEL_MOUNT.inverse() if optical else Pose.identity()
         if optical or body_from_depth is None:
@@ -213,75 +166,13 @@ class RosBag:
             out.append(StampedPose(_stamp_s(message), world_from_told @ optical_from_body, np.zeros(3)))
         return sorted(out, key=lambda pose: pose.stamp_s), body_from_depth, first
 
-    def _messages(self) -> Iterator[RawMessage]:
-        with self._file.open("rb") as file:
-            sqlite = file.read(len(SQLITE_MAGIC)) == SQLITE_MAGIC
-        yield from (_sqlite_messages if sqlite else _mcap_messages)(self._file)
 
-
-def bag_file(path: Path) -> Path | None:
-    """Return the bag at a path, or the only one in a folder; None if there is none.
-
-    Raises RecordingError for several.
-    """
-    if path.is_dir():
-        files = [entry for entry in sorted(path.iterdir()) if entry.suffix in (".mcap", ".db3", ".bag")]
-        if len(files) > 1:
-            names = ", ".join(file.name for file in files[:3])
-            raise RecordingError(f"{path}: a bag of several files ({names}); name one of them, or merge them: ros2 bag convert")
-        return files[0] if files else None
-    with path.open("rb") as file:
-        head = file.read(len(SQLITE_MAGIC))
-    return path if head == SQLITE_MAGIC or head.startswith((MCAP_MAGIC, ROS1_MAGIC)) else None
-
-
-def _mcap_messages(file: Path) -> Iterator[RawMessage]:
-    from mcap.exceptions import McapError
-    from mcap.records import Channel, Message, Schema
-    from mcap.stream_reader import StreamReader
-
-    schemas: dict[int, Schema] = {}
-    channels: dict[int, Channel] = {}
-    with file.open("rb") as stream:
-        try:
-            for record in StreamReader(stream).records:
-                if isinstance(record, Schema):
-                    schemas[record.id] = record
-                elif isinstance(record, Channel):
-                    channels[record.id] = record
-                elif isinstance(record, Message):
-                    channel = channels[record.channel_id]
-                    if channel.message_encoding == "cdr":
-                        yield RawMessage(channel.topic, schemas[channel.schema_id].name, record.data)
-        except (McapError, struct.error, ValueError, EOFError):
-            return  # the file was cut here
-
-
-def _sqlite_messages(file: Path) -> Iterator[RawMessage]:
-    read = False
-    with closing(read_only(file)) as database:
-        try:
-            rows = database.execute("SELECT topics.name, topics.type, messages.data FROM messages JOIN topics ON topics.id = "
-                                    "messages.topic_id ORDER BY messages.timestamp, messages.id")  # fmt: skip
-            for topic, kind, data in rows:
-                read = True
-                yield RawMessage(topic, kind, data)
-        except sqlite3.OperationalError as error:
-            raise RecordingError(f"{file}: an SQLite file, but no ROS 2 bag ({error})") from None
-        except sqlite3.DatabaseError as error:
-            if not read:
-                raise RecordingError(f"{file}: damaged or cut ({error})") from None
-            return  # the file was cut here
-
-
-def _decoder() -> Callable[[RawMessage], Any]:
-    try:
-        import mcap.stream_reader  # noqa: F401 - read later
-        from rosbags.typesys import Stores, get_typestore
-    except ImportError as error:
-        raise RecordingError(f"a ROS 2 bag needs the package {error.name}: pip install 'uav-recon[recordings]'") from None
-    store = get_typestore(Stores.ROS2_HUMBLE)
-    return lambda message: store.deserialize_cdr(message.data, message.kind)
+def _assumed_mount(frame: str, depth_frame: str, pose_of: str) -> str:
+    """Return the line that says how the camera is mounted, where no transform does."""
+    whose = f"/tf_static does not connect {frame!r} with {depth_frame!r}" if frame else "the poses name no body"
+    if pose_of == "camera":
+        return f"{whose}: they count as those of the camera in optical axes (else --pose-of body)"
+    return f"{whose}: the camera counts as mounted level at the body's origin, looking along its x axis"
 
 
 def _stamp_s(message: Any) -> float:

@@ -9,20 +9,22 @@ pose.txt is the matrix (4, 4) world_from_camera in optical axes. The format has 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
+from uav_recon.sensors.recordings.damaged_frames import DamagedFrames
+from uav_recon.sensors.recordings.frame_stamps import require_increasing
+from uav_recon.sensors.recordings.image_decoding import read_depth, read_rgb
 from uav_recon.sensors.recordings.recording import (
     LEVEL_MOUNT,
+    MM,
     DepthUnit,
     Pinhole,
     RecordingError,
     RecordingInfo,
     pinhole,
-    read_depth,
-    read_rgb,
-    require_increasing,
 )
 from uav_recon.types.camera import Frame, ImuSample
 from uav_recon.types.frames import FloatArray
@@ -41,12 +43,13 @@ _NO_ROTATION_SHARE = 0.01  #: reject: a pose whose matrix is farther from a rota
 class SevenScenesFolder:
     """Recording protocol over a folder of 7-Scenes or tsdf-fusion-python.
 
-    k: fx, fy, cx, cy; None = camera-intrinsics.txt in the folder, or the values of 7-Scenes. A frame whose pose is missing or
-    is no rotation has no pose. Raises RecordingError.
+    k: fx, fy, cx, cy; None = camera-intrinsics.txt in the folder, or the values of 7-Scenes. metres_per_unit: of the depth
+    images; None: millimetres. A frame whose pose is missing or is no rotation has no pose. Raises RecordingError.
     """
 
-    def __init__(self, folder: Path, depth_min_m: float, depth_max_m: float, k: Pinhole | None) -> None:
-        self._unit = DepthUnit.of(0.001, depth_min_m, depth_max_m)
+    def __init__(self, folder: Path, k: Pinhole | None, metres_per_unit: float | None = None) -> None:
+        self._unit = DepthUnit(metres_per_unit or MM)
+        self._damaged = DamagedFrames()
         self._k = k or (read_intrinsics(folder / INTRINSICS) if (folder / INTRINSICS).exists() else DEFAULT_K)
         files = folder.glob("frame-*.depth.png")
         try:
@@ -60,20 +63,23 @@ class SevenScenesFolder:
     def info(self) -> RecordingInfo:
         """Return the head of the recording."""
         first_s, last_s = self._numbers[0] / RATE_HZ, self._numbers[-1] / RATE_HZ
-        return RecordingInfo("7-Scenes folder", len(self._depth), first_s, last_s, LEVEL_MOUNT, up_is_z=False)
+        unit, skipped = self._unit.metres_per_unit, self._damaged.counts()
+        return RecordingInfo("7-Scenes folder", len(self._depth), first_s, last_s, LEVEL_MOUNT, False, unit, skipped)
 
     def frames(self, step: int = 1) -> Iterator[Frame]:
-        """Yield every step-th frame, by number. Raises RecordingError for one that cannot be read."""
-        for number, path in zip(self._numbers[::step], self._depth[::step], strict=True):
-            depth, rgb = read_depth(path), read_rgb(self._colour_of(path))
-            lens = pinhole(self._k, depth.shape)
-            scale = rgb.shape[1] / depth.shape[1]
-            raw = self._k == DEFAULT_K  # else colour is registered: the same view at another resolution
-            fx, fy, cx, cy = COLOUR_K if raw else self._k
-            moved = RGB_FROM_DEPTH if raw else Pose.identity()
-            rgb_k = (fx * scale, fy * scale, (cx + 0.5) * scale - 0.5, (cy + 0.5) * scale - 0.5)
-            stamp_s = number / RATE_HZ
-            yield Frame(stamp_s, number, self._unit.metres(depth), lens, rgb, pinhole(rgb_k, rgb.shape), moved)
+        """Yield every step-th frame, by number. Raises RecordingError if none can be read."""
+        numbered = zip(self._numbers[::step], self._depth[::step], strict=True)
+        return self._damaged.readable((number, partial(self._frame, number, path)) for number, path in numbered)
+
+    def _frame(self, number: int, path: Path) -> Frame:
+        depth, rgb = read_depth(path), read_rgb(self._colour_of(path))
+        lens = pinhole(self._k, depth.shape)
+        scale = rgb.shape[1] / depth.shape[1]
+        raw = self._k == DEFAULT_K  # else colour is registered: the same view at another resolution
+        fx, fy, cx, cy = COLOUR_K if raw else self._k
+        moved = RGB_FROM_DEPTH if raw else Pose.identity()
+        rgb_k = (fx * scale, fy * scale, (cx + 0.5) * scale - 0.5, (cy + 0.5) * scale - 0.5)
+        return Frame(number / RATE_HZ, number, self._unit.metres(depth), lens, rgb, pinhole(rgb_k, rgb.shape), moved)
 
     def poses(self) -> list[StampedPose]:
         """Return the poses of the frames that have one, as poses of the body."""

@@ -9,10 +9,14 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
+from uav_recon.sensors.recordings.damaged_frames import DamagedFrames
+from uav_recon.sensors.recordings.frame_stamps import used_frames
+from uav_recon.sensors.recordings.image_decoding import read_depth, read_rgb
 from uav_recon.sensors.recordings.recording import (
     LEVEL_MOUNT,
     DepthUnit,
@@ -20,9 +24,6 @@ from uav_recon.sensors.recordings.recording import (
     RecordingError,
     RecordingInfo,
     pinhole,
-    read_depth,
-    read_rgb,
-    require_increasing,
     undistorted,
 )
 from uav_recon.types.camera import Frame, ImuSample
@@ -46,37 +47,53 @@ class TumFolder:
     """Recording protocol over a TUM folder.
 
     k: fx, fy, cx, cy; None = camera-intrinsics.txt in the folder, or the benchmark's calibration of the camera that the folder
-    is named after, or its default. Both images are freed of a distortion that is known. Raises RecordingError.
+    is named after, or its default. Both images are freed of a distortion that is known. metres_per_unit: of the depth images;
+    None: 5000 units a metre. Raises RecordingError.
     """
 
-    def __init__(self, folder: Path, depth_min_m: float, depth_max_m: float, k: Pinhole | None) -> None:
+    def __init__(self, folder: Path, k: Pinhole | None, metres_per_unit: float | None = None) -> None:
         self._folder = folder
-        self._unit = DepthUnit.of(1.0 / UNITS_PER_M, depth_min_m, depth_max_m)
+        self._unit = DepthUnit(metres_per_unit or 1.0 / UNITS_PER_M)
+        self._damaged = DamagedFrames()
         own = k or _intrinsics_file(folder)
         known = next((found for name, found in CALIBRATIONS.items() if name in folder.resolve().name), (DEFAULT_K, ()))
         self._k, self._distortion = (own, ()) if own else known
-        lists = _list(folder / "depth.txt"), _list(folder / "rgb.txt")
-        depth, rgb = ([one for one in entries if (folder / one[1]).is_file()] for entries in lists)
-        missing = sum(map(len, lists)) - len(depth) - len(rgb)
-        self._pairs = _paired(depth, rgb)
-        require_increasing(folder / "depth.txt", [stamp_s for stamp_s, _, _ in self._pairs])
-        counts = ("images listed but missing", missing), ("depth images without colour", len(depth) - len(self._pairs))
-        self._skipped = {what: count for what, count in counts if count}
+        (depth, missing), (rgb, missing_rgb) = _present(folder, "depth.txt"), _present(folder, "rgb.txt")
+        self._used = used_frames(folder / "depth.txt", [stamp_s for stamp_s, _ in depth])
+        self._pairs = _paired([depth[number] for number in self._used.order], sorted(rgb))
+        if not self._pairs:
+            raise RecordingError(
+                f"{folder}: no depth image has a colour image within {PAIR_S:g} s: {_span('depth.txt', depth)}, "
+                f"{_span('rgb.txt', rgb)}"
+            )
+        counts = {
+            **self._used.skipped,
+            "images listed but missing": missing + missing_rgb,
+            "depth images without colour": len(self._used.order) - len(self._pairs),
+        }
+        self._skipped = {what: count for what, count in counts.items() if count}
 
     @property
     def info(self) -> RecordingInfo:
         """Return the head of the recording."""
-        first_s, last_s, skipped = self._pairs[0][0], self._pairs[-1][0], tuple(self._skipped.items())
-        return RecordingInfo("TUM RGB-D folder", len(self._pairs), first_s, last_s, LEVEL_MOUNT, True, skipped)
+        first_s, last_s, unit = self._pairs[0][0], self._pairs[-1][0], self._unit.metres_per_unit
+        skipped = (*self._skipped.items(), *self._damaged.counts())
+        return RecordingInfo(
+            "TUM RGB-D folder", len(self._pairs), first_s, last_s, LEVEL_MOUNT, True, unit, skipped, self._used.remarks,
+            self._used.is_part,
+        )  # fmt: skip
 
     def frames(self, step: int = 1) -> Iterator[Frame]:
-        """Yield every step-th depth image that has a colour image. Raises RecordingError."""
-        for number, (stamp_s, depth_file, rgb_file) in list(enumerate(self._pairs))[::step]:
-            depth, rgb = read_depth(self._folder / depth_file), read_rgb(self._folder / rgb_file)
-            if self._distortion:
-                depth, rgb = (undistorted(image, self._k, self._distortion) for image in (depth, rgb))
-            lens = pinhole(self._k, depth.shape)
-            yield Frame(stamp_s, number, self._unit.metres(depth), lens, rgb, pinhole(self._k, rgb.shape), Pose.identity())
+        """Yield every step-th depth image that has a colour image. Raises RecordingError if none can be read."""
+        numbered = list(enumerate(self._pairs))[::step]
+        return self._damaged.readable((number, partial(self._frame, number, *pair)) for number, pair in numbered)
+
+    def _frame(self, number: int, stamp_s: float, depth_file: str, rgb_file: str) -> Frame:
+        depth, rgb = read_depth(self._folder / depth_file), read_rgb(self._folder / rgb_file)
+        if self._distortion:
+            depth, rgb = (undistorted(image, self._k, self._distortion) for image in (depth, rgb))
+        lens = pinhole(self._k, depth.shape)
+        return Frame(stamp_s, number, self._unit.metres(depth), lens, rgb, pinhole(self._k, rgb.shape), Pose.identity())
 
     def poses(self) -> list[StampedPose]:
         """Return the poses of groundtruth.txt as poses of the body; empty without the file.
@@ -108,7 +125,7 @@ def is_tum_folder(path: Path) -> bool:
 
 
 def _paired(depth: list[tuple[float, str]], rgb: list[tuple[float, str]]) -> list[tuple[float, str, str]]:
-    """Return (stamp, depth file, nearest colour file) for each depth image that has one."""
+    """Return (stamp, depth file, nearest colour file) for each depth image that has one; rgb is sorted."""
     stamps_s = [stamp_s for stamp_s, _ in rgb]
     out = []
     for stamp_s, file in depth:
@@ -130,7 +147,24 @@ def _list(path: Path) -> list[tuple[float, str]]:
         if Path(name).is_absolute() or ".." in Path(name).parts:
             raise RecordingError(f"{path}: line {number}: {name!r} leads out of the folder")
         out.append((stamp_s, name))
-    return sorted(out)
+    return out
+
+
+def _present(folder: Path, name: str) -> tuple[list[tuple[float, str]], int]:
+    """Return the entries of a list whose images exist, and how many are missing.
+
+    Raises RecordingError if none exists.
+    """
+    listed = _list(folder / name)
+    present = [one for one in listed if (folder / one[1]).is_file()]
+    if listed and not present:
+        raise RecordingError(f"{folder / name}: none of its {len(listed)} images exists, the first: {listed[0][1]}")
+    return present, len(listed) - len(present)
+
+
+def _span(name: str, entries: list[tuple[float, str]]) -> str:
+    stamps_s = [stamp_s for stamp_s, _ in entries]
+    return f"{name} is {min(stamps_s):.3f} to {max(stamps_s):.3f} s" if stamps_s else f"{name} is empty"
 
 
 def _numbers(path: Path, count: int) -> Iterator[FloatArray]:
