@@ -132,7 +132,8 @@ def test_a_cut_rvl_image_is_one_line(tmp_path: Path, depth_m: np.ndarray, cut: i
 def test_a_colour_jpeg_below_a_topic_named_depth_is_colour(tmp_path: Path) -> None:
     jpeg = bytes(cv2.imencode(".jpg", np.full((48, 64, 3), 90, np.uint8))[1].tobytes())
     images = [
-        ("/c/depth_view/compressed", 2.0 + k / 30, compressed(2.0 + k / 30, "bgr8; jpeg compressed bgr8", jpeg)) for k in range(3)
+        ("/c/depth_view/compressed", 2.0 + k / 30, compressed(2.0 + k / 30, "bgr8; jpeg compressed bgr8", jpeg))
+        for k in range(3)
     ]
     folder = bag(tmp_path / "b", StoragePlugin.MCAP, [*without(usual(), "/c/image_raw"), *images])
     frame = next(open_recording(folder, ReadOptions()).frames())

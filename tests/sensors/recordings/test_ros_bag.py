@@ -8,6 +8,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+import zstandard
 from recording_folders import (
     HEADER,
     MOUNT,
@@ -19,8 +20,8 @@ from recording_folders import (
     rgb,
     world_from_optical,
 )
-from rosbags.rosbag2 import StoragePlugin, Writer
-from rosbags.typesys import Stores, get_typestore
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from uav_recon.sensors.recordings.bag_messages import BagTopics
 from uav_recon.sensors.recordings.detection import ReadOptions, open_recording
@@ -142,8 +143,13 @@ def pose_stamped(stamp_s: float, number: int) -> Any:
     )
 
 
-def bag(folder: Path, plugin: StoragePlugin, messages: list[tuple[str, float, Any]]) -> Path:
-    with Writer(folder, version=9, storage_plugin=plugin) as writer:
+def bag(
+    folder: Path, plugin: StoragePlugin, messages: list[tuple[str, float, Any]], mode: CompressionMode = CompressionMode.NONE
+) -> Path:
+    writer = Writer(folder, version=9, storage_plugin=plugin)
+    if mode is not CompressionMode.NONE:
+        writer.set_compression(mode, CompressionFormat.ZSTD)
+    with writer:
         connections: dict[str, Any] = {}
         for topic, stamp_s, message in messages:
             kind = message.__msgtype__
@@ -327,3 +333,157 @@ def test_an_empty_image_costs_its_frame_only(tmp_path: Path) -> None:
     assert [frame.sequence for frame in recording.frames()] == [0, 1, 3, 4, 5]
     ((reason, count),) = recording.info.skipped
     assert ("0 bytes for 64 x 48 16UC1" in reason, count) == (True, 1)
+
+
+@pytest.mark.parametrize("mode", [CompressionMode.MESSAGE, CompressionMode.FILE])
+@pytest.mark.parametrize("plugin", [StoragePlugin.SQLITE3, StoragePlugin.MCAP])
+def test_a_bag_compressed_by_zstd_is_read(tmp_path: Path, plugin: StoragePlugin, mode: CompressionMode) -> None:
+    folder = bag(tmp_path / "b", plugin, usual(), mode)
+    recording = open_recording(folder, ReadOptions())
+    assert len(list(recording.frames())) == len(list(recording.frames())) == len(recording.poses()) == 3
+    (file,) = (path for path in folder.iterdir() if path.suffix != ".yaml")
+    assert len(list(open_recording(file, ReadOptions()).frames())) == 3
+    assert recording.info.remarks == ("the poses name no body: they count as those of the camera in optical axes (else "
+                                      "--pose-of body)",)  # fmt: skip
+
+
+def test_a_compressed_file_that_is_cut_or_holds_no_bag_is_one_line(tmp_path: Path) -> None:
+    folder = bag(tmp_path / "b", StoragePlugin.SQLITE3, usual(), CompressionMode.FILE)
+    (file,) = folder.glob("*.zstd")
+    file.write_bytes(file.read_bytes()[:200])
+    assert said_of(file).startswith(f"{file}: ")
+    text = tmp_path / "notes.zstd"
+    text.write_bytes(zstandard.ZstdCompressor().compress(b"a shopping list"))
+    assert said_of(text) == f"{text}: is compressed by zstd, and holds no bag: it begins with b'a shoppi'"
+
+
+# -- poses ---------------------------------------------------------------------------------------------------------------
+
+
+def moved(stamp_s: float, number: int, parent: str, child: str) -> Any:
+    pose = Pose.from_matrix(world_from_optical(number))
+    (w, x, y, z), (tx, ty, tz) = pose.quat_wxyz.tolist(), pose.translation_m.tolist()
+    return T["geometry_msgs/msg/TransformStamped"](
+        header=head(stamp_s, parent), child_frame_id=child,
+        transform=T["geometry_msgs/msg/Transform"](
+            translation=T["geometry_msgs/msg/Vector3"](x=tx, y=ty, z=tz),
+            rotation=T["geometry_msgs/msg/Quaternion"](x=x, y=y, z=z, w=w),
+        ),
+    )  # fmt: skip
+
+
+def tf(topic: str, stamp_s: float, *transforms: Any) -> tuple[str, float, Any]:
+    return topic, stamp_s, T["tf2_msgs/msg/TFMessage"](transforms=list(transforms))
+
+
+def of_poses(convert: Any) -> list[tuple[str, float, Any]]:
+    """Return the usual messages with other messages in place of the poses."""
+    return [convert(s, number) if t == "/pose" else (t, s, m) for number, (t, s, m) in enumerate_poses(usual())]
+
+
+def enumerate_poses(messages: list[tuple[str, float, Any]]) -> list[tuple[int, tuple[str, float, Any]]]:
+    number, out = 0, []
+    for one in messages:
+        out.append((number, one))
+        number += one[0] == "/pose"
+    return out
+
+
+def with_covariance(stamp_s: float, number: int) -> tuple[str, float, Any]:
+    plain = pose_stamped(stamp_s, number)
+    pose = T["geometry_msgs/msg/PoseWithCovariance"](pose=plain.pose, covariance=np.zeros(36))
+    return "/amcl_pose", stamp_s, T["geometry_msgs/msg/PoseWithCovarianceStamped"](header=plain.header, pose=pose)
+
+
+def test_poses_with_covariance_are_read(tmp_path: Path) -> None:
+    recording = open_recording(bag(tmp_path / "b", StoragePlugin.MCAP, of_poses(with_covariance)), ReadOptions())
+    assert len(recording.poses()) == 3
+    pose = recording.poses()[2].odom_from_body @ recording.info.body_from_depth
+    np.testing.assert_allclose(pose.matrix(), world_from_optical(2), atol=1e-9)
+
+
+def test_transforms_of_tf_are_poses_where_they_move_the_camera(tmp_path: Path) -> None:
+    static = tf("/tf_static", 1.0, moved(1.0, 3, "base", "optical"))
+    messages = [static, *of_poses(lambda s, n: tf("/tf", s, moved(s, 0, "map", "odom"), moved(s, n, "odom", "base")))]
+    recording = open_recording(bag(tmp_path / "b", StoragePlugin.MCAP, messages), ReadOptions())
+    assert [pose.odom_from_body.translation_m[0] for pose in recording.poses()] == pytest.approx([0.0, 0.1, 0.2])
+    np.testing.assert_allclose(recording.info.body_from_depth.matrix(), world_from_optical(3), atol=1e-9)
+    assert recording.info.remarks == ()
+
+
+@pytest.mark.parametrize("connected", [True, False])
+def test_a_moving_mount_is_not_taken_for_poses(tmp_path: Path, connected: bool) -> None:
+    """A gimbal below a body that moves: /tf has two moving frames, and neither is a pose of the camera in the world."""
+    parent = "base" if connected else "other"
+    messages = of_poses(lambda s, n: tf("/tf", s, moved(s, n, "odom", "base"), moved(s, n, parent, "optical")))
+    recording = open_recording(bag(tmp_path / "b", StoragePlugin.MCAP, messages), ReadOptions())
+    if connected:
+        assert recording.poses() == []
+        (line,) = recording.info.remarks
+        assert line == "no poses are used; found and not read: /tf ('optical' in 'base', 'base' in 'odom')"
+    else:
+        assert len(recording.poses()) == 3
+
+
+def test_poses_of_unknown_types_are_named(tmp_path: Path) -> None:
+    """PX4's VehicleOdometry has no header and another clock."""
+    definition = "uint64 timestamp\nfloat32[3] position\nfloat32[4] q\n"
+    kind = "px4_msgs/msg/VehicleOdometry"
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    store.register(get_types_from_msg(definition, kind))
+    with Writer(tmp_path / "b", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        odometry = writer.add_connection("/fmu/out/vehicle_odometry", kind, typestore=store)
+        message = store.types[kind](timestamp=1, position=np.zeros(3, np.float32), q=np.zeros(4, np.float32))
+        writer.write(odometry, 1, store.serialize_cdr(message, kind))
+        for topic, stamp_s, one in without(usual(1), "/pose"):
+            connection = writer.add_connection(topic, one.__msgtype__, typestore=STORE)
+            writer.write(connection, round(stamp_s * 1e9), STORE.serialize_cdr(one, one.__msgtype__))
+    recording = open_recording(tmp_path / "b", ReadOptions())
+    assert recording.poses() == []
+    assert recording.info.remarks == (f"no poses are used; found and not read: /fmu/out/vehicle_odometry ({kind})",)
+
+
+@pytest.mark.parametrize(
+    ("pose_of", "line"),
+    [
+        ("camera", "they count as those of the camera in optical axes (else --pose-of body)"),
+        ("body", "the camera counts as mounted level at the body's origin, looking along its x axis"),
+    ],
+)
+def test_a_mount_that_is_assumed_is_said(tmp_path: Path, pose_of: str, line: str) -> None:
+    def odometry(stamp_s: float, number: int) -> tuple[str, float, Any]:
+        pose = T["geometry_msgs/msg/PoseWithCovariance"](pose=pose_stamped(stamp_s, number).pose, covariance=np.zeros(36))
+        zero = T["geometry_msgs/msg/Vector3"](x=0.0, y=0.0, z=0.0)
+        twist = T["geometry_msgs/msg/TwistWithCovariance"](
+            twist=T["geometry_msgs/msg/Twist"](linear=zero, angular=zero), covariance=np.zeros(36)
+        )
+        message = T["nav_msgs/msg/Odometry"](header=head(stamp_s, "odom"), child_frame_id="base", pose=pose, twist=twist)
+        return "/odom", stamp_s, message
+
+    folder = bag(tmp_path / "b", StoragePlugin.MCAP, of_poses(odometry))
+    recording = open_recording(folder, ReadOptions(topics=BagTopics(pose_of=pose_of)))
+    assert recording.info.remarks == (f"/tf_static does not connect 'base' with 'optical': {line}",)
+
+
+def test_a_recording_of_this_program_has_nothing_to_remark(tmp_path: Path) -> None:
+    record(tmp_path / "r.mcap", 4).close()
+    recording = open_recording(tmp_path / "r.mcap", ReadOptions())
+    assert len(list(recording.frames())) == 4
+    assert (recording.info.remarks, recording.info.skipped) == ((), ())
+
+
+def test_a_cut_mcap_is_said_to_be_cut(tmp_path: Path) -> None:
+    record(tmp_path / "r.mcap", 30).close()
+    data = (tmp_path / "r.mcap").read_bytes()
+    (tmp_path / "r.mcap").write_bytes(data[: len(data) - 5])
+    recording = open_recording(tmp_path / "r.mcap", ReadOptions())
+    assert recording.info.remarks == ("the file is cut: it is read up to 6.933 s",)
+
+
+def test_a_pose_topic_of_the_bag_goes_before_tf_and_a_filter(tmp_path: Path) -> None:
+    extra = [with_covariance(2.0, 5)]
+    extra += [tf("/tf", 2.0 + k / 30, moved(2.0 + k / 30, 9, "odom", "optical")) for k in range(3)]
+    folder = bag(tmp_path / "b", StoragePlugin.MCAP, [*usual(), *extra])
+    assert open_recording(folder, ReadOptions()).poses()[0].odom_from_body.translation_m[0] == pytest.approx(0.0)
+    named = open_recording(folder, ReadOptions(topics=BagTopics(pose="/tf"))).poses()
+    assert named[0].odom_from_body.translation_m[0] == pytest.approx(0.9)

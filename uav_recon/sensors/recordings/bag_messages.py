@@ -21,10 +21,8 @@ from uav_recon.types.pose import Pose
 IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 IMU = "sensor_msgs/msg/Imu"
-POSES = (
-    "nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PoseWithCovarianceStamped",
-    "geometry_msgs/msg/TransformStamped",
-)  # fmt: skip
+FILTERED_POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
+POSES = ("nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/TransformStamped", FILTERED_POSE)
 TF = "tf2_msgs/msg/TFMessage"
 DEPTH, COLOUR = "depth", "colour"
 _DISTORTED_SHARE = 1e-9  #: internal: smaller coefficients of a lens are none

@@ -9,11 +9,12 @@ from __future__ import annotations
 import shutil
 import sqlite3
 import struct
+import tempfile
+import weakref
 from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 from uav_recon.sensors.recordings.recording import RecordingError
@@ -53,10 +54,11 @@ class BagStorage:
 
     def __init__(self, path: Path) -> None:
         self.path, self.cut = path, False
-        self._content, self._folder = path, None
+        self._content = path
         if _head(path).startswith(ZSTD_MAGIC):
-            self._folder = TemporaryDirectory(prefix="uav_recon_bag_")
-            self._content = Path(self._folder.name) / path.name.removesuffix(".zstd")
+            folder = Path(tempfile.mkdtemp(prefix="uav_recon_bag_"))
+            weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)
+            self._content = folder / path.name.removesuffix(".zstd")
             self._decompress(path, self._content)
         head = _head(self._content)
         self.sqlite, self.ros1 = head == SQLITE_MAGIC, head.startswith(ROS1_MAGIC)

@@ -15,6 +15,7 @@ import numpy as np
 
 from uav_recon.sensors.recordings.bag_contents import TF_TOPIC, BagContents, MessageDecoder, stamp_s_of
 from uav_recon.sensors.recordings.bag_messages import (
+    FILTERED_POSE,
     BagTopics,
     Lens,
     body_frame_of,
@@ -116,13 +117,17 @@ class RosBag:
         raise RecordingError(f"{self._file}: has no depth image (16UC1 or 32FC1); it has {', '.join(images) or 'no image'}")
 
     def _pose_messages(self, named: str | None) -> list[Any]:
-        """Return the messages that tell the poses: of a topic, or else of /tf; says in a remark what is not used."""
+        """Return the messages that tell the poses; a remark says what is not used.
+
+        Of several kinds of topics the first is used: odometry and poses, poses with a covariance (as of a filter of a map), /tf.
+        """
         found, depth_frame = self._contents, self._contents.frame_ids[self._depth]
-        topics = dict(found.poses)
         moves = found.pose_of_depth(depth_frame)
-        if moves and (named == TF_TOPIC or not topics):
-            topics[TF_TOPIC] = moves
-        topic = only_topic(self._file, "pose", "--pose-topic", named, topics)
+        topics = {**found.poses, **({TF_TOPIC: moves} if moves else {})}
+        filtered = {topic for topic, messages in topics.items() if messages[0].__msgtype__ == FILTERED_POSE}
+        kinds = set(found.poses) - filtered, filtered, set(topics)
+        first = topics if named is not None else next((kind for kind in kinds if kind), set())
+        topic = only_topic(self._file, "pose", "--pose-topic", named, first)
         if topic is None and (unused := found.unused_poses()):
             self._remarks.append(f"no poses are used; found and not read: {unused}")
         return topics.get(topic or "", [])
