@@ -15,6 +15,8 @@ from uav_recon import config as configuration
 from uav_recon.app import camera_sources, config_file, pose_sources
 from uav_recon.app.flight_channels import read_only_channels
 from uav_recon.app.option_validation import UsageError, require_writable_file, require_writable_folder
+from uav_recon.app.recording_options import require_depth_unit
+from uav_recon.app.recording_remarks import print_remarks, recording_remarks
 from uav_recon.clock import ManualClock, MonotonicClock
 from uav_recon.config import Config
 from uav_recon.errors import EXIT_CONFIG, UserError
@@ -36,24 +38,36 @@ PLOT = "calibration.png"
 
 @dataclass(frozen=True)
 class CalibrateOptions:
-    """The validated options. recording None: live, for at most seconds."""
+    """The validated options. recording None: live, for at most seconds. depth_unit_m: of the recording; None: its own."""
 
     recording: Path | None
     config: Path
     seconds: float
     out: Path
     write: Path | None
+    depth_unit_m: float | None = None
 
     @staticmethod
-    def of(recording: Path | None, live: bool, config: Path, seconds: float, out: Path, write: Path | None) -> CalibrateOptions:
+    def of(
+        recording: Path | None,
+        live: bool,
+        config: Path,
+        seconds: float,
+        out: Path,
+        write: Path | None,
+        depth_unit_m: float | None = None,
+    ) -> CalibrateOptions:
         """Validate the options. Raises UsageError with one line."""
         if (recording is None) != live:
             raise UsageError("want a RECORDING or --live, one of both")
         if not _SECONDS[0] <= seconds <= _SECONDS[1]:
             raise UsageError(f"--seconds {seconds:g}: want {_SECONDS[0]:g} to {_SECONDS[1]:g}")
+        require_depth_unit(depth_unit_m)
+        if live and depth_unit_m is not None:
+            raise UsageError("--depth-unit: want a RECORDING; a camera tells its own unit")
         require_writable_file("--write", write)
         require_writable_folder("--out", out)
-        return CalibrateOptions(recording, config, seconds, out, write)
+        return CalibrateOptions(recording, config, seconds, out, write, depth_unit_m)
 
 
 def calibrate(options: CalibrateOptions) -> int:
@@ -69,7 +83,7 @@ def calibrate(options: CalibrateOptions) -> int:
     config, console = config_file.load_config(options.config), Console()
     if config.camera.mount == "gimbal":
         raise UserError("camera.mount gimbal: only a fixed mount can be calibrated by hand; a gimbal is in flight", EXIT_CONFIG)
-    calibrator = _from_recording(options, config) if options.recording is not None else _live(options, config, console)
+    calibrator = _from_recording(options, config, console) if options.recording is not None else _live(options, config, console)
     if not calibrator.frames:
         raise UserError(f"no frame with a pose at its stamp ({calibrator.poses_read} poses were read)")
     elements = calibrator.elements()
@@ -114,7 +128,7 @@ def config_lines(config: Config, calibration: Any) -> dict[str, Any]:
     }
 
 
-def _from_recording(options: CalibrateOptions, config: Config) -> Any:
+def _from_recording(options: CalibrateOptions, config: Config, console: Console) -> Any:
     from uav_recon.localization.calibration.camera_mount import FixedMount
     from uav_recon.localization.hand_calibration import CameraCalibrator
     from uav_recon.sensors.corrected_camera import CorrectedCamera
@@ -122,7 +136,7 @@ def _from_recording(options: CalibrateOptions, config: Config) -> Any:
     assert options.recording is not None
     clock, mount = ManualClock(-math.inf), FixedMount(camera_sources.tilted_camera(config))
     try:
-        camera, poses, begin_s, end_s = _open_recording(options.recording, config, clock)
+        camera, poses, begin_s, end_s = _open_recording(options.recording, options.depth_unit_m, config, clock, console)
         calibrator = CameraCalibrator(
             CorrectedCamera(camera, config.camera.delay_s, config.camera.depth_scale), poses, mount, clock
         )
@@ -134,24 +148,28 @@ def _from_recording(options: CalibrateOptions, config: Config) -> Any:
     return calibrator
 
 
-def _open_recording(path: Path, config: Config, clock: ManualClock) -> tuple[DepthCamera, PoseSource, float, float]:
-    """Return camera and poses of a recording, and its first and last instant.
+def _open_recording(
+    path: Path, depth_unit_m: float | None, config: Config, clock: ManualClock, console: Console
+) -> tuple[DepthCamera, PoseSource, float, float]:
+    """Return camera and poses of a recording, and its first and last instant; prints what the user should know of it.
 
     It is an .npz file, or a ROS 2 bag with the poses of a body that carries the camera, as `uav-recon record` writes. Raises
     StreamError and UserError.
     """
     span_m = config.camera.depth_min_m, config.camera.depth_max_m
     if path.suffix == ".npz":
-        source = NpzRecording(path, clock, *span_m)
+        source = NpzRecording(path, clock, *span_m, depth_unit_m)
         return source, source, source.begin_s, source.end_s
-    recording = open_recording(path, ReadOptions(*span_m))
+    recording = open_recording(path, ReadOptions(*span_m, metres_per_unit=depth_unit_m))
     info, poses = recording.info, recording.poses()
+    found = "".join(f"; {remark}" for remark in info.remarks)
     if not poses:
-        raise UserError(f"{path}: {info.kind} without poses: the camera is calibrated against the poses of the vehicle")
+        raise UserError(f"{path}: {info.kind} without poses{found}: the camera is calibrated against the poses of the vehicle")
     if info.body_from_depth is LEVEL_MOUNT:
         raise UserError(
-            f"{path}: {info.kind} with poses of the camera: want those of the vehicle, as `uav-recon record` writes"
+            f"{path}: {info.kind} with poses of the camera{found}: want those of the vehicle, as `uav-recon record` writes"
         )
+    print_remarks(recording_remarks(recording), console)
     clock.advance_to(info.first_s)
     camera = PlaybackCamera(recording, clock)
     playback = PlaybackPoses(recording, clock, camera.shift_s, Pose.identity())

@@ -65,7 +65,8 @@ def survey_recording(recording: Recording, up: str, *, use_poses: bool) -> Recor
     seen = np.concatenate([_points(frame, odom_from_source @ pose @ info.body_from_depth) for frame, pose in views])
     if not len(seen):
         raise UsageError(
-            f"no depth within --depth-range in any of {len(views)} frames of {info.first_s:.3f} to {info.last_s:.3f} s"
+            f"no depth within --depth-range in any of {len(views)} frames of {info.first_s:.3f} to {info.last_s:.3f} s; "
+            f"it was read with {info.metres_per_unit:g} m a unit (--depth-unit)"
         )
     floor_m = float(np.quantile(seen[:, 2], _OUTSIDE_SHARE))
     odom_from_source = Pose(Pose.identity().quat_wxyz, np.array([0.0, 0.0, -floor_m])) @ odom_from_source

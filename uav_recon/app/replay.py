@@ -23,6 +23,7 @@ from uav_recon.app import mapper_factory, mission_factory, pose_sources
 from uav_recon.app.flight_channels import FlightChannels, memory_channels
 from uav_recon.app.option_validation import OUTPUTS, UsageError, readable, remove_outputs, require_writable_folder
 from uav_recon.app.pose_sources import OpenedPoses
+from uav_recon.app.recording_remarks import print_remarks, recording_remarks
 from uav_recon.app.recording_survey import UPS, RecordingSurvey, survey_recording
 from uav_recon.app.reference_safety import REFERENCE_SAFETY
 from uav_recon.app.step_display import Report, StepDisplay
@@ -36,9 +37,8 @@ from uav_recon.mission.log.mission_log import MissionLog
 from uav_recon.mission.log.perception_log import PerceptionLog
 from uav_recon.mission.state_machine import Phase
 from uav_recon.recording.flight_log import FlightLog
-from uav_recon.sensors.recordings.bag_messages import BagTopics
 from uav_recon.sensors.recordings.detection import ReadOptions, open_recording
-from uav_recon.sensors.recordings.recording import PlaybackCamera, PlaybackPoses, Recording, RecordingError
+from uav_recon.sensors.recordings.recording import PlaybackCamera, PlaybackPoses, Recording, RecordingError, RecordingInfo
 from uav_recon.types.camera import PosedFrame
 from uav_recon.types.maps import SurfaceElements, VoxelMap
 from uav_recon.types.pose import MapCorrection, Pose, PoseHealth
@@ -54,7 +54,6 @@ STEP_S = 0.01  # perception runs at 100 Hz, as in a flight
 DRAIN_S = 1.0  # after the last frame, until every frame that waits for a pose is decided
 PLAN_HZ = 0.5
 PROGRESS_HZ = 5.0
-MAX_DEPTH_M = 20.0
 _BODY_RADIUS_M = 0.2  #: plan: the space of this radius around the camera's path counts as free: it was there
 _BODY_HALF_M = 0.15
 _FREE_STEP_M = 0.2
@@ -112,6 +111,7 @@ class ReplaySummary:
     imu_samples: int = 0
     recorded_s: float = 0.0
     skipped: dict[str, int] = field(default_factory=dict)
+    remarks: list[str] = field(default_factory=list)
     path_length_m: float = 0.0
     explored_m3: float = 0.0
     views: int = 0
@@ -257,11 +257,14 @@ def replay(options: ReplayOptions, console: Console) -> int:
             recording = open_recording(options.source, options.read)
             use_poses = options.pose == FROM_RECORDING
             if use_poses and not recording.poses():
-                raise UserError(f"{options.source}: {recording.info.kind} without poses; --pose slam tracks the images instead")
+                raise UserError(_without_poses(options.source, recording.info))
+            remarks = recording_remarks(recording)
+        print_remarks(remarks, console)
+        with display.step("choosing the box of the map"):
             survey = survey_recording(recording, options.up, use_poses=use_poses)
         require_writable_folder("--out", options.out)
         try:
-            summary = _replayed(options, recording, survey, display)
+            summary = _replayed(options, recording, survey, remarks, display)
         except BaseException:
             remove_outputs(options.out)
             raise
@@ -271,25 +274,33 @@ def replay(options: ReplayOptions, console: Console) -> int:
     return 0
 
 
-def _replayed(options: ReplayOptions, recording: Recording, survey: RecordingSurvey, display: StepDisplay) -> ReplaySummary:
+def _without_poses(source: Path, info: RecordingInfo) -> str:
+    found = "".join(f"; {remark}" for remark in info.remarks)
+    return f"{source}: {info.kind} without poses{found}; --pose slam tracks the images instead"
+
+
+def _replayed(
+    options: ReplayOptions, recording: Recording, survey: RecordingSurvey, remarks: list[str], display: StepDisplay
+) -> ReplaySummary:
     config = replay_config(options, recording, survey)
     configuration.save(config, options.out / "config.toml")
     with display.step("compiling kernels"):
         mission_factory.warm_up(config)
         mapper = _mapper(options.mapper, config, options.out)
     with display.step(f"replaying {options.source}") as report:
-        run = _Replay(options, config, recording, survey, mapper)
+        run = _Replay(options, config, recording, survey, mapper, remarks)
         run.run(report)
     with display.step("training the final model and meshing"):
         return run.save()
 
 
 class _Replay:
-    """One replay."""
+    """One replay. remarks: those of the recording, for its figures."""
 
     def __init__(
-        self, options: ReplayOptions, config: Config, recording: Recording, survey: RecordingSurvey, mapper: Mapper
-    ) -> None:
+        self, options: ReplayOptions, config: Config, recording: Recording, survey: RecordingSurvey, mapper: Mapper,
+        remarks: list[str],
+    ) -> None:  # fmt: skip
         self._options, self._config, self._recording, self._survey = options, config, recording, survey
         self._clock, self._channels = ManualClock(START_S), memory_channels()
         self._camera = PlaybackCamera(recording, self._clock)
@@ -303,7 +314,7 @@ class _Replay:
         self._journal = FlightLog(options.out)
         self._perception_log = PerceptionLog(self._channels.perception, self._journal)
         self._mapping, self._alarms = _Mapping(config, self._channels, mapper, self._journal), _Alarms(self._channels)
-        self._wall_s = time.perf_counter()
+        self._remarks, self._wall_s = remarks, time.perf_counter()
 
     def run(self, report: Report) -> None:
         """Step until the last frame is decided."""
@@ -362,8 +373,8 @@ class _Replay:
             str(self._options.source), info.kind, info.frames, self._camera.read, self._perception.published_frames,
             dropped | samples, alarms.begun, round(alarms.wrong_s, 2), round(alarms.lost_s, 2), dict(alarms.reasons),
             alarms.resets, [] if status is None else list(status.calibration), len(self._recording.imu()),
-            info.last_s - info.first_s, dict(info.skipped), self._mapping.path_length_m(), self._mapping.explored_m3(),
-            self._mapping.log.views, self._mapping.log.plans, time.perf_counter() - self._wall_s,
+            info.last_s - info.first_s, dict(info.skipped), self._remarks, self._mapping.path_length_m(),
+            self._mapping.explored_m3(), self._mapping.log.views, self._mapping.log.plans, time.perf_counter() - self._wall_s,
         )  # fmt: skip
 
 
@@ -399,29 +410,6 @@ def replay_config(options: ReplayOptions, recording: Recording, survey: Recordin
         return parse(tree, str(options.source))
     except ConfigError as error:
         raise UserError(str(error), EXIT_CONFIG) from None
-
-
-def topics(depth: str | None, colour: str | None, pose: str | None, imu: str | None, pose_of: str) -> BagTopics:
-    """Return the topics that the user names. Raises UsageError."""
-    if pose_of not in ("camera", "body"):
-        raise UsageError(f"--pose-of {pose_of}: want camera or body")
-    return BagTopics(depth, colour, pose, imu, pose_of)
-
-
-def read_options(depth_range_m: tuple[float, float], intrinsics: str | None, named: BagTopics) -> ReadOptions:
-    """Return the options of the reader. Raises UsageError."""
-    low_m, high_m = depth_range_m
-    if not 0.0 < low_m < high_m <= MAX_DEPTH_M:
-        raise UsageError(f"--depth-range {low_m:g} {high_m:g}: want 0 < MIN < MAX <= {MAX_DEPTH_M:g} metres")
-    if intrinsics is None:
-        return ReadOptions(low_m, high_m, None, named)
-    try:
-        fx, fy, cx, cy = (float(word) for word in intrinsics.split(","))
-    except ValueError:
-        raise UsageError(f"--intrinsics {intrinsics}: want four numbers FX,FY,CX,CY in pixels") from None
-    if not (all(map(math.isfinite, (fx, fy, cx, cy))) and fx > 0 and fy > 0):
-        raise UsageError(f"--intrinsics {intrinsics}: FX and FY must be positive")
-    return ReadOptions(low_m, high_m, (fx, fy, cx, cy), named)
 
 
 def _mapper(name: str, config: Config, folder: Path) -> Mapper:

@@ -12,6 +12,7 @@ from uav_recon.cli import choices
 from uav_recon.cli.command_options import CameraErrorsOption
 from uav_recon.cli.commands import add, new_group
 from uav_recon.cli.exit_codes import exit_with
+from uav_recon.cli.recording_options import DepthUnitOption
 from uav_recon.cli.services import FlightArgument
 
 JsonOption = Annotated[
@@ -282,6 +283,7 @@ def bench_slam(
     intrinsics: Annotated[
         str | None, typer.Option(metavar="FX,FY,CX,CY", help="Of recordings that have none, in pixels.")
     ] = None,
+    depth_unit: DepthUnitOption = None,
     gyro: Annotated[
         str,
         typer.Option(
@@ -306,7 +308,7 @@ def bench_slam(
         lambda: slam_bench.bench_slam(
             slam_bench.SlamBench(
                 tuple(scene or ()), seeds, paths, length, camera_errors, mount, fault,
-                tuple(method or choices.TRACKERS), cache, json, tuple(recording or ()), intrinsics, gyro,
+                tuple(method or choices.TRACKERS), cache, json, tuple(recording or ()), intrinsics, gyro, depth_unit,
             )
         )
     )  # fmt: skip

@@ -10,18 +10,19 @@ from typing import Annotated
 import typer
 
 from uav_recon.cli.exit_codes import exit_with
+from uav_recon.cli.recording_options import FORMAT, FormatDepthUnitOption
 from uav_recon.cli.services import CONFIG, ConfigOption
 
 REPLAY_EXAMPLES = (
     "uav-recon replay rgbd_dataset_freiburg1_room --out replay/room      # a TUM RGB-D folder",
     "uav-recon replay 7scenes/chess/seq-01 --mapper none                 # perception and occupancy map only",
+    "uav-recon replay room.mcap --depth-unit 0.00025                     # depth of an L515, in quarters of a millimetre",
     "uav-recon replay flight.mcap --colour-topic /camera/color/image     # a ROS 2 bag, or a recording of `uav-recon record`",
 )
 RECORD_EXAMPLES = (
     "uav-recon record                                     # until Ctrl-C, into recording-DATE.mcap",
     "uav-recon record room.mcap --seconds 120 --max-gb 4  # hold the drone in the hand and walk through the room",
 )
-FORMAT = "Format"
 
 
 def replay(
@@ -48,6 +49,7 @@ def replay(
     intrinsics: Annotated[
         str | None, typer.Option(metavar="FX,FY,CX,CY", rich_help_panel=FORMAT, help="For folders that have none, in pixels.")
     ] = None,
+    depth_unit: FormatDepthUnitOption = None,
     depth_topic: Annotated[str | None, typer.Option(metavar="TOPIC", rich_help_panel=FORMAT, help="Of a bag: depth.")] = None,
     colour_topic: Annotated[str | None, typer.Option(metavar="TOPIC", rich_help_panel=FORMAT, help="Colour.")] = None,
     pose_topic: Annotated[str | None, typer.Option(metavar="TOPIC", rich_help_panel=FORMAT, help="Poses.")] = None,
@@ -69,13 +71,14 @@ def replay(
     """
     from rich.console import Console
 
+    from uav_recon.app import recording_options
     from uav_recon.app import replay as replaying
 
     folder = out or Path("replay") / f"{source.absolute().name}-{time.strftime('%Y%m%d-%H%M%S')}"
 
     def work() -> int:
-        topics = replaying.topics(depth_topic, colour_topic, pose_topic, imu_topic, pose_of)
-        read = replaying.read_options(depth_range, intrinsics, topics)
+        topics = recording_options.topics(depth_topic, colour_topic, pose_topic, imu_topic, pose_of)
+        read = recording_options.read_options(depth_range, intrinsics, topics, depth_unit)
         options = replaying.ReplayOptions(source, folder, read, pose, mapper, up, views)
         return replaying.replay(options, Console())
 

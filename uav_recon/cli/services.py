@@ -9,6 +9,7 @@ import typer
 
 from uav_recon.cli import choices
 from uav_recon.cli.exit_codes import exit_with
+from uav_recon.cli.recording_options import DepthUnitOption
 
 CONFIG = Path("/etc/uav_recon/config.toml")
 # readable=False: the code that opens a path checks it, and reports one line with its own exit code
@@ -87,6 +88,7 @@ def calibrate(
     out: Annotated[
         Path, typer.Option("--out", metavar="FOLDER", readable=False, help="Folder of calibration.png, the residuals.")
     ] = Path("calibration"),
+    depth_unit: DepthUnitOption = None,
     write: Annotated[
         Path | None, typer.Option("--write", metavar="FILE", readable=False, help="Write the calibrated config to FILE.")
     ] = None,
@@ -99,7 +101,9 @@ def calibrate(
     from uav_recon.app import calibrate_command
 
     exit_with(
-        lambda: calibrate_command.calibrate(calibrate_command.CalibrateOptions.of(recording, live, config, seconds, out, write))
+        lambda: calibrate_command.calibrate(
+            calibrate_command.CalibrateOptions.of(recording, live, config, seconds, out, write, depth_unit)
+        )
     )
 
 

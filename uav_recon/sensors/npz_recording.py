@@ -15,6 +15,7 @@ import numpy as np
 from uav_recon.interfaces import Clock
 from uav_recon.sensors.recordings.checked_recording import faults_of
 from uav_recon.sensors.recordings.frame_stamps import require_increasing
+from uav_recon.sensors.recordings.recording import MM
 from uav_recon.sensors.stream_camera import depth_lookup_table
 from uav_recon.sensors.stream_format import StreamError
 from uav_recon.types.camera import Frame, ImuSample, Intrinsics
@@ -33,10 +34,13 @@ class NpzRecording:
 
     No call blocks.
 
-    Raises StreamError (one line) for a file that cannot be used. begin_s, end_s: its first and last stamp.
+    metres_per_unit: of depth_mm; None: millimetres. Raises StreamError (one line) for a file that cannot be used. begin_s,
+    end_s: its first and last stamp.
     """
 
-    def __init__(self, path: Path, clock: Clock, depth_min_m: float, depth_max_m: float) -> None:
+    def __init__(
+        self, path: Path, clock: Clock, depth_min_m: float, depth_max_m: float, metres_per_unit: float | None = None
+    ) -> None:
         data = self._data = _load(path)
         self._frame_s, self._pose_s = _stamps(path, data, "frame_stamp_s"), _stamps(path, data, "pose_stamp_s")
         self._imu_s = _stamps(path, data, "imu_stamp_s") if "imu_stamp_s" in data else np.empty(0)
@@ -53,7 +57,7 @@ class NpzRecording:
             if np.linalg.norm(quats, axis=1).min() < _NO_TURN_SHARE:
                 raise StreamError(f"{path}: {name}: has a quaternion without a direction")
         self._rgb_from_depth = Pose(data["rgb_from_depth"][:4], data["rgb_from_depth"][4:])
-        self._table = depth_lookup_table(depth_min_m, depth_max_m)
+        self._table = depth_lookup_table(depth_min_m, depth_max_m, metres_per_unit or MM)
         self._clock = clock
         self._frame = self._pose = self._sample = 0
         self.begin_s = float(min(self._frame_s[0], self._pose_s[0]))

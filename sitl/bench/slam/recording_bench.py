@@ -19,7 +19,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from sitl.bench.slam.frame_trackers import SequenceTracker
-from sitl.bench.slam.tracking_run import DEPTH_RANGE_M, TrackingRun, tracking_run
+from sitl.bench.slam.tracking_run import TrackingRun, tracking_run
 from uav_recon.app.option_validation import UsageError
 from uav_recon.evaluation.trajectory_error import MIN_POSES, TrajectoryError, scale_of, timed_errors_m, trajectory_error
 from uav_recon.types.camera import Frame, ImuSample
@@ -27,7 +27,8 @@ from uav_recon.types.frames import FloatArray
 from uav_recon.types.pose import StampedPose
 
 if TYPE_CHECKING:
-    from uav_recon.sensors.recordings.recording import Pinhole, Recording
+    from uav_recon.sensors.recordings.checked_recording import CheckedRecording
+    from uav_recon.sensors.recordings.detection import ReadOptions
 
 PAIR_S = 0.01
 RPE_S = 1.0
@@ -49,19 +50,19 @@ class RecordedSequence:
     """
 
     name: str
-    recording: Recording
+    recording: CheckedRecording
     reference_s: FloatArray
     reference: FloatArray
     imu: list[ImuSample]
 
     @staticmethod
-    def of(folder: Path, k: Pinhole | None, *, gyro: bool) -> RecordedSequence:
+    def of(folder: Path, options: ReadOptions, *, gyro: bool) -> RecordedSequence:
         """Open a recording. gyro: make one from the reference. Raises UsageError with one line."""
-        from uav_recon.sensors.recordings.detection import ReadOptions, open_recording
+        from uav_recon.sensors.recordings.detection import open_recording
         from uav_recon.sensors.recordings.recording import RecordingError
 
         try:
-            recording = open_recording(folder, ReadOptions(*DEPTH_RANGE_M, k=k))
+            recording = open_recording(folder, options)
             poses, imu = recording.poses(), recording.imu()
         except RecordingError as error:
             raise UsageError(f"--recording {error}") from None
@@ -71,6 +72,16 @@ class RecordedSequence:
             raise UsageError(f"--gyro reference: {folder} has {len(stamp_s)} reference poses")
         imu = reference_gyro(stamp_s, reference) if gyro else imu
         return RecordedSequence(folder.name or folder.resolve().name, recording, stamp_s, reference, imu)
+
+    def remarks(self) -> list[str]:
+        """Return what the user should know of the recording. Raises UsageError."""
+        from uav_recon.app.recording_remarks import recording_remarks
+        from uav_recon.sensors.recordings.recording import RecordingError
+
+        try:
+            return recording_remarks(self.recording)
+        except RecordingError as error:
+            raise UsageError(f"--recording {error}") from None
 
     def frames(self, *, black: bool) -> Iterator[Frame]:
         """Yield the frames. black: their colour is. Raises UsageError."""

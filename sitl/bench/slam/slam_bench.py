@@ -56,6 +56,7 @@ class SlamBench:
     recordings: tuple[Path, ...] = ()
     intrinsics: str | None = None
     gyro: str = "none"
+    depth_unit_m: float | None = None
 
     def check_recordings(self) -> None:
         """Raise UserError with one line for options that do not suit recordings."""
@@ -76,8 +77,8 @@ class SlamBench:
 
         require_writable_file("--json", self.json)
         require_writable_folder("--cache", self.cache)
-        if self.intrinsics is not None or self.gyro != GYROS[0]:
-            raise UsageError("--intrinsics and --gyro: want --recording")
+        if self.intrinsics is not None or self.gyro != GYROS[0] or self.depth_unit_m is not None:
+            raise UsageError("--intrinsics, --gyro and --depth-unit: want --recording")
         _require_between("--seeds", self.seeds, SEEDS)
         _require_between("--paths", self.paths, PATHS)
         if not LENGTH_M[0] <= self.length_m <= LENGTH_M[1]:
@@ -126,17 +127,19 @@ def bench_slam(wanted: SlamBench) -> int:
 
 
 def _bench_recordings(wanted: SlamBench) -> int:
-    from uav_recon.app.replay import read_options
+    from uav_recon.app.recording_options import read_options
+    from uav_recon.app.recording_remarks import print_remarks
     from uav_recon.sensors.recordings.bag_messages import BagTopics
 
     console = Console(stderr=True)
     machine_speed = measure_machine_speed()
-    k = read_options(tracking_run.DEPTH_RANGE_M, wanted.intrinsics, BagTopics()).k
+    read = read_options(tracking_run.DEPTH_RANGE_M, wanted.intrinsics, BagTopics(), wanted.depth_unit_m)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     rows = []
     with Progress(*columns, console=console, transient=True, auto_refresh=False) as progress:
         for folder in wanted.recordings:
-            sequence = recording_bench.RecordedSequence.of(folder, k, gyro=wanted.gyro == GYROS[1])
+            sequence = recording_bench.RecordedSequence.of(folder, read, gyro=wanted.gyro == GYROS[1])
+            print_remarks(sequence.remarks(), console)
             for method in wanted.methods:
                 with _bar(progress, f"{sequence.name}: {method}") as report:
                     run = recording_bench.track(METHODS[method](), sequence, black=wanted.fault is not None, report=report)

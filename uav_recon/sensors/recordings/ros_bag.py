@@ -81,8 +81,9 @@ class RosBag:
     def imu(self) -> list[ImuSample]:
         """Return the inertial samples in body axes; empty if nothing tells how the IMU is mounted."""
         messages = self._contents.imu.get(self._imu or "", [])
-        frame = messages[0].header.frame_id if messages else ""
-        body_from_imu = self._contents.transforms.between(self._body, frame)
+        if not messages:
+            return []
+        body_from_imu = self._contents.transforms.between(self._body, messages[0].header.frame_id)
         if body_from_imu is None:
             self.skipped["imu samples without a transform to the body"] = len(messages)
             return []
@@ -114,12 +115,15 @@ class RosBag:
         if depth is not None:
             return depth
         images = [f"{topic} ({found.unused[topic]})" if topic in found.unused else topic for topic in sorted(found.stamps_s)]
-        raise RecordingError(f"{self._file}: has no depth image (16UC1 or 32FC1); it has {', '.join(images) or 'no image'}")
+        cut = ", and is cut" if self._storage.cut else ""
+        raise RecordingError(
+            f"{self._file}: has no depth image (16UC1 or 32FC1){cut}; it has {', '.join(images) or 'no image'}"
+        )
 
     def _pose_messages(self, named: str | None) -> list[Any]:
         """Return the messages that tell the poses; a remark says what is not used.
 
-        Of several kinds of topics the first is used: odometry and poses, poses with a covariance (as of a filter of a map), /tf.
+        Of several kinds of topics the first is used: odometry and poses, poses with a covariance (of a filter), /tf.
         """
         found, depth_frame = self._contents, self._contents.frame_ids[self._depth]
         moves = found.pose_of_depth(depth_frame)

@@ -15,12 +15,14 @@ from typer.testing import CliRunner
 from sitl.bench.slam import frame_trackers, recording_bench
 from sitl.bench.slam.recording_bench import RecordedSequence, figures, reference_gyro, track
 from uav_recon.cli.main import app
+from uav_recon.sensors.recordings.detection import ReadOptions
 from uav_recon.sensors.recordings.recording import LEVEL_MOUNT
 from uav_recon.types.camera import Frame, ImuSample
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.pose import Pose, StampedPose
 
 FRAMES = 45
+OPTIONS = ReadOptions()
 
 
 class FromReference:
@@ -55,7 +57,7 @@ def bench(*arguments: str) -> tuple[int, str, str]:
 
 
 def test_errors_are_those_of_the_known_offset(folder: Path) -> None:
-    sequence = RecordedSequence.of(folder, None, gyro=False)
+    sequence = RecordedSequence.of(folder, OPTIONS, gyro=False)
     found = figures(track(FromReference(), sequence), sequence)
     assert found["frames"] == found["paired"] == FRAMES
     assert found["ate_cm"] == pytest.approx(0.5, rel=0.02), "half a centimetre to each side of the mean"
@@ -67,7 +69,7 @@ def test_errors_are_those_of_the_known_offset(folder: Path) -> None:
 
 
 def test_time_without_a_pose_counts_after_the_first_one(folder: Path) -> None:
-    sequence = RecordedSequence.of(folder, None, gyro=False)
+    sequence = RecordedSequence.of(folder, OPTIONS, gyro=False)
     late = figures(track(FromReference(range(9)), sequence), sequence)
     assert late["first_pose_s"] == pytest.approx(0.3)
     assert late["lost_s"] == 0.0
@@ -84,11 +86,11 @@ def test_time_without_a_pose_counts_after_the_first_one(folder: Path) -> None:
 def test_poses_without_a_reference_near_them_are_not_judged(folder: Path) -> None:
     for number in range(20, FRAMES):
         (folder / f"frame-{number:06d}.pose.txt").unlink()
-    sequence = RecordedSequence.of(folder, None, gyro=False)
+    sequence = RecordedSequence.of(folder, OPTIONS, gyro=False)
     assert figures(track(FromReference(), sequence), sequence)["paired"] == 20
     for file in folder.glob("*.pose.txt"):
         file.unlink()
-    sequence = RecordedSequence.of(folder, None, gyro=False)
+    sequence = RecordedSequence.of(folder, OPTIONS, gyro=False)
     found = figures(track(FromReference(), sequence), sequence)
     assert (found["paired"], found["ate_cm"], found["scale"], found["lost_s"]) == (0, None, None, 0.0)
 
@@ -114,7 +116,7 @@ def test_a_made_gyro_turns_as_the_reference_but_for_noise_and_bias() -> None:
 
 
 def test_the_tracker_gets_the_samples_that_came_before_each_frame(folder: Path) -> None:
-    sequence = RecordedSequence.of(folder, None, gyro=True)
+    sequence = RecordedSequence.of(folder, OPTIONS, gyro=True)
     tracker = FromReference()
     track(tracker, sequence)
     assert 0.8 * 200 * FRAMES / 30 < len(tracker.samples) <= len(sequence.imu)
@@ -137,7 +139,7 @@ def test_the_command_writes_what_it_prints(folder: Path, tmp_path: Path, monkeyp
 
 
 def test_a_black_image_is_what_the_tracker_gets(folder: Path) -> None:
-    sequence, tracker = RecordedSequence.of(folder, None, gyro=False), FromReference()
+    sequence, tracker = RecordedSequence.of(folder, OPTIONS, gyro=False), FromReference()
     track(tracker, sequence, black=True)
     assert tracker.brightest == 0
     track(tracker, sequence)
