@@ -189,3 +189,55 @@ def test_stamps_that_count_no_seconds_are_a_fault(seconds_per_s: float) -> None:
         arrival_s = 100.0 + k / 30
         clocks.monotonic_s("depth", HARDWARE, 5.0 + seconds_per_s * arrival_s, arrival_s, arrival_s + WALL_S)
     assert [fault.stream for fault in clocks.faults()] == ["depth"]
+
+
+def _fed_in_order(
+    clocks: DeviceClocks, domain: StampDomain, step_s: float, delay_s: tuple[float, float], seed: int, streams: tuple[str, ...]
+) -> tuple[list[float], list[float]]:
+    """Send depth at 30 Hz whose delay varies, in the order of capture, and a gyro; from 40 s on clocks are off by step_s.
+
+    Returns the errors of the depth stamps before the step, and from 1.5 s after it on.
+    """
+    rng, origin_s = np.random.default_rng(seed), -90.0 if domain is HARDWARE else WALL_S
+    arrivals = [(k / 200 + 0.001 + rng.exponential(0.0003), k / 200, "gyro") for k in range(50 * 200)]
+    newest_s = 0.0
+    for k in range(50 * 30):
+        newest_s = max(newest_s + 1e-4, k / 30 + rng.uniform(*delay_s))
+        arrivals.append((newest_s, k / 30, "depth"))
+    before, after = [], []
+    for arrival_s, taken_s, name in sorted(arrivals):
+        off_s = step_s if taken_s > 40.0 and name in streams else 0.0
+        stamp_s = clocks.monotonic_s(name, domain, taken_s + origin_s + off_s, arrival_s, arrival_s + WALL_S)
+        if name == "depth" and not 40.0 <= taken_s < 41.5 and taken_s > 2.0:
+            (before if taken_s < 40.0 else after).append(stamp_s - taken_s)
+    return before, after
+
+
+@pytest.mark.parametrize("domain", [GLOBAL, HARDWARE])
+@pytest.mark.parametrize("delay_s", [(0.02, 0.021), (0.04, 0.15)])
+@pytest.mark.parametrize("seed", range(3))
+def test_arrivals_that_vary_are_no_step(domain: StampDomain, delay_s: tuple[float, float], seed: int) -> None:
+    clocks = DeviceClocks()
+    for errors in _fed_in_order(clocks, domain, 0.0, delay_s, seed, ()):
+        assert max(map(abs, errors)) < 0.002
+    assert clocks.behind_s("depth", 50.0) is None
+    assert clocks.apart_s("depth", "gyro", 50.0) is None
+    assert clocks.settled("depth", 50.0)
+
+
+@pytest.mark.parametrize("domain", [GLOBAL, HARDWARE])
+@pytest.mark.parametrize("delay_s", [(0.02, 0.021), (0.04, 0.15)])
+@pytest.mark.parametrize("streams", [("depth",), ("depth", "gyro")])
+@pytest.mark.parametrize("step_s", [-0.05, -0.3, -0.8, -3.7])
+def test_a_step_back_is_taken_out_while_arrivals_vary(
+    domain: StampDomain, delay_s: tuple[float, float], streams: tuple[str, ...], step_s: float
+) -> None:
+    """A depth clock alone, too: by 0.05 s its offset stays within that of a delay, and it had shared the gyro's."""
+    clocks = DeviceClocks()
+    _, after = _fed_in_order(clocks, domain, step_s, delay_s, 1, streams)
+    assert abs(float(np.median(after))) < 0.006
+    assert max(map(abs, after)) < 0.03
+    if domain is GLOBAL:
+        assert clocks.behind_s("depth", 50.0) == pytest.approx(-step_s, abs=0.03)
+    elif streams == ("depth",):
+        assert clocks.apart_s("depth", "gyro", 50.0) == pytest.approx(-step_s, abs=0.06)

@@ -55,6 +55,7 @@ _RESET_ATTEMPT = 3  #: internal: the attempt that resets the device before it is
 _RESET_S = 3.0  #: internal: time for the device to come back after that
 _PAIR_SHARE = 0.6  #: reject: depth without a colour image within this share of the time between two frames
 _TICK_S = 0.01
+_SAID_STEP_S = 0.05  #: internal: clocks are said to differ by multiples of this, so that a change of it is one line
 _SPARSE = 8  #: internal: step of the pixels of an image that its brightness is taken from
 _CLOSE_S = 2.0  #: internal: wait for the streams to stop when the process ends
 
@@ -348,10 +349,10 @@ class RealSenseCamera:
         for stream in domains:
             behind_s = self._clocks.behind_s(stream, now_s)
             if behind_s is not None:
-                found.append(Reason(ReasonCode.CAMERA_CLOCK_BEHIND, (stream, round(behind_s, 1))))
+                found.append(Reason(ReasonCode.CAMERA_CLOCK_BEHIND, (stream, _stepped(behind_s))))
         apart_s = self._clocks.apart_s("depth", "gyro", now_s)
         if apart_s is not None:
-            found.append(Reason(ReasonCode.CAMERA_CLOCKS_APART, ("depth", "gyro", abs(round(apart_s, 1)))))
+            found.append(Reason(ReasonCode.CAMERA_CLOCKS_APART, ("depth", "gyro", _stepped(abs(apart_s)))))
         return found
 
     def _say(self, remarks: tuple[Reason, ...]) -> None:
@@ -374,3 +375,8 @@ class RealSenseCamera:
             if pending.done():
                 return
             self._clock.sleep_until(self._clock.now_s() + _TICK_S)
+
+
+def _stepped(seconds: float) -> float:
+    """Return a time to the nearest _SAID_STEP_S."""
+    return round(seconds / _SAID_STEP_S) * _SAID_STEP_S

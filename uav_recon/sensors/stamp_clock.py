@@ -208,6 +208,7 @@ class DeviceClocks:
         self._domains: dict[str, StampDomain] = {}
         self._settled_s: dict[str, float] = {}
         self._delay_s: dict[str, float] = {}  # the shortest, of system or global time that was right
+        self._before_s: dict[tuple[str, str], float] = {}  # offset of a stream less that of another, before one was set back
 
     def monotonic_s(self, stream: str, domain: StampDomain, stamp_s: float, arrival_s: float, wall_s: float) -> float:
         """Return a stamp on the companion's clock; never later than its arrival.
@@ -218,6 +219,7 @@ class DeviceClocks:
             self._settled_s[stream] = arrival_s + (HOLD_S if stream in self._domains else -math.inf)
             self._domains[stream], self._offsets[stream] = domain, ClockOffset()
             self._delay_s.pop(stream, None)
+            self._before_s = {pair: apart_s for pair, apart_s in self._before_s.items() if stream not in pair}
         based_s = stamp_s if domain is StampDomain.HARDWARE else stamp_s + arrival_s - wall_s
         offset = self._offsets[stream]
         offset.update(arrival_s - based_s, arrival_s)
@@ -227,6 +229,10 @@ class DeviceClocks:
             return based_s + offset.at(arrival_s) - self._delay_s.get(stream, 0.0)
         if offset.at(arrival_s) <= _MAX_TRANSPORT_S:
             self._delay_s[stream] = max(offset.at(arrival_s), 0.0)
+        self._note_before(stream, arrival_s)
+        if domain is StampDomain.HARDWARE and any(self._split_s(stream, other, arrival_s) for other in self._offsets):
+            delays_s = (apart_s for (first, _), apart_s in self._before_s.items() if first == stream)
+            return based_s + offset.at(arrival_s) - max(0.0, *delays_s)
         shared_s = min(other.at(arrival_s) for other in self._sharing(stream, arrival_s))
         if domain is not StampDomain.HARDWARE:  # it tells the capture, or the arrival, by the companion's own clock
             shared_s = min(shared_s, 0.0)
@@ -271,7 +277,25 @@ class DeviceClocks:
         if any(self.behind_s(stream, now_s) is not None for stream in (first, second)):
             return None
         apart_s = self._offsets[first].at(now_s) - self._offsets[second].at(now_s)
-        return None if abs(apart_s) <= _SAME_CLOCK_S else apart_s
+        return apart_s if abs(apart_s) > _SAME_CLOCK_S else self._split_s(first, second, now_s) or None
+
+    def _note_before(self, stream: str, now_s: float) -> None:
+        """Note by how much the offsets of a stream and of the others differ, while none was set back."""
+        own = self._offsets[stream]
+        for name, other in self._offsets.items():
+            steady = own.surely_known and other.surely_known and not own.set_back and not other.set_back
+            if name != stream and steady and self._domains[name] is self._domains[stream]:
+                apart_s = own.at(now_s) - other.at(now_s)
+                if abs(apart_s) <= _SAME_CLOCK_S:
+                    self._before_s[stream, name] = apart_s
+
+    def _split_s(self, stream: str, other: str, now_s: float) -> float:
+        """Return by how much a stream was set back against another whose clock it had shared; 0 if it was not."""
+        before_s = self._before_s.get((stream, other))
+        if before_s is None or not self._offsets[stream].set_back:
+            return 0.0
+        step_s = self._offsets[stream].at(now_s) - self._offsets[other].at(now_s) - before_s
+        return step_s if step_s > _BACK_STEP_S else 0.0
 
     def _sharing(self, stream: str, arrival_s: float) -> list[ClockOffset]:
         """Return the offsets that bound that of a stream.
