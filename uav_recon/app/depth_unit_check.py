@@ -25,16 +25,16 @@ _PAIRS = 40  #: internal: pairs of frames that are compared
 _BASELINES_M = (0.05, 0.5)  #: internal: distance between the two frames of a pair
 _TURN_RAD = math.radians(20.0)  #: internal: turn between them at most
 _POSE_GAP_S = 0.25  #: internal: a frame between two poses that are farther apart is not compared
-_SCALES = np.geomspace(1 / 30, 30.0, 171)  #: internal: scales that are tried, 4 % apart
-_CLIPPED = 0.1  #: internal: a distance between two surfaces of a larger share of the range counts as this: something is hidden
+_SCALES = np.geomspace(1 / 30, 30.0, 171)  # those that are tried, 4 % apart
+_CLIPPED_SHARE = 0.1  #: internal: a distance between two surfaces of a larger share of the range counts as this: something is hidden
 _LANDED_SHARE = 0.25  #: internal: a pair of which fewer points land on depth tells nothing
 _GROUPS = 4  #: internal: groups of pairs, each with an estimate of its own
-_BESIDE = 1.3  #: internal: a scale that fits is compared with those that differ by this factor
+_BESIDE_FACTOR = 1.3  #: internal: a scale that fits is compared with those that differ by this factor
 _CLEAR_SHARE = 0.9  #: internal: of the distance there, that of a scale that fits is at most this share
-_FITTING = (0.95, 1.05)  #: say: a scale outside of which the depth does not fit the poses
+_FITTING_FACTOR = (0.95, 1.05)  #: warn: a scale outside of which the depth does not fit the poses
 _UNITS_M = (0.0001, 0.0002, 0.00025, 0.0005, 0.001, 1.0)  #: internal: units of known devices and formats, in metres
-_SAME_UNIT = 0.06  #: internal: an estimate within this share of such a unit names it
-_OUTSIDE_SHARE = 0.8  #: say: this share of the depth is nearer or farther than the camera's range
+_SAME_UNIT_SHARE = 0.06  #: internal: an estimate within this share of such a unit names it
+_OUTSIDE_SHARE = 0.8  #: warn: this share of the depth is nearer or farther than the camera's range
 
 
 def depth_unit_remarks(recording: CheckedRecording) -> list[str]:
@@ -53,7 +53,7 @@ def depth_unit_remarks(recording: CheckedRecording) -> list[str]:
 def _scale_remark(scale: float, unit_m: float) -> str:
     """Return the line that names the likely unit."""
     estimate_m = scale * unit_m
-    known = next((unit for unit in _UNITS_M if abs(estimate_m / unit - 1.0) <= _SAME_UNIT), None)
+    known = next((unit for unit in _UNITS_M if abs(estimate_m / unit - 1.0) <= _SAME_UNIT_SHARE), None)
     likely = f"{known:g}" if known is not None else f"{estimate_m:.3g}, unless the scale of the poses is wrong"
     return f"depth fits the poses' motion with {scale:.3g} of its unit: --depth-unit {likely} (it was read with {unit_m:g})"
 
@@ -106,7 +106,7 @@ def unfitting_scale(frames: list[_View], poses: list[StampedPose], body_from_dep
         return None
     costs = np.array([_distances(*placed[i], *placed[j]) for i, j in pairs])
     scales = [_best_scale(costs[k::_GROUPS].mean(axis=0)) or 1.0 for k in range(_GROUPS)]
-    if max(scales) < _FITTING[0] or min(scales) > _FITTING[1]:
+    if max(scales) < _FITTING_FACTOR[0] or min(scales) > _FITTING_FACTOR[1]:
         return _best_scale(costs.mean(axis=0))
     return None
 
@@ -142,19 +142,19 @@ def _pairs(placed: list[tuple[_View, Pose]]) -> list[tuple[int, int]]:
 
 
 def _distances(first: _View, world_from_first: Pose, second: _View, world_from_second: Pose) -> FloatArray:
-    """Return for each of _SCALES the mean distance between two surfaces, as a share of the range; _CLIPPED where unknown."""
+    """Return for each of _SCALES the mean distance between two surfaces, as a share of the range; _CLIPPED_SHARE where unknown."""
     second_from_first = world_from_second.inverse() @ world_from_first
     depth_m = first.depth_m[::_POINT_STEP, ::_POINT_STEP]
     rays = first.bearings[::_POINT_STEP, ::_POINT_STEP] @ second_from_first.rotation().T
     known = np.isfinite(depth_m)
     points = rays[known] * depth_m[known][:, None]
-    out = np.full(len(_SCALES), _CLIPPED)
+    out = np.full(len(_SCALES), _CLIPPED_SHARE)
     if not len(points):
         return out
     for number, scale in enumerate(_SCALES):
         moved = points + second_from_first.translation_m / scale  # in units of the depth as it was read
         share = _distance(moved, second)
-        out[number] = _CLIPPED if share is None else share
+        out[number] = _CLIPPED_SHARE if share is None else share
     return out
 
 
@@ -170,13 +170,13 @@ def _distance(points: FloatArray, view: _View) -> float | None:
     if landed.sum() < _LANDED_SHARE * len(points):
         return None
     away = np.abs(ahead[inside, 2][landed] - seen_m[landed]) / seen_m[landed]
-    return float(np.minimum(away, _CLIPPED).mean())
+    return float(np.minimum(away, _CLIPPED_SHARE).mean())
 
 
 def _best_scale(costs: FloatArray) -> float | None:
     """Return the scale of the smallest distance; None if scales beside it fit nearly as well."""
     best = int(np.argmin(costs))
-    beside = round(math.log(_BESIDE) / math.log(_SCALES[1] / _SCALES[0]))
+    beside = round(math.log(_BESIDE_FACTOR) / math.log(_SCALES[1] / _SCALES[0]))
     if not beside <= best < len(_SCALES) - beside:
         return None
     if costs[best] > _CLEAR_SHARE * min(costs[best - beside], costs[best + beside]):
