@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import tomli_w
 from rich.console import Console
@@ -16,12 +16,13 @@ from uav_recon.app import camera_sources, config_file, pose_sources
 from uav_recon.app.flight_channels import read_only_channels
 from uav_recon.app.option_validation import UsageError, require_writable_file, require_writable_folder
 from uav_recon.app.recording_options import require_depth_unit
-from uav_recon.app.recording_remarks import print_remarks, recording_remarks
+from uav_recon.app.recording_remarks import print_remarks, recording_remarks, skipped_remarks
 from uav_recon.clock import ManualClock, MonotonicClock
 from uav_recon.config import Config
 from uav_recon.errors import EXIT_CONFIG, UserError
 from uav_recon.interfaces import DepthCamera, PoseSource
 from uav_recon.sensors.npz_recording import NpzRecording
+from uav_recon.sensors.recordings.checked_recording import CheckedRecording
 from uav_recon.sensors.recordings.detection import ReadOptions, open_recording
 from uav_recon.sensors.recordings.recording import LEVEL_MOUNT, PlaybackCamera, PlaybackPoses
 from uav_recon.sensors.stream_format import StreamError
@@ -38,7 +39,10 @@ PLOT = "calibration.png"
 
 @dataclass(frozen=True)
 class CalibrateOptions:
-    """The validated options. recording None: live, for at most seconds. depth_unit_m: of the recording; None: its own."""
+    """The validated options.
+
+    recording None: live, for at most seconds. depth_unit_m: of the recording; None: its own.
+    """
 
     recording: Path | None
     config: Path
@@ -128,6 +132,19 @@ def config_lines(config: Config, calibration: Any) -> dict[str, Any]:
     }
 
 
+class _Source(NamedTuple):
+    """Camera and poses of a recording, its first and last instant, and the reader.
+
+    recording: None for an .npz file.
+    """
+
+    camera: DepthCamera
+    poses: PoseSource
+    begin_s: float
+    end_s: float
+    recording: CheckedRecording | None = None
+
+
 def _from_recording(options: CalibrateOptions, config: Config, console: Console) -> Any:
     from uav_recon.localization.calibration.camera_mount import FixedMount
     from uav_recon.localization.hand_calibration import CameraCalibrator
@@ -136,22 +153,21 @@ def _from_recording(options: CalibrateOptions, config: Config, console: Console)
     assert options.recording is not None
     clock, mount = ManualClock(-math.inf), FixedMount(camera_sources.tilted_camera(config))
     try:
-        camera, poses, begin_s, end_s = _open_recording(options.recording, options.depth_unit_m, config, clock, console)
-        calibrator = CameraCalibrator(
-            CorrectedCamera(camera, config.camera.delay_s, config.camera.depth_scale), poses, mount, clock
-        )
-        for step in range(math.ceil((end_s - begin_s) / _STEP_S) + 2):
-            clock.advance_to(begin_s + step * _STEP_S)
+        source = _open_recording(options.recording, options.depth_unit_m, config, clock, console)
+        camera = CorrectedCamera(source.camera, config.camera.delay_s, config.camera.depth_scale)
+        calibrator = CameraCalibrator(camera, source.poses, mount, clock)
+        for step in range(math.ceil((source.end_s - source.begin_s) / _STEP_S) + 2):
+            clock.advance_to(source.begin_s + step * _STEP_S)
             calibrator.step()
+        if source.recording is not None:
+            print_remarks(skipped_remarks(source.recording.info), console)
     except StreamError as error:
         raise UserError(str(error)) from None
     return calibrator
 
 
-def _open_recording(
-    path: Path, depth_unit_m: float | None, config: Config, clock: ManualClock, console: Console
-) -> tuple[DepthCamera, PoseSource, float, float]:
-    """Return camera and poses of a recording, and its first and last instant; prints what the user should know of it.
+def _open_recording(path: Path, depth_unit_m: float | None, config: Config, clock: ManualClock, console: Console) -> _Source:
+    """Open a recording, and print what the user should know of it.
 
     It is an .npz file, or a ROS 2 bag with the poses of a body that carries the camera, as `uav-recon record` writes. Raises
     StreamError and UserError.
@@ -159,7 +175,7 @@ def _open_recording(
     span_m = config.camera.depth_min_m, config.camera.depth_max_m
     if path.suffix == ".npz":
         source = NpzRecording(path, clock, *span_m, depth_unit_m)
-        return source, source, source.begin_s, source.end_s
+        return _Source(source, source, source.begin_s, source.end_s)
     recording = open_recording(path, ReadOptions(*span_m, metres_per_unit=depth_unit_m))
     info, poses = recording.info, recording.poses()
     found = "".join(f"; {remark}" for remark in info.remarks)
@@ -173,7 +189,7 @@ def _open_recording(
     clock.advance_to(info.first_s)
     camera = PlaybackCamera(recording, clock)
     playback = PlaybackPoses(recording, clock, camera.shift_s, Pose.identity())
-    return camera, playback, info.first_s, info.last_s + _AFTER_S  # later poses have no frame
+    return _Source(camera, playback, info.first_s, info.last_s + _AFTER_S, recording)  # later poses have no frame
 
 
 def _live(options: CalibrateOptions, config: Config, console: Console) -> Any:

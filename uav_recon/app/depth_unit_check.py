@@ -1,4 +1,4 @@
-"""Check of a recording's depth unit, by the motion of its poses and by what a depth camera measures.
+"""Check of a recording's depth unit, by its poses and by what a camera measures.
 
 A point that one frame shows lies on the surface that another frame shows, if depth and poses have one scale. Depth of a wrong
 unit (millimetres read as 0.25 mm, as of an L515) fits with another scale: the one at which the two surfaces agree best.
@@ -10,6 +10,7 @@ import itertools
 import math
 from bisect import bisect_left
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -18,15 +19,17 @@ from uav_recon.types.camera import Frame
 from uav_recon.types.frames import Float32Array, FloatArray
 from uav_recon.types.pose import Pose, StampedPose
 
-_FRAMES = 160  #: internal: frames looked at
+_FRAMES = 120  #: internal: frames looked at, at most
+_APART_S = 0.25  #: internal: time between two of them, at most
 _WIDTH_PX = 160  #: internal: the images are thinned to this width
 _POINT_STEP = 4  #: internal: of the pixels of a thinned image, those that are compared
-_PAIRS = 40  #: internal: pairs of frames that are compared
+_PAIRS = 24  #: internal: pairs of frames that are compared
 _BASELINES_M = (0.05, 0.5)  #: internal: distance between the two frames of a pair
 _TURN_RAD = math.radians(20.0)  #: internal: turn between them at most
 _POSE_GAP_S = 0.25  #: internal: a frame between two poses that are farther apart is not compared
 _SCALES = np.geomspace(1 / 30, 30.0, 171)  # those that are tried, 4 % apart
-_CLIPPED_SHARE = 0.1  #: internal: a distance between two surfaces of a larger share of the range counts as this: something is hidden
+#: internal: a distance between two surfaces of a larger share of the range counts as this: something is hidden
+_CLIPPED_SHARE = 0.1
 _LANDED_SHARE = 0.25  #: internal: a pair of which fewer points land on depth tells nothing
 _GROUPS = 4  #: internal: groups of pairs, each with an estimate of its own
 _BESIDE_FACTOR = 1.3  #: internal: a scale that fits is compared with those that differ by this factor
@@ -38,12 +41,16 @@ _OUTSIDE_SHARE = 0.8  #: warn: this share of the depth is nearer or farther than
 
 
 def depth_unit_remarks(recording: CheckedRecording) -> list[str]:
-    """Return what is wrong with the depth, a line each; empty if nothing is. Reads some frames and all poses.
+    """Return what is wrong with the depth, a line each; empty if nothing is.
+
+    Reads some frames and all poses.
 
     Raises RecordingError.
     """
     whole, info = recording.of_any_depth(), recording.info
-    frames = [_thinned(frame) for frame in whole.frames(max(1, info.frames // _FRAMES))]
+    apart_s = min((info.last_s - info.first_s) / _FRAMES, _APART_S)
+    step = max(1, round(apart_s * info.frames / max(info.last_s - info.first_s, _APART_S)))
+    frames = [_thinned(frame) for frame in itertools.islice(whole.frames(step), _FRAMES)]
     scale = unfitting_scale(frames, recording.poses(), info.body_from_depth)
     if scale is not None:
         return [_scale_remark(scale, info.metres_per_unit)]
@@ -90,13 +97,19 @@ def _thinned(frame: Frame) -> _View:
     lens, step = frame.depth_intrinsics, max(1, frame.depth_m.shape[1] // _WIDTH_PX)
     numbers = lens.fx / step, lens.fy / step, lens.cx / step, lens.cy / step
     depth_m = np.array(frame.depth_m[::step, ::step])
-    v, u = np.indices(depth_m.shape)
-    bearings = np.stack(((u - numbers[2]) / numbers[0], (v - numbers[3]) / numbers[1], np.ones(depth_m.shape)), axis=-1)
-    return _View(frame.stamp_s, depth_m, bearings, numbers)
+    return _View(frame.stamp_s, depth_m, _bearings(*numbers, *depth_m.shape), numbers)
+
+
+@lru_cache(maxsize=4)
+def _bearings(fx: float, fy: float, cx: float, cy: float, height: int, width: int) -> FloatArray:
+    v, u = np.indices((height, width))
+    return np.stack(((u - cx) / fx, (v - cy) / fy, np.ones((height, width))), axis=-1)
 
 
 def unfitting_scale(frames: list[_View], poses: list[StampedPose], body_from_depth: Pose) -> float | None:
-    """Return the factor with which the depth fits the motion of the poses; None if it fits as it is, or nothing tells.
+    """Return the factor with which the depth fits the motion of the poses.
+
+    None if it fits as it is, or nothing tells.
 
     Each of several groups of pairs of frames must tell that it does not fit, all of them on the same side.
     """
@@ -112,7 +125,10 @@ def unfitting_scale(frames: list[_View], poses: list[StampedPose], body_from_dep
 
 
 def pose_at(poses: list[StampedPose], stamp_s: float) -> Pose | None:
-    """Return the pose at an instant, interpolated between the two beside it; None without two that are near each other."""
+    """Return the pose at an instant, interpolated between the two beside it.
+
+    None without two that are near each other.
+    """
     after = bisect_left(poses, stamp_s, key=lambda pose: pose.stamp_s)
     if after < len(poses) and poses[after].stamp_s == stamp_s:
         return poses[after].odom_from_body
@@ -127,7 +143,10 @@ def pose_at(poses: list[StampedPose], stamp_s: float) -> Pose | None:
 
 
 def _pairs(placed: list[tuple[_View, Pose]]) -> list[tuple[int, int]]:
-    """Return for each frame the one after it that is farthest away and yet shows the same; at most _PAIRS, spread evenly."""
+    """Return for each frame the one after it that is farthest away and yet shows the same.
+
+    At most _PAIRS, spread evenly.
+    """
     places = np.array([pose.translation_m for _, pose in placed]).reshape(-1, 3)
     turns = np.array([pose.quat_wxyz for _, pose in placed]).reshape(-1, 4)
     out = []
@@ -142,7 +161,10 @@ def _pairs(placed: list[tuple[_View, Pose]]) -> list[tuple[int, int]]:
 
 
 def _distances(first: _View, world_from_first: Pose, second: _View, world_from_second: Pose) -> FloatArray:
-    """Return for each of _SCALES the mean distance between two surfaces, as a share of the range; _CLIPPED_SHARE where unknown."""
+    """Return the mean distance between two surfaces at each of _SCALES, as a share of the range.
+
+    _CLIPPED_SHARE where it is not known.
+    """
     second_from_first = world_from_second.inverse() @ world_from_first
     depth_m = first.depth_m[::_POINT_STEP, ::_POINT_STEP]
     rays = first.bearings[::_POINT_STEP, ::_POINT_STEP] @ second_from_first.rotation().T
@@ -159,7 +181,10 @@ def _distances(first: _View, world_from_first: Pose, second: _View, world_from_s
 
 
 def _distance(points: FloatArray, view: _View) -> float | None:
-    """Return the mean distance of points (N, 3) from a view's surface as a share of the range; None if few land on it."""
+    """Return the mean distance of points (N, 3) from a view's surface as a share of the range.
+
+    None if few land on it.
+    """
     (fx, fy, cx, cy), (height, width) = view.lens, view.depth_m.shape
     ahead = points[points[:, 2] > 0.0]
     u = np.rint(fx * ahead[:, 0] / ahead[:, 2] + cx)

@@ -49,7 +49,9 @@ class Keyframe:
         return Keyframe(int(entry["sequence"]), float(entry["stamp_s"]), files[0], depth, files[1], rgb, *poses)
 
     def load(self, table: Float32Array, stamp_s: float) -> Frame:
-        """Read the images (about 5 ms). Raises DamagedItemError if one is missing, damaged or of another size.
+        """Read the images (about 5 ms).
+
+        Raises DamagedItemError if one is missing, damaged or of another size.
 
         table: metres of 16-bit depth.
         """

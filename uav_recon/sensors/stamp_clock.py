@@ -280,7 +280,7 @@ class DeviceClocks:
         return apart_s if abs(apart_s) > _SAME_CLOCK_S else self._split_s(first, second, now_s) or None
 
     def _note_before(self, stream: str, now_s: float) -> None:
-        """Note by how much the offsets of a stream and of the others differ, while none was set back."""
+        """Note by how much the offset of a stream differs from others, while none was set back."""
         own = self._offsets[stream]
         for name, other in self._offsets.items():
             steady = own.surely_known and other.surely_known and not own.set_back and not other.set_back
@@ -290,7 +290,10 @@ class DeviceClocks:
                     self._before_s[stream, name] = apart_s
 
     def _split_s(self, stream: str, other: str, now_s: float) -> float:
-        """Return by how much a stream was set back against another whose clock it had shared; 0 if it was not."""
+        """Return by how much a stream was set back against another whose clock it had shared.
+
+        0 if it was not.
+        """
         before_s = self._before_s.get((stream, other))
         if before_s is None or not self._offsets[stream].set_back:
             return 0.0

@@ -128,7 +128,7 @@ def bench_slam(wanted: SlamBench) -> int:
 
 def _bench_recordings(wanted: SlamBench) -> int:
     from uav_recon.app.recording_options import read_options
-    from uav_recon.app.recording_remarks import print_remarks
+    from uav_recon.app.recording_remarks import print_remarks, skipped_remarks
     from uav_recon.sensors.recordings.bag_messages import BagTopics
 
     console = Console(stderr=True)
@@ -145,6 +145,7 @@ def _bench_recordings(wanted: SlamBench) -> int:
                     run = recording_bench.track(METHODS[method](), sequence, black=wanted.fault is not None, report=report)
                 row = {"recording": sequence.name, "method": method, "gyro": wanted.gyro, "fault": wanted.fault}
                 rows.append(row | recording_bench.figures(run, sequence))
+            print_remarks(skipped_remarks(sequence.recording.info), console)
     factor = math.sqrt(machine_speed.cpu_slowdown * measure_machine_speed().cpu_slowdown)
     about = {"calibration_cpu": factor, "machine": host_info.processor(), "commit": host_info.commit()}
     slam_tables.show_recordings(Console(width=None if sys.stdout.isatty() else PRINTED_WIDTH), rows, about)

@@ -1,4 +1,7 @@
-"""First pass over a ROS 2 bag: its topics, stamps, intrinsics, transforms, poses and inertial samples."""
+"""First pass over a ROS 2 bag.
+
+It finds topics, stamps, intrinsics, transforms, poses and inertial samples.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +30,7 @@ TF_TOPIC, TF_STATIC = "/tf", "tf_static"
 _POSE_WORDS = ("odometry", "pose", "transform", "position", "path")  # in the names of types that may hold poses
 
 
-class MessageDecoder:
+class BagDecoder:
     """Decoder of messages of ROS 2. Raises RecordingError without the packages mcap and rosbags."""
 
     def __init__(self) -> None:
@@ -69,7 +72,7 @@ class BagContents:
     damaged: Counter[str] = field(default_factory=Counter)
 
     @staticmethod
-    def read(storage: BagStorage, decode: MessageDecoder) -> BagContents:
+    def read(storage: BagStorage, decode: BagDecoder) -> BagContents:
         """Read a bag. Raises RecordingError."""
         found = BagContents()
         note = _Notes(found, decode, str(storage.path))
@@ -85,7 +88,9 @@ class BagContents:
         return found
 
     def pose_of_depth(self, depth_frame: str) -> list[Any]:
-        """Return the transforms of /tf that move the depth imager in a frame that stands still; empty if it is not clear.
+        """Return the transforms of /tf that move the depth imager in a frame that stands still.
+
+        Empty if it is not clear.
 
         The child is fixed to the depth imager, and the parent is no child itself, or is odom, which by REP-105 moves without
         jumps.
@@ -106,9 +111,9 @@ class BagContents:
 
 
 class _Notes:
-    """What is kept of each message."""
+    """Store for what is kept of each message."""
 
-    def __init__(self, found: BagContents, decode: MessageDecoder, path: str) -> None:
+    def __init__(self, found: BagContents, decode: BagDecoder, path: str) -> None:
         self._found, self._decode, self._path = found, decode, path
 
     def info(self, message: RawMessage) -> None:

@@ -62,7 +62,9 @@ def only_topic(path: Path, what: str, option: str, named: str | None, found: Ite
 
 
 def image_use(message: Any) -> str | None:
-    """Return DEPTH or COLOUR for an Image or CompressedImage, by its format; None for one that is neither.
+    """Return DEPTH or COLOUR for an Image or CompressedImage, by its format.
+
+    None for one that is neither.
 
     Depth as JPEG is neither: it has 8 bits a pixel.
     """
@@ -75,13 +77,18 @@ def image_use(message: Any) -> str | None:
 
 
 def metres_per_unit(message: Any) -> float:
-    """Return the metres per unit of a depth image by its encoding: float is in metres, 16 bits are millimetres."""
+    """Return the metres per unit of a depth image by its encoding.
+
+    Float is in metres, 16 bits are millimetres.
+    """
     encoding = message.encoding if hasattr(message, "encoding") else encoding_of(message.format)
     return 1.0 if encoding == "32FC1" else MM
 
 
 def depth_image(message: Any, where: str) -> AnyArray:
-    """Return the depth (H, W) of an image: uint16 raw, or float32 (in metres if it was compressed).
+    """Return the depth (H, W) of an image.
+
+    It is uint16 raw, or float32 (in metres if it was compressed).
 
     Raises DamagedItemError, and RecordingError for an encoding that is not known.
     """

@@ -80,7 +80,10 @@ class BagStorage:
                 yield message
 
     def topics(self) -> list[tuple[str, str]]:
-        """Return name and type of the topics of an SQLite file; empty if it is damaged or another file."""
+        """Return name and type of the topics of an SQLite file.
+
+        Empty if it is damaged or another file.
+        """
         if not self.sqlite:
             return []
         with closing(read_only(self._content)) as database:

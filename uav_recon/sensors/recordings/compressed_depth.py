@@ -1,4 +1,4 @@
-"""Depth images of a sensor_msgs/CompressedImage, as compressed_depth_image_transport writes them.
+"""Depth of a CompressedImage, as ROS's compressed_depth_image_transport writes it.
 
 The format is "ENCODING; compressedDepth CODEC", or the encoding alone. Before the image come 12 bytes: a number of four bytes
 and the floats A and B. With the encoding 32FC1 the pixels are inverse depth: z = A / (raw - B), 0 is no return. With 16UC1 they
@@ -40,7 +40,9 @@ def holds_depth(text: str, data: bytes) -> bool:
 
 
 def decoded_depth(text: str, data: bytes, where: str) -> AnyArray:
-    """Return the depth (H, W) of a CompressedImage: uint16 raw, or float32 in metres for the encoding 32FC1.
+    """Return the depth (H, W) of a CompressedImage.
+
+    It is uint16 raw, or float32 in metres for the encoding 32FC1.
 
     Raises DamagedItemError, and RecordingError for a codec that is not known.
     """
@@ -56,7 +58,10 @@ def decoded_depth(text: str, data: bytes, where: str) -> AnyArray:
 
 
 def _metres(raw: AnyArray, a: float, b: float, *, where: str) -> AnyArray:
-    """Return A / (raw - B) as float32 in metres; NaN for 0, and for a denominator that is not positive."""
+    """Return A / (raw - B) as float32 in metres.
+
+    NaN for 0, and for a denominator that is not positive.
+    """
     if not (np.isfinite((a, b)).all() and a > 0.0):
         raise DamagedItemError(f"{where}: inverse depth with A {a:g} and B {b:g}; want finite numbers and A positive")
     below = raw.astype(np.float32) - np.float32(b)
@@ -91,7 +96,9 @@ def _rvl(data: bytes, where: str) -> AnyArray:
 
 
 def _numbers(data: bytes) -> AnyArray:
-    """Return the numbers (N,) int64 of an RVL stream: nibbles, the highest of each word of 32 bits first.
+    """Return the numbers (N,) int64 of an RVL stream.
+
+    The stream is nibbles, the highest of each word of 32 bits first.
 
     A nibble holds three bits of a number, the lowest first; its highest bit tells that more follow.
     """

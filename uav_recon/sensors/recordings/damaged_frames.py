@@ -9,7 +9,10 @@ from uav_recon.types.camera import Frame
 
 
 class DamagedFrames:
-    """Frames whose images cannot be read, by number, with the cause. A recording may be read several times."""
+    """Frames whose images cannot be read, by number, with the cause.
+
+    A recording may be read several times.
+    """
 
     def __init__(self) -> None:
         self._causes: dict[int, str] = {}

@@ -87,7 +87,7 @@ def require_increasing(path: Path, stamps_s: Sequence[float]) -> None:
 
 
 def _require_seconds(path: Path, stamps_s: list[float]) -> None:
-    """Raise RecordingError for stamps that are equal, out of order, or of another unit than seconds."""
+    """Raise RecordingError for stamps that are equal, out of order, or count no seconds."""
     steps_s = [after_s - before_s for before_s, after_s in itertools.pairwise(stamps_s) if after_s != before_s]
     if len(stamps_s) < 2:
         return
@@ -112,7 +112,7 @@ def _require_seconds(path: Path, stamps_s: list[float]) -> None:
 
 
 def _without_outliers(numbers: list[int], stamps_s: Sequence[float]) -> list[int]:
-    """Leave out each frame whose stamp is far from both of its neighbours, which are near each other."""
+    """Leave out each frame whose stamp is far from its neighbours, if those are near each other."""
     kept = numbers[:1]
     for number, after in itertools.pairwise([*numbers[1:], numbers[-1]]):
         before_s, stamp_s, after_s = stamps_s[kept[-1]], stamps_s[number], stamps_s[after]

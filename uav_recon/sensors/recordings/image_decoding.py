@@ -21,7 +21,10 @@ _FORMATS = ("PNG", "JPEG", "TIFF", "BMP", "PPM", "WEBP")
 
 
 def is_depth_png(data: bytes) -> bool:
-    """Return True for a PNG whose pixels are one number of 16 bits (its header, at byte 24: bits, colour type)."""
+    """Return True for a PNG whose pixels are one number of 16 bits (its header, at byte 24.
+
+    Bits, colour type).
+    """
     return data.startswith(PNG_MAGIC) and data[24:26] == bytes((_DEPTH_BITS, 0))
 
 
@@ -34,7 +37,10 @@ def depth_of(data: bytes, where: str) -> AnyArray:
 
 
 def rgb_of(data: bytes, where: str) -> AnyArray:
-    """Return a colour or grey image of 8 bits (h, w, 3) uint8 as RGB. Raises DamagedItemError that names ``where``."""
+    """Return a colour or grey image of 8 bits (h, w, 3) uint8 as RGB.
+
+    Raises DamagedItemError that names ``where``.
+    """
     image = _opened(data, where)
     if image.mode.startswith(("I", "F")):
         raise DamagedItemError(f"{where}: is an image of mode {image.mode}; want colour or grey of 8 bits")

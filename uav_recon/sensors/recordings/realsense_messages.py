@@ -1,4 +1,7 @@
-"""Messages of a librealsense recording: .db3 with messages of ROS 2, .bag with messages of ROS 1."""
+"""Messages of a librealsense recording.
+
+.db3 with messages of ROS 2, .bag with messages of ROS 1.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +15,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from uav_recon.sensors.recordings.bag_contents import MessageDecoder
+from uav_recon.sensors.recordings.bag_contents import BagDecoder
 from uav_recon.sensors.recordings.bag_messages import CAMERA_INFO, IMU
 from uav_recon.sensors.recordings.bag_storage import BagStorage, RawMessage
 from uav_recon.sensors.recordings.recording import DamagedItemError, RecordingError
@@ -95,7 +98,7 @@ class Ros2Messages:
     """Messages of ROS 2 in SQLite."""
 
     def __init__(self, storage: BagStorage) -> None:
-        self._storage, self._decode = storage, MessageDecoder()
+        self._storage, self._decode = storage, BagDecoder()
 
     @property
     def cut(self) -> bool:
@@ -157,7 +160,10 @@ class Ros1Messages:
                 yield StreamMessage(match[1], match[2], raw)
 
     def image(self, message: StreamMessage) -> Any:
-        """See StreamMessages. librealsense appends a number to depth images, which ROS does not know."""
+        """See StreamMessages.
+
+        Librealsense appends a number to depth images, which ROS does not know.
+        """
         data, at = message.raw.data, 12
         try:
             _, at = _text(data, at)  # frame id

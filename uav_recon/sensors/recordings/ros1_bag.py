@@ -36,13 +36,19 @@ class _Record:
 
 
 class Ros1Bag:
-    """The messages of a file. ``cut``: True after a pass over a file that was not closed, or ends before its end."""
+    """The messages of a file.
+
+    ``cut``: True after a pass over a file that was not closed, or ends before its end.
+    """
 
     def __init__(self, file: Path) -> None:
         self._file, self.cut = file, False
 
     def messages(self) -> Iterator[RawMessage]:
-        """Yield the messages; RawMessage.data is that of ROS 1. Raises OSError, and RecordingError for unknown compression."""
+        """Yield the messages; RawMessage.data is that of ROS 1.
+
+        Raises OSError, and RecordingError for unknown compression.
+        """
         self.cut = False
         topics: dict[int, tuple[str, str]] = {}
         with self._file.open("rb") as stream:

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from uav_recon.sensors.recordings.bag_contents import TF_TOPIC, BagContents, MessageDecoder, stamp_s_of
+from uav_recon.sensors.recordings.bag_contents import TF_TOPIC, BagContents, BagDecoder, stamp_s_of
 from uav_recon.sensors.recordings.bag_messages import (
     FILTERED_POSE,
     BagTopics,
@@ -42,7 +42,7 @@ class RosBag:
 
     def __init__(self, storage: BagStorage, metres_per_unit: float | None, topics: BagTopics) -> None:
         file, self._storage = storage.path, storage
-        self._file, self._decode, self._damaged = file, MessageDecoder(), DamagedFrames()
+        self._file, self._decode, self._damaged = file, BagDecoder(), DamagedFrames()
         found = self._contents = BagContents.read(storage, self._decode)
         self._depth = self._depth_topic(topics.depth)
         self._colour = only_topic(file, "colour", "--colour-topic", topics.colour, found.colour)
@@ -155,7 +155,10 @@ class RosBag:
         return pose
 
     def _placed(self, messages: list[Any], pose_of: str) -> tuple[list[StampedPose], Pose, str]:
-        """Return the poses of the body, body_from_depth, and the name of the body's frame; a remark says what is assumed."""
+        """Return the poses of the body, body_from_depth, and the name of the body's frame.
+
+        A remark says what is assumed.
+        """
         depth_frame = self._contents.frame_ids[self._depth]
         first = body_frame_of(messages[0]) if messages else ""
         body_from_depth = self._contents.transforms.between(first, depth_frame) if first else None

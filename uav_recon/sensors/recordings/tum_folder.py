@@ -84,7 +84,10 @@ class TumFolder:
         )  # fmt: skip
 
     def frames(self, step: int = 1) -> Iterator[Frame]:
-        """Yield every step-th depth image that has a colour image. Raises RecordingError if none can be read."""
+        """Yield every step-th depth image that has a colour image.
+
+        Raises RecordingError if none can be read.
+        """
         numbered = list(enumerate(self._pairs))[::step]
         return self._damaged.readable((number, partial(self._frame, number, *pair)) for number, pair in numbered)
 
@@ -125,7 +128,10 @@ def is_tum_folder(path: Path) -> bool:
 
 
 def _paired(depth: list[tuple[float, str]], rgb: list[tuple[float, str]]) -> list[tuple[float, str, str]]:
-    """Return (stamp, depth file, nearest colour file) for each depth image that has one; rgb is sorted."""
+    """Return (stamp, depth file, nearest colour file) for each depth image that has one.
+
+    Rgb is sorted.
+    """
     stamps_s = [stamp_s for stamp_s, _ in rgb]
     out = []
     for stamp_s, file in depth:
