@@ -275,3 +275,13 @@ def test_a_pose_long_after_the_last_frame_does_not_lengthen_the_calibration(tmp_
     path = _as_mcap(npz, camera_sources.tilted_camera(load(FLOWN)))
     source = calibrate_command._open_recording(path, None, load(FLOWN), ManualClock(-math.inf), Console(quiet=True))
     assert source.end_s - source.begin_s < 4.0
+
+
+def test_the_depth_unit_counts_for_an_npz_file_too(tmp_path: Path) -> None:
+    npz = _recording(tmp_path, 1.0)
+    plain, halved = (NpzRecording(npz, ManualClock(1e9), 0.3, 20.0, unit).poll() for unit in (None, 0.0005))
+    assert plain is not None
+    assert halved is not None
+    both = np.isfinite(plain.depth_m) & np.isfinite(halved.depth_m)
+    assert both.any()
+    np.testing.assert_allclose(halved.depth_m[both], plain.depth_m[both] / 2, rtol=1e-5)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import math
 from pathlib import Path
@@ -85,6 +86,22 @@ def test_replay_of_a_rendered_room(tmp_path: Path) -> None:
         found = Pose(row[[7, 4, 5, 6]], row[1:4])
         assert np.linalg.norm(found.translation_m - wanted.translation_m) < 0.01  # in the recording's own frame
         assert abs(found.quat_wxyz @ wanted.quat_wxyz) > math.cos(0.01 / 2)
+
+
+def test_what_is_left_out_and_a_wrong_unit_are_in_the_results(tmp_path: Path) -> None:
+    write_recording(tmp_path / "r", SOURCE_FROM_WORLD)
+    (tmp_path / "r/frame-000007.depth.png").write_bytes(b"")
+    (tmp_path / "r/frame-000008.color.png").unlink()
+    console = Console(file=io.StringIO(), width=80)
+    options = ReplayOptions(tmp_path / "r", tmp_path / "out", ReadOptions(metres_per_unit=0.0011), mapper="none")
+    assert replay(options, console) == 0
+    summary = json.loads((tmp_path / "out/replay.json").read_text())
+    assert summary["frames_read"] == FRAMES - 2
+    ((reason, count),) = summary["skipped"].items()
+    assert ("frame-000007.depth.png: has no bytes" in reason, count) == (True, 2)
+    (remark,) = summary["remarks"]
+    assert remark.endswith(" of its unit: --depth-unit 0.001 (it was read with 0.0011)")
+    assert f"note: {remark}\n" in console.file.getvalue()  # type: ignore[attr-defined]
 
 
 def test_floor_of_the_room_is_level(tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from uav_recon.types.pose import StampedPose
 
 _TEXT_CHARACTERS = 160  #: internal: of the message of a library
 _ROUNDING_M = 1e-6  #: internal: a depth may be outside the range by this
+Stamped = TypeVar("Stamped", StampedPose, ImuSample)
 _AROUND_S = 1.0  #: reject: poses and inertial samples that far from a part that is used, where the stamps jump
 
 
@@ -51,16 +53,19 @@ class CheckedRecording:
     def poses(self) -> list[StampedPose]:
         """Return all poses of the body. Raises RecordingError."""
         with faults_of(self._path):
-            return [pose for pose in self._recording.poses() if self._is_used(pose.stamp_s)]
+            return self._beside_frames(self._recording.poses())
 
     def imu(self) -> list[ImuSample]:
         """Return all inertial samples. Raises RecordingError."""
         with faults_of(self._path):
-            return [sample for sample in self._recording.imu() if self._is_used(sample.stamp_s)]
+            return self._beside_frames(self._recording.imu())
 
-    def _is_used(self, stamp_s: float) -> bool:
+    def _beside_frames(self, values: list[Stamped]) -> list[Stamped]:
+        """Leave out what is far from the frames, if only a part of them is used."""
         info = self._recording.info
-        return not info.is_part or info.first_s - _AROUND_S <= stamp_s <= info.last_s + _AROUND_S
+        if not info.is_part:
+            return values
+        return [value for value in values if info.first_s - _AROUND_S <= value.stamp_s <= info.last_s + _AROUND_S]
 
 
 def _clipped(frame: Frame, low_m: float, high_m: float) -> Frame:
