@@ -204,7 +204,8 @@ def _fed_in_order(
     for k in range(50 * 30):
         newest_s = max(newest_s + 1e-4, k / 30 + rng.uniform(*delay_s))
         arrivals.append((newest_s, k / 30, "depth"))
-    before, after = [], []
+    before: list[float] = []
+    after: list[float] = []
     for arrival_s, taken_s, name in sorted(arrivals):
         off_s = step_s if taken_s > 40.0 and name in streams else 0.0
         stamp_s = clocks.monotonic_s(name, domain, taken_s + origin_s + off_s, arrival_s, arrival_s + WALL_S)
