@@ -15,7 +15,7 @@ from test_ros_bag import T, bag, head, said_of, usual, without
 
 from uav_recon.sensors.recordings.compressed_depth import decoded_depth
 from uav_recon.sensors.recordings.detection import ReadOptions, open_recording
-from uav_recon.sensors.recordings.recording import DamagedItemError
+from uav_recon.sensors.recordings.recording import RecordingError
 
 QUANTIZATION, MAX_M = 100.0, 10.0  # the defaults of image_transport
 
@@ -119,7 +119,7 @@ def test_damaged_bytes_are_one_kind_of_error(data: bytes, text: str) -> None:
     """Or an image, if they happen to be one."""
     try:
         decoded_depth(text, data, "x")
-    except DamagedItemError as error:
+    except RecordingError as error:
         assert "\n" not in str(error)
 
 
