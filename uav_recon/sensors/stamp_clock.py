@@ -196,7 +196,8 @@ class DeviceClocks:
 
     Streams of one domain whose delays are alike share the clock of the device: the stream with the shortest delay (that of the
     inertial samples) then gives the offset of all, and the delay of the others shows in their age. Streams whose offsets differ
-    by more than any delay have clocks of their own.
+    by more than any delay have clocks of their own. So has a stream that was set back, and whose offset differs from that of
+    another by 20 ms more than before: it is anchored on its arrivals with the delay that it had.
 
     System and global time are the companion's own, and count as told. If such a clock was set back, or all its stamps are older
     than any transport takes, it is wrong: the stream's stamps are then anchored on their arrivals, with the shortest delay that

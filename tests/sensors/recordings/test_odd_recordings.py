@@ -18,7 +18,7 @@ import pytest
 from recording_folders import depth_mm, write_seven_scenes, write_tum
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
 from test_compressed_depth import compressed, inverse, png, rvl
-from test_ros_bag import T, bag, moved, record, tf, usual, with_covariance, without
+from test_ros_bag import T, bag, image, moved, record, tf, usual, with_covariance, without
 
 from uav_recon.sensors.recordings.detection import ReadOptions, open_recording
 from uav_recon.sensors.recordings.recording import RecordingError
@@ -116,6 +116,15 @@ def cut_message(path: Path) -> Path:
     return path
 
 
+def another_size(path: Path, count: int) -> Path:
+    """Write a bag whose first depth images are of another size than its CameraInfo."""
+    small, messages = depth_mm(0)[:24, :32], usual(FRAMES)
+    first = [s for t, s, _ in messages if t == "/d/image_raw"][:count]
+    return to_bag(
+        path, [(t, s, image(s, small, "16UC1")) if t[:2] == "/d" and s in first else (t, s, m) for t, s, m in messages]
+    )
+
+
 def poses_only_tf(path: Path) -> Path:
     stamps_s = [s for t, s, _ in usual(FRAMES) if t == "/pose"]
     transforms = [tf("/tf", s, moved(s, k, "odom", "optical")) for k, s in enumerate(stamps_s)]
@@ -198,6 +207,10 @@ CASES: dict[str, tuple[Callable[[Path], Path], int, str]] = {
         lambda p: shifted_bag(p, 8, 700.0), 8, "gap of 700 s after 2.233 s: used 8 of 12 frames, 2.000 to 2.233 s",
     ),
     "an image of no bytes": (damaged_image, FRAMES - 1, "0 bytes for 64 x 48 16UC1): 1"),
+    "two images of another size": (lambda p: another_size(p, 2), FRAMES - 2, "is 32 x 24, and its CameraInfo 64 x 48): 2"),
+    "a CameraInfo of another size": (
+        lambda p: another_size(p, FRAMES), 0, "none of 12 frames can be read, the first: ",
+    ),
     "a message of two bytes": (cut_message, FRAMES - 1, "frames whose stamp is no number: 1"),
     "zstd of messages": (lambda p: to_bag(p, usual(FRAMES), CompressionMode.MESSAGE), FRAMES, ""),
     "zstd of the file": (lambda p: to_bag(p, usual(FRAMES), CompressionMode.FILE), FRAMES, ""),

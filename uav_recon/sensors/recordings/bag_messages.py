@@ -154,11 +154,13 @@ class Lens:
     def undistorted(self, image: AnyArray, where: str) -> AnyArray:
         """Return the image without distortion; depth keeps its values.
 
-        Raises RecordingError for another size.
+        Raises DamagedItemError for another size.
         """
         if image.shape[:2] != (self.intrinsics.height, self.intrinsics.width):
             found = f"{image.shape[1]} x {image.shape[0]}"
-            raise RecordingError(f"{where}: is {found}, and its CameraInfo {self.intrinsics.width} x {self.intrinsics.height}")
+            raise DamagedItemError(
+                f"{where}: is {found}, and its CameraInfo {self.intrinsics.width} x {self.intrinsics.height}"
+            )
         if self._maps is None:
             return image
         colour = image.ndim == 3

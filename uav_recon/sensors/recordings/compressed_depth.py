@@ -53,7 +53,7 @@ def decoded_depth(text: str, data: bytes, where: str) -> AnyArray:
     if plain and inverse:
         raise RecordingError(f"{where}: format {text!r} without the 12 bytes before the PNG; want depth as 16UC1")
     body = data if plain else data[_HEADER_BYTES:]
-    raw = _rvl(body, where) if text.endswith("rvl") else depth_of(body, where)
+    raw = _rvl(body, where) if text.strip().endswith("rvl") else depth_of(body, where)
     return _metres(raw, *struct.unpack_from("<ff", data, 4), where=where) if inverse else raw
 
 
