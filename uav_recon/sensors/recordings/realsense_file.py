@@ -63,7 +63,8 @@ class RealSenseFile:
             raise RecordingError(f"{file}: has no depth{cut}; it has {', '.join(sorted(found.infos)) or 'no image'}")
         self._unit = DepthUnit(metres_per_unit or found.unit_m or MM)
         self._lenses = {name: self._lens(name) for name in found.images}
-        self._one_clock = len(set(found.clocks.values())) == 1 and len(found.clocks) == len(found.images) + len(found.motion)
+        clocks = {found.clocks.get(stream) for stream in (*found.images, *found.motion)}  # a cut may leave others without data
+        self._one_clock = len(clocks) == 1 and None not in clocks
         if not self._one_clock:
             self.skipped["stamps of the device: the streams have several clocks"] += 1
         self._used = used_frames(file, [self._stamp_s("Depth", file_ns) for file_ns in found.images["Depth"]])
