@@ -66,7 +66,8 @@ class RealSenseFile:
         clocks = {found.clocks.get(stream) for stream in (*found.images, *found.motion)}  # a cut may leave others without data
         self._one_clock = len(clocks) == 1 and None not in clocks
         if not self._one_clock:
-            self.skipped["stamps of the device: the streams have several clocks"] += 1
+            why = "a stream does not tell its clock" if None in clocks else "the streams have several clocks"
+            self.skipped[f"stamps of the device: {why}"] += 1
         self._used = used_frames(file, [self._stamp_s("Depth", file_ns) for file_ns in found.images["Depth"]])
         self.skipped.update(self._used.skipped)
         cut = f"the file is cut or was not closed: it is read up to {self._used.stamps_s[-1]:.3f} s"
