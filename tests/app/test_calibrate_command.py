@@ -18,11 +18,11 @@ from uav_recon.app.calibrate_command import PLOT, CalibrateOptions, calibrate, c
 from uav_recon.clock import ManualClock
 from uav_recon.config import Config, load, save
 from uav_recon.errors import UserError
-from uav_recon.localization.calibration.calibration_filter import CameraCalibration
 from uav_recon.sensors.npz_recording import NpzRecording
 from uav_recon.sensors.recordings.mcap_writer import McapWriter
 from uav_recon.sensors.recordings.recording import LEVEL_MOUNT
 from uav_recon.sensors.stream_format import CameraSpec, StreamError, StreamHeader, StreamWriter
+from uav_recon.types.camera_calibration import CameraCalibration
 from uav_recon.types.pose import Pose
 
 sys.path.append(str(Path(__file__).parents[1] / "localization"))

@@ -80,9 +80,10 @@ def calibrate(options: CalibrateOptions) -> int:
     Exit code 0: all elements are known; 1: some are not, and the motions that would show them are printed. Raises UserError
     with one line for input that cannot be used.
     """
-    from uav_recon.localization.calibration.calibration_filter import CameraCalibration, observed
+    from uav_recon.localization.calibration.calibration_filter import observed
     from uav_recon.localization.hand_calibration import known_calibration
     from uav_recon.recording.calibration_plot import residuals_over_time
+    from uav_recon.types.camera_calibration import CameraCalibration
 
     config, console = config_file.load_config(options.config), Console()
     if config.camera.mount == "gimbal":

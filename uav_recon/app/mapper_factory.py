@@ -21,6 +21,8 @@ def make_neural_mapper(config: Config) -> NeuralMapper:
     safety, camera = config.safety, config.camera
     low, high = np.array(safety.fence_min_m), np.array(safety.fence_max_m)
     try:
-        return NeuralMapper(config.mapper, low, high, camera.depth_noise_px, camera.baseline_m)
+        return NeuralMapper(
+            config.mapper, low, high, camera.depth_noise_px, camera.baseline_m, own_poses=config.localization.source == "slam"
+        )
     except PriorError as error:
         raise UserError(str(error), EXIT_CONFIG) from None

@@ -322,7 +322,8 @@ def _start_mapper(config: Config, folder: Path) -> ProcessMapper:
     safety, camera = config.safety, config.camera
     low, high = np.array(safety.fence_min_m), np.array(safety.fence_max_m)
     try:
-        return ProcessMapper(config.mapper, low, high, camera.depth_noise_px, camera.baseline_m, folder)
+        own_poses = config.localization.source == "slam"
+        return ProcessMapper(config.mapper, low, high, camera.depth_noise_px, camera.baseline_m, folder, own_poses=own_poses)
     except PriorError as error:
         raise UserError(str(error), EXIT_CONFIG) from None
 

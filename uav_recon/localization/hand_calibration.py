@@ -13,18 +13,17 @@ from uav_recon.interfaces import Clock, DepthCamera, PoseSource
 from uav_recon.localization.calibration.calibration_filter import (
     NAMES,
     CalibrationFilter,
-    CameraCalibration,
     Elements,
     observed,
     prior_sigma,
 )
-from uav_recon.localization.calibration.camera_motion import MOMENT_S, CameraMotion
 from uav_recon.localization.calibration.camera_mount import Mount
 from uav_recon.localization.consistency.odometry_drift_rate import DriftRateEstimator
 from uav_recon.localization.consistency.planar_patches import patches
 from uav_recon.localization.fusion.fusion_filter import FusionFilter
 from uav_recon.localization.motion_estimator import MotionEstimator
 from uav_recon.types.camera import Frame
+from uav_recon.types.camera_calibration import MOMENT_S, CameraCalibration, CameraMotion
 from uav_recon.types.frames import AnyArray, FloatArray
 from uav_recon.types.pose import Pose
 
@@ -119,7 +118,7 @@ class CameraCalibrator:
         stamps_s, distances_m = [np.empty(0)], [np.empty(0)]
         views: deque[tuple[float, AnyArray]] = deque()
         for frame, motion in self._kept:
-            pose, depth_m = calibration.pose(motion), calibration.corrected(frame).depth_m
+            pose, depth_m = calibration.pose(motion), calibration.true_depth_m(frame.depth_m)
             camera = frame.depth_intrinsics.pinhole_px()
             while views and frame.stamp_s - views[0][0] > _AGE_S:
                 views.popleft()

@@ -1,13 +1,16 @@
 """Keyframes on disk, in a folder that other programs can read.
 
-folder/NNNN_rgb.jpg, folder/NNNN_depth.png (16 bit, millimetres, 0 = no return) and folder/poses.json with the intrinsics,
-poses and stamps of all keyframes. Each file is replaced atomically. All poses belong to one map epoch. A keyframe whose pose
-is unknown in a new epoch has a null pose and keeps its number.
+folder/NNNN_rgb.jpg, folder/NNNN_depth.png (16 bit, millimetres as the camera reported them, 0 = no return) and
+folder/poses.json with the intrinsics, poses and stamps of all keyframes. "calibration" of a keyframe holds the errors of the
+camera as known when it was taken: divide depth by 1 + depth_scale; world_from_depth is corrected for the delay and for the pose
+of the imager. "velocity_mps" and "rate_radps" are the motion of the imager, in world. Each file is replaced atomically. All
+poses belong to one map epoch. A keyframe whose pose is unknown in a new epoch has a null pose and keeps its number.
 """
 
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +18,8 @@ import numpy as np
 
 from uav_recon import atomic_file
 from uav_recon.types.camera import Frame, Intrinsics, PosedFrame
-from uav_recon.types.frames import AnyArray
+from uav_recon.types.camera_calibration import CameraCalibration
+from uav_recon.types.frames import AnyArray, FloatArray
 from uav_recon.types.pose import MapCorrection, Pose
 
 JPEG_QUALITY = 95
@@ -24,6 +28,7 @@ PNG_COMPRESSION = 1
 HEAD = '{"depth_unit_m": 0.001, "keyframes": [\n'
 BETWEEN = ",\n"
 TAIL = "\n]}\n"
+_AT_REST = (0.0, 0.0, 0.0)
 
 
 class KeyframeError(Exception):
@@ -114,7 +119,8 @@ class KeyframeFolder:
 
         frame, number = keyframe.frame, len(self._entries)
         with np.errstate(over="ignore"):  # an overflow becomes infinite, which means no return
-            millimetres = np.nan_to_num(frame.depth_m * 1000.0, nan=0.0, posinf=0.0, neginf=0.0)
+            reported_m = keyframe.calibration.reported_depth_m(frame.depth_m)
+            millimetres = np.nan_to_num(reported_m * 1000.0, nan=0.0, posinf=0.0, neginf=0.0)
         depth = np.where(millimetres < 65535.0, np.rint(millimetres), 0.0).astype(np.uint16)
         bgr = np.ascontiguousarray(frame.rgb[:, :, ::-1])
         self._write(f"{number:04d}_rgb.jpg", cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]))
@@ -129,6 +135,9 @@ class KeyframeFolder:
             "rgb_intrinsics": _lens(frame.rgb_intrinsics),
             "rgb_from_depth": _pose(frame.rgb_from_depth),
             "world_from_depth": _pose(keyframe.world_from_depth),
+            "calibration": _calibration(keyframe.calibration),
+            "velocity_mps": keyframe.velocity_mps.tolist(),
+            "rate_radps": keyframe.rate_radps.tolist(),
         }
         self._entries.append(entry)
         self._lines += (BETWEEN if self._lines else "") + json.dumps(entry)
@@ -147,17 +156,19 @@ class KeyframeFolder:
             bgr = cv2.imread(str(self._image(entry["rgb"])), cv2.IMREAD_COLOR)
             if depth is None or bgr is None or depth.dtype != np.uint16:
                 raise KeyframeError(f"{self.folder}: images of keyframe {number} are missing or damaged")
-            depth_m = np.where(depth > 0, depth.astype(np.float32) * np.float32(0.001), np.float32(np.nan))
+            calibration = _read_calibration(entry["calibration"]) if "calibration" in entry else CameraCalibration.none()
+            reported_m = np.where(depth > 0, depth.astype(np.float32) * np.float32(0.001), np.float32(np.nan))
             frame = Frame(
                 float(entry["stamp_s"]),
                 int(entry["sequence"]),
-                depth_m.astype(np.float32),
+                calibration.true_depth_m(reported_m),
                 _read_lens(entry["depth_intrinsics"]),
                 np.ascontiguousarray(bgr[:, :, ::-1]),
                 _read_lens(entry["rgb_intrinsics"]),
                 _read_pose(entry["rgb_from_depth"]),
             )
-            return PosedFrame(frame, pose, int(entry["map_epoch"]))
+            motion = [_vector(entry.get(name, _AT_REST)) for name in ("velocity_mps", "rate_radps")]
+            return PosedFrame(frame, pose, int(entry["map_epoch"]), False, math.nan, calibration, *motion)
         except (IndexError, KeyError, TypeError, ValueError, OverflowError) as error:
             raise KeyframeError(f"{self.folder}: keyframe {number}: {error}") from None
 
@@ -184,6 +195,29 @@ def _read_lens(entry: Any) -> Intrinsics:
         return Intrinsics.from_tree(entry)
     except (KeyError, TypeError) as error:
         raise ValueError(f"intrinsics: {error}") from None
+
+
+def _calibration(calibration: CameraCalibration) -> dict[str, Any]:
+    return {
+        "delay_s": calibration.delay_s,
+        "nominal_from_true": _pose(calibration.nominal_from_true),
+        "depth_scale": calibration.scale,
+        "width": calibration.width,
+    }
+
+
+def _read_calibration(entry: Any) -> CameraCalibration:
+    numbers = [float(entry[name]) for name in ("delay_s", "depth_scale", "width")]
+    if not all(math.isfinite(x) for x in numbers) or min(numbers[1:]) <= -1.0:
+        raise ValueError(f"calibration: {numbers} are not the errors of a camera")
+    return CameraCalibration(numbers[0], _read_pose(entry["nominal_from_true"]), *numbers[1:])
+
+
+def _vector(values: Any) -> FloatArray:
+    vector = np.array(values, dtype=np.float64)
+    if vector.shape != (3,) or not np.isfinite(vector).all():
+        raise ValueError(f"motion {values!r} is not three numbers")
+    return vector
 
 
 def _pose(pose: Pose) -> dict[str, list[float]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -26,6 +27,7 @@ from uav_recon.recording.report import (
     ReportSight,
 )
 from uav_recon.recording.report_page import Picture, write_report
+from uav_recon.types.camera_calibration import CALIBRATION_FILE
 from uav_recon.types.flight_metrics import StreamStatistics
 from uav_recon.types.frames import BoolArray, FloatArray
 
@@ -81,12 +83,22 @@ def build_report(folder: Path, card: FlightInfo, wall_s: float) -> Report:
         camera_calibration={name: (value, sigma) for name, value, sigma in timeline.perception[-1].calibration}
         if timeline.perception
         else None,
+        views_calibration=_views_calibration(folder),
         camera=tuple(dict.fromkeys(text for record in timeline.perception for text in record.camera)),
         kept_calibration=timeline.perception[-1].kept if timeline.perception else "",
         correction=timeline.perception[-1].correction if timeline.perception else "",
         earlier_map=timeline.perception[-1].earlier_map if timeline.perception else "",
         sight=_sight(timeline),
     )
+
+
+def _views_calibration(folder: Path) -> dict[str, tuple[float, float]] | None:
+    """Return the errors of the camera in calibration.json, None if it is missing or damaged."""
+    try:
+        tree = json.loads((folder / CALIBRATION_FILE).read_bytes())
+        return {str(name): (float(value), float(sigma)) for name, (value, sigma) in tree["elements"].items()}
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        return None
 
 
 def publish(report: Report, folder: Path) -> None:

@@ -128,6 +128,7 @@ class Report:
     knowledge of the scene needs to see 95 % of it well. refused_views: keyframes that the mapper rejected, by reason.
     reduced_speed_s: seconds of the flight at a reduced speed, by reason; null in reports from before it was logged.
     camera_calibration: errors of the camera at the end, by name with unit: value and standard deviation; None if not published.
+    views_calibration: the same, as all views of the final model show them together; None without a final model.
     kept_calibration: whether these began from an earlier flight, as text; '' for nothing. correction: of the odometry at the
     end, for a drift of the pose source; '' for none. earlier_map: whether the flight was found in the map of an earlier one,
     and where it began there; '' without one.
@@ -163,6 +164,7 @@ class Report:
     reduced_speed_s: Mapping[str, float] | None = None
     rejected_by_perception: Mapping[str, int] | None = None
     camera_calibration: Mapping[str, tuple[float, float]] | None = None
+    views_calibration: Mapping[str, tuple[float, float]] | None = None
     kept_calibration: str = ""
     correction: str = ""
     earlier_map: str = ""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import html
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -79,6 +79,7 @@ def render_page(report: Report, pictures: Sequence[Picture], notes: Sequence[str
         _odometry(report),
         _sight(report),
         _camera_calibration(report),
+        _views_calibration(report),
         _correction(report),
         _earlier_map(report),
         _safety(report),
@@ -207,10 +208,19 @@ def _camera_calibration(report: Report) -> str:
     errors = report.camera_calibration
     if not errors:
         return ""
-    rows = [(name, f"{value:.4f} ± {sigma:.4f}") for name, (value, sigma) in errors.items()]
+    rows = _error_rows(errors)
     if report.kept_calibration:
         rows.append(("Begun from", report.kept_calibration))
     return _table("Errors of the camera, as estimated in flight", rows)
+
+
+def _views_calibration(report: Report) -> str:
+    errors = report.views_calibration
+    return _table("Errors of the camera that the model is corrected for", _error_rows(errors)) if errors else ""
+
+
+def _error_rows(errors: Mapping[str, tuple[float, float]]) -> list[tuple[str, str]]:
+    return [(name, f"{value:.4f} ± {sigma:.4f}") for name, (value, sigma) in errors.items()]
 
 
 def _correction(report: Report) -> str:

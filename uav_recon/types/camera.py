@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
+from uav_recon.types.camera_calibration import CameraCalibration
 from uav_recon.types.frames import ByteArray, Float32Array, FloatArray, frozen
 from uav_recon.types.pose import Pose
 
@@ -93,8 +94,10 @@ class Frame:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PosedFrame:
-    """A frame and the pose of its depth imager at its own stamp.
+    """A frame and the pose of its depth imager when it saw what the frame shows.
 
+    calibration: errors of the camera that depth and pose have been corrected for. velocity_mps (3,), rate_radps (3,): motion of
+    the imager at that instant, in world axes.
     unsure: the source of the poses is uncertain of the place. The frame shows that the camera works, and is not mapped.
     place_sigma_m: standard deviation of the place in its worst direction, by the covariance of the pose; NaN if unknown.
     """
@@ -104,6 +107,9 @@ class PosedFrame:
     map_epoch: int = 0
     unsure: bool = False
     place_sigma_m: float = math.nan
+    calibration: CameraCalibration = field(default_factory=CameraCalibration.none)
+    velocity_mps: FloatArray = field(default_factory=lambda: np.zeros(3))
+    rate_radps: FloatArray = field(default_factory=lambda: np.zeros(3))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

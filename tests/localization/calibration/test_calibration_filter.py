@@ -20,11 +20,10 @@ from uav_recon.localization.calibration.calibration_filter import (
     ROTATION,
     SCALE,
     CalibrationFilter,
-    CameraCalibration,
 )
-from uav_recon.localization.calibration.camera_motion import CameraMotion
 from uav_recon.localization.consistency.odometry_drift_rate import DriftRateEstimator
 from uav_recon.types.camera import Frame
+from uav_recon.types.camera_calibration import CameraCalibration, CameraMotion
 from uav_recon.types.frames import Float32Array, FloatArray
 from uav_recon.types.pose import Pose
 

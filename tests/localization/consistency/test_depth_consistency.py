@@ -9,10 +9,10 @@ import pytest
 from textured_room import ranges_m
 
 from uav_recon.localization.calibration.calibration_filter import DELAY
-from uav_recon.localization.calibration.camera_motion import CameraMotion
 from uav_recon.localization.consistency.depth_consistency import DepthConsistencyMonitor, _moved, _seen_through
 from uav_recon.localization.consistency.past_view_comparison import CameraPose, ViewComparison
 from uav_recon.types.camera import Frame, Intrinsics, body_from_camera
+from uav_recon.types.camera_calibration import CameraMotion
 from uav_recon.types.frames import Float32Array, FloatArray
 from uav_recon.types.pose import Pose
 from uav_recon.types.reason import Reason

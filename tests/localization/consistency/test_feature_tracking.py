@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from textured_room import RGB_LENS, camera_at, depth_of, frame_of, moved, plaster, rgb_of
 
-from uav_recon.localization.calibration.camera_motion import CameraMotion
 from uav_recon.localization.consistency.feature_tracking import FeatureTracker, TrackedPoints
 from uav_recon.types.camera import Frame, Intrinsics
+from uav_recon.types.camera_calibration import CameraMotion
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.pose import Pose
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from textured_room import BARE, CAMERA, Paint, camera_at, depth_of, frame_of, moved, plaster, rgb_of
 
-from uav_recon.localization.calibration.camera_motion import CameraMotion
 from uav_recon.localization.consistency.odometry_drift_rate import DriftRateEstimator
 from uav_recon.localization.consistency.planar_patches import error_rows, normal_equations, patches
 from uav_recon.types.camera import body_from_camera
+from uav_recon.types.camera_calibration import CameraMotion
 from uav_recon.types.frames import AnyArray, Float32Array, FloatArray
 from uav_recon.types.pose import Pose
 

@@ -7,10 +7,10 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from uav_recon.localization.calibration.camera_motion import CameraMotion
 from uav_recon.localization.consistency.depth_consistency import CorrectedDrift
 from uav_recon.localization.consistency.reconciled_consistency import ReconciledConsistency
 from uav_recon.types.camera import Frame, Intrinsics
+from uav_recon.types.camera_calibration import CameraMotion
 from uav_recon.types.pose import Pose
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode

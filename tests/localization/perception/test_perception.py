@@ -11,12 +11,12 @@ from figure_eight import FigureEight, perfect_imu
 from uav_recon.app.flight_channels import memory_channels
 from uav_recon.clock import ManualClock
 from uav_recon.config import LocalizationConfig
-from uav_recon.localization.calibration.camera_motion import CameraMotion
 from uav_recon.localization.calibration.camera_mount import FixedMount, Mount
 from uav_recon.localization.consistency.depth_consistency import DepthConsistencyMonitor
 from uav_recon.localization.perception.fused_odometry import FusedOdometry
 from uav_recon.localization.perception.perception import Perception
 from uav_recon.types.camera import Frame, ImuSample, Intrinsics, PosedFrame, body_from_camera
+from uav_recon.types.camera_calibration import CameraMotion
 from uav_recon.types.pose import Pose, PoseHealth, StampedPose
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from uav_recon.config import LocalizationConfig
-from uav_recon.localization.calibration.camera_motion import CameraMotion
 from uav_recon.localization.calibration.camera_mount import FixedMount
 from uav_recon.localization.consistency.depth_consistency import DepthConsistencyMonitor
 from uav_recon.localization.perception.fused_odometry import FusedOdometry
 from uav_recon.localization.perception.sensor_checks import SensorChecks
 from uav_recon.types.camera import Frame, ImuSample, Intrinsics
+from uav_recon.types.camera_calibration import CameraMotion
 from uav_recon.types.pose import Pose, PoseHealth, StampedPose
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode

@@ -23,12 +23,17 @@ NOISE_PX, BASELINE_M = 0.02, 0.05
 def look(position: tuple[float, float, float], yaw_deg: float, sequence: int = 0, sigma_px: float = 0.0) -> PosedFrame:
     """Return a view from a position in the room, pitched 15° down."""
     world_from_depth = Pose.from_yaw(np.deg2rad(yaw_deg), np.array(position)) @ body_from_camera(np.zeros(3), np.deg2rad(15))
-    depth, _ = _cast(world_from_depth, DEPTH_LENS)
+    return view_from(world_from_depth, DEPTH_LENS, sequence, sigma_px)
+
+
+def view_from(world_from_depth: Pose, lens: Intrinsics, sequence: int = 0, sigma_px: float = 0.0) -> PosedFrame:
+    """Return a view from a pose."""
+    depth, _ = _cast(world_from_depth, lens)
     if sigma_px:
-        scale = DEPTH_LENS.fx * BASELINE_M
+        scale = lens.fx * BASELINE_M
         depth = scale / (scale / depth + sigma_px * np.random.default_rng(sequence).standard_normal(depth.shape))
     _, rgb = _cast(world_from_depth @ RGB_FROM_DEPTH.inverse(), RGB_LENS)
-    frame = Frame(0.5 * sequence, sequence, depth.astype(np.float32), DEPTH_LENS, rgb, RGB_LENS, RGB_FROM_DEPTH)
+    frame = Frame(0.5 * sequence, sequence, depth.astype(np.float32), lens, rgb, RGB_LENS, RGB_FROM_DEPTH)
     return PosedFrame(frame, world_from_depth)
 
 

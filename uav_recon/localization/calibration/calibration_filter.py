@@ -15,14 +15,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
 
 import numpy as np
 
-from uav_recon.geometry.jit import kernel
-from uav_recon.localization.calibration.camera_motion import CameraMotion
-from uav_recon.types.camera import Frame
-from uav_recon.types.frames import AnyArray, FloatArray
+from uav_recon.types.camera_calibration import CameraCalibration
+from uav_recon.types.frames import FloatArray
 from uav_recon.types.pose import Pose
 
 # elements of the state
@@ -75,34 +72,6 @@ _PRIOR = np.array(
         _COLOUR_DELAY_S, *(_COLOUR_ROTATION_RAD,) * 3, _WIDTH,
     ]
 )  # fmt: skip
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class CameraCalibration:
-    """Correction of the depth imager.
-
-    delay_s: time from what a frame shows to its stamp. nominal_from_true: pose of the true imager in that of
-    the config. scale: share by which depth is too large.
-    """
-
-    delay_s: float
-    nominal_from_true: Pose
-    scale: float
-
-    @staticmethod
-    def none() -> CameraCalibration:
-        """Return the calibration of a camera that is as configured."""
-        return CameraCalibration(0.0, Pose.identity(), 0.0)
-
-    def corrected(self, frame: Frame) -> Frame:
-        """Return the frame with depth at its true scale."""
-        if self.scale == 0.0:
-            return frame
-        return replace(frame, depth_m=frame.depth_m / np.float32(1.0 + self.scale))
-
-    def pose(self, motion: CameraMotion) -> Pose:
-        """Return where the true imager was when it saw what the frame shows: odom_from_depth."""
-        return motion.earlier(self.delay_s) @ self.nominal_from_true
 
 
 class CalibrationFilter:
@@ -212,34 +181,3 @@ def kept_fault(elements: Elements) -> str:
         if not 0.0 < sigma <= prior:
             return f"{name} has a deviation of {sigma:.4g}, not in 0 to {prior:.4g}"
     return ""
-
-
-@kernel
-def error_row(
-    normal: AnyArray, point: AnyArray, rotation: AnyArray, place: AnyArray, velocity: AnyArray, rate: AnyArray
-) -> AnyArray:
-    """Return the derivatives (9,) of a point's error along a normal.
-
-    By delay, rotation (3), scale, width, offset (3).
-    normal (3,), point (3,) in odom; rotation (3, 3), place (3,), velocity (3,), rate (3,) of the camera. The order is that of
-    the state from DELAY on.
-    """
-    out = np.empty(9)
-    x, y, z = point[0] - place[0], point[1] - place[1], point[2] - place[2]
-    swept = (
-        normal[0] * (velocity[0] + rate[1] * z - rate[2] * y)
-        + normal[1] * (velocity[1] + rate[2] * x - rate[0] * z)
-        + normal[2] * (velocity[2] + rate[0] * y - rate[1] * x)
-    )
-    q0 = rotation[0, 0] * x + rotation[1, 0] * y + rotation[2, 0] * z
-    q1 = rotation[0, 1] * x + rotation[1, 1] * y + rotation[2, 1] * z
-    q2 = rotation[0, 2] * x + rotation[1, 2] * y + rotation[2, 2] * z
-    m0 = rotation[0, 0] * normal[0] + rotation[1, 0] * normal[1] + rotation[2, 0] * normal[2]
-    m1 = rotation[0, 1] * normal[0] + rotation[1, 1] * normal[1] + rotation[2, 1] * normal[2]
-    m2 = rotation[0, 2] * normal[0] + rotation[1, 2] * normal[1] + rotation[2, 2] * normal[2]
-    out[0] = swept
-    out[1], out[2], out[3] = q1 * m2 - q2 * m1, q2 * m0 - q0 * m2, q0 * m1 - q1 * m0
-    out[4] = m0 * q0 + m1 * q1 + m2 * q2
-    out[5] = m0 * q0 + m1 * q1
-    out[6], out[7], out[8] = m0, m1, m2
-    return out

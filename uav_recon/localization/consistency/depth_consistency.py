@@ -9,8 +9,7 @@ from typing import NamedTuple, TypeGuard
 
 import numpy as np
 
-from uav_recon.localization.calibration.calibration_filter import CalibrationFilter, CameraCalibration
-from uav_recon.localization.calibration.camera_motion import CameraMotion
+from uav_recon.localization.calibration.calibration_filter import CalibrationFilter
 from uav_recon.localization.consistency.depth_outliers import isolated_pixel_fraction
 from uav_recon.localization.consistency.odometry_drift_rate import DriftRateEstimator
 from uav_recon.localization.consistency.past_view_comparison import (
@@ -24,6 +23,7 @@ from uav_recon.localization.consistency.past_view_comparison import (
 )
 from uav_recon.localization.repeated_image import FROZEN_S, RepeatedImage
 from uav_recon.types.camera import Frame, Intrinsics
+from uav_recon.types.camera_calibration import CameraCalibration, CameraMotion
 from uav_recon.types.frames import AnyArray, Float32Array, FloatArray
 from uav_recon.types.pose import Pose
 from uav_recon.types.reason import Reason
@@ -140,7 +140,7 @@ class DepthConsistencyMonitor:
     def _against_views(self, frame: Frame, motion: CameraMotion, drift: CorrectedDrift) -> Reason | None:
         """Compare a frame with earlier views; remember it if it is accepted."""
         odom_from_depth = self.calibration.pose(motion)
-        depth_m = self.calibration.corrected(frame).depth_m
+        depth_m = self.calibration.true_depth_m(frame.depth_m)
         seen = (frame.stamp_s, depth_m, frame.depth_intrinsics, odom_from_depth)
         newest, others = self._past_views.compare_newest(*seen), self._past_views.compare_oldest(*seen, OVERLAPPING)
         overlapping = next(others, None)

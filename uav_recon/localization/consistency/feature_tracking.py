@@ -15,10 +15,10 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from uav_recon.localization.calibration.camera_motion import CameraMotion
 from uav_recon.localization.consistency.planar_patches import patches
 from uav_recon.localization.slam.optical_flow import brightness, followed, inside
 from uav_recon.types.camera import Frame
+from uav_recon.types.camera_calibration import CameraMotion
 from uav_recon.types.frames import AnyArray, BoolArray, ByteArray, FloatArray
 from uav_recon.types.pose import Pose
 

@@ -12,7 +12,6 @@ from typing import NamedTuple
 import numpy as np
 
 from uav_recon.localization.calibration.calibration_filter import COLOUR_DELAY, DRIFT, GEOMETRY, SIZE, CalibrationFilter
-from uav_recon.localization.calibration.camera_motion import CameraMotion
 from uav_recon.localization.consistency.feature_tracking import FeatureTracker, TrackedPoints
 from uav_recon.localization.consistency.planar_patches import (
     REACH_M,
@@ -23,6 +22,7 @@ from uav_recon.localization.consistency.planar_patches import (
     weight_at,
 )
 from uav_recon.types.camera import Frame
+from uav_recon.types.camera_calibration import CameraMotion
 from uav_recon.types.frames import AnyArray, FloatArray
 
 # the camera moves faster in flight or in a hand; after this time below both it stands at rest

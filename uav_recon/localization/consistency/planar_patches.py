@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from uav_recon.geometry.camera_error_row import error_row
 from uav_recon.geometry.jit import kernel
-from uav_recon.localization.calibration.calibration_filter import error_row
 from uav_recon.localization.consistency.point_to_plane import seen_at
 from uav_recon.types.frames import AnyArray
 

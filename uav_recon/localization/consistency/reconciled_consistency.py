@@ -5,10 +5,10 @@ A fault is what neither the tracker's map nor the odometry of the source explain
 
 from __future__ import annotations
 
-from uav_recon.localization.calibration.calibration_filter import CalibrationFilter, CameraCalibration
-from uav_recon.localization.calibration.camera_motion import CameraMotion
+from uav_recon.localization.calibration.calibration_filter import CalibrationFilter
 from uav_recon.localization.consistency.depth_consistency import CorrectedDrift, DepthConsistencyMonitor
 from uav_recon.types.camera import Frame
+from uav_recon.types.camera_calibration import CameraCalibration, CameraMotion
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.reason import Reason
 

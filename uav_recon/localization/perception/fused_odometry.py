@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 from uav_recon.config import LocalizationConfig
-from uav_recon.localization.calibration.camera_motion import MOMENT_S, CameraMotion
 from uav_recon.localization.calibration.camera_mount import Mount
 from uav_recon.localization.correction.odometry_correction import OdometryCorrection, correction_of
 from uav_recon.localization.exclusion.checked_odometry import CheckedOdometry
@@ -14,6 +13,7 @@ from uav_recon.localization.fusion.fusion_filter import FusionFilter
 from uav_recon.localization.motion_estimator import MotionEstimator
 from uav_recon.localization.slam.view_odometry import ViewOdometry
 from uav_recon.types.camera import Frame, ImuSample
+from uav_recon.types.camera_calibration import MOMENT_S, CameraMotion
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.pose import StampedPose
 from uav_recon.types.reason import Reason
@@ -117,6 +117,10 @@ class FusedOdometry:
     def fused_motion(self, stamp_s: float) -> CameraMotion | None:
         """Return the motion of the depth imager by fused odometry, None if its pose is not known."""
         return self._motion(stamp_s, self.fused)
+
+    def corrected_motion(self, stamp_s: float) -> CameraMotion | None:
+        """Return the motion of the depth imager by odometry with its correction, None if its pose is not known."""
+        return self._motion(stamp_s, self.corrected)
 
     def registered_motion(self, stamp_s: float) -> CameraMotion | None:
         """Return the motion of the depth imager in the tracker's map, None if it is not known."""

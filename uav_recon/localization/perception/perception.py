@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
+from dataclasses import replace
 
 from uav_recon.clock import RateKeeper
 from uav_recon.config import LocalizationConfig
@@ -178,12 +179,22 @@ class Perception:
         """
         calibration = self._checks.calibration
         taken_s = frame.stamp_s - calibration.delay_s
-        estimate, body_from_depth = self._odometry.corrected(taken_s), self._mount.body_from_depth(taken_s)
-        if estimate is None or estimate.quality == 0 or body_from_depth is None:
+        estimate = self._odometry.corrected(taken_s)
+        if estimate is None or estimate.quality == 0:
             return None
-        odom_from_depth = estimate.odom_from_body @ body_from_depth @ calibration.nominal_from_true
-        unsure = estimate.unsure is not None
-        return PosedFrame(calibration.corrected(frame), odom_from_depth, estimate.map_epoch, unsure, estimate.place_sigma_m)
+        motion = self._odometry.corrected_motion(taken_s)
+        if motion is None:
+            return None
+        return PosedFrame(
+            replace(frame, depth_m=calibration.true_depth_m(frame.depth_m)),
+            motion.odom_from_depth @ calibration.nominal_from_true,
+            estimate.map_epoch,
+            estimate.unsure is not None,
+            estimate.place_sigma_m,
+            calibration,
+            motion.velocity_mps,
+            motion.rate_radps,
+        )
 
 
 def warm_up() -> None:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from uav_recon.config import LocalizationConfig
-from uav_recon.localization.calibration.calibration_filter import CalibrationFilter, CameraCalibration
+from uav_recon.localization.calibration.calibration_filter import CalibrationFilter
 from uav_recon.localization.consistency.axis_monitor import AxisMonitor
 from uav_recon.localization.consistency.depth_consistency import CorrectedDrift, DepthConsistencyMonitor
 from uav_recon.localization.consistency.reconciled_consistency import ReconciledConsistency
 from uav_recon.localization.correction.odometry_correction import corrects_drift
 from uav_recon.localization.perception.fused_odometry import FusedOdometry
 from uav_recon.types.camera import Frame, ImuSample
+from uav_recon.types.camera_calibration import CameraCalibration
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.pose import Pose, StampedPose
 from uav_recon.types.reason import Reason

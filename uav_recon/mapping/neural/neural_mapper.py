@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Mapping
 from typing import Any
@@ -11,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from uav_recon.config import MapperConfig, UncertaintyName
 from uav_recon.mapping.neural.keyframes.exposure_compensation import ExposureCompensation
+from uav_recon.mapping.neural.keyframes.joint_adjustment import CameraErrors, JointAdjustment
 from uav_recon.mapping.neural.keyframes.keyframe_buffer import KeyframeBuffer
 from uav_recon.mapping.neural.keyframes.keyframe_validation import (
     FEWEST_VIEWS,
@@ -55,6 +57,11 @@ from uav_recon.types.rgbd_camera import Camera
 
 ALIGN_AT = (0.0, 0.2, 0.4)  # shares of the polish steps at which the poses are refined
 ALIGN_ROUNDS = 3  # for training_data(), over all views at once
+# all poses and the errors of the camera are adjusted together at this number of views, and then at each growth by a share
+ADJUST_VIEWS = 6
+ADJUST_GROWTH = 0.25
+STALE_M = 0.002  # what was measured is counted again if the adjustment moves it by more
+STALE_RANGE_M = 3.0  # range at which that is judged
 FINAL_RATE = 0.1  # the learning rate falls to this share during the polish
 
 
@@ -62,16 +69,25 @@ class NeuralMapper:
     """The mapper without its process. Single-threaded, repeatable for a seed.
 
     box_min_m, box_max_m (3,): bounding box of the room in world. depth_noise_px: disparity noise of the depth image as
-    delivered. baseline_m: stereo baseline. uncertainties: all uncertainty measures by name. uncertainty: the measure given
-    to surface elements, chosen by config.uncertainty. The constructor raises PriorError (see normal_prior).
+    delivered. baseline_m: stereo baseline. own_poses: the poses come from the depth images. uncertainties: all uncertainty
+    measures by name. uncertainty: the measure given to surface elements, chosen by config.uncertainty. camera_errors: what all
+    views show of the camera, None before ADJUST_VIEWS of them. The constructor raises PriorError (see normal_prior).
     """
 
     def __init__(
-        self, config: MapperConfig, box_min_m: FloatArray, box_max_m: FloatArray, depth_noise_px: float, baseline_m: float
+        self,
+        config: MapperConfig,
+        box_min_m: FloatArray,
+        box_max_m: FloatArray,
+        depth_noise_px: float,
+        baseline_m: float,
+        *,
+        own_poses: bool = False,
     ) -> None:
         self._config = config
         self._noise_px = depth_noise_px
         self._baseline_m = baseline_m
+        self._own_poses = own_poses
         low, high = padded_box(box_min_m, box_max_m)
         self._low = low.astype(np.float32)
         self._high = high.astype(np.float32)
@@ -103,6 +119,9 @@ class NeuralMapper:
         self._live = IncrementalSurface(self._measured_cells, self._config.surface_voxel_m)
         self._patches = Surfels(low, high)
         self._alignment = PoseRefinement(self._patches)
+        self._adjustment = JointAdjustment(self._patches, own_poses=self._own_poses)
+        self._adjust_at = ADJUST_VIEWS
+        self.camera_errors: CameraErrors | None = None
         self._exposure = ExposureCompensation(self._patches)
         self._information = DepthInformation(low, high)
         self._colour_error = ColourError(low, high)
@@ -139,8 +158,8 @@ class NeuralMapper:
         The data shares its arrays with this mapper and changes with it.
         """
         for _ in range(ALIGN_ROUNDS):
-            self._alignment.refine(self._replay)
-        self._keyframe_buffer.sync_image_poses()
+            self._adjust()
+        self._keyframe_buffer.sync_images()
         return TrainingData(
             self._low, self._high, self._replay, self._measured_cells, self._keyframe_buffer.images, self.uncertainty
         )
@@ -192,7 +211,9 @@ class NeuralMapper:
         """
         if self._replay.count and keyframe.map_epoch != self.map_epoch:
             return RejectReason.EPOCH
-        view = self._keyframe_buffer.develop(keyframe)
+        if not self._replay.count:
+            self._alignment.calibration = keyframe.calibration
+        view = self._keyframe_buffer.develop(keyframe, self._alignment.calibration)
         if view is None:
             return RejectReason.EMPTY
         if self.views >= FEWEST_VIEWS and self._contradiction.is_contradiction(
@@ -228,10 +249,12 @@ class NeuralMapper:
         learn_waiting() does the work, a few views per call. Views that are added in between wait for their turn.
         """
         self.map_epoch = map_epoch
+        calibration, errors = self._alignment.calibration, self._adjustment.value
         self._begin(self._chosen())
+        self._alignment.calibration, self._adjustment.value = calibration, errors
         self._keep(np.array([self._placed(world_from_depth.get(number)) for number in self.kept], dtype=np.bool_))
         for view, number in enumerate(self.kept):
-            self._keyframe_buffer.place(view, world_from_depth[number].rotation(), world_from_depth[number].translation_m)
+            self._keyframe_buffer.place(view, world_from_depth[number], self._alignment.calibration)
 
     def _placed(self, world_from_depth: Pose | None) -> bool:
         """Return True if the pose of a view in the new map is valid; else count the reason."""
@@ -260,19 +283,37 @@ class NeuralMapper:
         """Add the next waiting view to the map."""
         replay, number = self._replay, self._taken
         self._taken += 1
-        self._alignment.add(replay)
+        self._alignment.add(replay, self._keyframe_buffer.given[number], self._keyframe_buffer.measured[number])
         if self.align_views:
             self._alignment.meet(replay)
         if self.learn_gains:
             self._exposure.meet(replay)
+        self._measure(number)
+        if self.align_views and self._taken >= self._adjust_at:
+            self._adjust_at = math.ceil(self._taken * (1.0 + ADJUST_GROWTH))
+            self._adjust()
+
+    def _adjust(self) -> None:
+        """Adjust poses and errors of the camera over all views, and count again what moved by it."""
+        before, stamps_s = self._alignment.calibration, np.array(self._keyframe_buffer.stamp_s[: self._taken])
+        self.camera_errors = self._adjustment.adjust(stamps_s, self._alignment, self._replay)
+        if before.difference_m(self._alignment.calibration, STALE_RANGE_M) <= STALE_M:
+            return
+        for each in (self._information, self._agreement, self._measured_cells):
+            each.clear()
+        for number in range(self._taken):
+            self._measure(number)
+
+    def _measure(self, number: int) -> None:
+        """Count what a view measures."""
+        replay = self._replay
         sigma, (rotation, position) = float(replay.views.inverse_depth_sigma[number]), replay.pose(number)
-        view = replay.rays(in_rows(replay.records(number)), rotation, position, sigma)
+        view = replay.rays(in_rows(replay.records(number)), rotation, position, sigma, replay.views.stretch[number])
         for points in view.points:
             self._learner.cover(points)
         self._information.add(view.points[0], view.cosine, view.sigma_m)
         self._agreement.add(view.points[0], view.normal, view.sigma_m)
         footprint_m = self._keyframe_buffer.footprint_m(number, view.sigma_m)
-        position = replay.pose(number)[1]
         self._measured_cells.add(position, view.points[0], view.normal, view.sigma_m, footprint_m)
         self._live.touch(view.points[0])
 
@@ -308,7 +349,7 @@ class NeuralMapper:
         aligned_at = {int(steps * share) for share in ALIGN_AT}
         for n in range(steps if self.views else 0):
             if self.align_views and n in aligned_at:
-                self._alignment.refine(self._replay)
+                self._adjust()
             self.train(1, FINAL_RATE ** ((n + 1) / steps))
 
     @property
@@ -342,7 +383,7 @@ class NeuralMapper:
         voxel_m: edge of the extraction grid; by default config.mesh_voxel_m, 2 cm.
         """
         voxel_m = self._config.mesh_voxel_m if voxel_m is None else voxel_m
-        self._keyframe_buffer.sync_image_poses()
+        self._keyframe_buffer.sync_images()
         return triangle_mesh(
             self.field, self._measured_cells, self.uncertainty, voxel_m, self._keyframe_buffer.images, self.painted()
         )

@@ -60,7 +60,7 @@ def test_replay_keeps_the_rays_of_the_kept_views() -> None:
     replay, random = RayBuffer(), np.random.default_rng(1)
     views = [random.integers(-30000, 30000, (50 + n, 10)).astype(np.int16) for n in range(9)]
     for n, records in enumerate(views):
-        replay.add(records, n * np.eye(3), np.full(3, float(n)), 0.1 * n)
+        replay.add(records, n * np.eye(3), np.full(3, float(n)), 0.1 * n, np.full(2, 1.0 + 0.01 * n))
     which = np.array([0, 1, 1, 0, 0, 1, 0, 1, 1], dtype=np.bool_)
     replay.keep(which)
     assert replay.count == 5
@@ -69,5 +69,6 @@ def test_replay_keeps_the_rays_of_the_kept_views() -> None:
         assert replay.views.rotation[index, 0, 0] == n
         assert replay.views.position[index, 2] == n
         assert replay.views.inverse_depth_sigma[index] == pytest.approx(0.1 * n)
-    replay.add(views[0], np.eye(3), np.zeros(3), 0.0)
+        assert replay.views.stretch[index] == pytest.approx(np.full(2, 1.0 + 0.01 * n))
+    replay.add(views[0], np.eye(3), np.zeros(3), 0.0, np.ones(2))
     assert np.array_equal(replay.records(5), views[0])

@@ -51,7 +51,7 @@ def _wall(rgb: AnyArray) -> Frame:
 
 
 def _bare(frame: Frame) -> AnyArray:
-    records = ray_records(frame, 0.003, 26_000, np.random.default_rng(0)).copy()
+    records = ray_records(frame, 0.003, 26_000, np.random.default_rng(0))[0].copy()
     records[:, 3:6] = 0
     return records
 
@@ -103,7 +103,7 @@ def test_relative_depth_becomes_normals(tmp_path: Path, inverse: bool) -> None:
     same = dataclasses.replace(frame, rgb=rgb.astype(np.uint8), rgb_intrinsics=lens, rgb_from_depth=Pose.identity())
     matrix = np.array([[3.0, 3.0 / 255.0, 0.0]])
     prior = NormalPrior(_linear(tmp_path / "depth.onnx", matrix, np.array([-0.1])))
-    measured = ray_records(same, 0.003, 26_000, np.random.default_rng(0)).copy()
+    measured = ray_records(same, 0.003, 26_000, np.random.default_rng(0))[0].copy()
     known = measured[:, 3:6].any(axis=1)
     records = measured.copy()
     hidden = known & (np.arange(len(records)) % 3 > 0)

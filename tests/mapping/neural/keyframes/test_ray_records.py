@@ -12,8 +12,9 @@ SIGMA = NOISE_PX / (DEPTH_LENS.fx * BASELINE_M)
 
 
 def _rays(view: PosedFrame, sigma: float) -> ViewRays:
-    records = ray_records(view.frame, sigma, RAYS_PER_VIEW, np.random.default_rng(0))
-    return RayBuffer().rays(records, view.world_from_depth.rotation(), view.world_from_depth.translation_m, sigma)
+    records, _ = ray_records(view.frame, sigma, RAYS_PER_VIEW, np.random.default_rng(0))
+    pose = view.world_from_depth
+    return RayBuffer().rays(records, pose.rotation(), pose.translation_m, sigma, np.ones(2))
 
 
 def test_rays_end_on_the_walls_with_their_normals() -> None:
@@ -46,7 +47,7 @@ def test_replay_thins_its_views_to_stay_bounded(monkeypatch: pytest.MonkeyPatch)
     records = np.zeros((1000, 10), dtype=np.int16)
     for n in range(12):
         records[:, 0] = n
-        replay.add(records[: 1000 * replay.rays_per_view() // RAYS_PER_VIEW], np.eye(3), np.zeros(3), SIGMA)
+        replay.add(records[: 1000 * replay.rays_per_view() // RAYS_PER_VIEW], np.eye(3), np.zeros(3), SIGMA, np.ones(2))
     first = replay.views.first[: replay.count + 1]
     assert replay.count == 12
     assert first[-1] <= 5000

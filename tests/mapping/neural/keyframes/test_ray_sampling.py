@@ -18,7 +18,7 @@ def weight_of_a_measurement(z_m: float) -> float:
     records = np.zeros((100, COLUMNS), dtype=np.int16)
     records[:, 2] = round(z_m / DEPTH_UNIT_M)
     replay, batch = RayBuffer(), make_batch()
-    replay.add(records, np.eye(3), np.zeros(3), D435I)
+    replay.add(records, np.eye(3), np.zeros(3), D435I, np.ones(2))
     low, high = np.full(3, -9.0, dtype=np.float32), np.full(3, 9.0, dtype=np.float32)
     draw(np.array([7], dtype=np.uint64), replay.views, 1, low, high, batch)
     near = batch.weight.reshape(RAYS, NEAR + FREE)[:, :NEAR]

@@ -38,7 +38,7 @@ def measured() -> tuple[Float32Array, Float32Array, ByteArray]:
     """Return measured points on walls, the inward normals there, and the walls' colours."""
     view = gathered().replay
     sigma = float(view.views.inverse_depth_sigma[0])
-    points = view.rays(view.records(0)[:2000], *view.pose(0), sigma).points[0].astype(np.float64)
+    points = view.rays(view.records(0)[:2000], *view.pose(0), sigma, view.views.stretch[0]).points[0].astype(np.float64)
     to_plane = np.abs(np.concatenate([points - LOW, points - HIGH], axis=1))
     wall = to_plane.argmin(axis=1)
     inwards = np.concatenate([np.eye(3), -np.eye(3)])[wall]

@@ -63,7 +63,8 @@ def views() -> ray_sampling.Views:
     first = np.array([0, 200, 500, 900])
     sigma = np.array([0.003, 0.004, 0.005], dtype=np.float32)
     gain = random.uniform(0.7, 1.4, (3, 3)).astype(np.float32)
-    return ray_sampling.Views(records, first, turn.astype(np.float32), position.astype(np.float32), sigma, gain)
+    stretch = random.uniform(0.97, 1.03, (3, 2)).astype(np.float32)
+    return ray_sampling.Views(records, first, turn.astype(np.float32), position.astype(np.float32), sigma, gain, stretch)
 
 
 def drawn_by_kernels(draws: int) -> tuple[ray_sampling.NumbaBatch, int]:

@@ -48,7 +48,7 @@ def ends(records: AnyArray) -> Float32Array:
 def seen(*views: AnyArray, sigma: float = SHARP) -> RayBuffer:
     replay = RayBuffer()
     for records in views:
-        replay.add(records, np.eye(3), np.zeros(3), sigma)
+        replay.add(records, np.eye(3), np.zeros(3), sigma, np.ones(2))
     return replay
 
 

@@ -21,7 +21,7 @@ def evidence() -> MeasuredCells:
 def images(depth_m: float) -> depth_visibility.DepthVisibility:
     """Return one depth image, taken from the origin, of a wall at a distance."""
     found = depth_visibility.DepthVisibility()
-    found.add(np.full((40, 40), depth_m, dtype=np.float32), LENS, np.eye(3), np.zeros(3), 0.001)
+    found.add(np.full((40, 40), depth_m, dtype=np.float32), LENS, np.eye(3), np.zeros(3), 0.001, np.ones(2))
     return found
 
 

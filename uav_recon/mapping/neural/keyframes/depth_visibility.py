@@ -19,7 +19,7 @@ SEEN_MARGIN_M = 0.02
 SEEN_MIN_COSINE = 0.15  # ... of a surface that faces it
 
 
-DepthImage = tuple[Float32Array, FloatArray, FloatArray, FloatArray, float]  # arguments of DepthVisibility.add()
+DepthImage = tuple[Float32Array, FloatArray, FloatArray, FloatArray, float, FloatArray]  # arguments of DepthVisibility.add()
 
 
 class DepthVisibility:
@@ -30,6 +30,7 @@ class DepthVisibility:
         self._lens: list[FloatArray] = []
         self._depth_from_world: list[tuple[FloatArray, FloatArray]] = []
         self._sigma: list[float] = []
+        self._stretch: list[FloatArray] = []
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the state for a checkpoint, without the images, which it stores by view.
@@ -52,13 +53,20 @@ class DepthVisibility:
         self._lens = list(compress(self._lens, which))
         self._depth_from_world = list(compress(self._depth_from_world, which))
         self._sigma = list(compress(self._sigma, which))
+        self._stretch = list(compress(self._stretch, which))
 
     def add(
-        self, depth_m: Float32Array, lens: FloatArray, rotation: FloatArray, position: FloatArray, inverse_depth_sigma: float
+        self,
+        depth_m: Float32Array,
+        lens: FloatArray,
+        rotation: FloatArray,
+        position: FloatArray,
+        inverse_depth_sigma: float,
+        stretch: FloatArray,
     ) -> None:
         """Add a depth image (H, W).
 
-        lens: fx, fy, cx, cy; pose world_from_depth as rotation (3, 3) and position (3,).
+        lens: fx, fy, cx, cy; pose world_from_depth as rotation (3, 3) and position (3,); stretch: see place().
         """
         with np.errstate(over="ignore"):  # an overflow becomes infinite, which means no return
             half = np.nan_to_num(depth_m[::2, ::2] * 1000.0, nan=0.0, posinf=0.0, neginf=0.0)
@@ -66,10 +74,21 @@ class DepthVisibility:
         self._lens.append(lens)
         self._depth_from_world.append((rotation.T.copy(), -rotation.T @ position))
         self._sigma.append(inverse_depth_sigma)
+        self._stretch.append(np.asarray(stretch, dtype=np.float64))
 
-    def place(self, view: int, rotation: FloatArray, position: FloatArray) -> None:
-        """Change the pose of an image: world_from_depth as in add()."""
+    def place(self, view: int, rotation: FloatArray, position: FloatArray, stretch: AnyArray) -> None:
+        """Change the pose and the lens of an image.
+
+        world_from_depth as in add(); stretch (2,): factors on bearings and depth.
+        """
         self._depth_from_world[view] = (rotation.T.copy(), -rotation.T @ position)
+        self._stretch[view] = np.asarray(stretch, dtype=np.float64)
+
+    def _pinhole_mm(self, view: int) -> FloatArray:
+        """Return fx, fy, cx, cy of an image with its stretch, and the unit of its depth in metres (5,)."""
+        fx, fy, cx, cy = self._lens[view]
+        wider, deeper = self._stretch[view]
+        return np.array([fx / wider, fy / wider, cx, cy, 0.001 * deeper])
 
     def votes(self, points: Float32Array, normals: Float32Array, most: int = 1 << 30) -> Float32Array:
         """Return the votes (N,) of the images on surface points (N, 3) with normals (N, 3).
@@ -81,7 +100,9 @@ class DepthVisibility:
         count = len(self._depth_mm)
         for view in np.unique(np.linspace(0, count - 1, min(count, most)).astype(int)) if count else ():
             rotation, translation = self._depth_from_world[view]
-            _vote(self._depth_mm[view], self._lens[view], rotation, translation, self._sigma[view], points, normals, score)
+            _vote(
+                self._depth_mm[view], self._pinhole_mm(view), rotation, translation, self._sigma[view], points, normals, score
+            )
         return score
 
     def looked_through(self, points: Float32Array, margin_m: float) -> BoolArray:
@@ -90,10 +111,9 @@ class DepthVisibility:
         Such a point is in the air.
         """
         through = np.zeros(len(points), dtype=np.bool_)
-        for image, lens, (rotation, translation), sigma in zip(
-            self._depth_mm, self._lens, self._depth_from_world, self._sigma, strict=True
-        ):
-            _look_through(image, lens, rotation, translation, sigma, margin_m, points, through)
+        for view, (rotation, translation) in enumerate(self._depth_from_world):
+            lens, sigma = self._pinhole_mm(view), self._sigma[view]
+            _look_through(self._depth_mm[view], lens, rotation, translation, sigma, margin_m, points, through)
         return through
 
 
@@ -116,7 +136,7 @@ def _look_through(
         v = int(np.floor((y / z * lens[1] + lens[3]) * 0.5 + 0.5))
         if u < 0 or v < 0 or u >= width or v >= height:
             continue
-        through[n] = 0.001 * image[v, u] > z + margin_m + SEEN_SIGMAS * inverse_sigma * z * z
+        through[n] = lens[4] * image[v, u] > z + margin_m + SEEN_SIGMAS * inverse_sigma * z * z
 
 
 @kernel
@@ -145,7 +165,7 @@ def _vote(
         slope = gate / max(facing, SEEN_MIN_COSINE) if facing > 0.0 else gate
         measured, through = 0, 0
         for near in range(5):  # the pixel and its four neighbours: poses can be off by a pixel, and depth edges are ragged
-            depth = 0.001 * image[v + (near == 1) - (near == 2), u + (near == 3) - (near == 4)]
+            depth = lens[4] * image[v + (near == 1) - (near == 2), u + (near == 3) - (near == 4)]
             if depth == 0.0:
                 continue
             measured += 1

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import compress
 from pathlib import Path
 from typing import Any
@@ -15,8 +15,11 @@ from uav_recon.mapping.neural.keyframes.keyframe_validation import FEWEST_RAYS
 from uav_recon.mapping.neural.keyframes.normal_prior import open_prior
 from uav_recon.mapping.neural.keyframes.ray_buffer import MAX_VIEWS, RayBuffer, ViewRays
 from uav_recon.mapping.neural.keyframes.ray_records import pixel_stride, ray_records
+from uav_recon.mapping.neural.keyframes.surfels import RAYS_USED
 from uav_recon.types.camera import PosedFrame
-from uav_recon.types.frames import AnyArray, BoolArray, Float32Array, FloatArray
+from uav_recon.types.camera_calibration import CameraCalibration, CameraMotion
+from uav_recon.types.frames import AnyArray, BoolArray, Float32Array
+from uav_recon.types.pose import Pose
 
 KEPT_VIEWS = MAX_VIEWS * 3 // 4  # number of views kept when memory is full
 SOME_RAYS = 6500  # rays of a view that are used to determine what it shows
@@ -28,16 +31,21 @@ VALIDATION_RAYS = 40
 
 @dataclass(frozen=True, slots=True, eq=False)
 class View:
-    """A keyframe as stored in the buffer.
+    """A keyframe as stored in the buffer, with depth as the camera reported it.
 
-    records (R, COLUMNS): its rays (see ray_records); ends: end points of some of them; image: its depth, with lens, pose and
-    noise; ray_rad: angle between neighbouring rays.
+    records (R, COLUMNS), measured (RAYS_USED,): its rays, and the depth of the first ones without smoothing (see ray_records);
+    ends: end points of some of them; image: its depth, with lens, pose and noise; ray_rad: angle between neighbouring rays.
+    calibration: what the keyframe was corrected for; given: motion in world of the imager of the config at stamp_s.
     """
 
     records: AnyArray
+    measured: AnyArray
     ends: ViewRays
     image: DepthImage
     ray_rad: float
+    calibration: CameraCalibration
+    given: CameraMotion
+    stamp_s: float
 
 
 class KeyframeBuffer:
@@ -57,6 +65,10 @@ class KeyframeBuffer:
         self.images = DepthVisibility()
         self.remembered = EvictionPolicy()
         self._ray_rad: list[float] = []
+        self._applied: list[CameraCalibration] = []
+        self.given: list[CameraMotion] = []
+        self.measured: list[AnyArray] = []
+        self.stamp_s: list[float] = []
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the state for a checkpoint, without the arrays of the views.
@@ -86,21 +98,27 @@ class KeyframeBuffer:
         self.replay.put_back(index, arrays["records"])
         self.images.put_back(index, arrays["depth_mm"])
 
-    def develop(self, keyframe: PosedFrame) -> View | None:
-        """Return the view of a keyframe; None if it has fewer than FEWEST_RAYS rays."""
-        frame = keyframe.frame
+    def develop(self, keyframe: PosedFrame, calibration: CameraCalibration) -> View | None:
+        """Return the view of a keyframe; None if it has fewer than FEWEST_RAYS rays.
+
+        calibration: errors of the camera as known now, which replace those that the keyframe was corrected for.
+        """
+        applied = keyframe.calibration
+        frame = replace(keyframe.frame, depth_m=applied.reported_depth_m(keyframe.frame.depth_m))
+        given = applied.motion(keyframe.world_from_depth, keyframe.velocity_mps, keyframe.rate_radps)
         lens = frame.depth_intrinsics
         sigma = self._noise_px / (lens.fx * self._baseline_m)
         most = self.replay.rays_per_view()
-        records = ray_records(frame, sigma, most, self._random)
+        records, measured = ray_records(frame, sigma, most, self._random)
         if len(records) < FEWEST_RAYS:
             return None
         if self._prior is not None:
             self._prior.fill(records, frame)
-        rotation, position = keyframe.world_from_depth.rotation(), keyframe.world_from_depth.translation_m
-        image = (frame.depth_m, lens.pinhole_px(), rotation, position, sigma)
-        ends = self.replay.rays(records[:SOME_RAYS], rotation, position, sigma)
-        return View(records, ends, image, pixel_stride(lens, most) / lens.fx)
+        pose = calibration.pose(given)
+        where = (pose.rotation(), pose.translation_m, sigma, calibration.stretch)
+        ends = self.replay.rays(records[:SOME_RAYS], *where)
+        image, ray_rad = (frame.depth_m, lens.pinhole_px(), *where), pixel_stride(lens, most) / lens.fx
+        return View(records, measured[:RAYS_USED].copy(), ends, image, ray_rad, applied, given, frame.stamp_s)
 
     def votes(self, view: View) -> Float32Array:
         """Return the votes (N,) of kept views on a new view's points, and of it on theirs.
@@ -116,21 +134,36 @@ class KeyframeBuffer:
 
     def add(self, view: View, number: int) -> None:
         """Add a view with a number greater than all before. Raises IndexError if full."""
-        _, _, rotation, position, sigma = view.image
-        self.remembered.add(number, position, view.ends.points[0])
-        self.replay.add(view.records, rotation, position, sigma)
+        self.remembered.add(number, view.image[3], view.ends.points[0])
+        self.replay.add(view.records, *view.image[2:])
         self._ray_rad.append(view.ray_rad)
+        self._applied.append(view.calibration)
+        self.given.append(view.given)
+        self.measured.append(view.measured)
+        self.stamp_s.append(view.stamp_s)
         self.images.add(*view.image)
 
-    def place(self, index: int, rotation: FloatArray, position: FloatArray) -> None:
-        """Change the pose of a view: world_from_depth as rotation (3, 3) and position (3,)."""
-        self.replay.place(index, rotation, position)
-        self.images.place(index, rotation, position)
+    def place(self, index: int, world_from_depth: Pose, calibration: CameraCalibration) -> None:
+        """Change the given pose of a view.
 
-    def sync_image_poses(self) -> None:
-        """Set the poses of the depth images to the refined poses of the rays."""
+        world_from_depth: as a keyframe has it, with what that keyframe was corrected for. calibration: errors as known now.
+        """
+        before, applied = self.given[index], self._applied[index]
+        moved = world_from_depth @ applied.pose(before).inverse()
+        turn = moved.rotation()
+        given = CameraMotion(moved @ before.odom_from_depth, turn @ before.velocity_mps, turn @ before.rate_radps)
+        self.given[index], pose = given, calibration.pose(given)
+        self.replay.place(index, pose.rotation(), pose.translation_m, calibration.stretch)
+        self.sync_image(index)
+
+    def sync_images(self) -> None:
+        """Give the depth images the refined poses and lenses of the rays."""
         for index in range(self.replay.count):
-            self.images.place(index, *self.replay.pose(index))
+            self.sync_image(index)
+
+    def sync_image(self, index: int) -> None:
+        """Give a depth image the pose and lens of its rays."""
+        self.images.place(index, *self.replay.pose(index), self.replay.views.stretch[index])
 
     def footprint_m(self, index: int, sigma_m: Float32Array) -> Float32Array:
         """Return the spacing (N,) of a view's rays where their depth has a noise of sigma_m (N,)."""
@@ -149,3 +182,7 @@ class KeyframeBuffer:
         for memory in (self.remembered, self.replay, self.images):
             memory.keep(which)
         self._ray_rad = list(compress(self._ray_rad, which))
+        self._applied = list(compress(self._applied, which))
+        self.given = list(compress(self.given, which))
+        self.measured = list(compress(self.measured, which))
+        self.stamp_s = list(compress(self.stamp_s, which))

@@ -15,7 +15,8 @@ import numpy as np
 from uav_recon.geometry.jit import kernel
 from uav_recon.mapping.neural.keyframes.ray_buffer import RayBuffer
 from uav_recon.mapping.neural.keyframes.surfels import NORMAL, POINT, VARIANCE, WEIGHT, Surfels
-from uav_recon.types.frames import BoolArray, FloatArray, IntArray
+from uav_recon.types.camera_calibration import CameraCalibration, CameraMotion
+from uav_recon.types.frames import AnyArray, BoolArray, FloatArray, IntArray
 from uav_recon.types.pose import Pose
 
 # prior sigma of given poses ...
@@ -28,10 +29,11 @@ MIN_SIGMA_RAD = np.deg2rad(0.06)
 MAX_M = 0.10
 MAX_RAD = np.deg2rad(5.0)
 PATCH_SIGMA_M = 0.01  # sigma of a surfel across its plane: surfaces are not planar, and errors of neighbours are correlated
-DEPTH_SHARE = 0.1  # share of the depth variance that remains after smoothing
 SCALES_M = (0.08, 0.04, 0.02)  # distances with half weight, one per iteration
-FULL_RAYS = 4.0  # a surfel does not improve with more rays
-MIN_NORMAL_COSINE = 0.9  # minimum cosine between the normals of a surfel and its cell
+FULL_RAYS = 20.0  # a surfel does not improve with more rays; one at the border of its cell, with few, is drawn to its middle
+MIN_NORMAL_COSINE = 0.98
+LEAST_SQUARE = 0.9
+MAX_SHARE = 0.2  # a point that is farther from its plane, as a share of its range, does not see that plane
 JOINT_VIEWS = 8  # views refined together
 FEWEST_SHARED = 20  # minimum number of shared cells for views refined together
 # smaller steps do not justify recomputing a view's surfels
@@ -43,22 +45,26 @@ COMMON_M = 0.001  # drift of the whole map above which it is removed
 class PoseRefinement:
     """Corrections (V, 6) of the given poses.
 
-    Translation in world and rotation vector about the camera.
+    Translation in world and rotation vector about the camera. calibration: errors of the camera, the same for all views.
     """
 
     def __init__(self, patches: Surfels) -> None:
         self._patches = patches
-        self._rotation: list[FloatArray] = []
-        self._position: list[FloatArray] = []
+        self.given: list[CameraMotion] = []
+        self._measured: list[AnyArray] = []
+        self.calibration = CameraCalibration.none()
         self._square: FloatArray = np.zeros((0, 2))
         self._turn = 0
         self.correction: FloatArray = np.zeros((0, 6))
 
-    def add(self, replay: RayBuffer) -> None:
-        """Add the next view of the buffer with its given pose world_from_depth."""
-        view = len(self._rotation)
-        self._rotation.append(replay.views.rotation[view].astype(np.float64))
-        self._position.append(replay.views.position[view].astype(np.float64))
+    def add(self, replay: RayBuffer, given: CameraMotion, measured: AnyArray) -> None:
+        """Add the next view of the buffer.
+
+        given: motion in world of the imager of the config at the stamp. measured: see Surfels.place().
+        """
+        view = len(self.given)
+        self.given.append(given)
+        self._measured.append(measured)
         self.correction = np.concatenate([self.correction, np.zeros((1, 6))])
         self._square = np.concatenate([self._square, np.zeros((1, 2))])
         self._move(view, replay)
@@ -68,8 +74,8 @@ class PoseRefinement:
 
         Views beyond the end of the mask are dropped too.
         """
-        self._rotation = list(compress(self._rotation, which))
-        self._position = list(compress(self._position, which))
+        self.given = list(compress(self.given, which))
+        self._measured = list(compress(self._measured, which))
         kept = np.flatnonzero(which)
         self._square = self._square[kept]
         self.correction = self.correction[kept]
@@ -86,17 +92,11 @@ class PoseRefinement:
 
     def meet(self, replay: RayBuffer) -> None:
         """Refine the newest view, then the views near it, then the views near an older one."""
-        newest = len(self._rotation) - 1
+        newest = len(self.given) - 1
         self._turn = self._turn + 1 if self._turn + 1 < newest else 0
         self._align_about(newest, 1, replay)
         self._align_about(newest, JOINT_VIEWS, replay)
         self._align_about(self._turn, JOINT_VIEWS, replay)
-        self._settle(replay)
-
-    def refine(self, replay: RayBuffer) -> None:
-        """Refine all views. About 10 ms per view."""
-        for centre in range(len(self._rotation)):
-            self._align_about(centre, JOINT_VIEWS, replay)
         self._settle(replay)
 
     def _align_about(self, centre: int, together: int, replay: RayBuffer) -> None:
@@ -109,7 +109,7 @@ class PoseRefinement:
         if not len(views):
             return
         precision = np.tile(np.repeat(self.sigma, 3) ** -2, len(views))
-        active = np.full(len(self._rotation), -1)
+        active = np.full(len(self.given), -1)
         active[views] = np.arange(len(views))
         for scale_m in SCALES_M:
             cell, whose, row = self._patches.of(views, beside)
@@ -127,24 +127,30 @@ class PoseRefinement:
         square = self.correction[views] ** 2 + np.diag(np.linalg.inv(normal)).reshape(-1, 6)
         self._square[views] = square.reshape(-1, 2, 3).sum(axis=2)
 
+    def move_all(self, replay: RayBuffer) -> None:
+        """Give all views the poses and lenses of the present calibration and corrections."""
+        for view in range(len(self.given)):
+            self._move(view, replay)
+
     def _move(self, view: int, replay: RayBuffer) -> None:
         rotation, position = self._pose(view)
         v = replay.views
-        v.rotation[view], v.position[view] = rotation, position
+        v.rotation[view], v.position[view], v.stretch[view] = rotation, position, self.calibration.stretch
         records = v.records[v.first[view] : v.first[view + 1]]
-        self._patches.place(view, records, rotation, position, float(v.inverse_depth_sigma[view]))
+        lens = np.array([v.inverse_depth_sigma[view], *v.stretch[view]])
+        self._patches.place(view, records, self._measured[view], rotation, position, lens)
 
     def _settle(self, replay: RayBuffer) -> None:
         common = self._common()
         if np.abs(common[:, :3]).max() > COMMON_M:
             self.correction -= common
-            for view in range(len(self._rotation)):
-                self._move(view, replay)
+            self.move_all(replay)
 
     def _pose(self, view: int) -> tuple[FloatArray, FloatArray]:
+        seen = self.calibration.pose(self.given[view])
         turn = Pose.from_rotation_vector(self.correction[view, 3:], np.zeros(3)).rotation()
-        rotation: FloatArray = turn @ self._rotation[view]
-        return rotation, self._position[view] + self.correction[view, :3]
+        rotation: FloatArray = turn @ seen.rotation()
+        return rotation, seen.translation_m + self.correction[view, :3]
 
     def _common(self) -> FloatArray:
         """Return the rigid motion of the whole map that best explains the corrections.
@@ -152,7 +158,7 @@ class PoseRefinement:
         The motion has the form of corrections (V, 6).
         """
         precision = np.diag(1.0 / np.repeat(self.sigma, 3) ** 2)
-        centre = np.stack(self._position)
+        centre = np.stack([each.odom_from_depth.translation_m for each in self.given])
         rows = np.zeros((len(centre), 6, 6))
         rows[:, :3, :3] = np.eye(3)
         rows[:, 3:, 3:] = np.eye(3)
@@ -173,16 +179,19 @@ def accumulate_normal_equations(  # noqa: C901
     active (N,): index of the moving view of a surfel, or -1; centre (N, 3): position of its camera. The offset of each
     cell's plane is eliminated.
     """
-    weight, distance, jacobian, plane = np.zeros(len(cell)), np.zeros(len(cell)), np.zeros((len(cell), 6)), np.zeros(3)
+    count = len(cell)
+    weight, distance, jacobian = np.zeros(count), np.zeros(count), np.zeros((count, 6))
+    plane, point = np.zeros(3), np.zeros(3)
     first = 0
     while first < len(cell):
         end = first + 1
         while end < len(cell) and cell[end] == cell[first]:
             end += 1
-        if end - first > 1 and _mean_normal(row[first:end], plane):
-            offset, total = _compare(row[first:end], plane, scale_m, distance[first:end], weight[first:end])
+        if end - first > 1 and mean_normal(row[first:end], plane):
+            offset, total = compare(row[first:end], plane, scale_m, distance[first:end], weight[first:end])
             for n in range(first, end):
-                _derive(row[n], centre[n], plane, jacobian[n])
+                on_plane(row[n, POINT.start : POINT.stop], centre[n], plane, distance[n] - offset, point)
+                derive(point, centre[n], plane, jacobian[n])
             for n in range(first, end):
                 if active[n] < 0 or weight[n] == 0.0:
                     continue
@@ -202,7 +211,8 @@ def accumulate_normal_equations(  # noqa: C901
 
 
 @kernel
-def _mean_normal(row: FloatArray, plane: FloatArray) -> bool:
+def mean_normal(row: FloatArray, plane: FloatArray) -> bool:
+    """Compute the unit mean normal (3,) of a cell's surfels; returns False if there is none."""
     plane[:] = 0.0
     for n in range(len(row)):
         for i in range(3):
@@ -213,7 +223,7 @@ def _mean_normal(row: FloatArray, plane: FloatArray) -> bool:
 
 
 @kernel
-def _compare(
+def compare(
     row: FloatArray, plane: FloatArray, scale_m: float, distance: FloatArray, weight: FloatArray
 ) -> tuple[float, float]:
     """Compute distances (N,) of a cell's surfels along its normal, and weights (N,).
@@ -222,11 +232,13 @@ def _compare(
     only one view sees in a cell gets a low weight.
     """
     for n in range(len(row)):
-        distance[n], facing = 0.0, 0.0
+        distance[n], facing, length = 0.0, 0.0, 0.0
         for i in range(3):
             distance[n] += plane[i] * row[n, POINT.start + i]
             facing += plane[i] * row[n, NORMAL.start + i]
-        variance = PATCH_SIGMA_M**2 + DEPTH_SHARE * row[n, VARIANCE]
+            length += row[n, NORMAL.start + i] ** 2
+        facing = facing / np.sqrt(length) if length > LEAST_SQUARE else 0.0
+        variance = PATCH_SIGMA_M**2 + row[n, VARIANCE] / max(row[n, WEIGHT], 1.0)
         weight[n] = min(row[n, WEIGHT] / FULL_RAYS, 1.0) / variance if facing > MIN_NORMAL_COSINE else 0.0
     offset, total = float(np.median(distance)), 0.0
     for turn in range(2):
@@ -242,12 +254,27 @@ def _compare(
 
 
 @kernel
-def _derive(row: FloatArray, centre: FloatArray, plane: FloatArray, jacobian: FloatArray) -> None:
-    """Compute the derivative (6,) of a surfel's distance with respect to the pose of its view.
+def on_plane(measured: FloatArray, centre: FloatArray, plane: FloatArray, off_m: float, point: FloatArray) -> None:
+    """Compute where the ray to a measured point (3,) meets the plane that the point is off by off_m along its normal (3,).
+
+    Derivatives are taken there: at the measured point they would follow its noise, and a smaller map, or one seen at a smaller
+    angle, would always fit better (errors in variables: Fuller 1987). centre (3,): position of the camera.
+    """
+    along = 0.0
+    for i in range(3):
+        along += plane[i] * (measured[i] - centre[i])
+    share = 1.0 - min(max(off_m / along, -MAX_SHARE), MAX_SHARE) if along != 0.0 else 1.0
+    for i in range(3):
+        point[i] = centre[i] + share * (measured[i] - centre[i])
+
+
+@kernel
+def derive(point: FloatArray, centre: FloatArray, plane: FloatArray, jacobian: FloatArray) -> None:
+    """Compute the derivative (6,) of a point's distance with respect to the pose of its view.
 
     The pose is its translation and rotation about the camera.
     """
-    x, y, z = row[POINT.start] - centre[0], row[POINT.start + 1] - centre[1], row[POINT.start + 2] - centre[2]
+    x, y, z = point[0] - centre[0], point[1] - centre[1], point[2] - centre[2]
     a, b, c = plane
     jacobian[0], jacobian[1], jacobian[2] = a, b, c
     jacobian[3], jacobian[4], jacobian[5] = y * c - z * b, z * a - x * c, x * b - y * a

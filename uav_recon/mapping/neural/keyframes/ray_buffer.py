@@ -63,8 +63,18 @@ class RayBuffer:
         """Return the number of rays wanted from the next view."""
         return RAYS_PER_VIEW // self._share
 
-    def rays(self, records: AnyArray, rotation: FloatArray, position: FloatArray, inverse_depth_sigma: float) -> ViewRays:
-        """Return the end points of rays; world_from_depth as rotation (3, 3) and position (3,)."""
+    def rays(
+        self,
+        records: AnyArray,
+        rotation: FloatArray,
+        position: FloatArray,
+        inverse_depth_sigma: float,
+        stretch: AnyArray,
+    ) -> ViewRays:
+        """Return the end points of rays.
+
+        world_from_depth as rotation (3, 3) and position (3,); stretch (2,): see Views.
+        """
         one = Views(
             records,
             np.array([0, len(records)]),
@@ -72,6 +82,7 @@ class RayBuffer:
             position[None].astype(np.float32),
             np.array([inverse_depth_sigma], dtype=np.float32),
             np.ones((1, 3), dtype=np.float32),
+            stretch[None].astype(np.float32),
         )
         count = len(records)
         points = np.empty((len(OFFSETS_M), count, 3), dtype=np.float32)
@@ -80,8 +91,15 @@ class RayBuffer:
         ray_points(one, 0, OFFSETS_M, points, cosine, sigma, normal)
         return ViewRays(points, cosine, sigma, normal)
 
-    def add(self, records: AnyArray, rotation: FloatArray, position: FloatArray, inverse_depth_sigma: float) -> None:
-        """Append a view. Raises IndexError beyond MAX_VIEWS: keep() makes room."""
+    def add(
+        self,
+        records: AnyArray,
+        rotation: FloatArray,
+        position: FloatArray,
+        inverse_depth_sigma: float,
+        stretch: AnyArray,
+    ) -> None:
+        """Append a view, given as to rays(). Raises IndexError beyond MAX_VIEWS: keep() makes room."""
         start = int(self.views.first[self.count])
         if start + len(records) > MAX_RAYS:
             self._thin()
@@ -89,16 +107,17 @@ class RayBuffer:
         v, n = self.views, self.count
         v.records[start : start + len(records)] = records
         v.rotation[n], v.position[n], v.inverse_depth_sigma[n] = rotation, position, inverse_depth_sigma
-        v.gain[n], v.first[n + 1] = 1.0, start + len(records)
+        v.gain[n], v.stretch[n], v.first[n + 1] = 1.0, stretch, start + len(records)
         self.count += 1
 
     def pose(self, view: int) -> tuple[FloatArray, FloatArray]:
         """Return the current pose of a view: world_from_depth as rotation (3, 3), position (3,)."""
         return self.views.rotation[view].astype(np.float64), self.views.position[view].astype(np.float64)
 
-    def place(self, view: int, rotation: FloatArray, position: FloatArray) -> None:
-        """Change the pose of a view: world_from_depth as in pose()."""
-        self.views.rotation[view], self.views.position[view] = rotation, position
+    def place(self, view: int, rotation: FloatArray, position: FloatArray, stretch: AnyArray) -> None:
+        """Change pose and lens of a view: world_from_depth as in pose(), stretch (2,) as in Views."""
+        v = self.views
+        v.rotation[view], v.position[view], v.stretch[view] = rotation, position, stretch
 
     def records(self, view: int) -> AnyArray:
         """Return the rays (N, COLUMNS) of a view, read-only."""
@@ -117,8 +136,8 @@ class RayBuffer:
         view, records = view.ravel(), v.records[row.ravel()]
         known = records[:, 3:6].any(axis=1)
         view, records = view[known], records[known].astype(np.float32)
-        z = records[:, 2] * np.float32(DEPTH_UNIT_M)
-        slope = records[:, :2] * np.float32(BEARING_UNIT)
+        z = records[:, 2] * np.float32(DEPTH_UNIT_M) * v.stretch[view, 1]
+        slope = records[:, :2] * np.float32(BEARING_UNIT) * v.stretch[view, :1]
         camera = np.stack([slope[:, 0] * z, slope[:, 1] * z, z], axis=1)
         points = np.einsum("nij,nj->ni", v.rotation[view], camera) + v.position[view]
         return points, np.einsum("nij,nj->ni", v.rotation[view], records[:, 3:6] * np.float32(NORMAL_UNIT))
@@ -167,4 +186,5 @@ def _empty() -> Views:
         np.zeros((MAX_VIEWS, 3), dtype=np.float32),
         np.zeros(MAX_VIEWS, dtype=np.float32),
         np.ones((MAX_VIEWS, 3), dtype=np.float32),
+        np.ones((MAX_VIEWS, 2), dtype=np.float32),
     )

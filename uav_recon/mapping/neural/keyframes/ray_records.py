@@ -24,8 +24,10 @@ HOLE = np.float32(1e9)  # inverse depth of a pixel without a return: outside eve
 FEWEST = 20  # minimum number of pixels on the plane
 
 
-def ray_records(frame: Frame, inverse_depth_sigma: float, most: int, random: np.random.Generator) -> AnyArray:
-    """Return records (N, COLUMNS) int16 of at most about ``most`` pixels, in random order.
+def ray_records(frame: Frame, inverse_depth_sigma: float, most: int, random: np.random.Generator) -> tuple[AnyArray, AnyArray]:
+    """Return records (N, COLUMNS) int16 of at most about ``most`` pixels, in random order, and their depth as measured.
+
+    The latter is (N,) uint16, in DEPTH_UNIT_M: smoothing rounds the inner corners of a room.
 
     inverse_depth_sigma: standard deviation of 1/z in 1/m (disparity noise over focal length times baseline).
     """
@@ -35,7 +37,7 @@ def ray_records(frame: Frame, inverse_depth_sigma: float, most: int, random: np.
     rows = np.minimum(rows + random.integers(0, stride, rows.shape), k.height - 1).ravel()
     columns = np.minimum(columns + random.integers(0, stride, columns.shape), k.width - 1).ravel()
     order = random.permutation(rows.size)
-    records = np.zeros((rows.size, COLUMNS), dtype=np.int16)
+    records, measured = np.zeros((rows.size, COLUMNS), dtype=np.int16), np.zeros(rows.size, dtype=np.uint16)
     to_rgb = frame.rgb_from_depth
     count = _pack(
         frame.depth_m,
@@ -48,8 +50,9 @@ def ray_records(frame: Frame, inverse_depth_sigma: float, most: int, random: np.
         columns[order],
         inverse_depth_sigma,
         records,
+        measured,
     )
-    return records[:count]
+    return records[:count], measured[:count]
 
 
 def pixel_stride(lens: Intrinsics, most: int) -> int:
@@ -67,7 +70,7 @@ def in_rows(records: AnyArray) -> AnyArray:
 @kernel
 def _pack(
     depth_m: Float32Array, lens: FloatArray, rgb: ByteArray, rgb_lens: FloatArray, rotation: FloatArray,
-    translation: FloatArray, rows: IntArray, columns: IntArray, sigma: float, records: AnyArray,
+    translation: FloatArray, rows: IntArray, columns: IntArray, sigma: float, records: AnyArray, measured: AnyArray,
 ) -> int:  # fmt: skip
     fx, fy, cx, cy = lens
     plane = np.zeros(3)
@@ -85,7 +88,7 @@ def _pack(
             continue
         inverse = 1.0 / z
         bx, by = (u0 - cx) / fx, (v0 - cy) / fy
-        record = records[count]
+        record, measured[count] = records[count], round(z / DEPTH_UNIT_M)
         count += 1
         _look_round(inverse_depth, v0, u0, window)
         if _fit_plane(window, across, down, inverse, sigma, plane):

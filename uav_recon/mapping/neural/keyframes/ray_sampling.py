@@ -44,7 +44,8 @@ class Views(NamedTuple):
 
     records (M, 10) i16; first (V + 1,) i64: start of each view in records; rotation (V, 3, 3) f32 and position (V, 3) f32 of
     world_from_depth; inverse_depth_sigma (V,) f32: sigma of 1/z in 1/m; gain (V, 3) f32: factor on rgb + TOE that converts
-    the view's colours to the mean exposure.
+    the view's colours to the mean exposure; stretch (V, 2) f32: factors on bearing and depth that remove the errors of the
+    camera's focal length and depth scale.
     """
 
     records: AnyArray
@@ -53,6 +54,7 @@ class Views(NamedTuple):
     position: Float32Array
     inverse_depth_sigma: Float32Array
     gain: Float32Array
+    stretch: Float32Array
 
 
 class NumbaBatch(NamedTuple):
@@ -117,9 +119,10 @@ def draw(state: AnyArray, views: Views, view_count: int, low: Float32Array, high
         rays = views.first[view + 1] - views.first[view]
         record = views.records[views.first[view] + int(uniform(state) * rays)]
         rotation, position = views.rotation[view], views.position[view]
-        bx, by = np.float32(record[0]) * np.float32(BEARING_UNIT), np.float32(record[1]) * np.float32(BEARING_UNIT)
+        wider, deeper = np.float32(BEARING_UNIT) * views.stretch[view, 0], np.float32(DEPTH_UNIT_M) * views.stretch[view, 1]
+        bx, by = np.float32(record[0]) * wider, np.float32(record[1]) * wider
         length = np.sqrt(bx * bx + by * by + _ONE)
-        z = np.float32(np.uint16(record[2])) * np.float32(DEPTH_UNIT_M)
+        z = np.float32(np.uint16(record[2])) * deeper
         reach = z * length
         sigma = z * z * views.inverse_depth_sigma[view]
         dx = (rotation[0, 0] * bx + rotation[0, 1] * by + rotation[0, 2]) / length
@@ -181,9 +184,10 @@ def ray_points(views: Views, view: int, offsets_m: Float32Array, points: Float32
     rotation, position = views.rotation[view], views.position[view]
     for n in range(views.first[view + 1] - views.first[view]):
         record = views.records[views.first[view] + n]
-        bx, by = np.float32(record[0]) * np.float32(BEARING_UNIT), np.float32(record[1]) * np.float32(BEARING_UNIT)
+        wider, deeper = np.float32(BEARING_UNIT) * views.stretch[view, 0], np.float32(DEPTH_UNIT_M) * views.stretch[view, 1]
+        bx, by = np.float32(record[0]) * wider, np.float32(record[1]) * wider
         length = np.sqrt(bx * bx + by * by + _ONE)
-        z = np.float32(np.uint16(record[2])) * np.float32(DEPTH_UNIT_M)
+        z = np.float32(np.uint16(record[2])) * deeper
         sigma_m[n] = z * z * views.inverse_depth_sigma[view]
         along = _ZERO
         for axis in range(3):

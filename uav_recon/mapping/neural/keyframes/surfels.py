@@ -46,7 +46,7 @@ class Surfels:
         self._origin = np.asarray(box_min_m, dtype=np.float64)
         extent = np.asarray(box_max_m, dtype=np.float64) - self._origin
         self._across = np.ceil(extent / CELL_M).astype(np.int64)
-        self._along = np.ceil(extent / DEEP_M).astype(np.int64) + 1
+        self._along = np.ceil(extent / DEEP_M).astype(np.int64) + 2
         layers = [int(np.prod(np.delete(self._across, axis))) * int(self._along[axis]) for axis in range(3)]
         self._first = np.concatenate([[0], np.cumsum(np.repeat(layers, 2))])
         self.cells = int(self._first[-1])
@@ -55,15 +55,22 @@ class Surfels:
         self._row: list[FloatArray] = []
 
     def place(
-        self, view: int, records: AnyArray, rotation: FloatArray, position: FloatArray, inverse_depth_sigma: float
+        self,
+        view: int,
+        records: AnyArray,
+        measured: AnyArray,
+        rotation: FloatArray,
+        position: FloatArray,
+        lens: FloatArray,
     ) -> None:
         """Compute the surfels of a known view or the next one, at a pose.
 
-        records (N, 10); world_from_depth as rotation (3, 3) and position (3,).
+        records (N, 10), measured (M,): depth of the first rays as measured, which are used; world_from_depth as rotation (3, 3)
+        and position (3,); lens (3,): sigma of inverse depth, then the stretch of bearings and depth (ray_sampling.Views).
         """
         touched = np.zeros(2 * RAYS_USED, dtype=np.int64)
         count = _sum(
-            records[:RAYS_USED], rotation, position, inverse_depth_sigma, self._origin, self._across, self._along, self._first,
+            records, measured, rotation, position, lens, self._origin, np.stack([self._across, self._along]), self._first,
             LOG_LEVEL, self._sums, touched,
         )  # fmt: skip
         key = touched[:count]
@@ -109,17 +116,20 @@ class Surfels:
 
 @kernel
 def _sum(  # noqa: C901
-    records: AnyArray, rotation: FloatArray, position: FloatArray, inverse_depth_sigma: float, origin: FloatArray,
-    across: IntArray, along: IntArray, first: IntArray, logarithm: FloatArray, rows: FloatArray, touched: IntArray,
+    records: AnyArray, measured: AnyArray, rotation: FloatArray, position: FloatArray, lens: FloatArray, origin: FloatArray,
+    layers: IntArray, first: IntArray, logarithm: FloatArray, rows: FloatArray, touched: IntArray,
 ) -> int:  # fmt: skip
+    """Sum the rays of a view in its cells; lens: sigma of inverse depth, then the stretch of bearings and depth."""
     point, normal, colour = np.zeros(3), np.zeros(3), np.zeros(3)
+    across, along = layers[0], layers[1]
+    wider, deeper = lens[1] * BEARING_UNIT, lens[2] * DEPTH_UNIT_M
     count = 0
-    for n in range(records.shape[0]):
+    for n in range(measured.shape[0]):
         record = records[n]
         if record[3] == 0 and record[4] == 0 and record[5] == 0:
             continue
-        z = np.float64(np.uint16(record[2])) * DEPTH_UNIT_M
-        x, y = record[0] * BEARING_UNIT * z, record[1] * BEARING_UNIT * z
+        z = np.float64(measured[n]) * deeper
+        x, y = record[0] * wider * z, record[1] * wider * z
         axis = 0
         for i in range(3):
             point[i] = rotation[i, 0] * x + rotation[i, 1] * y + rotation[i, 2] * z + position[i]
@@ -130,7 +140,8 @@ def _sum(  # noqa: C901
         if one > two:
             one, two = two, one
         i, j = int(np.floor((point[one] - origin[one]) / CELL_M)), int(np.floor((point[two] - origin[two]) / CELL_M))
-        depth = (point[axis] - origin[axis]) / DEEP_M + 0.5
+        # from half a cell outside the box: if noise took points behind a wall away, the wall would seem nearer
+        depth = (point[axis] - origin[axis]) / DEEP_M + 1.5
         k = int(np.floor(depth))
         if i < 0 or j < 0 or i >= across[one] or j >= across[two] or k < 1 or k >= along[axis]:
             continue
@@ -145,7 +156,7 @@ def _sum(  # noqa: C901
                 touched[count] = key
                 count += 1
             sums[WEIGHT] += share
-            sums[VARIANCE] += share * (z * z * inverse_depth_sigma) ** 2
+            sums[VARIANCE] += share * (z * z * lens[0]) ** 2
             for c in range(3):
                 sums[1 + c] += share * point[c]
                 sums[4 + c] += share * normal[c]

@@ -24,7 +24,8 @@ SHAPE_SHARE = ray_sampling.SURFACE_POINTS / ray_sampling.RAYS  # share of the ra
 class DeviceViews(NamedTuple):
     """keyframes.ray_sampling.Views on a device.
 
-    records (M, 10) i16, first (V + 1,) i64, rotation (V, 3, 3), position (V, 3), inverse_depth_sigma (V,), gain (V, 3).
+    records (M, 10) i16, first (V + 1,) i64, rotation (V, 3, 3), position (V, 3), inverse_depth_sigma (V,), gain (V, 3),
+    stretch (V, 2).
     """
 
     records: Tensor
@@ -33,12 +34,13 @@ class DeviceViews(NamedTuple):
     position: Tensor
     inverse_depth_sigma: Tensor
     gain: Tensor
+    stretch: Tensor
 
     @staticmethod
     def of(views: Views, count: int, device: torch.device) -> DeviceViews:
         """Return the first ``count`` views on a device."""
         records = views.records[: views.first[count]]
-        whole = (views.rotation, views.position, views.inverse_depth_sigma, views.gain)
+        whole = (views.rotation, views.position, views.inverse_depth_sigma, views.gain, views.stretch)
         parts = (records, views.first[: count + 1], *(part[:count] for part in whole))
         return DeviceViews(*(torch.tensor(part, device=device) for part in parts))
 
@@ -88,9 +90,10 @@ def draw(state: Tensor, views: DeviceViews, low: Tensor, high: Tensor, rays: int
     number = uniform(state, rays * NUMBERS).view(rays, NUMBERS)
     view, record = _choose(number, views, recent_share)
     rotation, position = views.rotation[view], views.position[view]
-    bearing = torch.cat([record[:, :2].float() * BEARING_UNIT, torch.ones_like(number[:, :1])], dim=1)
+    stretch = views.stretch[view]
+    bearing = torch.cat([record[:, :2].float() * (stretch[:, :1] * BEARING_UNIT), torch.ones_like(number[:, :1])], dim=1)
     length = bearing.square().sum(dim=1).sqrt()
-    z = (record[:, 2].long() & 0xFFFF).float() * DEPTH_UNIT_M
+    z = (record[:, 2].long() & 0xFFFF).float() * (stretch[:, 1] * DEPTH_UNIT_M)
     reach, sigma = z * length, z * z * views.inverse_depth_sigma[view]
     direction = (rotation @ bearing[:, :, None])[:, :, 0] / length[:, None]
     seen_normal = record[:, 3:6].float() * NORMAL_UNIT

@@ -81,7 +81,7 @@ def _rays(gathered: TrainingData) -> list[tuple[Tensor, Tensor]]:
     v = replay.views
     for n in range(replay.count):
         records = v.records[v.first[n] : v.first[n + 1]]
-        points = replay.rays(records, v.rotation[n], v.position[n], float(v.inverse_depth_sigma[n])).points
+        points = replay.rays(records, v.rotation[n], v.position[n], float(v.inverse_depth_sigma[n]), v.stretch[n]).points
         direction = (points[0] - points[1]) / (OFFSETS_M[0] - OFFSETS_M[1])
         found.append((torch.from_numpy(points[0]), torch.from_numpy(direction)))
     return found

@@ -59,6 +59,11 @@ class MeasuredCells:
         _count(self.count, self.origin_m, EVIDENCE_CELL_M, position_m, points, normal, sigma_m, footprint_m)
         self._facing.splat(points, _halves(normal))
 
+    def clear(self) -> None:
+        """Forget all end points."""
+        self.count[:] = 0
+        self._facing.clear()
+
     def near(self, least: int) -> BoolArray:
         """Return the cells within one cell of a cell with at least ``least`` end points."""
         return self.near_in(least, np.ones(self.count.shape, dtype=np.bool_))

@@ -57,6 +57,10 @@ class Lattice:
         self.inverse_cell = 1.0 / cell_m
         self.values = np.zeros((*(int(n) for n in nodes), channels), dtype=np.float32)
 
+    def clear(self) -> None:
+        """Set all values to zero."""
+        self.values[:] = 0.0
+
     def splat(self, points: Float32Array, amounts: Float32Array) -> None:
         """Add amounts (N, C) at points (N, 3) with trilinear weights; points outside are ignored."""
         _splat(self.values, self.origin_m, self.inverse_cell, points, amounts)
@@ -89,6 +93,10 @@ class DepthInformation:
     def add(self, points: Float32Array, cosine: Float32Array, sigma_m: Float32Array) -> None:
         """Add measurements: points (N, 3), viewing cosine (N,), depth sigma (N,)."""
         self._lattice.splat(points, np.square(np.maximum(cosine, 0.15) / sigma_m)[:, None])
+
+    def clear(self) -> None:
+        """Forget all measurements."""
+        self._lattice.clear()
 
     def at(self, points: Float32Array) -> Float32Array:
         """Return sigma (N,), at most PRIOR_SIGMA_M."""
@@ -149,6 +157,11 @@ class MeasuredAgreement:
         self._ends.splat(points, ends)
         self._round.splat(points[::ROUND_STRIDE].copy(), ends[::ROUND_STRIDE].copy())  # contiguous: one compilation
         self._planes.splat(points, count * np.concatenate([normal, offset, np.ones_like(count)], axis=1))
+
+    def clear(self) -> None:
+        """Forget all measurements."""
+        for lattice in (self._ends, self._planes, self._round):
+            lattice.clear()
 
     def at(self, points: Float32Array) -> Float32Array:
         """Return positive numbers (N,), largest where nothing was measured."""

@@ -9,8 +9,7 @@ from uav_recon.config import MapperConfig
 from uav_recon.mapping.keyframe_store import KeyframeFolder
 from uav_recon.mapping.neural.keyframes.keyframe_validation import RejectReason, counts_as_text
 from uav_recon.mapping.neural.neural_mapper import NeuralMapper
-from uav_recon.mapping.neural.surface.ply_writer import write_ply
-from uav_recon.mapping.neural.worker.mapper_process import MESH_FILE
+from uav_recon.mapping.neural.worker.final_model import write_final_model
 from uav_recon.types.camera import PosedFrame
 from uav_recon.types.maps import SurfaceElements
 from uav_recon.types.pose import MapCorrection
@@ -78,6 +77,5 @@ class InlineMapper:
         return True
 
     def finish(self, folder: Path) -> None:
-        """Polish the field and write mesh.ply."""
-        self._trainer.polish(self._config.polish_steps)
-        write_ply(folder / MESH_FILE, self._trainer.mesh(self._config.mesh_voxel_m))
+        """Polish the field and write the model."""
+        write_final_model(folder, self._trainer, self._config)

@@ -70,6 +70,8 @@ class ProcessMapper:
         depth_noise_px: float,
         baseline_m: float,
         folder: Path,
+        *,
+        own_poses: bool = False,
     ) -> None:
         open_prior(config.prior_model)  # raises here, where the caller can report it
         self._config = config
@@ -80,6 +82,7 @@ class ProcessMapper:
             "box_min_m": [float(x) for x in box_min_m],
             "box_max_m": [float(x) for x in box_max_m],
             "depth_noise_px": depth_noise_px,
+            "own_poses": own_poses,
             "baseline_m": baseline_m,
             "folder": str(folder),
         }

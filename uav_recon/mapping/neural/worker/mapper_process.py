@@ -28,8 +28,8 @@ from uav_recon.config import MapperConfig
 from uav_recon.mapping.keyframe_store import KeyframeError, KeyframeFolder
 from uav_recon.mapping.neural.keyframes.keyframe_validation import RejectReason
 from uav_recon.mapping.neural.neural_mapper import NeuralMapper
-from uav_recon.mapping.neural.surface.ply_writer import write_ply
 from uav_recon.mapping.neural.worker.checkpoint import CheckpointError, MapperCheckpoints
+from uav_recon.mapping.neural.worker.final_model import write_final_model
 from uav_recon.types.maps import SurfaceElements
 
 LOG = logging.getLogger(__name__)
@@ -38,7 +38,6 @@ CHECKPOINT = ".mapper_checkpoint"
 KEYFRAMES = "keyframes"
 SURFACE_FILE = ".mapper_surface"
 LOG_FILE = "mapper.log"
-MESH_FILE = "mesh.ply"
 SURFACE_BYTES = 48 << 20  # a sparse file: a room of 30 m² needs 3 MB
 NICENESS = 10
 OOM_SCORE_ADJ = 1000
@@ -168,7 +167,8 @@ class _Session:
         self._keyframes = KeyframeFolder(folder / KEYFRAMES)
         self._channel = FileChannel(folder / SURFACE_FILE, SurfaceElements, SURFACE_BYTES)
         low, high = np.array(order["box_min_m"]), np.array(order["box_max_m"])
-        self._trainer = NeuralMapper(self._config, low, high, order["depth_noise_px"], order["baseline_m"])
+        camera = order["depth_noise_px"], order["baseline_m"]
+        self._trainer = NeuralMapper(self._config, low, high, *camera, own_poses=order["own_poses"])
         self._checkpoints = MapperCheckpoints(
             folder / CHECKPOINT, {name: value for name, value in order.items() if name != "folder"}
         )
@@ -296,8 +296,7 @@ class _Session:
                 continue
 
     def _finish(self, folder: Path) -> None:
-        self._trainer.polish(self._config.polish_steps)
-        write_ply(folder / MESH_FILE, self._trainer.mesh(self._config.mesh_voxel_m))
+        write_final_model(folder, self._trainer, self._config)
         self._say("finished")
 
     def _answer(self) -> None:
