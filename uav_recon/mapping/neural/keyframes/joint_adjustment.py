@@ -36,7 +36,7 @@ SYSTEMATIC_SHARE = 0.08
 FIRST_SCALES_M = (0.08, 0.04, 0.02, 0.02, 0.02)
 SCALES_M = (0.02, 0.02)
 DRIFT_TIME_S = 15.0  # correlation time of the errors of given poses
-WHITE_SHARE = 0.1  # share of their variance that is not correlated
+WHITE_SHARE = 0.3  # share of their variance that is not correlated
 PATCH_M = 0.8  # edge of a patch of surface whose surfels err together
 
 
@@ -96,7 +96,7 @@ class JointAdjustment:
             alignment.calibration = calibration_of(self.value)
             alignment.move_all(replay)
         self._scales_m = SCALES_M
-        influence: FloatArray = np.linalg.solve(normal, np.eye(len(normal), ELEMENTS)).T
+        influence = np.asarray(np.linalg.solve(normal, np.eye(len(normal), ELEMENTS)).T, dtype=np.float64)
         return CameraErrors(self.value.copy(), self._covariance(influence, scores, prior))
 
     def _covariance(self, influence: FloatArray, scores: FloatArray, prior: FloatArray) -> FloatArray:
