@@ -41,7 +41,8 @@ def tree() -> dict[str, Any]:
         "refused_views": {"no depth": 2, "memory is full": 11},
         "reduced_speed_s": {"poses disagree for 0.3 s": 1.5, "no inertial samples": 62.4},
         "rejected_by_perception": {"depth-frame-empty": 4, "pose jump": 7},
-        "camera_calibration": {"delay_s": [0.0281, 0.0062]}, "kept_calibration": "begun from an earlier flight",
+        "camera_calibration": {"delay_s": [0.0281, 0.0062]}, "views_calibration": {"depth_scale": [0.0141, 0.0012]},
+        "kept_calibration": "begun from an earlier flight",
         "correction": "odometry corrected by 0.21 m", "earlier_map": "not found yet",
         "camera": ["camera streams: depth 424x240 at 30 Hz, colour 424x240 at 30 Hz, IMU none, USB 3.2"],
         "odometry": {"ate_cm": 3.41, "largest_cm": 9.2, "shift_cm": 6.5, "turn_deg": 1.2, "model_aligned": True},
@@ -167,7 +168,13 @@ def test_the_page_states_that_ground_truth_is_missing(tmp_path: Path) -> None:
     safety = tree()["safety"] | {"min_clearance_m": None, "fence_overshoot_m": None, "contacts": None}
     real = tree() | {"recall_over_time": None, "time_to_recall_s": {"0.90": None, "0.95": None}, "oracle_s": None}
     real |= {"quality": None, "explored_fraction": None, "seed": None, "depth_noise": None, "safety": safety}
-    real |= {"refused_views": None, "rejected_by_perception": None, "camera_calibration": None, "camera": []}
+    real |= {
+        "refused_views": None,
+        "rejected_by_perception": None,
+        "camera_calibration": None,
+        "views_calibration": None,
+        "camera": [],
+    }
     real |= {"odometry": None}
     _, page = write_report(tmp_path, Report.from_tree(real))
     text = page.read_text()

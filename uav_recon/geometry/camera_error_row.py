@@ -1,4 +1,4 @@
-"""How the errors of a depth camera move the points that it measures.
+"""Derivatives of measured points by the errors of a depth camera.
 
 An apparent surface point p of a frame is off by
 

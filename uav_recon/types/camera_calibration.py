@@ -75,7 +75,7 @@ class CameraCalibration:
 
     @property
     def stretch(self) -> FloatArray:
-        """Factors (2,) on bearings and on depth that remove the errors of the lens and of the depth scale."""
+        """Factors (2,) on bearings and depth that remove width and scale."""
         return np.array([1.0 / (1.0 + self.width), 1.0 / (1.0 + self.scale)])
 
     def motion(self, odom_from_depth: Pose, velocity_mps: FloatArray, rate_radps: FloatArray) -> CameraMotion:
@@ -87,7 +87,7 @@ class CameraCalibration:
         return CameraMotion(seen.earlier(-self.delay_s), velocity_mps, rate_radps)
 
     def difference_m(self, other: CameraCalibration, range_m: float) -> float:
-        """Return about how far the surfaces at a range lie apart that two calibrations show."""
+        """Return about how far apart two calibrations show a surface at a range."""
         apart = self.nominal_from_true.inverse() @ other.nominal_from_true
         turned = range_m * float(np.linalg.norm(apart.rotation() - np.eye(3))) / math.sqrt(2.0)
         stretched = range_m * math.hypot(self.scale - other.scale, self.width - other.width)

@@ -119,7 +119,7 @@ class FusedOdometry:
         return self._motion(stamp_s, self.fused)
 
     def corrected_motion(self, stamp_s: float) -> CameraMotion | None:
-        """Return the motion of the depth imager by odometry with its correction, None if its pose is not known."""
+        """Return the motion of the depth imager by corrected odometry, None if it is not known."""
         return self._motion(stamp_s, self.corrected)
 
     def registered_motion(self, stamp_s: float) -> CameraMotion | None:

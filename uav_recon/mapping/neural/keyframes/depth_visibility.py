@@ -85,7 +85,7 @@ class DepthVisibility:
         self._stretch[view] = np.asarray(stretch, dtype=np.float64)
 
     def _pinhole_mm(self, view: int) -> FloatArray:
-        """Return fx, fy, cx, cy of an image with its stretch, and the unit of its depth in metres (5,)."""
+        """Return fx, fy, cx, cy of a stretched image, and the unit of its depth in metres (5,)."""
         fx, fy, cx, cy = self._lens[view]
         wider, deeper = self._stretch[view]
         return np.array([fx / wider, fy / wider, cx, cy, 0.001 * deeper])

@@ -1,4 +1,4 @@
-"""Joint adjustment: errors of the camera and poses of all views, from the surfaces that they share.
+"""Joint adjustment: errors of the camera and poses of all views, from shared surfaces.
 
 Gauss-Newton on the distances between surfels of one cell, with the position of the cell's plane eliminated (bundle adjustment
 with planes: Liu and Zhang 2021), over the poses of all views and the dozen numbers that are the same in every view. Poses are
@@ -129,9 +129,9 @@ class JointAdjustment:
 
     @staticmethod
     def _groups(cell: IntArray, row: FloatArray) -> tuple[int, IntArray]:
-        """Return the number of patches of surface, and the patch (N,) of each surfel, sorted by cell (N,).
+        """Return the number of patches of surface, and the patch (N,) of each surfel.
 
-        All surfels of a cell are in one patch: which one must not depend on their errors.
+        cell (N,): ascending. All surfels of a cell are in one patch: which one must not depend on their errors.
         """
         first = np.flatnonzero(np.diff(cell, prepend=-1))
         count = np.diff(first, append=len(cell))
@@ -160,7 +160,10 @@ def _accumulate(  # noqa: C901, PLR0912 - one pass over the cells
     cell: IntArray, whose: IntArray, row: FloatArray, patch: IntArray, motion: FloatArray, scale_m: float,
     normal: FloatArray, right: FloatArray, scores: FloatArray,
 ) -> None:  # fmt: skip
-    """Add the normal equations of all surfels, sorted by cell; scores (G, S): right-hand side of each patch."""
+    """Add the normal equations of all surfels, sorted by cell.
+
+    scores (G, S): right-hand side of each patch of surface.
+    """
     count = len(cell)
     weight, distance, jacobian, common = np.zeros(count), np.zeros(count), np.zeros((count, 6)), np.zeros((count, 9))
     plane, mean, point = np.zeros(3), np.zeros(9), np.zeros(3)

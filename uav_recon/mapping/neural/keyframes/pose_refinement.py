@@ -255,7 +255,9 @@ def compare(
 
 @kernel
 def on_plane(measured: FloatArray, centre: FloatArray, plane: FloatArray, off_m: float, point: FloatArray) -> None:
-    """Compute where the ray to a measured point (3,) meets the plane that the point is off by off_m along its normal (3,).
+    """Compute where the ray to a measured point (3,) meets its plane.
+
+    The point is off by off_m along the normal of the plane (3,).
 
     Derivatives are taken there: at the measured point they would follow its noise, and a smaller map, or one seen at a smaller
     angle, would always fit better (errors in variables: Fuller 1987). centre (3,): position of the camera.

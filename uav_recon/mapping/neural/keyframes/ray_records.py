@@ -25,9 +25,9 @@ FEWEST = 20  # minimum number of pixels on the plane
 
 
 def ray_records(frame: Frame, inverse_depth_sigma: float, most: int, random: np.random.Generator) -> tuple[AnyArray, AnyArray]:
-    """Return records (N, COLUMNS) int16 of at most about ``most`` pixels, in random order, and their depth as measured.
+    """Return records (N, COLUMNS) int16 of about ``most`` pixels, in random order.
 
-    The latter is (N,) uint16, in DEPTH_UNIT_M: smoothing rounds the inner corners of a room.
+    The second result is their depth as measured, (N,) uint16 in DEPTH_UNIT_M: smoothing rounds the inner corners of a room.
 
     inverse_depth_sigma: standard deviation of 1/z in 1/m (disparity noise over focal length times baseline).
     """

@@ -119,7 +119,10 @@ def _sum(  # noqa: C901
     records: AnyArray, measured: AnyArray, rotation: FloatArray, position: FloatArray, lens: FloatArray, origin: FloatArray,
     layers: IntArray, first: IntArray, logarithm: FloatArray, rows: FloatArray, touched: IntArray,
 ) -> int:  # fmt: skip
-    """Sum the rays of a view in its cells; lens: sigma of inverse depth, then the stretch of bearings and depth."""
+    """Sum the rays of a view in its cells.
+
+    lens: sigma of inverse depth, then the stretch of bearings and depth.
+    """
     point, normal, colour = np.zeros(3), np.zeros(3), np.zeros(3)
     across, along = layers[0], layers[1]
     wider, deeper = lens[1] * BEARING_UNIT, lens[2] * DEPTH_UNIT_M

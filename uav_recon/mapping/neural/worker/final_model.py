@@ -1,4 +1,4 @@
-"""Final model of a flight: the mesh, and the errors of the camera that all views show together."""
+"""Final model of a flight: the mesh, and the errors of its camera."""
 
 from __future__ import annotations
 
@@ -15,7 +15,10 @@ MESH_FILE = "mesh.ply"
 
 
 def write_final_model(folder: Path, mapper: NeuralMapper, config: MapperConfig) -> None:
-    """Polish the field and write mesh.ply and, if there are views, calibration.json. Raises OSError."""
+    """Polish the field and write mesh.ply, and calibration.json if enough views show it.
+
+    Raises OSError.
+    """
     mapper.polish(config.polish_steps)
     write_ply(folder / MESH_FILE, mapper.mesh(config.mesh_voxel_m))
     if mapper.camera_errors is not None:
