@@ -36,7 +36,11 @@ SYSTEMATIC_SHARE = 0.08
 FIRST_SCALES_M = (0.08, 0.04, 0.02, 0.02, 0.02)
 SCALES_M = (0.02, 0.02)
 DRIFT_TIME_S = 15.0  # correlation time of the errors of given poses
-WHITE_SHARE = 0.3  # share of their variance that is not correlated
+# share of their variance that is not correlated: before the corrections show it, and at least
+WHITE_SHARE = 0.2
+LEAST_WHITE_SHARE = 0.05
+NEIGHBOURS_S = 5.0  # views that are closer in time show that share
+FEWEST_NEIGHBOURS = 8
 PATCH_M = 0.8  # edge of a patch of surface whose surfels err together
 
 
@@ -73,6 +77,7 @@ class JointAdjustment:
         self._patches = patches
         self._own_poses = own_poses
         self._scales_m: tuple[float, ...] = FIRST_SCALES_M
+        self._white_share = WHITE_SHARE
         self.value: FloatArray = np.zeros(ELEMENTS)
 
     def adjust(self, stamps_s: FloatArray, alignment: PoseRefinement, replay: RayBuffer) -> CameraErrors:
@@ -96,6 +101,7 @@ class JointAdjustment:
             alignment.calibration = calibration_of(self.value)
             alignment.move_all(replay)
         self._scales_m = SCALES_M
+        self._white_share = self._shown_white_share(stamps_s, alignment.correction / np.repeat(alignment.sigma, 3))
         influence = np.asarray(np.linalg.solve(normal, np.eye(len(normal), ELEMENTS)).T, dtype=np.float64)
         return CameraErrors(self.value.copy(), self._covariance(influence, scores, prior))
 
@@ -114,11 +120,21 @@ class JointAdjustment:
         covariance *= np.outer(share, share)
         return covariance
 
+    def _shown_white_share(self, stamps_s: FloatArray, correction: FloatArray) -> float:
+        """Return the share of the variance of corrections (V, 6) that neighbours do not share."""
+        apart_s = np.diff(stamps_s)
+        near = (apart_s > 0.0) & (apart_s < NEIGHBOURS_S)
+        if near.sum() < FEWEST_NEIGHBOURS:
+            return self._white_share
+        common = np.exp(-apart_s[near] / DRIFT_TIME_S).mean()
+        differ = np.square(np.diff(correction, axis=0)[near]).mean() / max(2.0 * float(correction.var(axis=0).mean()), 1e-12)
+        return float(np.clip(1.0 - (1.0 - differ) / common, LEAST_WHITE_SHARE, 1.0))
+
     def _prior(self, stamps_s: FloatArray, sigma: FloatArray) -> FloatArray:
         """Return the inverse of the covariance of errors of the camera and of given poses."""
         views = len(stamps_s)
         apart_s = np.abs(stamps_s[:, None] - stamps_s[None])
-        shape = (1.0 - WHITE_SHARE) * np.exp(-apart_s / DRIFT_TIME_S) + WHITE_SHARE * np.eye(views)
+        shape = (1.0 - self._white_share) * np.exp(-apart_s / DRIFT_TIME_S) + self._white_share * np.eye(views)
         alike = np.linalg.inv(shape)
         prior = np.zeros((ELEMENTS + 6 * views,) * 2)
         prior[np.arange(ELEMENTS), np.arange(ELEMENTS)] = PRIOR_SIGMA**-2
