@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from uav_recon.config import MapperConfig, UncertaintyName
 from uav_recon.mapping.neural.keyframes.exposure_compensation import ExposureCompensation
-from uav_recon.mapping.neural.keyframes.joint_adjustment import CameraErrors, JointAdjustment
+from uav_recon.mapping.neural.keyframes.joint_adjustment import EstimatedErrors, JointAdjustment
 from uav_recon.mapping.neural.keyframes.keyframe_buffer import KeyframeBuffer
 from uav_recon.mapping.neural.keyframes.keyframe_validation import (
     FEWEST_VIEWS,
@@ -121,7 +121,7 @@ class NeuralMapper:
         self._alignment = PoseRefinement(self._patches)
         self._adjustment = JointAdjustment(self._patches, own_poses=self._own_poses)
         self._adjust_at = ADJUST_VIEWS
-        self.camera_errors: CameraErrors | None = None
+        self.camera_errors: EstimatedErrors | None = None
         self._exposure = ExposureCompensation(self._patches)
         self._information = DepthInformation(low, high)
         self._colour_error = ColourError(low, high)

@@ -9,7 +9,7 @@ import pytest
 from box_room import BASELINE_M, DEPTH_LENS, HIGH, LOW, NOISE_PX, distance_to_walls, tour, view_from
 
 from uav_recon.config import MapperConfig
-from uav_recon.mapping.neural.keyframes.joint_adjustment import PRIOR_SIGMA, CameraErrors, calibration_of
+from uav_recon.mapping.neural.keyframes.joint_adjustment import PRIOR_SIGMA, EstimatedErrors, calibration_of
 from uav_recon.mapping.neural.neural_mapper import NeuralMapper
 from uav_recon.types.camera import PosedFrame
 from uav_recon.types.camera_calibration import CameraCalibration
@@ -56,18 +56,18 @@ def mapped(views: list[PosedFrame], *, align: bool = True) -> NeuralMapper:
     return mapper
 
 
-def found(views: list[PosedFrame]) -> CameraErrors:
+def found(views: list[PosedFrame]) -> EstimatedErrors:
     errors = mapped(views).camera_errors
     assert errors is not None
     return errors
 
 
 @pytest.fixture(scope="module")
-def wrong() -> CameraErrors:
+def wrong() -> EstimatedErrors:
     return found(taken(WRONG, pose_sigma_m=0.001))
 
 
-def test_views_show_the_errors_of_their_camera(wrong: CameraErrors) -> None:
+def test_views_show_the_errors_of_their_camera(wrong: EstimatedErrors) -> None:
     off = wrong.value - WRONG
     assert abs(off[DELAY]) < 0.004
     assert np.linalg.norm(off[ROTATION]) < np.deg2rad(0.15)

@@ -45,7 +45,7 @@ PATCH_M = 0.8  # edge of a patch of surface whose surfels err together
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class CameraErrors:
+class EstimatedErrors:
     """Errors of the camera (9,) in the order of camera_error_row, with their covariance (9, 9)."""
 
     value: FloatArray
@@ -80,7 +80,7 @@ class JointAdjustment:
         self._white_share = WHITE_SHARE
         self.value: FloatArray = np.zeros(ELEMENTS)
 
-    def adjust(self, stamps_s: FloatArray, alignment: PoseRefinement, replay: RayBuffer) -> CameraErrors:
+    def adjust(self, stamps_s: FloatArray, alignment: PoseRefinement, replay: RayBuffer) -> EstimatedErrors:
         """Adjust poses and errors of the camera; returns the errors.
 
         stamps_s (V,): of the views. Takes 0.3 s for 60 views.
@@ -103,7 +103,7 @@ class JointAdjustment:
         self._scales_m = SCALES_M
         self._white_share = self._shown_white_share(stamps_s, alignment.correction / np.repeat(alignment.sigma, 3))
         influence = np.asarray(np.linalg.solve(normal, np.eye(len(normal), ELEMENTS)).T, dtype=np.float64)
-        return CameraErrors(self.value.copy(), self._covariance(influence, scores, prior))
+        return EstimatedErrors(self.value.copy(), self._covariance(influence, scores, prior))
 
     def _covariance(self, influence: FloatArray, scores: FloatArray, prior: FloatArray) -> FloatArray:
         """Return the covariance of the errors.
