@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ from uav_recon.mapping.keyframe_store import KeyframeFolder
 from uav_recon.sensors.recorded_camera import RecordedCamera, RecordedPoses
 from uav_recon.sensors.recordings.recording import RecordingError
 from uav_recon.types.camera import Frame, Intrinsics, PosedFrame, body_from_camera
+from uav_recon.types.camera_calibration import CameraCalibration
 from uav_recon.types.pose import Pose
 
 MOUNT = body_from_camera(np.array([0.1, 0.0, 0.0]), 0.26)
@@ -49,6 +51,27 @@ def test_keyframes_play_back_at_their_recorded_rate(flight: Path) -> None:
     assert frames[1].depth_intrinsics.fy == 21.0
     np.testing.assert_allclose(frames[1].rgb_from_depth.translation_m, [0.015, 0, 0])
     assert camera.imu() == []
+
+
+def test_depth_has_the_scale_that_the_keyframe_was_corrected_for(tmp_path: Path) -> None:
+    lens, depth = Intrinsics(20.0, 21.0, 15.5, 11.5, 32, 24), np.full((24, 32), 2.0, np.float32)
+    frame = Frame(7.0, 0, depth, lens, np.zeros((24, 32, 3), np.uint8), lens, Pose.identity())
+    KeyframeFolder(tmp_path / "keyframes").save(
+        PosedFrame(frame, Pose.identity(), calibration=CameraCalibration(0.0, Pose.identity(), 0.02))
+    )
+    played = RecordedCamera(tmp_path, ManualClock(0.0)).poll()
+    assert played is not None
+    np.testing.assert_allclose(played.depth_m, 2.0, atol=0.001)
+
+
+@pytest.mark.parametrize("scale", [-1.0, -3.0, "nan", None])
+def test_a_scale_of_no_camera_is_refused_in_one_line(flight: Path, scale: object) -> None:
+    path = flight / "keyframes" / "poses.json"
+    tree = json.loads(path.read_text())
+    tree["keyframes"][1]["calibration"]["depth_scale"] = scale
+    path.write_text(json.dumps(tree))
+    with pytest.raises(RecordingError, match="not a keyframe list"):
+        RecordedCamera(flight, ManualClock(0.0))
 
 
 def test_every_keyframe_has_its_pose_and_poses_between_are_interpolated(flight: Path) -> None:

@@ -1,7 +1,8 @@
 """Playback of the keyframes of a flight folder as a camera and a pose source, in real time.
 
 Reads keyframes/poses.json (intrinsics and the pose of the depth imager, for every keyframe), NNNN_rgb.jpg and NNNN_depth.png
-(16 bit, millimetres, 0 = no return), as mapping/keyframe_store.py writes them.
+(16 bit, millimetres as the camera reported them, 0 = no return), as mapping/keyframe_store.py writes them. Depth is divided by
+1 + depth_scale, which the keyframe was corrected for.
 """
 
 from __future__ import annotations
@@ -39,14 +40,16 @@ class Keyframe:
     rgb_intrinsics: Intrinsics
     rgb_from_depth: Pose
     world_from_depth: Pose
+    depth_scale: float
 
     @staticmethod
     def read(folder: Path, entry: dict[str, Any]) -> Keyframe:
         """Read an entry of the list. Raises ValueError, KeyError or TypeError."""
         depth, rgb = (Intrinsics.from_tree(entry[lens]) for lens in ("depth_intrinsics", "rgb_intrinsics"))
         files = [folder / Path(entry[name]).name for name in ("depth", "rgb")]  # never outside the folder
-        poses = [_pose(entry[name]) for name in ("rgb_from_depth", "world_from_depth")]
-        return Keyframe(int(entry["sequence"]), float(entry["stamp_s"]), files[0], depth, files[1], rgb, *poses)
+        rgb_from_depth, world_from_depth = (_pose(entry[name]) for name in ("rgb_from_depth", "world_from_depth"))
+        sequence, stamp_s, scale = int(entry["sequence"]), float(entry["stamp_s"]), _depth_scale(entry)
+        return Keyframe(sequence, stamp_s, files[0], depth, files[1], rgb, rgb_from_depth, world_from_depth, scale)
 
     def load(self, table: Float32Array, stamp_s: float) -> Frame:
         """Read the images (about 5 ms).
@@ -60,7 +63,16 @@ class Keyframe:
         for path, pixels, lens in ((self.depth, depth_mm, depth), (self.rgb, image, rgb)):
             if pixels.shape[:2] != (lens.height, lens.width):
                 raise DamagedItemError(f"{path}: is {pixels.shape[1]} x {pixels.shape[0]}; want {lens.width} x {lens.height}")
-        return Frame(stamp_s, self.sequence, table[depth_mm], depth, image, rgb, self.rgb_from_depth)
+        true_m = table[depth_mm] / np.float32(1.0 + self.depth_scale)
+        return Frame(stamp_s, self.sequence, true_m, depth, image, rgb, self.rgb_from_depth)
+
+
+def _depth_scale(entry: dict[str, Any]) -> float:
+    """Return the share by which depth is too large. Raises ValueError, KeyError or TypeError."""
+    scale = float(entry["calibration"]["depth_scale"]) if "calibration" in entry else 0.0
+    if not -1.0 < scale < math.inf:
+        raise ValueError(f"depth_scale {scale:g}: want more than -1")
+    return scale
 
 
 def read_keyframes(folder: Path) -> list[Keyframe]:

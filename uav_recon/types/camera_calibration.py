@@ -19,6 +19,7 @@ ERROR_SIGMAS = {
     "width": 0.008,
     **{f"offset_{axis}_m": 0.008 for axis in "xyz"},
 }
+_SPEED_MPS = 1.0  # at which a difference of delays is judged
 MOMENT_S = 0.03  #: internal: time over which the velocity of the camera is measured
 
 
@@ -91,7 +92,9 @@ class CameraCalibration:
         apart = self.nominal_from_true.inverse() @ other.nominal_from_true
         turned = range_m * float(np.linalg.norm(apart.rotation() - np.eye(3))) / math.sqrt(2.0)
         stretched = range_m * math.hypot(self.scale - other.scale, self.width - other.width)
-        return math.hypot(float(np.linalg.norm(apart.translation_m)), turned, stretched, (self.delay_s - other.delay_s))
+        return math.hypot(
+            float(np.linalg.norm(apart.translation_m)), turned, stretched, _SPEED_MPS * (self.delay_s - other.delay_s)
+        )
 
     def true_depth_m(self, depth_m: Float32Array) -> Float32Array:
         """Return depth at its true scale."""

@@ -18,7 +18,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from uav_recon.types.camera_calibration import CameraCalibration
+from uav_recon.types.camera_calibration import ERROR_SIGMAS, CameraCalibration
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.pose import Pose
 
@@ -38,11 +38,6 @@ SIZE = 17
 _DRIFT_TIME_S = 2.5  # correlation time of the drift
 _MEMORY_S = 60.0
 _DRIFT_MPS = 0.03  # prior standard deviations, of honest cameras
-_DELAY_S = 0.025
-_ROTATION_RAD = math.radians(0.8)
-_SCALE = 0.012
-_WIDTH = 0.008
-_OFFSET_M = 0.008
 _COLOUR_DELAY_S = 0.02
 _COLOUR_ROTATION_RAD = math.radians(0.4)
 # an error is corrected in full below, and not at all above these shares of its prior standard deviation
@@ -57,19 +52,15 @@ _UNIT_M2S = 3e-5
 Elements = tuple[tuple[str, float, float], ...]  # errors of the camera: name with unit, value, standard deviation
 
 NAMES = {
-    "delay_s": DELAY,
-    **{f"rotation_{axis}_rad": ROTATION.start + k for k, axis in enumerate("xyz")},
-    "depth_scale": SCALE,
-    "width": WIDTH,
-    **{f"offset_{axis}_m": OFFSET.start + k for k, axis in enumerate("xyz")},
+    **{name: DELAY + k for k, name in enumerate(ERROR_SIGMAS)},
     "colour_delay_s": COLOUR_DELAY,
     **{f"colour_rotation_{axis}_rad": COLOUR_ROTATION.start + k for k, axis in enumerate("xyz")},
     "colour_width": COLOUR_WIDTH,
 }  # elements of the state that are errors of the camera
 _PRIOR = np.array(
     [
-        *(_DRIFT_MPS,) * 3, _DELAY_S, *(_ROTATION_RAD,) * 3, _SCALE, _WIDTH, *(_OFFSET_M,) * 3,
-        _COLOUR_DELAY_S, *(_COLOUR_ROTATION_RAD,) * 3, _WIDTH,
+        *(_DRIFT_MPS,) * 3, *ERROR_SIGMAS.values(),
+        _COLOUR_DELAY_S, *(_COLOUR_ROTATION_RAD,) * 3, ERROR_SIGMAS["width"],
     ]
 )  # fmt: skip
 

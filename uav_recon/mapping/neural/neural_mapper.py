@@ -283,7 +283,7 @@ class NeuralMapper:
         """Add the next waiting view to the map."""
         replay, number = self._replay, self._taken
         self._taken += 1
-        self._alignment.add(replay, self._keyframe_buffer.given[number], self._keyframe_buffer.measured[number])
+        self._alignment.add(replay, self._keyframe_buffer.captured[number])
         if self.align_views:
             self._alignment.meet(replay)
         if self.learn_gains:
@@ -295,8 +295,8 @@ class NeuralMapper:
 
     def _adjust(self) -> None:
         """Adjust poses and errors of the camera over all views, and count again what moved by it."""
-        before, stamps_s = self._alignment.calibration, np.array(self._keyframe_buffer.stamp_s[: self._taken])
-        self.camera_errors = self._adjustment.adjust(stamps_s, self._alignment, self._replay)
+        before = self._alignment.calibration
+        self.camera_errors = self._adjustment.adjust(self._alignment, self._replay)
         if before.difference_m(self._alignment.calibration, STALE_RANGE_M) <= STALE_M:
             return
         for each in (self._information, self._agreement, self._measured_cells):

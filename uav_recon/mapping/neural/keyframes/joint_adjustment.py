@@ -80,12 +80,9 @@ class JointAdjustment:
         self._white_share = WHITE_SHARE
         self.value: FloatArray = np.zeros(ELEMENTS)
 
-    def adjust(self, stamps_s: FloatArray, alignment: PoseRefinement, replay: RayBuffer) -> EstimatedErrors:
-        """Adjust poses and errors of the camera; returns the errors.
-
-        stamps_s (V,): of the views. Takes 0.3 s for 60 views.
-        """
-        views = len(alignment.given)
+    def adjust(self, alignment: PoseRefinement, replay: RayBuffer) -> EstimatedErrors:
+        """Adjust poses and errors of the camera; returns the errors. Takes 0.3 s for 60 views."""
+        views, stamps_s = len(alignment.captured), np.array([each.stamp_s for each in alignment.captured])
         prior, every = self._prior(stamps_s, alignment.sigma), np.arange(views)
         alignment.calibration = calibration_of(self.value)
         alignment.move_all(replay)
@@ -163,11 +160,11 @@ class JointAdjustment:
     def _motion(alignment: PoseRefinement, replay: RayBuffer) -> FloatArray:
         """Return rotation, position, velocity and turn rate of the views (V, 18)."""
         views = replay.views
-        out = np.empty((len(alignment.given), 18))
-        for n, given in enumerate(alignment.given):
+        out = np.empty((len(alignment.captured), 18))
+        for n, each in enumerate(alignment.captured):
             out[n, :9] = views.rotation[n].ravel()
             out[n, 9:12] = views.position[n]
-            out[n, 12:15], out[n, 15:] = given.velocity_mps, given.rate_radps
+            out[n, 12:15], out[n, 15:] = each.given.velocity_mps, each.given.rate_radps
         return out
 
 

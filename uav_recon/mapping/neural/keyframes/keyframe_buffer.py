@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from uav_recon.mapping.neural.keyframes.captured_view import CapturedView
 from uav_recon.mapping.neural.keyframes.depth_visibility import DepthImage, DepthVisibility
 from uav_recon.mapping.neural.keyframes.eviction_policy import EvictionPolicy
 from uav_recon.mapping.neural.keyframes.keyframe_validation import FEWEST_RAYS
@@ -17,7 +18,7 @@ from uav_recon.mapping.neural.keyframes.ray_buffer import MAX_VIEWS, RayBuffer, 
 from uav_recon.mapping.neural.keyframes.ray_records import pixel_stride, ray_records
 from uav_recon.mapping.neural.keyframes.surfels import RAYS_USED
 from uav_recon.types.camera import PosedFrame
-from uav_recon.types.camera_calibration import CameraCalibration, CameraMotion
+from uav_recon.types.camera_calibration import CameraCalibration
 from uav_recon.types.frames import AnyArray, BoolArray, Float32Array
 from uav_recon.types.pose import Pose
 
@@ -33,19 +34,14 @@ VALIDATION_RAYS = 40
 class View:
     """A keyframe as stored in the buffer, with depth as the camera reported it.
 
-    records (R, COLUMNS), measured (RAYS_USED,): its rays, and the depth of the first ones without smoothing (see ray_records);
-    ends: end points of some of them; image: its depth, with lens, pose and noise; ray_rad: angle between neighbouring rays.
-    calibration: what the keyframe was corrected for; given: motion in world of the imager of the config at stamp_s.
+    records (R, COLUMNS): its rays (see ray_records); ends: end points of some of them; image: its depth, with lens, pose and
+    noise.
     """
 
+    captured: CapturedView
     records: AnyArray
-    measured: AnyArray
     ends: ViewRays
     image: DepthImage
-    ray_rad: float
-    calibration: CameraCalibration
-    given: CameraMotion
-    stamp_s: float
 
 
 class KeyframeBuffer:
@@ -64,11 +60,7 @@ class KeyframeBuffer:
         self.replay = RayBuffer()
         self.images = DepthVisibility()
         self.remembered = EvictionPolicy()
-        self._ray_rad: list[float] = []
-        self._applied: list[CameraCalibration] = []
-        self.given: list[CameraMotion] = []
-        self.measured: list[AnyArray] = []
-        self.stamp_s: list[float] = []
+        self.captured: list[CapturedView] = []
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the state for a checkpoint, without the arrays of the views.
@@ -117,8 +109,9 @@ class KeyframeBuffer:
         pose = calibration.pose(given)
         where = (pose.rotation(), pose.translation_m, sigma, calibration.stretch)
         ends = self.replay.rays(records[:SOME_RAYS], *where)
-        image, ray_rad = (frame.depth_m, lens.pinhole_px(), *where), pixel_stride(lens, most) / lens.fx
-        return View(records, measured[:RAYS_USED].copy(), ends, image, ray_rad, applied, given, frame.stamp_s)
+        ray_rad = pixel_stride(lens, most) / lens.fx
+        captured = CapturedView(frame.stamp_s, given, applied, measured[:RAYS_USED].copy(), ray_rad)
+        return View(captured, records, ends, (frame.depth_m, lens.pinhole_px(), *where))
 
     def votes(self, view: View) -> Float32Array:
         """Return the votes (N,) of kept views on a new view's points, and of it on theirs.
@@ -136,11 +129,7 @@ class KeyframeBuffer:
         """Add a view with a number greater than all before. Raises IndexError if full."""
         self.remembered.add(number, view.image[3], view.ends.points[0])
         self.replay.add(view.records, *view.image[2:])
-        self._ray_rad.append(view.ray_rad)
-        self._applied.append(view.calibration)
-        self.given.append(view.given)
-        self.measured.append(view.measured)
-        self.stamp_s.append(view.stamp_s)
+        self.captured.append(view.captured)
         self.images.add(*view.image)
 
     def place(self, index: int, world_from_depth: Pose, calibration: CameraCalibration) -> None:
@@ -148,11 +137,8 @@ class KeyframeBuffer:
 
         world_from_depth: as a keyframe has it, with what that keyframe was corrected for. calibration: errors as known now.
         """
-        before, applied = self.given[index], self._applied[index]
-        moved = world_from_depth @ applied.pose(before).inverse()
-        turn = moved.rotation()
-        given = CameraMotion(moved @ before.odom_from_depth, turn @ before.velocity_mps, turn @ before.rate_radps)
-        self.given[index], pose = given, calibration.pose(given)
+        self.captured[index] = self.captured[index].reposed(world_from_depth)
+        pose = calibration.pose(self.captured[index].given)
         self.replay.place(index, pose.rotation(), pose.translation_m, calibration.stretch)
         self.sync_image(index)
 
@@ -167,7 +153,7 @@ class KeyframeBuffer:
 
     def footprint_m(self, index: int, sigma_m: Float32Array) -> Float32Array:
         """Return the spacing (N,) of a view's rays where their depth has a noise of sigma_m (N,)."""
-        spacing: Float32Array = np.sqrt(sigma_m / self.replay.views.inverse_depth_sigma[index]) * self._ray_rad[index]
+        spacing: Float32Array = np.sqrt(sigma_m / self.replay.views.inverse_depth_sigma[index]) * self.captured[index].ray_rad
         return spacing.astype(np.float32)
 
     def most_useful(self) -> BoolArray:
@@ -181,8 +167,4 @@ class KeyframeBuffer:
         """
         for memory in (self.remembered, self.replay, self.images):
             memory.keep(which)
-        self._ray_rad = list(compress(self._ray_rad, which))
-        self._applied = list(compress(self._applied, which))
-        self.given = list(compress(self.given, which))
-        self.measured = list(compress(self.measured, which))
-        self.stamp_s = list(compress(self.stamp_s, which))
+        self.captured = list(compress(self.captured, which))

@@ -13,10 +13,11 @@ from itertools import compress
 import numpy as np
 
 from uav_recon.geometry.jit import kernel
+from uav_recon.mapping.neural.keyframes.captured_view import CapturedView
 from uav_recon.mapping.neural.keyframes.ray_buffer import RayBuffer
 from uav_recon.mapping.neural.keyframes.surfels import NORMAL, POINT, VARIANCE, WEIGHT, Surfels
-from uav_recon.types.camera_calibration import CameraCalibration, CameraMotion
-from uav_recon.types.frames import AnyArray, BoolArray, FloatArray, IntArray
+from uav_recon.types.camera_calibration import CameraCalibration
+from uav_recon.types.frames import BoolArray, FloatArray, IntArray
 from uav_recon.types.pose import Pose
 
 # prior sigma of given poses ...
@@ -50,21 +51,16 @@ class PoseRefinement:
 
     def __init__(self, patches: Surfels) -> None:
         self._patches = patches
-        self.given: list[CameraMotion] = []
-        self._measured: list[AnyArray] = []
+        self.captured: list[CapturedView] = []
         self.calibration = CameraCalibration.none()
         self._square: FloatArray = np.zeros((0, 2))
         self._turn = 0
         self.correction: FloatArray = np.zeros((0, 6))
 
-    def add(self, replay: RayBuffer, given: CameraMotion, measured: AnyArray) -> None:
-        """Add the next view of the buffer.
-
-        given: motion in world of the imager of the config at the stamp. measured: see Surfels.place().
-        """
-        view = len(self.given)
-        self.given.append(given)
-        self._measured.append(measured)
+    def add(self, replay: RayBuffer, captured: CapturedView) -> None:
+        """Add the next view of the buffer."""
+        view = len(self.captured)
+        self.captured.append(captured)
         self.correction = np.concatenate([self.correction, np.zeros((1, 6))])
         self._square = np.concatenate([self._square, np.zeros((1, 2))])
         self._move(view, replay)
@@ -74,8 +70,7 @@ class PoseRefinement:
 
         Views beyond the end of the mask are dropped too.
         """
-        self.given = list(compress(self.given, which))
-        self._measured = list(compress(self._measured, which))
+        self.captured = list(compress(self.captured, which))
         kept = np.flatnonzero(which)
         self._square = self._square[kept]
         self.correction = self.correction[kept]
@@ -92,7 +87,7 @@ class PoseRefinement:
 
     def meet(self, replay: RayBuffer) -> None:
         """Refine the newest view, then the views near it, then the views near an older one."""
-        newest = len(self.given) - 1
+        newest = len(self.captured) - 1
         self._turn = self._turn + 1 if self._turn + 1 < newest else 0
         self._align_about(newest, 1, replay)
         self._align_about(newest, JOINT_VIEWS, replay)
@@ -109,7 +104,7 @@ class PoseRefinement:
         if not len(views):
             return
         precision = np.tile(np.repeat(self.sigma, 3) ** -2, len(views))
-        active = np.full(len(self.given), -1)
+        active = np.full(len(self.captured), -1)
         active[views] = np.arange(len(views))
         for scale_m in SCALES_M:
             cell, whose, row = self._patches.of(views, beside)
@@ -129,7 +124,7 @@ class PoseRefinement:
 
     def move_all(self, replay: RayBuffer) -> None:
         """Give all views the poses and lenses of the present calibration and corrections."""
-        for view in range(len(self.given)):
+        for view in range(len(self.captured)):
             self._move(view, replay)
 
     def _move(self, view: int, replay: RayBuffer) -> None:
@@ -138,7 +133,7 @@ class PoseRefinement:
         v.rotation[view], v.position[view], v.stretch[view] = rotation, position, self.calibration.stretch
         records = v.records[v.first[view] : v.first[view + 1]]
         lens = np.array([v.inverse_depth_sigma[view], *v.stretch[view]])
-        self._patches.place(view, records, self._measured[view], rotation, position, lens)
+        self._patches.place(view, records, self.captured[view].measured, rotation, position, lens)
 
     def _settle(self, replay: RayBuffer) -> None:
         common = self._common()
@@ -147,7 +142,7 @@ class PoseRefinement:
             self.move_all(replay)
 
     def _pose(self, view: int) -> tuple[FloatArray, FloatArray]:
-        seen = self.calibration.pose(self.given[view])
+        seen = self.calibration.pose(self.captured[view].given)
         turn = Pose.from_rotation_vector(self.correction[view, 3:], np.zeros(3)).rotation()
         rotation: FloatArray = turn @ seen.rotation()
         return rotation, seen.translation_m + self.correction[view, :3]
@@ -158,7 +153,7 @@ class PoseRefinement:
         The motion has the form of corrections (V, 6).
         """
         precision = np.diag(1.0 / np.repeat(self.sigma, 3) ** 2)
-        centre = np.stack([each.odom_from_depth.translation_m for each in self.given])
+        centre = np.stack([each.given.odom_from_depth.translation_m for each in self.captured])
         rows = np.zeros((len(centre), 6, 6))
         rows[:, :3, :3] = np.eye(3)
         rows[:, 3:, 3:] = np.eye(3)
