@@ -1,4 +1,4 @@
-"""Captured view: what does not change when poses and errors of the camera become better known."""
+"""Captured view: what stays when poses and errors of the camera become better known."""
 
 from __future__ import annotations
 
