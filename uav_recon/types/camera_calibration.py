@@ -19,6 +19,14 @@ ERROR_SIGMAS = {
     "width": 0.008,
     **{f"offset_{axis}_m": 0.008 for axis in "xyz"},
 }
+# errors of the colour imager against depth, in the order of mapping.neural.keyframes.colour_projection
+COLOUR_ERROR_SIGMAS = {
+    "colour_delay_s": 0.015,
+    "colour_readout_s": 0.02,
+    **{f"colour_rotation_{axis}_rad": math.radians(0.5) for axis in "xyz"},
+    "colour_width": 0.008,
+    **{f"colour_offset_{axis}_m": 0.004 for axis in "xyz"},
+}
 _SPEED_MPS = 1.0  # at which a difference of delays is judged
 MOMENT_S = 0.03  #: internal: time over which the velocity of the camera is measured
 

@@ -11,8 +11,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from uav_recon.config import MapperConfig, UncertaintyName
+from uav_recon.mapping.neural.keyframes.colour_adjustment import ColourAdjustment
+from uav_recon.mapping.neural.keyframes.estimated_errors import EstimatedErrors
 from uav_recon.mapping.neural.keyframes.exposure_compensation import ExposureCompensation
-from uav_recon.mapping.neural.keyframes.joint_adjustment import EstimatedErrors, JointAdjustment
+from uav_recon.mapping.neural.keyframes.joint_adjustment import JointAdjustment
 from uav_recon.mapping.neural.keyframes.keyframe_buffer import KeyframeBuffer
 from uav_recon.mapping.neural.keyframes.keyframe_validation import (
     FEWEST_VIEWS,
@@ -71,7 +73,8 @@ class NeuralMapper:
     box_min_m, box_max_m (3,): bounding box of the room in world. depth_noise_px: disparity noise of the depth image as
     delivered. baseline_m: stereo baseline. own_poses: the poses come from the depth images. uncertainties: all uncertainty
     measures by name. uncertainty: the measure given to surface elements, chosen by config.uncertainty. camera_errors: what all
-    views show of the camera, None before ADJUST_VIEWS of them. The constructor raises PriorError (see normal_prior).
+    views show of the camera, None before ADJUST_VIEWS of them; colour_errors: of its colour imager against depth, None also if
+    they show too little. The constructor raises PriorError (see normal_prior).
     """
 
     def __init__(
@@ -94,6 +97,8 @@ class NeuralMapper:
         self._stream = np.array([config.seed], dtype=np.uint64)
         self._keyframe_buffer = KeyframeBuffer(depth_noise_px, baseline_m, config.prior_model, config.seed)
         self._replay = self._keyframe_buffer.replay
+        self._colour_adjustment = ColourAdjustment()
+        self.colour_errors: EstimatedErrors | None = None
         self.align_views = self.learn_gains = True
         self.refusals = RejectCounts()
         self.steps = 0
@@ -187,6 +192,7 @@ class NeuralMapper:
         Raises ValueError or KeyError if they do not belong to this view.
         """
         self._keyframe_buffer.put_back(index, arrays)
+        self._keyframe_buffer.paint(index, self._colour_adjustment.value)
 
     def add(self, keyframe: PosedFrame, number: int | None = None) -> bool:
         """Add a keyframe; returns False if it is rejected (counted and logged by ``refusals``).
@@ -213,7 +219,7 @@ class NeuralMapper:
             return RejectReason.EPOCH
         if not self._replay.count:
             self._alignment.calibration = keyframe.calibration
-        view = self._keyframe_buffer.develop(keyframe, self._alignment.calibration)
+        view = self._keyframe_buffer.develop(keyframe, self._alignment.calibration, self._colour_adjustment.value)
         if view is None:
             return RejectReason.EMPTY
         if self.views >= FEWEST_VIEWS and self._contradiction.is_contradiction(
@@ -297,12 +303,25 @@ class NeuralMapper:
         """Adjust poses and errors of the camera over all views, and count again what moved by it."""
         before = self._alignment.calibration
         self.camera_errors = self._adjustment.adjust(self._alignment, self._replay)
+        self._adjust_colours()
         if before.difference_m(self._alignment.calibration, STALE_RANGE_M) <= STALE_M:
             return
         for each in (self._information, self._agreement, self._measured_cells):
             each.clear()
         for number in range(self._taken):
             self._measure(number)
+
+    def _adjust_colours(self) -> None:
+        """Estimate the errors of the colour imager from all views, and colour their rays again."""
+        buffer = self._keyframe_buffer
+        buffer.sync_images()
+        views = slice(self._taken)
+        self.colour_errors = self._colour_adjustment.adjust(
+            buffer.captured[views], buffer.pictures[views], self._replay, buffer.images
+        )
+        for view in range(self._replay.count):
+            buffer.paint(view, self._colour_adjustment.value)
+        self._alignment.move_all(self._replay)
 
     def _measure(self, number: int) -> None:
         """Count what a view measures."""

@@ -9,7 +9,8 @@ import pytest
 from box_room import BASELINE_M, DEPTH_LENS, HIGH, LOW, NOISE_PX, distance_to_walls, tour, view_from
 
 from uav_recon.config import MapperConfig
-from uav_recon.mapping.neural.keyframes.joint_adjustment import PRIOR_SIGMA, EstimatedErrors, calibration_of
+from uav_recon.mapping.neural.keyframes.estimated_errors import EstimatedErrors
+from uav_recon.mapping.neural.keyframes.joint_adjustment import PRIOR_SIGMA, calibration_of
 from uav_recon.mapping.neural.neural_mapper import NeuralMapper
 from uav_recon.types.camera import PosedFrame
 from uav_recon.types.camera_calibration import CameraCalibration

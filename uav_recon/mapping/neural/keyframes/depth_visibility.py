@@ -17,6 +17,7 @@ from uav_recon.types.frames import AnyArray, BoolArray, Float32Array, FloatArray
 SEEN_SIGMAS = 2.0
 SEEN_MARGIN_M = 0.02
 SEEN_MIN_COSINE = 0.15  # ... of a surface that faces it
+SHOWN_MIN_COSINE = 0.35
 
 
 DepthImage = tuple[Float32Array, FloatArray, FloatArray, FloatArray, float, FloatArray]  # arguments of DepthVisibility.add()
@@ -105,6 +106,16 @@ class DepthVisibility:
             )
         return score
 
+    def shown(self, view: int, points: Float32Array, normals: Float32Array) -> BoolArray:
+        """Return True (N,) if an image shows the surface at points (N, 3) with normals (N, 3).
+
+        The surface must face the camera by SHOWN_MIN_COSINE and not lie beside the edge of a nearer one.
+        """
+        shown = np.zeros(len(points), dtype=np.bool_)
+        rotation, translation = self._depth_from_world[view]
+        _show(self._depth_mm[view], self._pinhole_mm(view), rotation, translation, self._sigma[view], points, normals, shown)
+        return shown
+
     def looked_through(self, points: Float32Array, margin_m: float) -> BoolArray:
         """Return True (N,) if an image measured a depth behind points (N, 3) by more than a margin.
 
@@ -115,6 +126,38 @@ class DepthVisibility:
             lens, sigma = self._pinhole_mm(view), self._sigma[view]
             _look_through(self._depth_mm[view], lens, rotation, translation, sigma, margin_m, points, through)
         return through
+
+
+@kernel
+def _show(
+    image: AnyArray, lens: FloatArray, rotation: FloatArray, translation: FloatArray, inverse_sigma: float,
+    points: Float32Array, normals: Float32Array, shown: BoolArray,
+) -> None:  # fmt: skip
+    height, width = image.shape
+    for n in range(points.shape[0]):
+        px, py, pz = points[n, 0], points[n, 1], points[n, 2]
+        z = rotation[2, 0] * px + rotation[2, 1] * py + rotation[2, 2] * pz + translation[2]
+        if z < 0.2:
+            continue
+        x = rotation[0, 0] * px + rotation[0, 1] * py + rotation[0, 2] * pz + translation[0]
+        y = rotation[1, 0] * px + rotation[1, 1] * py + rotation[1, 2] * pz + translation[1]
+        u = int(np.floor((x / z * lens[0] + lens[2]) * 0.5 + 0.5))
+        v = int(np.floor((y / z * lens[1] + lens[3]) * 0.5 + 0.5))
+        if u < 1 or v < 1 or u >= width - 1 or v >= height - 1:
+            continue
+        facing = -(
+            (rotation[0, 0] * normals[n, 0] + rotation[0, 1] * normals[n, 1] + rotation[0, 2] * normals[n, 2]) * x
+            + (rotation[1, 0] * normals[n, 0] + rotation[1, 1] * normals[n, 1] + rotation[1, 2] * normals[n, 2]) * y
+            + (rotation[2, 0] * normals[n, 0] + rotation[2, 1] * normals[n, 1] + rotation[2, 2] * normals[n, 2]) * z
+        ) / np.sqrt(x * x + y * y + z * z)
+        if facing < SHOWN_MIN_COSINE:
+            continue
+        gate = (SEEN_SIGMAS * inverse_sigma * z * z + SEEN_MARGIN_M) / facing
+        near = True
+        for side in range(5):  # no edge of a nearer surface
+            depth = lens[4] * image[v + (side == 1) - (side == 2), u + (side == 3) - (side == 4)]
+            near = near and abs(depth - z) < gate
+        shown[n] = near
 
 
 @kernel

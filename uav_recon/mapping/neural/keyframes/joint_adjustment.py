@@ -8,12 +8,11 @@ is that of the scores of patches of surface (sandwich estimator: Huber 1967, Whi
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from uav_recon.geometry.camera_error_row import error_row
 from uav_recon.geometry.jit import kernel
+from uav_recon.mapping.neural.keyframes.estimated_errors import EstimatedErrors
 from uav_recon.mapping.neural.keyframes.pose_refinement import (
     PoseRefinement,
     compare,
@@ -27,8 +26,9 @@ from uav_recon.types.camera_calibration import ERROR_SIGMAS, CameraCalibration
 from uav_recon.types.frames import FloatArray, IntArray
 from uav_recon.types.pose import Pose
 
-ELEMENTS = len(ERROR_SIGMAS)
-SCALE = list(ERROR_SIGMAS).index("depth_scale")
+NAMES = tuple(ERROR_SIGMAS)
+ELEMENTS = len(NAMES)
+SCALE = NAMES.index("depth_scale")
 PRIOR_SIGMA: FloatArray = np.array(list(ERROR_SIGMAS.values()))
 # share of the prior deviation that is added to each: surface is not planar, and smoothing turns the normals at its edges
 SYSTEMATIC_SHARE = 0.08
@@ -42,23 +42,6 @@ LEAST_WHITE_SHARE = 0.05
 NEIGHBOURS_S = 5.0  # views that are closer in time show that share
 FEWEST_NEIGHBOURS = 8
 PATCH_M = 0.8  # edge of a patch of surface whose surfels err together
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class EstimatedErrors:
-    """Errors of the camera (9,) in the order of camera_error_row, with their covariance (9, 9)."""
-
-    value: FloatArray
-    covariance: FloatArray
-
-    @property
-    def sigma(self) -> FloatArray:
-        """Standard deviations (9,)."""
-        return np.sqrt(np.diagonal(self.covariance))
-
-    def elements(self) -> dict[str, tuple[float, float]]:
-        """Return value and standard deviation of each error, by name with unit."""
-        return {name: (float(x), float(s)) for name, x, s in zip(ERROR_SIGMAS, self.value, self.sigma, strict=True)}
 
 
 def calibration_of(value: FloatArray) -> CameraCalibration:
@@ -100,7 +83,7 @@ class JointAdjustment:
         self._scales_m = SCALES_M
         self._white_share = self._shown_white_share(stamps_s, alignment.correction / np.repeat(alignment.sigma, 3))
         influence = np.asarray(np.linalg.solve(normal, np.eye(len(normal), ELEMENTS)).T, dtype=np.float64)
-        return EstimatedErrors(self.value.copy(), self._covariance(influence, scores, prior))
+        return EstimatedErrors(NAMES, self.value.copy(), self._covariance(influence, scores, prior))
 
     def _covariance(self, influence: FloatArray, scores: FloatArray, prior: FloatArray) -> FloatArray:
         """Return the covariance of the errors.

@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 
 from uav_recon.mapping.neural.keyframes.captured_view import CapturedView
+from uav_recon.mapping.neural.keyframes.colour_image import ColourImage
+from uav_recon.mapping.neural.keyframes.colour_projection import paint
 from uav_recon.mapping.neural.keyframes.depth_visibility import DepthImage, DepthVisibility
 from uav_recon.mapping.neural.keyframes.eviction_policy import EvictionPolicy
 from uav_recon.mapping.neural.keyframes.keyframe_validation import FEWEST_RAYS
@@ -19,7 +21,7 @@ from uav_recon.mapping.neural.keyframes.ray_records import pixel_stride, ray_rec
 from uav_recon.mapping.neural.keyframes.surfels import RAYS_USED
 from uav_recon.types.camera import PosedFrame
 from uav_recon.types.camera_calibration import CameraCalibration
-from uav_recon.types.frames import AnyArray, BoolArray, Float32Array
+from uav_recon.types.frames import AnyArray, BoolArray, Float32Array, FloatArray
 from uav_recon.types.pose import Pose
 
 KEPT_VIEWS = MAX_VIEWS * 3 // 4  # number of views kept when memory is full
@@ -35,13 +37,14 @@ class View:
     """A keyframe as stored in the buffer, with depth as the camera reported it.
 
     records (R, COLUMNS): its rays (see ray_records); ends: end points of some of them; image: its depth, with lens, pose and
-    noise.
+    noise; picture: its colour image.
     """
 
     captured: CapturedView
     records: AnyArray
     ends: ViewRays
     image: DepthImage
+    picture: ColourImage
 
 
 class KeyframeBuffer:
@@ -61,13 +64,14 @@ class KeyframeBuffer:
         self.images = DepthVisibility()
         self.remembered = EvictionPolicy()
         self.captured: list[CapturedView] = []
+        self.pictures: list[ColourImage] = []
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the state for a checkpoint, without the arrays of the views.
 
         See arrays() and put_back().
         """
-        return self.__dict__ | {"_prior": None}
+        return self.__dict__ | {"_prior": None, "pictures": [picture.without_pixels() for picture in self.pictures]}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
@@ -80,7 +84,11 @@ class KeyframeBuffer:
 
     def arrays(self, index: int) -> dict[str, AnyArray]:
         """Return copies of the arrays of a view, which a checkpoint stores separately."""
-        return {"records": self.replay.records(index).copy(), "depth_mm": self.images.image(index)}
+        return {
+            "records": self.replay.records(index).copy(),
+            "depth_mm": self.images.image(index),
+            "jpeg": self.pictures[index].jpeg,
+        }
 
     def put_back(self, index: int, arrays: dict[str, AnyArray]) -> None:
         """Restore the arrays from arrays() after unpickling.
@@ -89,11 +97,13 @@ class KeyframeBuffer:
         """
         self.replay.put_back(index, arrays["records"])
         self.images.put_back(index, arrays["depth_mm"])
+        self.pictures[index] = replace(self.pictures[index], jpeg=arrays["jpeg"])
 
-    def develop(self, keyframe: PosedFrame, calibration: CameraCalibration) -> View | None:
+    def develop(self, keyframe: PosedFrame, calibration: CameraCalibration, colour_errors: FloatArray) -> View | None:
         """Return the view of a keyframe; None if it has fewer than FEWEST_RAYS rays.
 
-        calibration: errors of the camera as known now, which replace those that the keyframe was corrected for.
+        calibration: errors of the camera as known now, which replace those that the keyframe was corrected for. colour_errors
+        (9,): of its colour imager (see colour_projection).
         """
         applied = keyframe.calibration
         frame = replace(keyframe.frame, depth_m=applied.reported_depth_m(keyframe.frame.depth_m))
@@ -106,12 +116,14 @@ class KeyframeBuffer:
             return None
         if self._prior is not None:
             self._prior.fill(records, frame)
+        picture = ColourImage.of(frame)
+        paint(records, calibration.stretch, picture.decoded(), picture.imager(given), colour_errors)
         pose = calibration.pose(given)
         where = (pose.rotation(), pose.translation_m, sigma, calibration.stretch)
         ends = self.replay.rays(records[:SOME_RAYS], *where)
         ray_rad = pixel_stride(lens, most) / lens.fx
         captured = CapturedView(frame.stamp_s, given, applied, measured[:RAYS_USED].copy(), ray_rad)
-        return View(captured, records, ends, (frame.depth_m, lens.pinhole_px(), *where))
+        return View(captured, records, ends, (frame.depth_m, lens.pinhole_px(), *where), picture)
 
     def votes(self, view: View) -> Float32Array:
         """Return the votes (N,) of kept views on a new view's points, and of it on theirs.
@@ -130,6 +142,7 @@ class KeyframeBuffer:
         self.remembered.add(number, view.image[3], view.ends.points[0])
         self.replay.add(view.records, *view.image[2:])
         self.captured.append(view.captured)
+        self.pictures.append(view.picture)
         self.images.add(*view.image)
 
     def place(self, index: int, world_from_depth: Pose, calibration: CameraCalibration) -> None:
@@ -151,6 +164,14 @@ class KeyframeBuffer:
         """Give a depth image the pose and lens of its rays."""
         self.images.place(index, *self.replay.pose(index), self.replay.views.stretch[index])
 
+    def paint(self, index: int, colour_errors: FloatArray) -> None:
+        """Give the rays of a view the colours of its image, with errors (9,) of the colour imager.
+
+        Takes about 5 ms.
+        """
+        picture, imager = self.pictures[index], self.pictures[index].imager(self.captured[index].given)
+        paint(self.replay.records(index), self.replay.views.stretch[index], picture.decoded(), imager, colour_errors)
+
     def footprint_m(self, index: int, sigma_m: Float32Array) -> Float32Array:
         """Return the spacing (N,) of a view's rays where their depth has a noise of sigma_m (N,)."""
         spacing: Float32Array = np.sqrt(sigma_m / self.replay.views.inverse_depth_sigma[index]) * self.captured[index].ray_rad
@@ -168,3 +189,4 @@ class KeyframeBuffer:
         for memory in (self.remembered, self.replay, self.images):
             memory.keep(which)
         self.captured = list(compress(self.captured, which))
+        self.pictures = list(compress(self.pictures, which))

@@ -10,7 +10,7 @@ import numpy as np
 
 from uav_recon.geometry.jit import fast_kernel, kernel
 from uav_recon.types.camera import Frame, Intrinsics
-from uav_recon.types.frames import AnyArray, ByteArray, Float32Array, FloatArray, IntArray
+from uav_recon.types.frames import AnyArray, Float32Array, FloatArray, IntArray
 
 COLUMNS = 10  # bearing x, y; depth; normal x, y, z (camera; 0 = none); r, g, b; has colour
 BEARING_UNIT = 1e-4
@@ -31,21 +31,16 @@ def ray_records(frame: Frame, inverse_depth_sigma: float, most: int, random: np.
 
     inverse_depth_sigma: standard deviation of 1/z in 1/m (disparity noise over focal length times baseline).
     """
-    k, c = frame.depth_intrinsics, frame.rgb_intrinsics
+    k = frame.depth_intrinsics
     stride = pixel_stride(k, most)
     rows, columns = np.meshgrid(np.arange(0, k.height, stride), np.arange(0, k.width, stride), indexing="ij")
     rows = np.minimum(rows + random.integers(0, stride, rows.shape), k.height - 1).ravel()
     columns = np.minimum(columns + random.integers(0, stride, columns.shape), k.width - 1).ravel()
     order = random.permutation(rows.size)
     records, measured = np.zeros((rows.size, COLUMNS), dtype=np.int16), np.zeros(rows.size, dtype=np.uint16)
-    to_rgb = frame.rgb_from_depth
     count = _pack(
         frame.depth_m,
         k.pinhole_px(),
-        frame.rgb,
-        c.pinhole_px(),
-        to_rgb.rotation(),
-        to_rgb.translation_m,
         rows[order],
         columns[order],
         inverse_depth_sigma,
@@ -69,8 +64,8 @@ def in_rows(records: AnyArray) -> AnyArray:
 
 @kernel
 def _pack(
-    depth_m: Float32Array, lens: FloatArray, rgb: ByteArray, rgb_lens: FloatArray, rotation: FloatArray,
-    translation: FloatArray, rows: IntArray, columns: IntArray, sigma: float, records: AnyArray, measured: AnyArray,
+    depth_m: Float32Array, lens: FloatArray, rows: IntArray, columns: IntArray, sigma: float, records: AnyArray,
+    measured: AnyArray,
 ) -> int:  # fmt: skip
     fx, fy, cx, cy = lens
     plane = np.zeros(3)
@@ -105,19 +100,6 @@ def _pack(
         record[0] = round(bx / BEARING_UNIT)
         record[1] = round(by / BEARING_UNIT)
         record[2] = round(z / DEPTH_UNIT_M)
-        x = rotation[0, 0] * bx * z + rotation[0, 1] * by * z + rotation[0, 2] * z + translation[0]
-        y = rotation[1, 0] * bx * z + rotation[1, 1] * by * z + rotation[1, 2] * z + translation[1]
-        w = rotation[2, 0] * bx * z + rotation[2, 1] * by * z + rotation[2, 2] * z + translation[2]
-        if w > 0.05:
-            u, v = x / w * rgb_lens[0] + rgb_lens[2], y / w * rgb_lens[1] + rgb_lens[3]
-            if 0.0 <= u < rgb.shape[1] - 1 and 0.0 <= v < rgb.shape[0] - 1:
-                i, j = int(v), int(u)
-                s, t = v - i, u - j
-                for channel in range(3):
-                    top = (1 - t) * rgb[i, j, channel] + t * rgb[i, j + 1, channel]
-                    low = (1 - t) * rgb[i + 1, j, channel] + t * rgb[i + 1, j + 1, channel]
-                    record[6 + channel] = round((1 - s) * top + s * low)
-                record[9] = 1
     return count
 
 

@@ -22,5 +22,6 @@ def write_final_model(folder: Path, mapper: NeuralMapper, config: MapperConfig) 
     mapper.polish(config.polish_steps)
     write_ply(folder / MESH_FILE, mapper.mesh(config.mesh_voxel_m))
     if mapper.camera_errors is not None:
-        text = json.dumps({"elements": mapper.camera_errors.elements()}, indent=1) + "\n"
+        elements = mapper.camera_errors.elements() | (mapper.colour_errors.elements() if mapper.colour_errors else {})
+        text = json.dumps({"elements": elements}, indent=1) + "\n"
         atomic_file.replace(folder / CALIBRATION_FILE, text.encode("ascii"), durable=False)
