@@ -31,6 +31,7 @@ from uav_recon.mapping.neural.keyframes.surfels import Surfels
 from uav_recon.mapping.neural.sdf_interface import SdfField
 from uav_recon.mapping.neural.sdf_numba.ray_rendering import render_rays
 from uav_recon.mapping.neural.sdf_numba.sdf_field import NumbaSdfField
+from uav_recon.mapping.neural.surface.calibration_variance import CalibratedAgreement, CalibrationVariance
 from uav_recon.mapping.neural.surface.colour_fusion import ColourFusedField
 from uav_recon.mapping.neural.surface.extraction import (
     MeasuredCells,
@@ -132,6 +133,7 @@ class NeuralMapper:
         self._colour_error = ColourError(low, high)
         self._learner = NumbaTrainingStep(self._low, self._high, self._config.seed, self._stream, self._colour_error)
         self._agreement = MeasuredAgreement(low, high)
+        self._calibration_variance = CalibrationVariance(low, high)
         self.uncertainties = self._measures()
         self.uncertainty = self.uncertainties[uncertainty]
 
@@ -303,10 +305,11 @@ class NeuralMapper:
         """Adjust poses and errors of the camera over all views, and count again what moved by it."""
         before = self._alignment.calibration
         self.camera_errors = self._adjustment.adjust(self._alignment, self._replay)
+        self._calibration_variance.covariance = self.camera_errors.covariance
         self._adjust_colours()
         if before.difference_m(self._alignment.calibration, STALE_RANGE_M) <= STALE_M:
             return
-        for each in (self._information, self._agreement, self._measured_cells):
+        for each in (self._information, self._agreement, self._calibration_variance, self._measured_cells):
             each.clear()
         for number in range(self._taken):
             self._measure(number)
@@ -332,6 +335,7 @@ class NeuralMapper:
             self._learner.cover(points)
         self._information.add(view.points[0], view.cosine, view.sigma_m)
         self._agreement.add(view.points[0], view.normal, view.sigma_m)
+        self._calibration_variance.add(view.points[0], view.normal, self._keyframe_buffer.captured[number].given)
         footprint_m = self._keyframe_buffer.footprint_m(number, view.sigma_m)
         self._measured_cells.add(position, view.points[0], view.normal, view.sigma_m, footprint_m)
         self._live.touch(view.points[0])
@@ -469,7 +473,7 @@ class NeuralMapper:
             "colour": self._colour_error,
             "information": self._information,
             "product": ProductUncertainty(self._colour_error, self._information),
-            "agreement": self._agreement,
+            "agreement": CalibratedAgreement(self._agreement, self._calibration_variance),
         }
 
 
