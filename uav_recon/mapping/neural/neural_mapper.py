@@ -164,6 +164,7 @@ class NeuralMapper:
 
         The data shares its arrays with this mapper and changes with it.
         """
+        self._judge()
         for _ in range(ALIGN_ROUNDS):
             self._adjust()
         self._keyframe_buffer.sync_images()
@@ -314,6 +315,11 @@ class NeuralMapper:
         for number in range(self._taken):
             self._measure(number)
 
+    def _judge(self) -> None:
+        """Let views that are held out decide whether errors of the camera are corrected."""
+        if self.align_views and self.camera_errors is not None:
+            self._adjustment.judge(self._alignment, self._replay)
+
     def _adjust_colours(self) -> None:
         """Estimate the errors of the colour imager from all views, and colour their rays again."""
         buffer = self._keyframe_buffer
@@ -369,6 +375,7 @@ class NeuralMapper:
         errors.
         """
         self.learn_waiting(self.waiting)
+        self._judge()
         aligned_at = {int(steps * share) for share in ALIGN_AT}
         for n in range(steps if self.views else 0):
             if self.align_views and n in aligned_at:

@@ -10,7 +10,7 @@ from box_room import BASELINE_M, DEPTH_LENS, HIGH, LOW, NOISE_PX, distance_to_wa
 
 from uav_recon.config import MapperConfig
 from uav_recon.mapping.neural.keyframes.estimated_errors import EstimatedErrors
-from uav_recon.mapping.neural.keyframes.joint_adjustment import PRIOR_SIGMA, calibration_of
+from uav_recon.mapping.neural.keyframes.joint_adjustment import HELD_OUT, PRIOR_SIGMA, calibration_of
 from uav_recon.mapping.neural.neural_mapper import NeuralMapper
 from uav_recon.types.camera import PosedFrame
 from uav_recon.types.camera_calibration import CameraCalibration
@@ -24,14 +24,24 @@ VIEWS = 36
 
 
 def taken(
-    errors: FloatArray, *, moving: bool = True, sigma_px: float = NOISE_PX, pose_sigma_m: float = 0.0, seed: int = 5
+    errors: FloatArray,
+    *,
+    moving: bool = True,
+    sigma_px: float = NOISE_PX,
+    pose_sigma_m: float = 0.0,
+    seed: int = 5,
+    held_out: FloatArray | None = None,
 ) -> list[PosedFrame]:
-    """Return views of a camera with errors (9,), at the poses that its configuration gives them."""
+    """Return views of a camera with errors (9,), at the poses that its configuration gives them.
+
+    held_out: errors of the views that judge what the others estimate.
+    """
     random = np.random.default_rng(seed)
-    wrong = calibration_of(errors)
-    lens = dataclasses.replace(DEPTH_LENS, fx=DEPTH_LENS.fx * (1 + errors[WIDTH]), fy=DEPTH_LENS.fy * (1 + errors[WIDTH]))
-    views = []
+    views, of_most = [], errors
     for n, view in enumerate(tour(VIEWS)):
+        errors = held_out if held_out is not None and n % HELD_OUT == HELD_OUT - 1 else of_most
+        wrong, longer = calibration_of(errors), 1 + errors[WIDTH]
+        lens = dataclasses.replace(DEPTH_LENS, fx=DEPTH_LENS.fx * longer, fy=DEPTH_LENS.fy * longer)
         velocity_mps = random.uniform(-0.4, 0.4, 3) * moving
         rate_radps = random.uniform(-0.8, 0.8, 3) * np.array([0.2, 0.2, 1.0]) * moving
         given = CameraCalibration.none().motion(view.world_from_depth, velocity_mps, rate_radps)
@@ -128,3 +138,24 @@ def test_a_keyframe_that_was_corrected_wrongly_gives_the_same_errors() -> None:
             )
         )
     assert found(views).value == pytest.approx(found(taken(WRONG)).value, abs=2e-4)
+
+
+def test_views_held_out_confirm_a_correction_that_holds_for_them() -> None:
+    mapper = mapped(taken(WRONG))
+    mapper.training_data()
+    assert mapper.camera_errors is not None
+    assert abs(mapper.camera_errors.value[SCALE] - WRONG[SCALE]) < 0.003
+
+
+def test_views_held_out_refuse_a_correction_that_is_wrong_for_them() -> None:
+    larger = np.zeros(9)
+    larger[SCALE] = 0.02
+    mapper = mapped(taken(larger, held_out=-larger))
+    before = mapper.camera_errors
+    assert before is not None
+    assert before.value[SCALE] > 0.004
+    mapper.training_data()
+    after = mapper.camera_errors
+    assert after is not None
+    assert np.array_equal(after.value, np.zeros(9))
+    assert after.sigma == pytest.approx(PRIOR_SIGMA)

@@ -22,7 +22,7 @@ def wall(count: int, x_m: float = WALL_X_M) -> tuple[Float32Array, Float32Array]
     """Return points of a wall before the camera, and their normals."""
     random = np.random.default_rng(1)
     points = np.column_stack([np.full(count, x_m), random.uniform(1.0, 3.0, count), random.uniform(0.5, 1.5, count)])
-    return points.astype(np.float32), np.tile(np.float32([-1.0, 0.0, 0.0]), (count, 1))
+    return points.astype(np.float32), np.tile(np.array([-1.0, 0.0, 0.0], dtype=np.float32), (count, 1))
 
 
 def variance_of(**sigma: float) -> CalibrationVariance:
@@ -74,7 +74,7 @@ def test_nothing_is_added_without_a_normal_or_a_covariance() -> None:
 def test_the_calibrated_measure_ranks_what_the_camera_may_be_wrong_about() -> None:
     agreement, variance = MeasuredAgreement(LOW, HIGH), variance_of(offset_z_m=0.05)
     near, normal = wall(STRIDE * 10_000)
-    floor = near[:, [1, 2, 0]] * np.float32([1.0, 1.0, 0.0])
+    floor = near[:, [1, 2, 0]] * np.array([1.0, 1.0, 0.0], dtype=np.float32)
     up: FloatArray = np.tile([0.0, 0.0, 1.0], (len(floor), 1))
     for points, facing in ((near, normal), (floor, up.astype(np.float32))):
         agreement.add(points, facing, np.full(len(points), 0.001, dtype=np.float32))

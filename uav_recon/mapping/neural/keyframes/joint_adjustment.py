@@ -23,15 +23,15 @@ from uav_recon.mapping.neural.keyframes.pose_refinement import (
 from uav_recon.mapping.neural.keyframes.ray_buffer import RayBuffer
 from uav_recon.mapping.neural.keyframes.surfels import NORMAL, POINT, Surfels
 from uav_recon.types.camera_calibration import ERROR_SIGMAS, CameraCalibration
-from uav_recon.types.frames import FloatArray, IntArray
+from uav_recon.types.frames import BoolArray, FloatArray, IntArray
 from uav_recon.types.pose import Pose
 
 NAMES = tuple(ERROR_SIGMAS)
 ELEMENTS = len(NAMES)
 SCALE = NAMES.index("depth_scale")
 PRIOR_SIGMA: FloatArray = np.array(list(ERROR_SIGMAS.values()))
-# share of the prior deviation that is added to each: surface is not planar, and smoothing turns the normals at its edges
-SYSTEMATIC_SHARE = 0.08
+# shares of the prior deviation that are added: surface is not planar, and the shadow beside a near object is on one side of it
+SYSTEMATIC_SHARE: FloatArray = np.array([0.08] * 6 + [0.3] * 3)
 # distances with half weight, one per iteration: of the first adjustment, and of later ones
 FIRST_SCALES_M = (0.08, 0.04, 0.02, 0.02, 0.02)
 SCALES_M = (0.02, 0.02)
@@ -41,6 +41,7 @@ WHITE_SHARE = 0.2
 LEAST_WHITE_SHARE = 0.05
 NEIGHBOURS_S = 5.0  # views that are closer in time show that share
 FEWEST_NEIGHBOURS = 8
+HELD_OUT = 5  # every fifth view judges what the others estimate
 PATCH_M = 0.8  # edge of a patch of surface whose surfels err together
 
 
@@ -61,29 +62,73 @@ class JointAdjustment:
         self._own_poses = own_poses
         self._scales_m: tuple[float, ...] = FIRST_SCALES_M
         self._white_share = WHITE_SHARE
+        self._applied = True
         self.value: FloatArray = np.zeros(ELEMENTS)
 
     def adjust(self, alignment: PoseRefinement, replay: RayBuffer) -> EstimatedErrors:
         """Adjust poses and errors of the camera; returns the errors. Takes 0.3 s for 60 views."""
-        views, stamps_s = len(alignment.captured), np.array([each.stamp_s for each in alignment.captured])
-        prior, every = self._prior(stamps_s, alignment.sigma), np.arange(views)
-        alignment.calibration = calibration_of(self.value)
-        alignment.move_all(replay)
-        for scale_m in self._scales_m:
-            cell, whose, row = self._patches.of(every, every)
-            groups, patch = self._groups(cell, row)
-            normal, right, scores = np.zeros(prior.shape), np.zeros(len(prior)), np.zeros((groups, len(prior)))
-            _accumulate(cell, whose, row, patch, self._motion(alignment, replay), scale_m, normal, right, scores)
-            normal += prior
-            state: FloatArray = np.concatenate([self.value, alignment.correction.ravel()])
-            state -= np.linalg.solve(normal, right + prior @ state)
-            self.value, alignment.correction[:] = state[:ELEMENTS], state[ELEMENTS:].reshape(-1, 6)
-            alignment.calibration = calibration_of(self.value)
-            alignment.move_all(replay)
+        stamps_s = np.array([each.stamp_s for each in alignment.captured])
+        prior = self._prior(stamps_s, alignment.sigma)
+        free = np.full(ELEMENTS, self._applied)
+        normal, scores = self._solve(alignment, replay, np.arange(len(stamps_s)), prior, free)
         self._scales_m = SCALES_M
         self._white_share = self._shown_white_share(stamps_s, alignment.correction / np.repeat(alignment.sigma, 3))
         influence = np.asarray(np.linalg.solve(normal, np.eye(len(normal), ELEMENTS)).T, dtype=np.float64)
-        return EstimatedErrors(NAMES, self.value.copy(), self._covariance(influence, scores, prior))
+        covariance = self._covariance(influence, scores, prior) if self._applied else np.diag(PRIOR_SIGMA**2)
+        return EstimatedErrors(NAMES, self.value.copy(), covariance)
+
+    def judge(self, alignment: PoseRefinement, replay: RayBuffer) -> None:
+        """Stop correcting errors of the camera if views that did not estimate them fit worse with them.
+
+        Every HELD_OUT-th view is held out. Poses are adjusted in both cases. Takes twice as long as adjust().
+        """
+        views = len(alignment.captured)
+        held = np.arange(views) % HELD_OUT == HELD_OUT - 1
+        if not held.any():
+            return
+        before = self.value, alignment.correction.copy()
+        stamps_s = np.array([each.stamp_s for each in alignment.captured])
+        prior, fixed = self._prior(stamps_s, alignment.sigma), np.zeros(ELEMENTS, dtype=np.bool_)
+        self._solve(alignment, replay, np.flatnonzero(~held), prior, ~fixed)
+        cost = []
+        for value in (self.value, np.zeros(ELEMENTS)):
+            self.value = value
+            self._solve(alignment, replay, np.arange(views), prior, fixed)
+            every = np.arange(views)
+            cell, whose, row = self._patches.of(every, every)
+            cost.append(_held_out_cost(cell, held[whose], row, SCALES_M[-1]))
+        self._applied = cost[0] <= cost[1]
+        self.value, alignment.correction[:] = before
+        if not self._applied:
+            self.value = np.zeros(ELEMENTS)
+        alignment.calibration = calibration_of(self.value)
+        alignment.move_all(replay)
+
+    def _solve(
+        self, alignment: PoseRefinement, replay: RayBuffer, used: IntArray, prior: FloatArray, free: BoolArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Adjust all poses and the free errors of the camera to the views used.
+
+        Returns the matrix of the last normal equations, and the scores (G, S) of patches of surface.
+        """
+        prior = prior.copy()
+        fixed = np.flatnonzero(~free)
+        alignment.calibration = calibration_of(self.value)
+        alignment.move_all(replay)
+        for scale_m in self._scales_m:
+            cell, whose, row = self._patches.of(used, used)
+            groups, patch = self._groups(cell, row)
+            normal, right, scores = np.zeros(prior.shape), np.zeros(len(prior)), np.zeros((groups, len(prior)))
+            _accumulate(cell, whose, row, patch, self._motion(alignment, replay), scale_m, normal, right, scores)
+            state: FloatArray = np.concatenate([self.value, alignment.correction.ravel()])
+            normal, right = normal + prior, right + prior @ state
+            normal[fixed], normal[:, fixed], right[fixed] = 0.0, 0.0, 0.0
+            normal[fixed, fixed] = 1.0
+            state -= np.linalg.solve(normal, right)
+            self.value, alignment.correction[:] = state[:ELEMENTS], state[ELEMENTS:].reshape(-1, 6)
+            alignment.calibration = calibration_of(self.value)
+            alignment.move_all(replay)
+        return normal, scores
 
     def _covariance(self, influence: FloatArray, scores: FloatArray, prior: FloatArray) -> FloatArray:
         """Return the covariance of the errors.
@@ -202,3 +247,25 @@ def _accumulate(  # noqa: C901, PLR0912 - one pass over the cells
                         for j in range(6):
                             normal[a + i, b + j] -= share * jacobian[n, i] * jacobian[k, j]
         first = end
+
+
+@kernel
+def _held_out_cost(cell: IntArray, held: BoolArray, row: FloatArray, scale_m: float) -> float:
+    """Return the mean robust cost of surfels, sorted by cell, of the views held out."""
+    count = len(cell)
+    weight, distance, plane = np.zeros(count), np.zeros(count), np.zeros(3)
+    cost, total, first = 0.0, 1e-9, 0
+    while first < count:
+        end = first + 1
+        while end < count and cell[end] == cell[first]:
+            end += 1
+        if end - first > 1 and mean_normal(row[first:end], plane):
+            offset, _ = compare(row[first:end], plane, scale_m, distance[first:end], weight[first:end])
+            for n in range(first, end):
+                if held[n]:
+                    square = ((distance[n] - offset) / scale_m) ** 2
+                    full = weight[n] * (1.0 + square)
+                    cost += full * np.log1p(square)
+                    total += full
+        first = end
+    return cost / total
