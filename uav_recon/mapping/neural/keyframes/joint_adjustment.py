@@ -78,7 +78,7 @@ class JointAdjustment:
         return EstimatedErrors(NAMES, self.value.copy(), covariance)
 
     def judge(self, alignment: PoseRefinement, replay: RayBuffer) -> None:
-        """Stop correcting errors of the camera if views that did not estimate them fit worse with them.
+        """Stop correcting errors of the camera if views that are held out fit worse with it.
 
         Every HELD_OUT-th view is held out. Poses are adjusted in both cases. Takes twice as long as adjust().
         """

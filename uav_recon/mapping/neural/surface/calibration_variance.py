@@ -1,6 +1,6 @@
-"""Variance of the surface that the errors of the camera leave, which more measurements do not reduce.
+"""Variance of the surface that the errors of the camera leave.
 
-All views of a surface share the errors of the camera. What they shift it by is the mean derivative of its measurements by these
+More measurements do not reduce it: all views of a surface share these errors. What they shift it by is the mean derivative of its measurements by these
 errors (geometry.camera_error_row), stored in space, times the errors.
 """
 
@@ -67,7 +67,10 @@ def _derive(
     points: Float32Array, normal: Float32Array, rotation: FloatArray, place: FloatArray, velocity: FloatArray, rate: FloatArray,
     rows: Float32Array,
 ) -> None:  # fmt: skip
-    """Compute the derivatives of measurements by the errors of the camera, and 1; nothing without a normal."""
+    """Compute the derivatives of measurements by the errors of the camera, and 1.
+
+    Nothing without a normal.
+    """
     for n in range(points.shape[0]):
         if normal[n, 0] != 0.0 or normal[n, 1] != 0.0 or normal[n, 2] != 0.0:
             rows[n, :9] = error_row(normal[n], points[n], rotation, place, velocity, rate)
