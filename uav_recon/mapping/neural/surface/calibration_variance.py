@@ -1,7 +1,7 @@
 """Variance of the surface that the errors of the camera leave.
 
-More measurements do not reduce it: all views of a surface share these errors. What they shift it by is the mean derivative of its measurements by these
-errors (geometry.camera_error_row), stored in space, times the errors.
+More measurements do not reduce it: all views of a surface share these errors. What they shift it by is the mean derivative of
+its measurements by the errors (geometry.camera_error_row), stored in space, times the errors.
 """
 
 from __future__ import annotations
