@@ -33,6 +33,7 @@ FLOWN = Path(__file__).parents[2] / "systemd" / "config.toml"
 ROOM_M = np.array([[-3.5, -2.5, 0.0], [3.5, 2.5, 2.6]])
 CABINET_M = np.array([[1.8, 0.9, 0.0], [2.4, 1.6, 1.9]])
 DELAY_S = 0.03
+SCALE = 0.012
 WRONG = Pose.from_rotation_vector(np.array([0.014, -0.010, 0.008]), np.zeros(3))  # nominal_from_true
 
 
@@ -50,19 +51,43 @@ def _config(tmp_path: Path, **camera: Any) -> Path:
     return path
 
 
-def _recording(tmp_path: Path, seconds: float, body: Callable[[float], Pose] = _body, *, poses: bool = True) -> Path:
-    """Frames at 6 Hz that are DELAY_S older than their stamp, and exact poses at 30 Hz."""
+def _wandering(sigma_m: float, sigma_rad: float, seed: int = 1) -> Callable[[float], Pose]:
+    """Motions with these deviations per axis, which change within seconds."""
+    random = np.random.default_rng(seed)
+    rate, phase = random.uniform(0.3, 1.5, (6, 4)), random.uniform(0.0, 2.0 * math.pi, (6, 4))
+    scale = np.repeat([sigma_rad, sigma_m], 3) * math.sqrt(2.0 / 4)
+
+    def at(t: float) -> Pose:
+        x = scale * np.sin(rate * t + phase).sum(axis=1)
+        return Pose.from_rotation_vector(x[:3], x[3:])
+
+    return at
+
+
+def _recording(
+    tmp_path: Path,
+    seconds: float,
+    body: Callable[[float], Pose] = _body,
+    *,
+    poses: bool = True,
+    scale: float = 0.0,
+    wrong: Callable[[float], Pose] = lambda t: Pose.identity(),
+) -> Path:
+    """Frames at 6 Hz that are DELAY_S older than their stamp, and poses at 30 Hz.
+
+    scale: share by which depth is too large; wrong: error of the poses, in the body.
+    """
     nominal = camera_sources.tilted_camera(load(FLOWN))
     stamps_s = 0.2 + np.arange(round(6 * seconds)) / 6
     depth_m = [depth_of(body(t - DELAY_S) @ nominal @ WRONG, ROOM_M, CABINET_M, seed=n) for n, t in enumerate(stamps_s)]
     pose_s = np.arange(round(30 * seconds)) / 30 + (0.0 if poses else 20.0)
-    places = [body(t) for t in pose_s]
+    places = [body(t) @ wrong(t) for t in pose_s]
     lens = np.array([*CAMERA, LENS.width, LENS.height])
     path = tmp_path / "hand.npz"
     np.savez(
         path,
         frame_stamp_s=stamps_s,
-        depth_mm=np.nan_to_num(1e3 * np.array(depth_m)).round().astype(np.uint16),
+        depth_mm=np.nan_to_num(1e3 * (1.0 + scale) * np.array(depth_m)).round().astype(np.uint16),
         rgb=np.zeros((len(stamps_s), 2, 4, 3), np.uint8),
         depth_intrinsics=lens,
         rgb_intrinsics=lens,
@@ -79,20 +104,43 @@ def _options(tmp_path: Path, recording: Path | None, config: Path, write: Path |
 
 
 def test_the_written_config_removes_the_errors(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    recording, written = _recording(tmp_path, 60.0), tmp_path / "new.toml"
-    calibrate(_options(tmp_path, recording, _config(tmp_path), written))
+    """Scale, yaw of the mount and delay together, with poses that are wrong by 5 mm and 0.2 degrees."""
+    wandering = _wandering(0.005, math.radians(0.2))
+    recording, written = _recording(tmp_path, 60.0, scale=SCALE, wrong=wandering), tmp_path / "new.toml"
+    assert calibrate(_options(tmp_path, recording, _config(tmp_path), written)) == 0
     said = capsys.readouterr().out
-    assert "delay_s" in said
-    assert "pitch_down_deg" in said
+    assert "not known" not in said
     assert (tmp_path / "out" / PLOT).stat().st_size > 5000
     found = load(written).camera
-    assert found.delay_s == pytest.approx(DELAY_S, abs=0.01)
+    assert found.delay_s == pytest.approx(DELAY_S, abs=0.004)
+    assert found.depth_scale == pytest.approx(SCALE, abs=0.003)
     true = camera_sources.tilted_camera(load(FLOWN)) @ WRONG
-    off = camera_sources.tilted_camera(load(written)).rotation().T @ true.rotation()
-    before_rad = float(np.linalg.norm([0.014, -0.010, 0.008]))
-    assert math.acos(min((float(np.trace(off)) - 1.0) / 2.0, 1.0)) < 0.6 * before_rad
+    off = camera_sources.tilted_camera(load(written)).inverse() @ true
+    off_rad = 0.5 * (off.rotation() - off.rotation().T)[[2, 0, 1], [1, 2, 0]]
+    assert abs(off_rad[1]) < math.radians(0.15)  # yaw
+    assert np.linalg.norm(off_rad) < math.radians(0.25)
     before_mm, after_mm = (float(word) for word in said.split("residuals: ")[1].replace("mm before,", "").split()[:2])
     assert after_mm < 0.85 * before_mm
+
+
+def test_a_walk_of_some_frames_falls_back_and_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert calibrate(_options(tmp_path, _recording(tmp_path, 2.0), _config(tmp_path))) == 1
+    said = capsys.readouterr().out
+    assert "too few views" in said
+    assert "turn left and right" in said
+
+
+def test_poses_from_the_depth_images_show_no_scale(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    recorded = calibrate_command._from_recording
+    monkeypatch.setattr(calibrate_command, "_from_recording", lambda *given: recorded(*given)._replace(own_poses=True))
+    recording = _recording(tmp_path, 12.0, scale=SCALE)
+    assert calibrate(_options(tmp_path, recording, _config(tmp_path))) == 1
+    said = capsys.readouterr().out
+    assert "not known: depth_scale: the poses come from the depth images" in said
+    assert "depth_scale = 0.0\n" in said
+    assert "towards a wall" not in said  # no motion would show it
 
 
 def test_a_camera_at_rest_is_not_calibrated_and_the_missing_motion_is_named(
@@ -128,7 +176,7 @@ def test_a_bag_of_a_flight_gives_what_the_npz_file_gives(tmp_path: Path, capsys:
         calibrate(_options(tmp_path, recording, _config(tmp_path)))
         said.append(capsys.readouterr().out)
     values = [[float(row.split("│")[2]) for row in text.splitlines() if row.count("│") == 5] for text in said]
-    assert len(values[0]) >= 12
+    assert len(values[0]) == 9
     np.testing.assert_allclose(values[1], values[0], atol=0.003)
     assert abs(values[0][0]) > 0.005  # the delay has been seen
 

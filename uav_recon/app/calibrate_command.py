@@ -1,12 +1,13 @@
-"""`uav-recon calibrate`: options, input and output of localization.hand_calibration."""
+"""`uav-recon calibrate`: options, input and output; the errors are those of views_calibration."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numpy as np
 import tomli_w
 from rich.console import Console
 from rich.table import Table
@@ -17,6 +18,7 @@ from uav_recon.app.flight_channels import read_only_channels
 from uav_recon.app.option_validation import UsageError, require_writable_file, require_writable_folder
 from uav_recon.app.recording_options import require_depth_unit
 from uav_recon.app.recording_remarks import print_remarks, recording_remarks, skipped_remarks
+from uav_recon.app.step_display import StepDisplay
 from uav_recon.clock import ManualClock, MonotonicClock
 from uav_recon.config import Config
 from uav_recon.errors import EXIT_CONFIG, UserError
@@ -27,7 +29,12 @@ from uav_recon.sensors.recordings.detection import ReadOptions, open_recording
 from uav_recon.sensors.recordings.recording import LEVEL_MOUNT, PlaybackCamera, PlaybackPoses
 from uav_recon.sensors.stream_format import StreamError
 from uav_recon.types.camera import BODY_FROM_OPTICAL
+from uav_recon.types.camera_calibration import ERROR_SIGMAS, CameraCalibration
 from uav_recon.types.pose import Pose
+
+if TYPE_CHECKING:  # the kernels are compiled only for a calibration
+    from uav_recon.localization.calibration.calibration_filter import Elements
+    from uav_recon.localization.hand_calibration import CameraCalibrator
 
 _STEP_S = 0.01
 _SAID_S = 2.0  # between two lines of advice
@@ -80,23 +87,22 @@ def calibrate(options: CalibrateOptions) -> int:
     Exit code 0: all elements are known; 1: some are not, and the motions that would show them are printed. Raises UserError
     with one line for input that cannot be used.
     """
-    from uav_recon.localization.calibration.calibration_filter import observed
-    from uav_recon.localization.hand_calibration import known_calibration
+    from uav_recon.localization.hand_calibration import known_elements
+    from uav_recon.mapping.neural.keyframes.joint_adjustment import calibration_of
     from uav_recon.recording.calibration_plot import residuals_over_time
-    from uav_recon.types.camera_calibration import CameraCalibration
 
     config, console = config_file.load_config(options.config), Console()
     if config.camera.mount == "gimbal":
         raise UserError("camera.mount gimbal: only a fixed mount can be calibrated by hand; a gimbal is in flight", EXIT_CONFIG)
-    calibrator = _from_recording(options, config, console) if options.recording is not None else _live(options, config, console)
+    walk = _from_recording(options, config, console) if options.recording is not None else _live(options, config, console)
+    calibrator = walk.calibrator
     if not calibrator.frames:
         raise UserError(f"no frame with a pose at its stamp ({calibrator.poses_read} poses were read)")
-    elements = calibrator.elements()
-    known = observed(elements)
-    console.print(_table(elements, {name for name, _, _ in known}))
-    calibration = known_calibration(elements)
-    before = calibrator.residuals(CameraCalibration(0.0, Pose.identity(), 0.0))
-    after = calibrator.residuals(calibration)
+    elements = _elements(walk, config, console)
+    known = {name: value for name, value, _ in known_elements(elements)}
+    console.print(_table(elements, set(known)))
+    calibration = calibration_of(np.array([known.get(name, 0.0) for name in ERROR_SIGMAS]))
+    before, after = calibrator.residuals(CameraCalibration.none()), calibrator.residuals(calibration)
     series = {
         f"before, median {1e3 * before.typical_m:.1f} mm": (before.stamp_s, before.distance_m),
         f"after, median {1e3 * after.typical_m:.1f} mm": (after.stamp_s, after.distance_m),
@@ -111,12 +117,15 @@ def calibrate(options: CalibrateOptions) -> int:
     if options.write is not None:
         _write(config, lines, options.write)
         console.print(f"written: {options.write}")
-    for motion in calibrator.missing():
+    missing = walk.missing(elements)
+    for motion in missing:
         console.print(f"not known yet: {motion}")
-    return 1 if calibrator.missing() else 0
+    if walk.own_poses:
+        console.print("not known: depth_scale: the poses come from the depth images and have their scale")
+    return 1 if missing or walk.own_poses else 0
 
 
-def config_lines(config: Config, calibration: Any) -> dict[str, Any]:
+def config_lines(config: Config, calibration: CameraCalibration) -> dict[str, Any]:
     """Return the keys of [camera] that remove the errors of a fixed mount."""
     camera = config.camera
     true = camera_sources.tilted_camera(config) @ calibration.nominal_from_true
@@ -133,6 +142,20 @@ def config_lines(config: Config, calibration: Any) -> dict[str, Any]:
     }
 
 
+class _Walk(NamedTuple):
+    """What was read. own_poses: the poses come from the depth images, which then show no scale of depth."""
+
+    calibrator: CameraCalibrator
+    own_poses: bool
+
+    def missing(self, elements: Elements) -> list[str]:
+        """Return the motions that would show what is not known yet."""
+        from uav_recon.localization.hand_calibration import missing_motions
+
+        motions = missing_motions(elements)
+        return [motion for name, motion in motions.items() if not (self.own_poses and name == "depth_scale")]
+
+
 class _Source(NamedTuple):
     """Camera and poses of a recording, its first and last instant, and the reader.
 
@@ -146,7 +169,7 @@ class _Source(NamedTuple):
     recording: CheckedRecording | None = None
 
 
-def _from_recording(options: CalibrateOptions, config: Config, console: Console) -> Any:
+def _from_recording(options: CalibrateOptions, config: Config, console: Console) -> _Walk:
     from uav_recon.localization.calibration.camera_mount import FixedMount
     from uav_recon.localization.hand_calibration import CameraCalibrator
     from uav_recon.sensors.corrected_camera import CorrectedCamera
@@ -164,7 +187,7 @@ def _from_recording(options: CalibrateOptions, config: Config, console: Console)
             print_remarks(skipped_remarks(source.recording.info), console)
     except StreamError as error:
         raise UserError(str(error)) from None
-    return calibrator
+    return _Walk(calibrator, own_poses=False)
 
 
 def _open_recording(path: Path, depth_unit_m: float | None, config: Config, clock: ManualClock, console: Console) -> _Source:
@@ -193,7 +216,7 @@ def _open_recording(path: Path, depth_unit_m: float | None, config: Config, cloc
     return _Source(camera, playback, info.first_s, info.last_s + _AFTER_S, recording)  # later poses have no frame
 
 
-def _live(options: CalibrateOptions, config: Config, console: Console) -> Any:
+def _live(options: CalibrateOptions, config: Config, console: Console) -> _Walk:
     from uav_recon.localization.calibration.camera_mount import FixedMount
     from uav_recon.localization.hand_calibration import CameraCalibrator
 
@@ -202,12 +225,13 @@ def _live(options: CalibrateOptions, config: Config, console: Console) -> Any:
     context = pose_sources.SourceContext(config, read_only_channels(config.runtime.folder), clock, camera, mount)
     opened = pose_sources.open_poses(context)
     calibrator = CameraCalibrator(opened.camera, opened.poses, mount, clock, opened.view)
+    walk = _Walk(calibrator, config.localization.source == "slam")
     begin_s = said_s = clock.now_s()
     console.print("move the vehicle by hand; Ctrl-C ends")
     try:
         while (now_s := clock.now_s()) - begin_s < options.seconds:
             calibrator.step()
-            missing = calibrator.missing()
+            missing = walk.missing(calibrator.elements())
             if not missing:
                 break
             if not calibrator.frames and now_s - begin_s > _SILENT_S:
@@ -220,11 +244,24 @@ def _live(options: CalibrateOptions, config: Config, console: Console) -> Any:
         console.print("ended")
     finally:
         opened.camera.close()
-    return calibrator
+    return walk
 
 
-def _table(elements: Any, known: set[str]) -> Table:
-    table = Table("element", "value", "sigma", "observed")
+def _elements(walk: _Walk, config: Config, console: Console) -> Elements:
+    """Return the errors by all views together; with too few views those of the filter, and say so."""
+    from uav_recon.app.views_calibration import errors_from_views
+
+    views = walk.calibrator.views
+    with StepDisplay(console).step(f"comparing {len(views)} views") as report:
+        found = errors_from_views(views, config.camera, own_poses=walk.own_poses, report=report)
+    if found is None:
+        console.print("too few views can be compared; these errors are from neighbouring frames alone and less certain:")
+        return walk.calibrator.elements()
+    return found
+
+
+def _table(elements: Elements, known: set[str]) -> Table:
+    table = Table("element", "value", "sigma", "known")
     for name, value, sigma in elements:
         degrees = name.endswith("_rad")
         shown, unit = (name.removesuffix("_rad"), math.degrees(1.0)) if degrees else (name, 1.0)

@@ -1,39 +1,48 @@
-"""Calibration of the camera from a motion by hand, with the filter of the flight."""
+"""Calibration of the camera from a motion by hand: the views of the walk, and advice by the filter of the flight.
+
+The filter says during the walk which motion is still missing. The errors themselves come from all views together, which the
+mapper adjusts: app/views_calibration.
+"""
 
 from __future__ import annotations
 
 import math
 from collections import deque
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
 from uav_recon.interfaces import Clock, DepthCamera, PoseSource
-from uav_recon.localization.calibration.calibration_filter import (
-    NAMES,
-    CalibrationFilter,
-    Elements,
-    observed,
-    prior_sigma,
-)
+from uav_recon.localization.calibration.calibration_filter import CalibrationFilter, Elements
 from uav_recon.localization.calibration.camera_mount import Mount
 from uav_recon.localization.consistency.odometry_drift_rate import DriftRateEstimator
 from uav_recon.localization.consistency.planar_patches import patches
 from uav_recon.localization.fusion.fusion_filter import FusionFilter
 from uav_recon.localization.motion_estimator import MotionEstimator
-from uav_recon.types.camera import Frame
-from uav_recon.types.camera_calibration import MOMENT_S, CameraCalibration, CameraMotion
+from uav_recon.types.camera import Frame, PosedFrame
+from uav_recon.types.camera_calibration import (
+    COLOUR_ERROR_SIGMAS,
+    ERROR_SIGMAS,
+    MOMENT_S,
+    CameraCalibration,
+    CameraMotion,
+)
 from uav_recon.types.frames import AnyArray, FloatArray
 from uav_recon.types.pose import Pose
 
 _MEMORY_S = 120.0  # a mount in a hand does not change, but comparisons are not independent: with 600 s sigma was a third
 _KEPT_EVERY_S = 0.5
-_MOST_FRAMES = 400  # frames that are kept for the residuals: the first minutes
-_AGE_S = 3.0  # age of the views that residuals compare
+MOST_VIEWS = 120  # kept over the whole walk
+# a view in motion is worth more: at rest no delay shows. Speed of the image's middle, 2 m away, at which it is worth most, and
+# the worth of a view at rest
+_FAST_MPS = 0.5
+_RANGE_M = 2.0
+_REST_WORTH = 0.4
+_COMPARED = 6  # earlier views that residuals compare a view with
 _WAITING = 8  # frames that wait for a pose
-#: warn: share of its prior deviation above which a motion is still asked for: a hand can show more than a flight does
+#: warn: share of its prior deviation up to which an error is known: a hand can show more than a flight does
 _KNOWN_SHARE = 0.5
+_PRIOR_SIGMA = ERROR_SIGMAS | COLOUR_ERROR_SIGMAS
 _OUTLIER_M = 0.15  # a larger distance is another surface
 # elements that a fixed mount's calibration needs, each with the motion that shows it
 MOTIONS = {
@@ -61,13 +70,8 @@ class Residuals:
         return float(np.median(np.abs(self.distance_m))) if len(self.distance_m) else math.nan
 
 
-class _Kept(NamedTuple):
-    frame: Frame
-    motion: CameraMotion
-
-
 class CameraCalibrator:
-    """Reads a camera and poses, and estimates the camera's errors.
+    """Reads a camera and poses, keeps views of the whole walk, and says what is known of the camera's errors.
 
     Call step() at about 100 Hz; it never blocks. odometry: estimates the motion from the poses; None: the fusion filter.
     """
@@ -82,7 +86,7 @@ class CameraCalibrator:
         self._fusion: MotionEstimator = odometry or FusionFilter()
         self._estimator = DriftRateEstimator(CalibrationFilter(_MEMORY_S))
         self._waiting: deque[Frame] = deque(maxlen=_WAITING)
-        self._kept: list[_Kept] = []
+        self._views: list[PosedFrame] = []
         self.frames = 0
         self.poses_read = 0
 
@@ -104,29 +108,29 @@ class CameraCalibrator:
         while self._waiting and self._waiting[0].stamp_s <= self._fusion.newest_pose_s:
             self._compare(self._waiting.popleft())
 
-    def elements(self) -> Elements:
-        """Return all errors as known now."""
-        return self.filter.summary()
+    @property
+    def views(self) -> tuple[PosedFrame, ...]:
+        """At most MOST_VIEWS views of the whole walk, as the camera reported them, with their motion."""
+        return tuple(self._views)
 
-    def missing(self) -> tuple[str, ...]:
-        """Return the motions that would show what is not known well yet."""
-        known = {name for name, _, sigma in self.elements() if sigma <= _KNOWN_SHARE * prior_sigma(name)}
-        return tuple(motion for name, motion in MOTIONS.items() if name not in known)
+    def elements(self) -> Elements:
+        """Return the errors of the depth imager as the filter knows them now."""
+        return tuple(each for each in self.filter.summary() if each[0] in ERROR_SIGMAS)
 
     def residuals(self, calibration: CameraCalibration) -> Residuals:
         """Return the distances of surfaces between views of a camera with these errors."""
         stamps_s, distances_m = [np.empty(0)], [np.empty(0)]
-        views: deque[tuple[float, AnyArray]] = deque()
-        for frame, motion in self._kept:
+        before: deque[AnyArray] = deque(maxlen=_COMPARED)
+        for view in self._views:
+            frame = view.frame
+            motion = CameraMotion(view.world_from_depth, view.velocity_mps, view.rate_radps)
             pose, depth_m = calibration.pose(motion), calibration.true_depth_m(frame.depth_m)
             camera = frame.depth_intrinsics.pinhole_px()
-            while views and frame.stamp_s - views[0][0] > _AGE_S:
-                views.popleft()
-            for _, seen in views:
+            for seen in before:
                 off_m = _distances_m(seen, depth_m, camera, pose)
                 distances_m.append(off_m)
                 stamps_s.append(np.full(len(off_m), frame.stamp_s))
-            views.append((frame.stamp_s, patches(depth_m, camera, pose.rotation(), pose.translation_m)))
+            before.append(patches(depth_m, camera, pose.rotation(), pose.translation_m))
         return Residuals(np.concatenate(stamps_s), np.concatenate(distances_m))
 
     def _compare(self, frame: Frame) -> None:
@@ -137,21 +141,33 @@ class CameraCalibrator:
         motion = CameraMotion.between(before.odom_from_body @ moment, here.odom_from_body @ mount, MOMENT_S)
         self._estimator.update(frame, motion)
         self.frames += 1
-        due = not self._kept or frame.stamp_s - self._kept[-1].frame.stamp_s >= _KEPT_EVERY_S
-        if due and len(self._kept) < _MOST_FRAMES:
-            self._kept.append(_Kept(frame, motion))
+        if not self._views or frame.stamp_s - self._views[-1].frame.stamp_s >= _KEPT_EVERY_S:
+            self._keep(frame, motion)
+
+    def _keep(self, frame: Frame, motion: CameraMotion) -> None:
+        """Keep a view; if there are too many, drop the one that leaves the shortest gap, and rather one at rest."""
+        pose, velocity_mps, rate_radps = motion.odom_from_depth, motion.velocity_mps, motion.rate_radps
+        self._views.append(PosedFrame(frame, pose, velocity_mps=velocity_mps, rate_radps=rate_radps))
+        if len(self._views) > MOST_VIEWS:
+            stamp_s = np.array([view.frame.stamp_s for view in self._views])
+            worth = (stamp_s[2:] - stamp_s[:-2]) * np.array([_worth(view) for view in self._views[1:-1]])
+            del self._views[1 + int(np.argmin(worth))]
 
 
-def known_calibration(elements: Elements) -> CameraCalibration:
-    """Return the errors of the depth imager that have been observed; the others are zero."""
-    values = {name: value for name, value, _ in observed(elements)}
-    state = np.zeros(max(NAMES.values()) + 1)
-    for name, value in values.items():
-        state[NAMES[name]] = value
-    wrong = Pose.from_rotation_vector(
-        state[[NAMES[f"rotation_{axis}_rad"] for axis in "xyz"]], state[[NAMES[f"offset_{axis}_m"] for axis in "xyz"]]
-    )
-    return CameraCalibration(float(state[NAMES["delay_s"]]), wrong.inverse(), float(state[NAMES["depth_scale"]]))
+def known_elements(elements: Elements) -> Elements:
+    """Return the errors that are known: their deviation has become a share of the prior's."""
+    return tuple(each for each in elements if each[2] <= _KNOWN_SHARE * _PRIOR_SIGMA[each[0]])
+
+
+def missing_motions(elements: Elements) -> dict[str, str]:
+    """Return the motions that would show what is not known yet, by the name of the error."""
+    known = {name for name, _, _ in known_elements(elements)}
+    return {name: motion for name, motion in MOTIONS.items() if name not in known}
+
+
+def _worth(view: PosedFrame) -> float:
+    speed_mps = float(np.linalg.norm(view.velocity_mps) + _RANGE_M * np.linalg.norm(view.rate_radps))
+    return _REST_WORTH + (1.0 - _REST_WORTH) * min(speed_mps / _FAST_MPS, 1.0)
 
 
 def _distances_m(seen: AnyArray, depth_m: AnyArray, camera: FloatArray, pose: Pose) -> FloatArray:
