@@ -1,4 +1,4 @@
-"""`uav-recon calibrate`: options, input and output; the errors are those of views_calibration."""
+"""`uav-recon calibrate`: options, input and output of a calibration by hand."""
 
 from __future__ import annotations
 
@@ -143,7 +143,10 @@ def config_lines(config: Config, calibration: CameraCalibration) -> dict[str, An
 
 
 class _Walk(NamedTuple):
-    """What was read. own_poses: the poses come from the depth images, which then show no scale of depth."""
+    """A walk that was read.
+
+    own_poses: the poses come from the depth images, which then show no scale of depth.
+    """
 
     calibrator: CameraCalibrator
     own_poses: bool
@@ -248,7 +251,10 @@ def _live(options: CalibrateOptions, config: Config, console: Console) -> _Walk:
 
 
 def _elements(walk: _Walk, config: Config, console: Console) -> Elements:
-    """Return the errors by all views together; with too few views those of the filter, and say so."""
+    """Return the errors that all views show together.
+
+    With too few views they are those of the filter, and a line says so.
+    """
     from uav_recon.app.views_calibration import errors_from_views
 
     views = walk.calibrator.views
@@ -256,7 +262,7 @@ def _elements(walk: _Walk, config: Config, console: Console) -> Elements:
         found = errors_from_views(views, config.camera, own_poses=walk.own_poses, report=report)
     if found is None:
         console.print("too few views can be compared; these errors are from neighbouring frames alone and less certain:")
-        return walk.calibrator.elements()
+        return tuple(each for each in walk.calibrator.elements() if not (walk.own_poses and each[0] == "depth_scale"))
     return found
 
 

@@ -13,7 +13,7 @@ from uav_recon.mapping.neural.neural_mapper import ADJUST_VIEWS, NeuralMapper
 from uav_recon.types.camera import PosedFrame
 from uav_recon.types.frames import FloatArray
 
-# box that is adjusted: these percentiles of the measured points, and so much more
+# box that is adjusted: these percentiles of the measured points, and padding
 PERCENTILES = (0.5, 99.5)
 PADDING_M = 0.3
 LARGEST_M3 = 3000.0  # a surfel map of this box takes 220 MB
@@ -23,10 +23,10 @@ STRIDE_PX = 8  # pixels between the points that define the box
 def errors_from_views(
     views: Sequence[PosedFrame], camera: CameraConfig, *, own_poses: bool, report: Report = no_report
 ) -> Elements | None:
-    """Return the errors of the depth and colour imager; None with fewer than ADJUST_VIEWS usable views.
+    """Return the errors of the depth and colour imager; None from too few views.
 
-    views: as the camera reported them. own_poses: their poses come from the depth images, so no view shows the scale of depth.
-    Blocks for about 0.3 s per view; report(done, total) is called before each.
+    At least ADJUST_VIEWS must be usable. views: as the camera reported them. own_poses: their poses come from the depth images,
+    which then show no scale of depth. Blocks for about 0.4 s per view; report(done, total) is called before each.
     """
     if len(views) < ADJUST_VIEWS:
         return None
@@ -43,7 +43,10 @@ def errors_from_views(
 
 
 def walked_box(views: Sequence[PosedFrame]) -> tuple[FloatArray, FloatArray]:
-    """Return the corners (3,) of a box around what the views show and where they were taken, at most LARGEST_M3."""
+    """Return the corners (3,) of a box around the cameras and what they show.
+
+    Its volume is at most LARGEST_M3.
+    """
     place_m = np.stack([view.world_from_depth.translation_m for view in views])
     low_m, high_m = np.percentile(np.concatenate([place_m, *map(_points, views)]), PERCENTILES, axis=0)
     low_m, high_m = np.minimum(low_m, place_m.min(axis=0)) - PADDING_M, np.maximum(high_m, place_m.max(axis=0)) + PADDING_M

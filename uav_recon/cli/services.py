@@ -95,8 +95,9 @@ def calibrate(
 ) -> None:
     """Calibrate the camera from a motion by hand, with the motors off.
 
-    Prints each error of the camera with its uncertainty, draws the distances between views before and after, and prints the
-    keys of the config that remove the errors. A fixed mount only. Exit code 0: all is known; 1: some motion is missing.
+    Adjusts views of the whole walk together, which takes about a minute. Prints each error of the camera with its uncertainty,
+    draws the distances between views before and after, and prints the keys of the config that remove the errors. A fixed mount
+    only. Exit code 0: all is known; 1: some motion is missing, or the poses come from the depth images.
     """
     from uav_recon.app import calibrate_command
 

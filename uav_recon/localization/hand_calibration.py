@@ -1,4 +1,4 @@
-"""Calibration of the camera from a motion by hand: the views of the walk, and advice by the filter of the flight.
+"""Calibration of the camera from a motion by hand: its views, and advice on the motion.
 
 The filter says during the walk which motion is still missing. The errors themselves come from all views together, which the
 mapper adjusts: app/views_calibration.
@@ -71,7 +71,7 @@ class Residuals:
 
 
 class CameraCalibrator:
-    """Reads a camera and poses, keeps views of the whole walk, and says what is known of the camera's errors.
+    """Reads a camera and poses, keeps views of the whole walk, and filters the camera's errors.
 
     Call step() at about 100 Hz; it never blocks. odometry: estimates the motion from the poses; None: the fusion filter.
     """
@@ -110,7 +110,10 @@ class CameraCalibrator:
 
     @property
     def views(self) -> tuple[PosedFrame, ...]:
-        """At most MOST_VIEWS views of the whole walk, as the camera reported them, with their motion."""
+        """At most MOST_VIEWS views of the whole walk, with their motion.
+
+        Depth is as the camera reported it.
+        """
         return tuple(self._views)
 
     def elements(self) -> Elements:
@@ -145,7 +148,10 @@ class CameraCalibrator:
             self._keep(frame, motion)
 
     def _keep(self, frame: Frame, motion: CameraMotion) -> None:
-        """Keep a view; if there are too many, drop the one that leaves the shortest gap, and rather one at rest."""
+        """Keep a view.
+
+        Of too many, the one is dropped that leaves the shortest gap, and rather one at rest.
+        """
         pose, velocity_mps, rate_radps = motion.odom_from_depth, motion.velocity_mps, motion.rate_radps
         self._views.append(PosedFrame(frame, pose, velocity_mps=velocity_mps, rate_radps=rate_radps))
         if len(self._views) > MOST_VIEWS:
