@@ -16,7 +16,7 @@ from uav_recon.types.frames import FloatArray
 # box that is adjusted: these percentiles of the measured points, and padding
 PERCENTILES = (0.5, 99.5)
 PADDING_M = 0.3
-LARGEST_M3 = 3000.0  # a surfel map of this box takes 220 MB
+LARGEST_M3 = 3000.0  # a surfel map of this box takes 220 MB; a larger box is cut to a cube of this volume
 STRIDE_PX = 8  # pixels between the points that define the box
 
 
@@ -50,9 +50,10 @@ def walked_box(views: Sequence[PosedFrame]) -> tuple[FloatArray, FloatArray]:
     place_m = np.stack([view.world_from_depth.translation_m for view in views])
     low_m, high_m = np.percentile(np.concatenate([place_m, *map(_points, views)]), PERCENTILES, axis=0)
     low_m, high_m = np.minimum(low_m, place_m.min(axis=0)) - PADDING_M, np.maximum(high_m, place_m.max(axis=0)) + PADDING_M
-    middle_m = np.median(place_m, axis=0)
-    share = min(float(np.cbrt(LARGEST_M3 / np.prod(high_m - low_m))), 1.0)
-    return middle_m + share * (low_m - middle_m), middle_m + share * (high_m - middle_m)
+    if np.prod(high_m - low_m) > LARGEST_M3:  # a hall, or a pose far away
+        middle_m, reach_m = np.median(place_m, axis=0), 0.5 * float(np.cbrt(LARGEST_M3))
+        low_m, high_m = np.maximum(low_m, middle_m - reach_m), np.minimum(high_m, middle_m + reach_m)
+    return low_m, high_m
 
 
 def _points(view: PosedFrame) -> FloatArray:
