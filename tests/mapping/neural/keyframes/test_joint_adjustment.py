@@ -159,3 +159,16 @@ def test_views_held_out_refuse_a_correction_that_is_wrong_for_them() -> None:
     assert after is not None
     assert np.array_equal(after.value, np.zeros(9))
     assert after.sigma == pytest.approx(PRIOR_SIGMA)
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_the_error_of_poses_that_drift_is_found(seed: int) -> None:
+    """Corrections alone are too small: what neighbouring views share is hardly corrected."""
+    random, kept, shift_m, views = np.random.default_rng(seed), np.exp(-0.5 / 5.0), 0.010 * np.ones(3), []
+    for view in taken(np.zeros(9)):
+        shift_m = kept * shift_m + 0.010 * np.sqrt(1.0 - kept**2) * random.standard_normal(3)
+        place = view.world_from_depth
+        views.append(dataclasses.replace(view, world_from_depth=Pose(place.quat_wxyz, place.translation_m + shift_m)))
+    mapper = mapped(views)
+    mapper.training_data()
+    assert 0.007 < mapper._alignment.sigma[0] < 0.014

@@ -73,7 +73,9 @@ class JointAdjustment:
         normal, scores = self._solve(alignment, replay, np.arange(len(stamps_s)), prior, free)
         self._scales_m = SCALES_M
         self._white_share = self._shown_white_share(stamps_s, alignment.correction / np.repeat(alignment.sigma, 3))
-        influence = np.asarray(np.linalg.solve(normal, np.eye(len(normal), ELEMENTS)).T, dtype=np.float64)
+        posterior = np.linalg.inv(normal)
+        alignment.learn_sigma(np.diagonal(posterior)[ELEMENTS:].reshape(-1, 6))
+        influence = np.asarray(posterior[:ELEMENTS], dtype=np.float64)
         covariance = self._covariance(influence, scores, prior) if self._applied else np.diag(PRIOR_SIGMA**2)
         return EstimatedErrors(NAMES, self.value.copy(), covariance)
 

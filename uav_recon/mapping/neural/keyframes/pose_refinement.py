@@ -85,6 +85,10 @@ class PoseRefinement:
         found: FloatArray = np.maximum(np.sqrt(variance), [MIN_SIGMA_M, MIN_SIGMA_RAD])
         return found
 
+    def learn_sigma(self, variance: FloatArray) -> None:
+        """Learn the error of given poses from all corrections, whose variances (V, 6) are known."""
+        self._square = (self.correction**2 + variance).reshape(-1, 2, 3).sum(axis=2)
+
     def meet(self, replay: RayBuffer) -> None:
         """Refine the newest view, then the views near it, then the views near an older one."""
         newest = len(self.captured) - 1
