@@ -53,6 +53,7 @@ from uav_recon.mapping.neural.training_data import TrainingData
 from uav_recon.mapping.neural.training_step import NumbaTrainingStep
 from uav_recon.types.argument_checks import require_box, require_kind, require_number
 from uav_recon.types.camera import Frame, Intrinsics, PosedFrame
+from uav_recon.types.camera_calibration import CameraCalibration
 from uav_recon.types.frames import AnyArray, BoolArray, Float32Array, FloatArray
 from uav_recon.types.maps import SurfaceElements, TriangleMesh
 from uav_recon.types.pose import Pose
@@ -308,17 +309,23 @@ class NeuralMapper:
         self.camera_errors = self._adjustment.adjust(self._alignment, self._replay)
         self._calibration_variance.covariance = self.camera_errors.covariance
         self._adjust_colours()
+        self._count_again(before)
+
+    def _judge(self) -> None:
+        """Let views that are held out decide whether errors of the camera are corrected."""
+        if self.align_views and self.camera_errors is not None:
+            before = self._alignment.calibration
+            self._adjustment.judge(self._alignment, self._replay)
+            self._count_again(before)
+
+    def _count_again(self, before: CameraCalibration) -> None:
+        """Count again what all views measure, if that moved."""
         if before.difference_m(self._alignment.calibration, STALE_RANGE_M) <= STALE_M:
             return
         for each in (self._information, self._agreement, self._calibration_variance, self._measured_cells):
             each.clear()
         for number in range(self._taken):
             self._measure(number)
-
-    def _judge(self) -> None:
-        """Let views that are held out decide whether errors of the camera are corrected."""
-        if self.align_views and self.camera_errors is not None:
-            self._adjustment.judge(self._alignment, self._replay)
 
     def _adjust_colours(self) -> None:
         """Estimate the errors of the colour imager from all views, and colour their rays again."""

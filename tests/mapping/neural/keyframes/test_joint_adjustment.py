@@ -147,14 +147,17 @@ def test_views_held_out_confirm_a_correction_that_holds_for_them() -> None:
     assert abs(mapper.camera_errors.value[SCALE] - WRONG[SCALE]) < 0.003
 
 
-def test_views_held_out_refuse_a_correction_that_is_wrong_for_them() -> None:
+def test_views_held_out_refuse_a_correction_that_is_wrong_for_them(monkeypatch: pytest.MonkeyPatch) -> None:
     larger = np.zeros(9)
     larger[SCALE] = 0.02
     mapper = mapped(taken(larger, held_out=-larger))
     before = mapper.camera_errors
     assert before is not None
     assert before.value[SCALE] > 0.004
+    counted: list[int] = []
+    monkeypatch.setattr(mapper, "_measure", counted.append)
     mapper.training_data()
+    assert counted == list(range(VIEWS))  # where the surface is without the correction
     after = mapper.camera_errors
     assert after is not None
     assert np.array_equal(after.value, np.zeros(9))
