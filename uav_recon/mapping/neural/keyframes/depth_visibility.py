@@ -129,27 +129,52 @@ class DepthVisibility:
 
 
 @kernel
+def _in_camera(rotation: FloatArray, translation: FloatArray, point: Float32Array) -> tuple[float, float, float]:
+    """Return a point (3,) of the world in the axes of a camera."""
+    px, py, pz = point[0], point[1], point[2]
+    return (
+        rotation[0, 0] * px + rotation[0, 1] * py + rotation[0, 2] * pz + translation[0],
+        rotation[1, 0] * px + rotation[1, 1] * py + rotation[1, 2] * pz + translation[1],
+        rotation[2, 0] * px + rotation[2, 1] * py + rotation[2, 2] * pz + translation[2],
+    )
+
+
+@kernel
+def _pixel(lens: FloatArray, x: float, y: float, z: float) -> tuple[int, int]:
+    """Return column and row of the nearest pixel of an image at half resolution."""
+    u, v = x / z * lens[0] + lens[2], y / z * lens[1] + lens[3]
+    return int(np.floor(u * 0.5 + 0.5)), int(np.floor(v * 0.5 + 0.5))
+
+
+@kernel
+def _facing(rotation: FloatArray, normal: Float32Array, x: float, y: float, z: float) -> float:
+    """Return the cosine between a normal (3,) in world and the ray back to the camera.
+
+    x, y, z: the point, in the axes of the camera.
+    """
+    along = (
+        (rotation[0, 0] * normal[0] + rotation[0, 1] * normal[1] + rotation[0, 2] * normal[2]) * x
+        + (rotation[1, 0] * normal[0] + rotation[1, 1] * normal[1] + rotation[1, 2] * normal[2]) * y
+        + (rotation[2, 0] * normal[0] + rotation[2, 1] * normal[1] + rotation[2, 2] * normal[2]) * z
+    )
+    cosine: float = -along / np.sqrt(x * x + y * y + z * z)
+    return cosine
+
+
+@kernel
 def _show(
     image: AnyArray, lens: FloatArray, rotation: FloatArray, translation: FloatArray, inverse_sigma: float,
     points: Float32Array, normals: Float32Array, shown: BoolArray,
 ) -> None:  # fmt: skip
     height, width = image.shape
     for n in range(points.shape[0]):
-        px, py, pz = points[n, 0], points[n, 1], points[n, 2]
-        z = rotation[2, 0] * px + rotation[2, 1] * py + rotation[2, 2] * pz + translation[2]
+        x, y, z = _in_camera(rotation, translation, points[n])
         if z < 0.2:
             continue
-        x = rotation[0, 0] * px + rotation[0, 1] * py + rotation[0, 2] * pz + translation[0]
-        y = rotation[1, 0] * px + rotation[1, 1] * py + rotation[1, 2] * pz + translation[1]
-        u = int(np.floor((x / z * lens[0] + lens[2]) * 0.5 + 0.5))
-        v = int(np.floor((y / z * lens[1] + lens[3]) * 0.5 + 0.5))
+        u, v = _pixel(lens, x, y, z)
         if u < 1 or v < 1 or u >= width - 1 or v >= height - 1:
             continue
-        facing = -(
-            (rotation[0, 0] * normals[n, 0] + rotation[0, 1] * normals[n, 1] + rotation[0, 2] * normals[n, 2]) * x
-            + (rotation[1, 0] * normals[n, 0] + rotation[1, 1] * normals[n, 1] + rotation[1, 2] * normals[n, 2]) * y
-            + (rotation[2, 0] * normals[n, 0] + rotation[2, 1] * normals[n, 1] + rotation[2, 2] * normals[n, 2]) * z
-        ) / np.sqrt(x * x + y * y + z * z)
+        facing = _facing(rotation, normals[n], x, y, z)
         if facing < SHOWN_MIN_COSINE:
             continue
         gate = (SEEN_SIGMAS * inverse_sigma * z * z + SEEN_MARGIN_M) / facing
@@ -169,14 +194,10 @@ def _look_through(
     for n in range(points.shape[0]):
         if through[n]:
             continue
-        px, py, pz = points[n, 0], points[n, 1], points[n, 2]
-        z = rotation[2, 0] * px + rotation[2, 1] * py + rotation[2, 2] * pz + translation[2]
+        x, y, z = _in_camera(rotation, translation, points[n])
         if z < 0.05:
             continue
-        x = rotation[0, 0] * px + rotation[0, 1] * py + rotation[0, 2] * pz + translation[0]
-        y = rotation[1, 0] * px + rotation[1, 1] * py + rotation[1, 2] * pz + translation[1]
-        u = int(np.floor((x / z * lens[0] + lens[2]) * 0.5 + 0.5))
-        v = int(np.floor((y / z * lens[1] + lens[3]) * 0.5 + 0.5))
+        u, v = _pixel(lens, x, y, z)
         if u < 0 or v < 0 or u >= width or v >= height:
             continue
         through[n] = lens[4] * image[v, u] > z + margin_m + SEEN_SIGMAS * inverse_sigma * z * z
@@ -189,22 +210,14 @@ def _vote(
 ) -> None:  # fmt: skip
     height, width = image.shape
     for n in range(points.shape[0]):
-        px, py, pz = points[n, 0], points[n, 1], points[n, 2]
-        z = rotation[2, 0] * px + rotation[2, 1] * py + rotation[2, 2] * pz + translation[2]
+        x, y, z = _in_camera(rotation, translation, points[n])
         if z < 0.2:
             continue
-        x = rotation[0, 0] * px + rotation[0, 1] * py + rotation[0, 2] * pz + translation[0]
-        y = rotation[1, 0] * px + rotation[1, 1] * py + rotation[1, 2] * pz + translation[1]
-        u = int(np.floor((x / z * lens[0] + lens[2]) * 0.5 + 0.5))
-        v = int(np.floor((y / z * lens[1] + lens[3]) * 0.5 + 0.5))
+        u, v = _pixel(lens, x, y, z)
         if u < 1 or v < 1 or u >= width - 1 or v >= height - 1:
             continue
         gate = SEEN_SIGMAS * inverse_sigma * z * z + SEEN_MARGIN_M
-        facing = -(
-            (rotation[0, 0] * normals[n, 0] + rotation[0, 1] * normals[n, 1] + rotation[0, 2] * normals[n, 2]) * x
-            + (rotation[1, 0] * normals[n, 0] + rotation[1, 1] * normals[n, 1] + rotation[1, 2] * normals[n, 2]) * y
-            + (rotation[2, 0] * normals[n, 0] + rotation[2, 1] * normals[n, 1] + rotation[2, 2] * normals[n, 2]) * z
-        ) / np.sqrt(x * x + y * y + z * z)
+        facing = _facing(rotation, normals[n], x, y, z)
         slope = gate / max(facing, SEEN_MIN_COSINE) if facing > 0.0 else gate
         measured, through = 0, 0
         for near in range(5):  # the pixel and its four neighbours: poses can be off by a pixel, and depth edges are ragged

@@ -85,7 +85,8 @@ class JointAdjustment:
         Every HELD_OUT-th view is held out. Poses are adjusted in both cases. Takes twice as long as adjust().
         """
         views = len(alignment.captured)
-        held = np.arange(views) % HELD_OUT == HELD_OUT - 1
+        every = np.arange(views)
+        held = every % HELD_OUT == HELD_OUT - 1
         if not held.any():
             return
         before = self.value, alignment.correction.copy()
@@ -95,8 +96,7 @@ class JointAdjustment:
         cost = []
         for value in (self.value, np.zeros(ELEMENTS)):
             self.value = value
-            self._solve(alignment, replay, np.arange(views), prior, fixed)
-            every = np.arange(views)
+            self._solve(alignment, replay, every, prior, fixed)
             cell, whose, row = self._patches.of(every, every)
             cost.append(_held_out_cost(cell, held[whose], row, SCALES_M[-1]))
         self._applied = cost[0] <= cost[1]
@@ -113,7 +113,6 @@ class JointAdjustment:
 
         Returns the matrix of the last normal equations, and the scores (G, S) of patches of surface.
         """
-        prior = prior.copy()
         fixed = np.flatnonzero(~free)
         alignment.calibration = calibration_of(self.value)
         alignment.move_all(replay)
