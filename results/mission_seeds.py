@@ -1,6 +1,6 @@
 """Fly one mission for each scene and seed.
 
-`python -m results.mission_seeds --scenes built-in,FOLDER --seeds 1,2,3 --json FILE`
+`python -m results.mission_seeds --scenes built-in,FOLDER --seeds 1,2,3 --json FILE [--keep FOLDER]`
 
 A seed draws the errors of the camera, the noise and the poses. The JSON file holds each flight, and of each figure the median
 and the worst over all flights. Flights that the file already contains, of the same commit, are not repeated.
@@ -50,6 +50,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--seeds", required=True, metavar="N,N,...")
     parser.add_argument("--options", default="", metavar="TEXT", help="more options of `uav-recon sim`")
     parser.add_argument("--json", type=Path, required=True, metavar="FILE")
+    parser.add_argument("--keep", type=Path, metavar="FOLDER", help="keep the flight folders in it, as SCENE-SEED")
     options = parser.parse_args(arguments)
     flights = _already_flown(options.json)
     failed = 0
@@ -57,7 +58,9 @@ def main(arguments: list[str] | None = None) -> int:
         for scene in options.scenes.split(","):
             if any(flight["scene"] == scene and flight["seed"] == seed for flight in flights):
                 continue
-            flight = _fly(scene, seed, options.options.split())
+            with tempfile.TemporaryDirectory(prefix="uav_recon-seeds-") as temporary:
+                folder = (options.keep or Path(temporary)) / f"{Path(scene).name}-{seed}"
+                flight = _fly(scene, seed, options.options.split(), folder)
             if flight is None:
                 failed += 1
                 print(f"{scene} {seed}: no report", flush=True)
@@ -99,18 +102,18 @@ def calibration_off(found: Mapping[str, tuple[float, float]] | None, true: Camer
     }
 
 
-def _fly(scene: str, seed: int, more: list[str]) -> Flight | None:
-    """Fly one mission in lockstep; None if it left no report."""
-    with tempfile.TemporaryDirectory(prefix="uav_recon-seeds-") as name:
-        folder, file = Path(name) / "flight", Path(name) / "flight.json"
-        where = [] if scene == BUILT_IN else ["--scene", scene]
-        command = [sys.executable, "-m", "uav_recon", "sim", "--lockstep", *where, "--seed", str(seed), *more]
-        subprocess.run([*command, "--out", str(folder), "--json", str(file)], cwd=ROOT, stdout=sys.stderr, check=False)
-        try:
-            report = json.loads(file.read_bytes())["report"]
-            true = CameraErrors.load(folder / "camera_errors.json")
-        except (OSError, ValueError, KeyError):
-            return None
+def _fly(scene: str, seed: int, more: list[str], folder: Path) -> Flight | None:
+    """Fly one mission in lockstep into a folder; None if it left no report."""
+    file = folder.with_suffix(".json")
+    file.parent.mkdir(parents=True, exist_ok=True)
+    where = [] if scene == BUILT_IN else ["--scene", scene]
+    command = [sys.executable, "-m", "uav_recon", "sim", "--lockstep", *where, "--seed", str(seed), *more]
+    subprocess.run([*command, "--out", str(folder), "--json", str(file)], cwd=ROOT, stdout=sys.stderr, check=False)
+    try:
+        report = json.loads(file.read_bytes())["report"]
+        true = CameraErrors.load(folder / "camera_errors.json")
+    except (OSError, ValueError, KeyError):
+        return None
     quality, safety = report["quality"] or {}, report["safety"]
     return {
         "scene": scene,

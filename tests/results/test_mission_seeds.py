@@ -49,7 +49,7 @@ def test_an_estimate_is_compared_with_the_camera_that_flew() -> None:
 def test_a_flight_of_the_same_commit_is_not_flown_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     flown = []
 
-    def fly(scene: str, seed: int, more: list[str]) -> dict[str, Any] | None:
+    def fly(scene: str, seed: int, more: list[str], folder: Path) -> dict[str, Any] | None:
         flown.append(seed)
         return None if seed == 3 else flight(seed)
 
