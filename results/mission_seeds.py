@@ -33,6 +33,7 @@ WORST: Mapping[str, Callable[..., float]] = {
     "completion_cm": max,
     "recall_5cm": min,
     "psnr_db": min,
+    "ate_cm": max,
     "explored": min,
     "flight_time_s": max,
     "min_clearance_m": min,
@@ -53,6 +54,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--keep", type=Path, metavar="FOLDER", help="keep the flight folders in it, as SCENE-SEED")
     options = parser.parse_args(arguments)
     flights = _already_flown(options.json)
+    _save(options.json, flights)  # a file that cannot be written is told before the first flight
     failed = 0
     for seed in (int(word) for word in options.seeds.split(",")):
         for scene in options.scenes.split(","):
@@ -120,6 +122,7 @@ def _fly(scene: str, seed: int, more: list[str], folder: Path) -> Flight | None:
         "seed": seed,
         "outcome": report["outcome"],
         **{key: quality.get(key) for key in ("accuracy_cm", "completion_cm", "recall_5cm", "psnr_db")},
+        "ate_cm": (report["odometry"] or {}).get("ate_cm"),
         "explored": report["explored_fraction"],
         "flight_time_s": report["flight_time_s"],
         "min_clearance_m": safety["min_clearance_m"],

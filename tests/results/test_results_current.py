@@ -149,11 +149,11 @@ def test_figures_of_two_commits_are_refused() -> None:
 def test_a_figure_that_cannot_be_is_refused_in_one_line(tmp_path: Path, values: dict[str, Any], said: str) -> None:
     flown = {"views": 60, "time_to_recall_s": {"0.95": 80.0}, "flight_time_s": 183.0}
     (tmp_path / CURRENT).mkdir(parents=True)
-    path = tmp_path / CURRENT / "mission-builtin.json"
+    path = tmp_path / CURRENT / "mission-real-time.json"
     path.write_text(json.dumps({"header": HEADER, "view_budget": 60, "report": flown}), encoding="utf-8")
-    assert set(load_results(RUNS, tmp_path)) == {"mission-builtin"}
+    assert set(load_results(RUNS, tmp_path)) == {"mission-real-time"}
     path.write_text(json.dumps({"header": HEADER, "view_budget": 60, "report": flown | values}), encoding="utf-8")
-    with pytest.raises(ClaimError, match=rf"{CURRENT}/mission-builtin\.json: {said} ") as caught:
+    with pytest.raises(ClaimError, match=rf"{CURRENT}/mission-real-time\.json: {said} ") as caught:
         load_results(RUNS, tmp_path)
     assert "\n" not in str(caught.value)
     path.write_text(json.dumps({"header": HEADER, "report": flown}), encoding="utf-8")
