@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 
+from sitl.apps.model_scale import at_true_size
 from sitl.apps.odometry_alignment import OdometryAlignment, align_odometry
 from sitl.apps.sim_options import SimOptions
 from sitl.camera.d435i import Model
@@ -87,6 +88,7 @@ def evaluate_flight(options: SimOptions, scene: Scene, wall_s: float, fault: str
             psnr_db = metrics.psnr_db(*_held_out_pictures(mesh, scene, cut, progress))
         with steps.step("measuring the model against ground truth"):
             report = dataclasses.replace(report, quality=_quality(mesh, scene, cut, psnr_db))
+            report = dataclasses.replace(report, odometry=_with_size(report.odometry, mesh, scene, cut))
     with steps.step("drawing the images of the report"):
         publish(report, options.folder)
     return report
@@ -176,6 +178,15 @@ def _aligned_mesh(mesh: TriangleMesh | None, truth_from_odom: Pose | None) -> Tr
     if mesh is None or truth_from_odom is None:
         return mesh
     return dataclasses.replace(mesh, vertices_world=truth_from_odom.apply(mesh.vertices_world))
+
+
+def _with_size(odometry: ReportOdometry | None, mesh: TriangleMesh, scene: Scene, cut: VisibleTruth) -> ReportOdometry | None:
+    """Add the size of an aligned model, and its accuracy at the true size."""
+    if odometry is None or not odometry.model_aligned:
+        return odometry
+    vertices_world, size = at_true_size(mesh.vertices_world, scene)
+    quality = _quality(dataclasses.replace(mesh, vertices_world=vertices_world), scene, cut, None)
+    return dataclasses.replace(odometry, model_size=size, shape_accuracy_cm=quality.accuracy_cm)
 
 
 def _quality(mesh: TriangleMesh, scene: Scene, cut: VisibleTruth, psnr_db: float | None) -> ModelQuality:
@@ -307,6 +318,11 @@ def summary(report: Report, folder: Path) -> str:
             f"poses of the embedded SLAM: off by {found.ate_cm:.1f} cm (ATE), {found.largest_cm:.1f} cm at most; the model is "
             f"compared after a shift of {found.shift_cm:.1f} cm and a turn of {found.turn_deg:.1f}°"
         )
+        if found.model_size is not None:
+            lines.append(
+                f"size of the model: {100.0 * (found.model_size - 1.0):+.1f} %, as depth is (`uav-recon calibrate` measures it "
+                f"before a flight); accuracy at the true size {figure(found.shape_accuracy_cm, ' cm')}"
+            )
     if report.recall_over_time is not None:
         waited = None if report.waiting_share is None else 100.0 * report.waiting_share
         lines.append(

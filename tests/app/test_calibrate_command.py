@@ -131,7 +131,7 @@ def test_a_walk_of_some_frames_falls_back_and_says_so(tmp_path: Path, capsys: py
     assert "turn left and right" in said
 
 
-def test_poses_from_the_depth_images_show_no_scale(
+def test_poses_from_the_depth_images_show_neither_mount_nor_scale(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     recorded = calibrate_command._from_recording
@@ -139,9 +139,10 @@ def test_poses_from_the_depth_images_show_no_scale(
     recording = _recording(tmp_path, 12.0, scale=SCALE)
     assert calibrate(_options(tmp_path, recording, _config(tmp_path))) == 1
     said = capsys.readouterr().out
-    assert "not known: depth_scale: the poses come from the depth images" in said
+    assert "not known: delay, mount and depth scale: the poses come from the depth images" in said
     assert "depth_scale = 0.0\n" in said
-    assert "towards a wall" not in said  # no motion would show it
+    assert "delay_s = 0.0\n" in said
+    assert "not known yet" not in said  # no motion would show it
 
 
 def test_a_camera_at_rest_is_not_calibrated_and_the_missing_motion_is_named(

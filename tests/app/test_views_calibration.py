@@ -11,7 +11,7 @@ from uav_recon.app.views_calibration import LARGEST_M3, PADDING_M, errors_from_v
 from uav_recon.config import CameraConfig
 from uav_recon.mapping.neural.neural_mapper import ADJUST_VIEWS
 from uav_recon.types.camera import PosedFrame
-from uav_recon.types.camera_calibration import ERROR_SIGMAS
+from uav_recon.types.camera_calibration import ERROR_SIGMAS, HIDDEN_BY_OWN_POSES
 from uav_recon.types.pose import Pose
 
 SCALE = 0.014
@@ -28,15 +28,17 @@ def walk(count: int) -> list[PosedFrame]:
     return views
 
 
-def test_the_scale_shows_unless_the_poses_have_it_too() -> None:
+def test_errors_show_unless_the_poses_have_them_too() -> None:
     reports: list[tuple[int, int]] = []
     for own_poses in (False, True):
         found = errors_from_views(walk(24), CAMERA, own_poses=own_poses, report=lambda *done: reports.append(done))
         assert found is not None
+        sigmas = {name: sigma for name, _, sigma in found}
         value, sigma = {name: known for name, *known in found}["depth_scale"]
         prior = ERROR_SIGMAS["depth_scale"]
         if own_poses:
-            assert sigma > 0.95 * prior
+            assert all(sigmas[name] == ERROR_SIGMAS[name] for name in HIDDEN_BY_OWN_POSES)
+            assert sigmas["width"] < 0.7 * ERROR_SIGMAS["width"]
         else:
             assert abs(value - SCALE) < 0.004
             assert sigma < 0.5 * prior

@@ -29,7 +29,7 @@ from uav_recon.sensors.recordings.detection import ReadOptions, open_recording
 from uav_recon.sensors.recordings.recording import LEVEL_MOUNT, PlaybackCamera, PlaybackPoses
 from uav_recon.sensors.stream_format import StreamError
 from uav_recon.types.camera import BODY_FROM_OPTICAL
-from uav_recon.types.camera_calibration import ERROR_SIGMAS, CameraCalibration
+from uav_recon.types.camera_calibration import ERROR_SIGMAS, HIDDEN_BY_OWN_POSES, CameraCalibration
 from uav_recon.types.pose import Pose
 
 if TYPE_CHECKING:  # the kernels are compiled only for a calibration
@@ -121,7 +121,7 @@ def calibrate(options: CalibrateOptions) -> int:
     for motion in missing:
         console.print(f"not known yet: {motion}")
     if walk.own_poses:
-        console.print("not known: depth_scale: the poses come from the depth images and have their scale")
+        console.print("not known: delay, mount and depth scale: the poses come from the depth images and have these errors too")
     return 1 if missing or walk.own_poses else 0
 
 
@@ -145,7 +145,7 @@ def config_lines(config: Config, calibration: CameraCalibration) -> dict[str, An
 class _Walk(NamedTuple):
     """A walk that was read.
 
-    own_poses: the poses come from the depth images, which then show no scale of depth.
+    own_poses: the poses come from the depth images, which then show neither delay nor mount nor scale of depth.
     """
 
     calibrator: CameraCalibrator
@@ -156,7 +156,7 @@ class _Walk(NamedTuple):
         from uav_recon.localization.hand_calibration import missing_motions
 
         motions = missing_motions(elements)
-        return [motion for name, motion in motions.items() if not (self.own_poses and name == "depth_scale")]
+        return [motion for name, motion in motions.items() if not (self.own_poses and name in HIDDEN_BY_OWN_POSES)]
 
 
 class _Source(NamedTuple):
@@ -235,13 +235,13 @@ def _live(options: CalibrateOptions, config: Config, console: Console) -> _Walk:
         while (now_s := clock.now_s()) - begin_s < options.seconds:
             calibrator.step()
             missing = walk.missing(calibrator.elements())
-            if not missing:
+            if not missing and not walk.own_poses:
                 break
             if not calibrator.frames and now_s - begin_s > _SILENT_S:
                 raise UserError(f"no frame with a pose in {_SILENT_S:g} s ({calibrator.poses_read} poses were read)")
             if now_s - said_s >= _SAID_S:
                 said_s = now_s
-                console.print(f"{now_s - begin_s:4.0f} s  {calibrator.frames} frames  {missing[0]}")
+                console.print(f"{now_s - begin_s:4.0f} s  {calibrator.frames} frames  {''.join(missing[:1])}")
             clock.sleep_until(now_s + _STEP_S)
     except KeyboardInterrupt:
         console.print("ended")
@@ -262,7 +262,7 @@ def _elements(walk: _Walk, config: Config, console: Console) -> Elements:
         found = errors_from_views(views, config.camera, own_poses=walk.own_poses, report=report)
     if found is None:
         console.print("too few views can be compared; these errors are from neighbouring frames alone and less certain:")
-        return tuple(each for each in walk.calibrator.elements() if not (walk.own_poses and each[0] == "depth_scale"))
+        return tuple(each for each in walk.calibrator.elements() if not (walk.own_poses and each[0] in HIDDEN_BY_OWN_POSES))
     return found
 
 

@@ -26,7 +26,8 @@ def errors_from_views(
     """Return the errors of the depth and colour imager; None from too few views.
 
     At least ADJUST_VIEWS must be usable. views: as the camera reported them. own_poses: their poses come from the depth images,
-    which then show no scale of depth. Blocks for about 0.4 s per view; report(done, total) is called before each.
+    which then show neither delay nor mount nor scale of depth. Blocks for about 0.4 s per view; report(done, total) is called
+    before each.
     """
     if len(views) < ADJUST_VIEWS:
         return None

@@ -30,7 +30,8 @@ class ReportOdometry:
     """Error of the odometry against the true path, after the best rigid alignment of the two.
 
     ate_cm: root mean square; largest_cm. shift_cm, turn_deg: of the alignment. model_aligned: True if the model was compared
-    with the truth after this alignment, as a flight by the embedded SLAM is.
+    with the truth after this alignment, as a flight by the embedded SLAM is. model_size: of the model, in true sizes.
+    shape_accuracy_cm: its accuracy at the true size. Both are None without a model, or if it is compared as it is.
     """
 
     ate_cm: float
@@ -38,6 +39,8 @@ class ReportOdometry:
     shift_cm: float
     turn_deg: float
     model_aligned: bool
+    model_size: float | None = None
+    shape_accuracy_cm: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -187,6 +187,9 @@ def _odometry(report: Report) -> str:
         ("Alignment with the true path", f"{found.shift_cm:.1f} cm, {found.turn_deg:.1f}°"),
         ("Model compared", "after this alignment" if found.model_aligned else "as it is"),
     ]
+    if found.model_size is not None:
+        rows.append(("Size of the model, against the true one", f"{100.0 * (found.model_size - 1.0):+.1f} %"))
+        rows.append(("Its accuracy at the true size", _number(found.shape_accuracy_cm, 2, " cm")))
     return _table("Odometry against the true path", rows)
 
 

@@ -19,6 +19,8 @@ ERROR_SIGMAS = {
     "width": 0.008,
     **{f"offset_{axis}_m": 0.008 for axis in "xyz"},
 }
+# of these, what poses that come from the depth images have too, so that no view shows it
+HIDDEN_BY_OWN_POSES = frozenset(ERROR_SIGMAS) - {"width"}
 # errors of the colour imager against depth, in the order of mapping.neural.keyframes.colour_projection
 COLOUR_ERROR_SIGMAS = {
     "colour_delay_s": 0.015,

@@ -22,7 +22,7 @@ from uav_recon.mapping.neural.keyframes.pose_refinement import (
 )
 from uav_recon.mapping.neural.keyframes.ray_buffer import RayBuffer
 from uav_recon.mapping.neural.keyframes.surfels import NORMAL, POINT, Surfels
-from uav_recon.types.camera_calibration import ERROR_SIGMAS, CameraCalibration
+from uav_recon.types.camera_calibration import ERROR_SIGMAS, HIDDEN_BY_OWN_POSES, CameraCalibration
 from uav_recon.types.frames import BoolArray, FloatArray, IntArray
 from uav_recon.types.pose import Pose
 
@@ -54,7 +54,8 @@ def calibration_of(value: FloatArray) -> CameraCalibration:
 class JointAdjustment:
     """Adjusts the views of a PoseRefinement and its calibration.
 
-    own_poses: the poses come from the depth images. A wrong scale of depth is then that of the poses too, and no view shows it.
+    own_poses: the poses come from the depth images. They then have the camera's wrong delay, mount and scale too, and no view
+        shows these. Only a wrong scale deforms the model.
     """
 
     def __init__(self, patches: Surfels, *, own_poses: bool = False) -> None:
@@ -77,7 +78,8 @@ class JointAdjustment:
         alignment.learn_sigma(np.diagonal(posterior)[ELEMENTS:].reshape(-1, 6))
         influence = np.asarray(posterior[:ELEMENTS], dtype=np.float64)
         covariance = self._covariance(influence, scores, prior) if self._applied else np.diag(PRIOR_SIGMA**2)
-        return EstimatedErrors(NAMES, self.value.copy(), covariance)
+        hidden = HIDDEN_BY_OWN_POSES if self._own_poses else frozenset[str]()
+        return EstimatedErrors(NAMES, self.value.copy(), covariance, hidden)
 
     def judge(self, alignment: PoseRefinement, replay: RayBuffer) -> None:
         """Stop correcting errors of the camera if views that are held out fit worse with it.
