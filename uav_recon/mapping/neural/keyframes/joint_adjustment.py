@@ -84,7 +84,8 @@ class JointAdjustment:
     def judge(self, alignment: PoseRefinement, replay: RayBuffer) -> None:
         """Stop correcting errors of the camera if views that are held out fit worse with it.
 
-        Every HELD_OUT-th view is held out. Poses are adjusted in both cases. Takes twice as long as adjust().
+        Every HELD_OUT-th view is held out. Poses are adjusted in both cases, from the same ones. Distances are compared at the
+        scale at which they were measured: in a smaller map they would all be less. Takes twice as long as adjust().
         """
         views = len(alignment.captured)
         every = np.arange(views)
@@ -97,10 +98,10 @@ class JointAdjustment:
         self._solve(alignment, replay, np.flatnonzero(~held), prior, ~fixed)
         cost = []
         for value in (self.value, np.zeros(ELEMENTS)):
-            self.value = value
+            self.value, alignment.correction[:] = value, before[1]
             self._solve(alignment, replay, every, prior, fixed)
             cell, whose, row = self._patches.of(every, every)
-            cost.append(_held_out_cost(cell, held[whose], row, SCALES_M[-1]))
+            cost.append(_held_out_cost(cell, held[whose], row, SCALES_M[-1] / (1.0 + value[SCALE])))
         self._applied = cost[0] <= cost[1]
         self.value, alignment.correction[:] = before
         if not self._applied:
