@@ -109,6 +109,7 @@ def _fly(scene: str, seed: int, more: list[str], folder: Path) -> Flight | None:
     """Fly one mission in lockstep into a folder; None if it left no report."""
     file = folder.with_suffix(".json")
     file.parent.mkdir(parents=True, exist_ok=True)
+    file.unlink(missing_ok=True)  # a flight that is refused must not leave the report of another
     where = [] if scene == BUILT_IN else ["--scene", scene]
     command = [sys.executable, "-m", "uav_recon", "sim", "--lockstep", *where, "--seed", str(seed), *more]
     subprocess.run([*command, "--out", str(folder), "--json", str(file)], cwd=ROOT, stdout=sys.stderr, check=False)

@@ -46,6 +46,13 @@ def test_an_estimate_is_compared_with_the_camera_that_flew() -> None:
     assert calibration_off(None, true)["off_in_sigmas"] == []
 
 
+def test_a_refused_flight_leaves_no_report_of_another(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "flight.json").write_text('{"report": {}}', encoding="utf-8")
+    monkeypatch.setattr("results.mission_seeds.subprocess.run", lambda *_, **__: None)
+    assert mission_seeds._fly("built-in", 1, [], tmp_path / "flight") is None
+    assert not (tmp_path / "flight.json").exists()
+
+
 def test_a_flight_of_the_same_commit_is_not_flown_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     flown = []
 
