@@ -44,9 +44,8 @@ class CalibrationVariance:
 
     def at(self, points: Float32Array) -> Float32Array:
         """Return the variance (N,) in square metres, zero where nothing was measured."""
-        found = self._lattice.at(points)
-        mean = found[:, :ELEMENTS] / np.maximum(found[:, ELEMENTS:], np.float32(1e-6))
-        variance: Float32Array = np.einsum("ni,ni->n", mean @ self.covariance.astype(np.float32), mean)
+        variance = np.empty(len(points), dtype=np.float32)
+        _project(self._lattice.at(points), self.covariance, variance)
         return variance
 
 
@@ -60,6 +59,21 @@ class CalibratedAgreement:
     def at(self, points: Float32Array) -> Float32Array:
         """Return positive numbers (N,), largest where nothing was measured."""
         return self._agreement.at(points) + self._calibration.at(points) / np.float32(DOUBLING_SIGMA_M**2)
+
+
+@kernel
+def _project(rows: Float32Array, covariance: FloatArray, variance: Float32Array) -> None:
+    """Compute the variance (N,) of errors with a covariance (9, 9) along the mean of derivatives.
+
+    rows (N, 10): sum of derivatives, number. Not by a matrix product: its rounding of a row depends on the number of rows, and a
+    part of the surface would differ from the same part of the whole.
+    """
+    for n in range(rows.shape[0]):
+        total = 0.0
+        for i in range(ELEMENTS):
+            for j in range(ELEMENTS):
+                total += rows[n, i] * covariance[i, j] * rows[n, j]
+        variance[n] = total / max(np.float64(rows[n, ELEMENTS]), 1e-6) ** 2
 
 
 @kernel
