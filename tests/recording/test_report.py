@@ -45,7 +45,10 @@ def tree() -> dict[str, Any]:
         "kept_calibration": "begun from an earlier flight",
         "correction": "odometry corrected by 0.21 m", "earlier_map": "not found yet",
         "camera": ["camera streams: depth 424x240 at 30 Hz, colour 424x240 at 30 Hz, IMU none, USB 3.2"],
-        "odometry": {"ate_cm": 3.41, "largest_cm": 9.2, "shift_cm": 6.5, "turn_deg": 1.2, "model_aligned": True},
+        "odometry": {
+            "ate_cm": 3.41, "largest_cm": 9.2, "shift_cm": 6.5, "turn_deg": 1.2, "model_aligned": True, "model_size": 1.0128,
+            "shape_accuracy_cm": 0.59,
+        },
         "unseen": {"upper_share": 0.02, "lower_share": 0.01, "split_m": 1.7, "text": ""},
         "sight": {
             "weak_s": 21.62, "blind_s": 8.4, "longest_blind_s": 3.1, "predicted_weak_s": 30.26, "predicted_blind_s": 9.8,

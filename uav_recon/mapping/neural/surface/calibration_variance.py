@@ -65,8 +65,8 @@ class CalibratedAgreement:
 def _project(rows: Float32Array, covariance: FloatArray, variance: Float32Array) -> None:
     """Compute the variance (N,) of errors with a covariance (9, 9) along the mean of derivatives.
 
-    rows (N, 10): sum of derivatives, number. Not by a matrix product: its rounding of a row depends on the number of rows, and a
-    part of the surface would differ from the same part of the whole.
+    rows (N, 10): sum of derivatives, number. Not by a matrix product: its rounding of a row depends on the number of rows, and
+    a part of the surface would differ from the same part of the whole.
     """
     for n in range(rows.shape[0]):
         total = 0.0
