@@ -63,7 +63,7 @@ class CalibratedAgreement:
 
 @kernel
 def _project(rows: Float32Array, covariance: FloatArray, variance: Float32Array) -> None:
-    """Compute the variance (N,) of errors with a covariance (9, 9) along the mean of derivatives.
+    """Compute the variance (N,) of errors with a covariance (9, 9) along mean derivatives.
 
     rows (N, 10): sum of derivatives, number. Not by a matrix product: its rounding of a row depends on the number of rows, and
     a part of the surface would differ from the same part of the whole.
