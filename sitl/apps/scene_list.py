@@ -9,6 +9,8 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
+from sitl.scene.scene_kinds import KINDS
+
 SHARED_SCENES = Path("../shared/scenes")  # reference scenes beside the working tree
 PIPE_WIDTH = 300  # columns where the output is no terminal: no path is cut
 UNKNOWN = "-"
@@ -21,8 +23,8 @@ def print_scenes(folder: Path = SHARED_SCENES) -> int:
         console.width = PIPE_WIDTH
     table = Table("--scene", "what", "size", "licence", box=None, pad_edge=False)
     table.add_row("(none)", "the built-in room, furnished", "8 x 3 x 2.5 m", "Apache-2.0, generated")
-    table.add_row("random:SEED", "a generated flat, another for each SEED (0, 1, 2, ...)", "varies", "Apache-2.0, generated")
-    table.add_row("small:SEED", "a generated small room with furniture", "6 to 14 m²", "Apache-2.0, generated")
+    for name, kind in KINDS.items():
+        table.add_row(f"{name}:{kind.number}", kind.what, kind.size, "Apache-2.0, generated")
     found = sorted(folder.glob("*/scene.json")) if folder.is_dir() else []
     for description in found:
         table.add_row(str(description.parent), *_described(description))

@@ -201,7 +201,7 @@ class SimOptions:
         """Check each value, then values that do not go together. Raises UsageError with one line."""
         check_fields(self)
         if self.scene is not None and not self.scene.strip():
-            raise UsageError("--scene is empty: want a folder, a mesh file, random:SEED or small:SEED")
+            raise UsageError("--scene is empty: want a folder, a mesh file, or random:SEED and the like (--list-scenes)")
         if self.mapper == "depth-only" and not self.lockstep:
             raise UsageError("--mapper depth-only: needs --lockstep")
         camera_error_scale(self.camera_errors)

@@ -19,8 +19,8 @@ from sitl.apps.sim_options import camera_error_scale
 from sitl.apps.sweep_case import Case, Record, fly_case, one_thread
 from sitl.apps.sweep_options import BUILT_IN, SweepOptions
 from sitl.runtime.worker_pool import worker_pool
-from sitl.scene.generated_rooms import KINDS
 from sitl.scene.scene import is_generated
+from sitl.scene.scene_kinds import KINDS
 from uav_recon import json_codec
 from uav_recon.app.option_validation import require_writable_file
 from uav_recon.errors import EXIT_USAGE, UserError

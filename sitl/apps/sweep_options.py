@@ -114,12 +114,13 @@ class SweepOptions:
 
 def _check_scene(name: str) -> None:
     """Check the name of a scene. Raises UsageError if there is none of that name."""
-    from sitl.scene.generated_rooms import KINDS
     from sitl.scene.scene import GENERATED, is_generated
+    from sitl.scene.scene_kinds import KINDS
 
     with readable(f"--scenes {name}"):
         there = Path(name).exists()
     seed = name.partition(":")[2] if is_generated(name) else ""
-    if not (name in (*KINDS, BUILT_IN) or seed.isdecimal() or (name and there)):
-        names = ", ".join((*KINDS, GENERATED, BUILT_IN))
+    seeded = [word for word, kind in KINDS.items() if kind.number == "SEED"]  # another scene for each seed
+    if not (name in (*seeded, BUILT_IN) or seed.isdecimal() or (name and there)):
+        names = ", ".join((*seeded, GENERATED, BUILT_IN))
         raise UsageError(f"--scenes {name}: no such scene; want {names}, a folder or a mesh file")

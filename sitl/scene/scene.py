@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 from sitl.geometry.point_grid import PointGrid
 from sitl.scene.builtin_room import ROOM_START, built_in_room
-from sitl.scene.generated_rooms import KINDS, generated_room
 from sitl.scene.mesh import Mesh, MeshError, read_mesh
 from sitl.scene.mesh_sampling import dense_points, height_below, row_points
 from sitl.scene.rasterizer import Renderer
+from sitl.scene.scene_kinds import KINDS
 from uav_recon.sensors.stream_format import CameraSpec
 
 HULL_RADIUS_M = 0.20
@@ -33,7 +33,7 @@ MAX_REACH_M = 500.0  # of the fence, from the start: the range of coordinates in
 MAX_M3 = 30_000.0  # volume: 30 million voxels of 0.1 m, the limit of the product's map
 MAX_M2 = 12_000.0  # surface area, which is sampled every 1 to 2 cm
 SAMPLES_M = 0.01
-GENERATED = " or ".join(f"{kind}:SEED" for kind in KINDS)  # names of generated scenes
+GENERATED = ", ".join(f"{name}:{kind.number}" for name, kind in KINDS.items())  # names of generated scenes
 
 Numbers = tuple[float, ...]
 F32 = NDArray[np.float32]
@@ -82,8 +82,8 @@ def load_scene(
 ) -> Scene:
     """Load a scene, move the start to the origin and check it. Blocks for 1 to 2 s.
 
-    path: None for the built-in room, random:SEED for a generated flat, small:SEED for a generated small room, a folder with
-    scene.json, or a mesh file (z up, metres).
+    path: None for the built-in room, the name of a generated scene as random:SEED (see scene_kinds), a folder with scene.json,
+        or a mesh file (z up, metres).
     start: X, Y, Z (m) and YAW (degrees) in the frame of the file.
     fence: lowest X, Y, Z and highest X, Y, Z in the same frame; needed only if the mesh is open.
     radius_m: radius of the hull.
@@ -190,11 +190,12 @@ def _text(values: NDArray[Any]) -> str:
 
 
 def _generated(path: str, fine: bool) -> tuple[str, Mesh, Numbers]:
-    kind, _, words = path.partition(":")
-    if not words.isdecimal():
-        raise SceneError(f"{path}: want {kind}:SEED with a whole number, 0 or more")
-    mesh, start = generated_room(int(words), fine, KINDS[kind])
-    return f"{kind}-{int(words)}", mesh, start
+    name, _, words = path.partition(":")
+    kind = KINDS[name]
+    if not words.isdecimal() or not kind.allows(int(words)):
+        raise SceneError(f"{path}: want {name}:{kind.number} with a whole number, {kind.range}")
+    mesh, start = kind.draw(int(words), fine)
+    return f"{name}-{int(words)}", mesh, start
 
 
 def _read(path: Path) -> tuple[str, Mesh, Numbers | None]:

@@ -10,7 +10,8 @@ import itertools
 import numpy as np
 import pytest
 
-from sitl.scene.generated_rooms import FLAT, FREE_START_M, KINDS, SMALL_ROOM, generated_room
+from sitl.scene.flat_builder import FREE_START_M
+from sitl.scene.generated_rooms import FLAT, SMALL_ROOM, generated_room
 from sitl.scene.mesh import Mesh
 from sitl.scene.mesh_sampling import dense_points
 from sitl.scene.scene import SceneError, load_scene
@@ -73,7 +74,7 @@ def test_there_is_room_to_take_off(flats: dict[int, tuple[Mesh, tuple[float, ...
         assert start[3] != 0.0
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", ["random", "small"])
 def test_every_scene_has_room_for_a_large_vehicle(kind: str) -> None:
     for seed in SEEDS:
         scene = load_scene(f"{kind}:{seed}", radius_m=0.30, fine=False)
