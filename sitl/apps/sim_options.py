@@ -101,7 +101,7 @@ class SimOptions:
         str | None,
         CommandOption(
             "Folder with scene.json, mesh file (.ply .obj .glb .stl; metres, z up), random:SEED for a generated flat or "
-            "small:SEED for a generated room of 6 to 14 m². Default: the built-in room.",
+            "small:SEED for a generated room of 6 to 14 m², and others: --list-scenes. Default: the built-in room.",
             SCENE_PANEL,
             "PATH|random:SEED|small:SEED",
         ),

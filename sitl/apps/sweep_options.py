@@ -33,7 +33,7 @@ class SweepOptions:
     scenes: Annotated[
         str,
         CommandOption(
-            "Scenes: random or small (a new flat or small room for each seed), random:SEED, small:SEED, built-in, folders, "
+            "Scenes: random, small, corridor, ... (a new one for each seed; `sim --list-scenes`), random:SEED, built-in, folders, "
             "mesh files.",
             metavar="S,S,...",
         ),
