@@ -33,8 +33,8 @@ class SweepOptions:
     scenes: Annotated[
         str,
         CommandOption(
-            "Scenes: random, small, corridor, ... (a new one for each seed; `sim --list-scenes`), random:SEED, built-in, folders, "
-            "mesh files.",
+            "Scenes: random, small, corridor, ... (a new one for each seed; `sim --list-scenes`), random:SEED, built-in, "
+            "folders, mesh files.",
             metavar="S,S,...",
         ),
     ] = RANDOM
