@@ -35,5 +35,6 @@ def at_true_size(vertices_world: F64, scene: Scene) -> tuple[F64, float]:
         criteria = registration.ICPConvergenceCriteria(max_iteration=iterations)
         found = registration.registration_icp(model, truth, pair_m, truth_from_model, estimation, criteria)
         truth_from_model = np.array(found.transformation)
-    moved: F64 = vertices_world @ truth_from_model[:3, :3].T + truth_from_model[:3, 3]
-    return moved, float(np.cbrt(np.linalg.det(truth_from_model[:3, :3]))) ** -1
+    turn_and_scale = truth_from_model[:3, :3]
+    moved: F64 = vertices_world @ turn_and_scale.T + truth_from_model[:3, 3]
+    return moved, 1.0 / float(np.cbrt(np.linalg.det(turn_and_scale)))

@@ -241,7 +241,7 @@ def _live(options: CalibrateOptions, config: Config, console: Console) -> _Walk:
                 raise UserError(f"no frame with a pose in {_SILENT_S:g} s ({calibrator.poses_read} poses were read)")
             if now_s - said_s >= _SAID_S:
                 said_s = now_s
-                console.print(f"{now_s - begin_s:4.0f} s  {calibrator.frames} frames  {''.join(missing[:1])}")
+                console.print(f"{now_s - begin_s:4.0f} s  {calibrator.frames} frames  {missing[0] if missing else ''}")
             clock.sleep_until(now_s + _STEP_S)
     except KeyboardInterrupt:
         console.print("ended")

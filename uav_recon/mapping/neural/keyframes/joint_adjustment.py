@@ -55,7 +55,7 @@ class JointAdjustment:
     """Adjusts the views of a PoseRefinement and its calibration.
 
     own_poses: the poses come from the depth images. They then have the camera's wrong delay, mount and scale too, and no view
-        shows these. Only a wrong scale deforms the model.
+        shows these. Of them, only the scale changes the model: its size.
     """
 
     def __init__(self, patches: Surfels, *, own_poses: bool = False) -> None:
