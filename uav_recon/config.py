@@ -295,7 +295,7 @@ class PlannerConfig(Section):
     view_spacing_m: Annotated[float, Field(ge=0.05, le=100.0)] | None = None  # l_res, view spacing; unset: where surface is new
     end_factor: Annotated[float, Field(ge=1.0, le=10.0)] = 3.0  # alpha, factor on R_loc, N_rec, L_exec when no frontier is left
     downsample: Annotated[int, Field(ge=1, le=50)] = 5  # N_down, use every N-th surface element
-    worth_share: Annotated[float, Field(ge=0.0, le=1.0)] = 0.05  # min. share of the best gain per second of surface tasks
+    worth_share: Annotated[float, Field(ge=0.0, le=1.0)] = 0.15  # min. share of the best gain per second of surface tasks
     perception_aware: bool | None = None  # prefer views that show where the vehicle is; unset: with the embedded SLAM
 
 
@@ -329,7 +329,7 @@ class MotionConfig(Section):
 class MissionConfig(Section):
     """The task of the flight."""
 
-    views: Annotated[int, Field(ge=4, le=5000)] = 120  # max. keyframes for the mapper; frontiers before surface
+    views: Annotated[int, Field(ge=4, le=5000)] = 500  # max. keyframes; most flights end before, see planner.worth_share
     takeoff_height_m: Annotated[float, Field(ge=0.5, le=3.0)] = 1.1  # height of the body above the pad
     survey_views: Annotated[int, Field(ge=0, le=36)] = 8  # keyframes of the first turn on the spot
     max_flight_s: Positive = 900.0  # return home after this time

@@ -14,6 +14,7 @@ from sitl.apps.command_option import CommandOption, check_fields
 from sitl.camera.camera_error_scale import scale_of
 from uav_recon.app.option_validation import UsageError, mount_pitch_deg
 from uav_recon.app.reference_safety import MAX_SPEED_MPS
+from uav_recon.config import MissionConfig
 
 AUTOPILOTS = ("px4", "ardupilot")
 VARIANTS = ("adaptive", "merged", "reconstruct", "explore", "explore-yaw", "explore-then-refine", "evpp", "vpp")
@@ -24,8 +25,6 @@ NOISES = ("d435i", "paper", "kinect", "none")
 MAPPERS = ("neural", "depth-only")
 MOUNTS = ("fixed:15", "fixed:0", "gimbal")
 AUTO = "auto"  # mount: fixed, with a tilt for the size of the room
-BUILT_IN_VIEWS = 60
-SCENE_VIEWS = 120
 JOB_GB = 0.8  # memory of a process that flies in lockstep
 # of --start and --fence
 MAX_COORDINATE_M = 1e5
@@ -84,7 +83,7 @@ VARIANT = CommandOption(
     PLANNER_PANEL, "NAME", words=VARIANTS,
 )  # fmt: skip
 VIEWS = CommandOption(
-    "View budget: maximum number of keyframes for the mapper. Default: 60; 120 with --scene.",
+    "View budget: maximum number of keyframes for the mapper. Default: 500; most flights end before, by what a view is worth.",
     PLANNER_PANEL, "N", whole=(4, 5000),
 )  # fmt: skip
 
@@ -251,9 +250,7 @@ class SimOptions:
     @property
     def view_budget(self) -> int:
         """Maximum number of keyframes for the mapper."""
-        if self.views is not None:
-            return self.views
-        return BUILT_IN_VIEWS if self.scene is None else SCENE_VIEWS
+        return MissionConfig().views if self.views is None else self.views
 
     @property
     def camera_model(self) -> str:

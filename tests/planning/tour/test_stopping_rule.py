@@ -5,6 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
+from uav_recon.planning.frontier.cluster_table import OPENING
 from uav_recon.planning.tour.stopping_rule import SHORTEST_TOUR_S, VIEW_S, StoppingRule
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.tasks import Task, TaskKind, Viewpoint
@@ -49,14 +50,17 @@ def test_a_task_must_gain_its_share_of_the_best_rate_so_far() -> None:
     assert kept(worth_after_10_per_second(), (SURFACE, 4.0, 2 * seconds - 0.01)) == []
 
 
-def test_frontiers_are_always_kept() -> None:
-    assert kept(worth_after_10_per_second(), (EXPLORE, 100.0, 4.0), (SURFACE, 101.0, 0.1)) == [1]
+def test_openings_are_always_kept_and_gaps_are_weighed_like_surface() -> None:
+    assert kept(worth_after_10_per_second(), (EXPLORE, 100.0, OPENING), (SURFACE, 101.0, 0.1)) == [1]
+    seconds = 50.0 + VIEW_S
+    assert kept(worth_after_10_per_second(), (EXPLORE, 50.0, 2 * seconds + 0.01)) == [1]
+    assert kept(worth_after_10_per_second(), (EXPLORE, 50.0, 2 * seconds - 0.01)) == []
 
 
 def test_only_the_detour_counts_and_not_the_path_that_is_flown_anyway() -> None:
     stopping_rule = worth_after_10_per_second()
-    assert kept(stopping_rule, (SURFACE, 50.0, 1.1), (EXPLORE, 60.0, 4.0)) == [1, 2]  # on the path: only the stop counts
-    assert kept(stopping_rule, (SURFACE, -5.0, 15.0), (EXPLORE, 60.0, 4.0)) == [2]  # back and forth: 10.5 s
+    assert kept(stopping_rule, (SURFACE, 50.0, 1.1), (EXPLORE, 60.0, OPENING)) == [1, 2]  # on the path: only the stop counts
+    assert kept(stopping_rule, (SURFACE, -5.0, 15.0), (EXPLORE, 60.0, OPENING)) == [2]  # back and forth: 10.5 s
 
 
 def test_far_tasks_share_the_cost_of_the_path() -> None:
@@ -89,7 +93,10 @@ def test_no_kept_part_of_a_tour_gains_less_than_its_flight_costs(seed: int) -> N
     place = rng.uniform(0, 20, (count + 1, 2))
     costs_s = np.linalg.norm(place[:, None] - place, axis=-1) + rng.uniform(0, 2, (count + 1, count + 1))
     kinds = rng.choice(np.array([EXPLORE, SURFACE, SURFACE]), count)
-    tasks = [Task(kind, np.zeros(3), Viewpoint(np.zeros(3), 0.0, 0.0), float(rng.uniform(0, 60))) for kind in kinds]
+    tasks = [
+        Task(kind, np.zeros(3), Viewpoint(np.zeros(3), 0.0, 0.0), float(rng.uniform(0, 60)) + OPENING * (kind is EXPLORE))
+        for kind in kinds
+    ]
     stopping_rule = worth_after_10_per_second()
     nodes = stopping_rule.keep(tasks, costs_s, rng.permutation(count) + 1).order.tolist()
 

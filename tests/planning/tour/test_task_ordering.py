@@ -37,8 +37,9 @@ def test_a_deferred_task_is_flown_when_no_other_is_worth_its_flight() -> None:
     rich, gap = (SURFACE, 5.0, 0.0, 500.0), (EXPLORE, -3.0, 0.0, 0.0)
     tour = Tour(StoppingRule(0.15))
     assert order(tour, [rich, gap]) == [1]
-    assert order(tour, [(SURFACE, 5.0, 0.0, 1.0), gap]) == [2]  # too low a gain for this flight: dropped
-    assert order(tour, [gap, (EXPLORE, -4.0, 0.0, 0.0)]) == [1, 2]
+    small = (EXPLORE, -3.0, 0.0, 40.0)
+    assert order(tour, [(SURFACE, 5.0, 0.0, 1.0), small]) == [2]  # too low a gain for this flight: dropped
+    assert order(tour, [(SURFACE, 5.0, 0.0, 1.0), gap]) == []
     assert order(tour, []) == []
 
 
@@ -83,5 +84,6 @@ def test_every_choice_ends_when_surface_is_not_worth_its_flight(
     tasks, costs_s = case([(SURFACE, 40.0, 0.0, 30.0)])
     answer = choice.order(tasks, costs_s)
     assert (len(answer.order), answer.dropped) == (0, 1)
-    assert order(choice, [(EXPLORE, 40.0, 0.0, 5.0)]) == [1]
+    assert order(choice, [(EXPLORE, 40.0, 0.0, 150.0)]) == [1]
+    assert order(choice, [(EXPLORE, 40.0, 0.0, 30.0)]) == []
     assert order(choice, []) == []

@@ -1,9 +1,10 @@
-"""Stopping rule: drops surface tasks that gain too little for their flight time.
+"""Stopping rule: drops tasks that gain too little for their flight time.
 
 It is not in the paper. The rule is the marginal value theorem (Charnov, 1976): continue while a second of flight gains more
 than a fixed share of the gain per second of the best tour of this flight. Both sides have the same unit, so the rule holds
-for any scale of the uncertainty and any room size. Viewed surface counts less and less, so the reconstruction ends.
-Exploration is not weighed, because unknown space may contain anything.
+for any scale of the uncertainty and any room size. Viewed surface counts less and less, so the reconstruction ends. Openings
+are not weighed, because unknown space may contain anything. A gap in front of a wall counts by its unknown voxels, like
+surface: a voxel of uncertain surface has about the same gain.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from uav_recon.planning.frontier.cluster_table import OPENING
 from uav_recon.types.frames import BoolArray, FloatArray, IntArray
 from uav_recon.types.tasks import Task, TaskKind
 
@@ -53,7 +55,7 @@ class StoppingRule:
         """
         nodes = [int(node) for node in order]
         gain = np.array([0.0, *(task.gain for task in tasks)])
-        surface = np.array([False, *(task.kind is TaskKind.RECONSTRUCT for task in tasks)])
+        surface = np.array([False, *(task.kind is TaskKind.RECONSTRUCT or task.gain < OPENING for task in tasks)])
         self._best_per_s = max(self._best_per_s, _per_second(nodes, gain, surface, costs_s))
         while True:
             first, last = _worst_stretch(nodes, gain, surface, costs_s, self._share * self._best_per_s)
