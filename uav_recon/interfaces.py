@@ -233,6 +233,11 @@ class Planner(Protocol):
         """Record that this path is flown, or could not be flown. A later plan evaluates the outcome."""
         ...
 
+    @property
+    def fine_places(self) -> tuple[FloatArray, ...]:
+        """Positions (3,) around which the planner needs fine maps."""
+        ...
+
     def next_view_has_gain(self, voxels: VoxelMap, position_world: FloatArray, yaw_rad: float) -> bool:
         """Return True if the next view of the last plan still has a gain in a newer map.
 
@@ -288,6 +293,10 @@ class OccupancyMapInterface(Protocol):
 
     def integrate_cone(self, cone: FreeCone) -> int:
         """Fuse what a range finder found empty and return the number of voxels that became free."""
+        ...
+
+    def refine(self, centre_world: FloatArray) -> None:
+        """Keep a fine map around a position (3,) from now on."""
         ...
 
     def reset(self, map_epoch: int) -> None:

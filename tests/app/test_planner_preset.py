@@ -25,5 +25,5 @@ def test_the_mission_flies_by_the_preset(preset: Literal["rosser", "auto"], spac
     orders = mission_factory.mission_parameters(mission_factory.with_preset(config))
     assert orders.view_spacing_m == spacing_m
     voxels = mission_factory.make_occupancy_map(config)
-    assert type(mission_factory.make_keyframe_selection(mission_factory.with_preset(config), voxels)) is selection
+    assert type(mission_factory.make_keyframe_selection(mission_factory.with_preset(config), voxels.grid)) is selection
     assert mission_factory.with_preset(mission_factory.with_preset(config)) == mission_factory.with_preset(config)

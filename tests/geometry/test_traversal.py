@@ -6,8 +6,9 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from uav_recon.geometry.traversal import first_obstacle, is_visible, visible_targets
+from uav_recon.mapping.occupancy.distance_field import distance2_to_not_free
 from uav_recon.types.frames import FloatArray
-from uav_recon.types.maps import FREE, OCCUPIED, UNKNOWN
+from uav_recon.types.maps import FREE, OCCUPIED, UNKNOWN, HeightMeasure
 
 
 def crossed_length(voxel: FloatArray, a: FloatArray, b: FloatArray) -> float:
@@ -100,3 +101,13 @@ def test_lines_along_the_axes_and_through_edges_terminate() -> None:
     assert first_obstacle(distance2, 9, 9, 0.5, 0.5, 0.5, 8.5, 8.5, 8.5) == middle
     assert first_obstacle(distance2, 9, 9, 4.5, 4.5, 4.5, 8.5, 8.5, 8.5) == -1  # the start's own voxel is not checked
     assert first_obstacle(distance2, 9, 9, 2.2, 2.2, 2.2, 2.8, 2.8, 2.8) == -1
+
+
+@pytest.mark.parametrize("heights", [HeightMeasure(1.0, 2.29), HeightMeasure(0.0, 1.6)])
+def test_leaps_over_distances_of_a_flat_body_skip_nothing(heights: HeightMeasure) -> None:
+    rng = np.random.default_rng(6)
+    state = np.where(rng.random((40, 30, 25)) < 0.003, OCCUPIED, FREE).astype(np.uint8)
+    distance2 = distance2_to_not_free(state, 11, heights).ravel()
+    for a, b in zip(*rays(rng, state, 1500), strict=True):
+        voxel = first_obstacle(distance2, 30, 25, a[0], a[1], a[2], b[0], b[1], b[2], heights.weight)
+        assert (voxel < 0) == is_visible(state, b[0], b[1], b[2], a[0], a[1], a[2], 0.0)

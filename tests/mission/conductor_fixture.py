@@ -48,6 +48,7 @@ class OpenSpace:
 
     def __init__(self) -> None:
         self.cones: list[FreeCone] = []
+        self.refined: list[FloatArray] = []
 
     def integrate(self, posed: PosedFrame) -> int:
         assert posed.map_epoch == self.epoch
@@ -59,6 +60,9 @@ class OpenSpace:
         self.cones.append(cone)
         self.revision += 1
         return 1
+
+    def refine(self, centre_world: FloatArray) -> None:
+        self.refined.append(centre_world)
 
     def reset(self, map_epoch: int) -> None:
         self.epoch = map_epoch
@@ -84,6 +88,7 @@ class ThreeViews:
     def __init__(self) -> None:
         self.left = [np.array([1.5, 0.0, 1.1]), np.array([1.5, 1.5, 1.1]), np.array([0.0, 1.5, 1.1])]
         self.no_way_home = self.settled = self.explored = False
+        self.fine_places: tuple[FloatArray, ...] = ()
         self.accepted: list[ViewPath] = []
         self.asked: list[PlanRequest] = []
 

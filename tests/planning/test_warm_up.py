@@ -17,7 +17,7 @@ from box_world import GIMBAL, MEETING_ROOM, BoxWorld
 from test_view_planner import surface_of
 from uav_recon.config import PlannerConfig
 from uav_recon.planning import view_planner
-from uav_recon.planning.narrow_passages import NarrowPassagePlanner
+from uav_recon.planning.fallback_planner import FallbackPlanner
 from uav_recon.planning.tour.travel_time import YawWhileFlying
 from uav_recon.types.tasks import PlanRequest, Viewpoint
 
@@ -35,14 +35,15 @@ before = compiled()
 assert len(before) > 15, before
 world = BoxWorld(MEETING_ROOM, GIMBAL, np.array([3.0, 1.0, 1.2]))
 world.look_round()
-usual = view_planner.ViewPlanner(CONFIG, np.zeros(3), np.array([6.2, 5.0, 2.4]), GIMBAL, YawWhileFlying(0.8, 0.8))
-planner = NarrowPassagePlanner(usual, *[CONFIG.clearance_m - 0.05] * 3)
+model = YawWhileFlying(0.8, 0.8)
+usual = view_planner.ViewPlanner(CONFIG, np.zeros(3), np.array([6.2, 5.0, 2.4]), GIMBAL, model, passage_m=0.25)
+planner = FallbackPlanner(usual, (CONFIG.clearance_m - 0.05,), CONFIG.clearance_m - 0.05)
 for position in ((3.0, 1.0, 1.2), (3.0, 0.15, 1.2), (9.0, 9.0, 9.0)):
     asked = world.request()
     request = PlanRequest(asked.voxels, surface_of(MEETING_ROOM), np.array(position), 0.0, 50)
     planner.plan(request)
     planner.route(request, Viewpoint(np.array([5.0, 0.3, 1.2]), 0.0, 0.0))
-    planner._nearest(request, planner._openings, CONFIG.clearance_m - 0.05, 0.0)
+    planner._route(request, Viewpoint(np.array([5.0, 0.3, 1.2]), 0.0, 0.0), CONFIG.clearance_m - 0.05, 0.0)
 after = compiled()
 assert before == after, {key: (before[key], after[key]) for key in before if before[key] != after[key]}
 """

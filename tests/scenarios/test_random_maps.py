@@ -15,7 +15,7 @@ from scipy import ndimage
 
 from uav_recon.config import PlannerConfig
 from uav_recon.planning.camera_frustum import CameraGeometry
-from uav_recon.planning.narrow_passages import NarrowPassagePlanner
+from uav_recon.planning.fallback_planner import FallbackPlanner
 from uav_recon.planning.tour.travel_time import YawWhileFlying
 from uav_recon.planning.view_planner import ViewPlanner
 from uav_recon.types.maps import FREE, GridSpec, VoxelMap
@@ -70,9 +70,7 @@ def fly_through(seed: int, usual_m: float | None = None) -> Counter[str]:
     camera = GIMBAL if rng.random() < 0.5 else FIXED
     config = PlannerConfig(variant=VARIANTS[int(rng.integers(len(VARIANTS)))], clearance_m=usual_m or CLEARANCE_M)
     usual = ViewPlanner(config, world.fence_m[0], world.fence_m[1], camera, YawWhileFlying(0.8, 0.8), timer=lambda: 0.0)
-    planner = (
-        usual if usual_m is None else NarrowPassagePlanner(usual, CLEARANCE_M, CLEARANCE_M, CLEARANCE_M, timer=lambda: 0.0)
-    )
+    planner = usual if usual_m is None else FallbackPlanner(usual, (CLEARANCE_M,), CLEARANCE_M, timer=lambda: 0.0)
     position, yaw_rad = world.anywhere(), float(rng.uniform(-4, 4))
     home = Viewpoint(position, 0.0, float(np.clip(0.0, camera.pitch_min_rad, camera.pitch_max_rad)))
     if rng.random() < 0.9:  # else the start is unknown

@@ -16,19 +16,23 @@ from uav_recon.types.maps import GridSpec
 if TYPE_CHECKING:  # each process imports only the stages that it runs
     from uav_recon.mapping.keyframe_selection import KeyframeSelection, PlannedViewsOnly
     from uav_recon.mapping.localizability_map import LocalizabilityMap
+    from uav_recon.mapping.occupancy.multiresolution_map import MultiResolutionMap
     from uav_recon.mapping.occupancy.occupancy_map import OccupancyMap
     from uav_recon.mapping.recent_view_memory import RecentViewMemory
     from uav_recon.mission.conductor import Conductor
     from uav_recon.mission.setup.mission_parameters import MissionParameters
     from uav_recon.motion.speed_limited_planner import SpeedLimitedPlanner
     from uav_recon.planning.camera_frustum import CameraGeometry
-    from uav_recon.planning.narrow_passages import NarrowPassagePlanner
+    from uav_recon.planning.fallback_planner import FallbackPlanner
     from uav_recon.planning.tour.travel_time import TravelTimeModel
 
 # the column declared free above the hover is wider than planner.clearance_m by this number of voxels: half of one for the
 # clearance, and the way from the pad to the nearest voxel centre
 COLUMN_VOXELS = 1.25
-NARROW_M = 0.15  #: plan: clearance of the hull on paths to where planner.clearance_m leads no more
+ABOVE_M = 0.12  #: plan: clearance above and below the hull
+PASSAGE_M = 0.12  #: plan: clearance of the hull in a narrow passage
+PASSAGE_ERROR_M = 0.025  # clearance that a fine map shows too little: its voxels with surface begin before the surface
+HOMEWARD_M = 0.15  #: plan: clearance of the hull on a path home where planner.clearance_m leads no more
 INSIDE_M = 0.03  #: plan: a motion stays this much farther inside the fence than the guard requires
 #: plan: clearance of the hull on the last possible paths home: the vehicle flew there, even if the map differs
 RETREAT_M = 0.10
@@ -49,7 +53,7 @@ def make_conductor(
     config = with_preset(config)
     voxels, planner, parameters = make_occupancy_map(config), make_planner(config, timer), mission_parameters(config)
     motion, retreat = (make_motion(config, kept_m) for kept_m in (parameters.clearance_m, parameters.clear_radius_m))
-    budget, sight = make_keyframe_selection(config, voxels), make_recent_view_memory(config)
+    budget, sight = make_keyframe_selection(config, voxels.grid), make_recent_view_memory(config)
     localizability = make_localizability_map(config, voxels.grid) if is_perception_aware(config) else None
     stages = MissionStages(voxels, budget, mapper, planner, motion, retreat, sight, localizability)
     return Conductor(stages, channels, parameters, executor, journal)
@@ -78,15 +82,29 @@ def mission_parameters(config: Config) -> MissionParameters:
     )
 
 
-def make_occupancy_map(config: Config) -> OccupancyMap:
+def make_occupancy_map(config: Config) -> MultiResolutionMap:
     """Return the occupancy map over the fence and a margin beyond it."""
+    from uav_recon.mapping.occupancy.multiresolution_map import FINE_RANGE_M, FINE_RESOLUTION_M, MultiResolutionMap
     from uav_recon.mapping.occupancy.occupancy_map import DepthSensor, OccupancyMap
+    from uav_recon.planning.free_space.flyable_space import height_measure
 
     safety, voxels, camera = config.safety, config.voxels, config.camera
     margin = np.full(3, voxels.margin_m)
     grid = GridSpec.covering(np.array(safety.fence_min_m) - margin, np.array(safety.fence_max_m) + margin, voxels.resolution_m)
     sensor = DepthSensor(camera.depth_min_m, camera.depth_noise_px, camera.baseline_m)
-    return OccupancyMap(grid, sensor, voxels.max_range_m, safety.fence_min_m, safety.fence_max_m, voxels.distance_cap_m)
+    fence = safety.fence_min_m, safety.fence_max_m
+    half_m = safety.vehicle_height_m / 2
+    heights = height_measure(config.planner.clearance_m, half_m, ABOVE_M, voxels.resolution_m)
+    fine_heights = height_measure(passage_clearance_m(config), half_m, ABOVE_M - PASSAGE_ERROR_M, FINE_RESOLUTION_M)
+
+    def fine(grid: GridSpec, map_epoch: int) -> OccupancyMap:
+        range_m = min(FINE_RANGE_M, voxels.max_range_m)
+        return OccupancyMap(
+            grid, sensor, range_m, *fence, voxels.distance_cap_m, map_epoch, heights=fine_heights
+        )  # fmt: skip
+
+    coarse = OccupancyMap(grid, sensor, voxels.max_range_m, *fence, voxels.distance_cap_m, heights=heights)
+    return MultiResolutionMap(coarse, fine)
 
 
 def with_preset(config: Config) -> Config:
@@ -100,20 +118,28 @@ def with_preset(config: Config) -> Config:
     return config.model_copy(update={"planner": derived(config.planner, low_m, high_m, camera_geometry(config))})
 
 
-def make_planner(config: Config, timer: Callable[[], float]) -> NarrowPassagePlanner:
-    """Return the config's planner, with narrow passages for what it does not reach."""
-    from uav_recon.planning.narrow_passages import NarrowPassagePlanner
+def make_planner(config: Config, timer: Callable[[], float]) -> FallbackPlanner:
+    """Return the config's planner, with ways home of less clearance."""
+    from uav_recon.planning.fallback_planner import FallbackPlanner
     from uav_recon.planning.view_planner import ViewPlanner
 
     safety = config.safety
-    inset_m = max(config.planner.clearance_m, safety.fence_inset_m)  # never plan what the guard would refuse
+    above_m = safety.vehicle_height_m / 2 + ABOVE_M
+    least_m = np.array([config.planner.clearance_m, config.planner.clearance_m, above_m])
+    inset_m = np.maximum(least_m, safety.fence_inset_m)  # never plan what the guard would refuse
     usual = ViewPlanner(
         config.planner, np.array(safety.fence_min_m), np.array(safety.fence_max_m), camera_geometry(config),
-        travel_time_model(config), timer, inset_m,
+        travel_time_model(config), timer, inset_m, passage_clearance_m(config),
     )  # fmt: skip
-    min_m = (safety.vehicle_radius_m + max(m, safety.stop_clearance_m) for m in (NARROW_M, RETREAT_M))
-    narrow_m, homeward_m = (min(m, config.planner.clearance_m) for m in min_m)
-    return NarrowPassagePlanner(usual, narrow_m, homeward_m, max(narrow_m, safety.fence_inset_m), timer)
+    home_m = [safety.vehicle_radius_m + max(one_m, safety.stop_clearance_m) for one_m in (HOMEWARD_M, RETREAT_M)]
+    return FallbackPlanner(
+        usual, tuple(min(one_m, config.planner.clearance_m) for one_m in home_m), max(home_m[0], safety.fence_inset_m), timer
+    )
+
+
+def passage_clearance_m(config: Config) -> float:
+    """Return the clearance of the body's centre in a narrow passage."""
+    return min(config.safety.vehicle_radius_m + PASSAGE_M - PASSAGE_ERROR_M, config.planner.clearance_m)
 
 
 def travel_time_model(config: Config) -> TravelTimeModel:
@@ -153,8 +179,9 @@ def make_motion(config: Config, clearance_m: float) -> SpeedLimitedPlanner:
 
     safety, inset_m = config.safety, config.safety.fence_inset_m + INSIDE_M
     return SpeedLimitedPlanner.of(
-        config, clearance_m, np.array(safety.fence_min_m) + inset_m, np.array(safety.fence_max_m) - inset_m
-    )
+        config, clearance_m, np.array(safety.fence_min_m) + inset_m, np.array(safety.fence_max_m) - inset_m,
+        passage_clearance_m(config),
+    )  # fmt: skip
 
 
 def make_recent_view_memory(config: Config) -> RecentViewMemory:
@@ -177,7 +204,7 @@ def make_localizability_map(config: Config, grid: GridSpec) -> LocalizabilityMap
     return LocalizabilityMap(grid, camera_geometry(config).eye)
 
 
-def make_keyframe_selection(config: Config, voxels: OccupancyMap) -> KeyframeSelection | PlannedViewsOnly:
+def make_keyframe_selection(config: Config, grid: GridSpec) -> KeyframeSelection | PlannedViewsOnly:
     """Return the selection of keyframes beside the planned views, within the view budget."""
     from uav_recon.mapping.keyframe_selection import KeyframeSelection, PlannedViewsOnly
 
@@ -185,7 +212,7 @@ def make_keyframe_selection(config: Config, voxels: OccupancyMap) -> KeyframeSel
         return PlannedViewsOnly()
     safety, camera = config.safety, config.camera
     low, high = np.array(safety.fence_min_m), np.array(safety.fence_max_m)
-    return KeyframeSelection(voxels.grid, low, high, camera.depth_noise_px, camera.baseline_m)
+    return KeyframeSelection(grid, low, high, camera.depth_noise_px, camera.baseline_m)
 
 
 def warm_up(config: Config) -> None:
@@ -201,7 +228,7 @@ def warm_up_map(config: Config) -> None:
     """Compile the kernels of the occupancy map and of the keyframe selection."""
     voxels = make_occupancy_map(config)
     voxels.warm_up()
-    make_keyframe_selection(config, voxels).warm_up()
+    make_keyframe_selection(config, voxels.grid).warm_up()
     make_recent_view_memory(config).warm_up()
     make_localizability_map(config, voxels.grid).warm_up()
 

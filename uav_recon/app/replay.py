@@ -153,7 +153,7 @@ class _Mapping:
         self.mapper = mapper
         self._voxels = mission_factory.make_occupancy_map(config)
         self._planner = mission_factory.make_planner(config, time.perf_counter)
-        self._budget = mission_factory.make_keyframe_selection(config, self._voxels)
+        self._budget = mission_factory.make_keyframe_selection(config, self._voxels.grid)
         self.log = MissionLog(journal, config.mission.views)
         self._sequence = 0
         self._freed_m = np.full(3, np.inf)

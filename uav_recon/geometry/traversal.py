@@ -71,22 +71,21 @@ def visible_targets(state: ByteArray, eye: FloatArray, targets: FloatArray, tail
     return out
 
 
-# Radius around any point of a voxel that is guaranteed free, by the squared distance from the voxel's centre to the nearest
-# centre of a voxel that is not free: the distance less the half diagonals of both voxels.
-_FREE_RADIUS = np.maximum(np.sqrt(np.arange(256)) - 1.7321, 0.0)
-_MIN_JUMP_DISTANCE2 = 12  # squared distance below which a jump is no longer than one voxel step
+_ROOT = np.sqrt(np.arange(256))
+_WORTH_A_JUMP = 4.0  # squared distance, in squared diagonals of a voxel, below which a jump is hardly longer than a step
 
 
 @kernel
 def first_obstacle(
-    distance2: ByteArray, ny: int, nz: int, x0: float, y0: float, z0: float, x1: float, y1: float, z1: float
-) -> int:
+    distance2: ByteArray, ny: int, nz: int, x0: float, y0: float, z0: float, x1: float, y1: float, z1: float,
+    height_weight: float = 1.0,
+) -> int:  # fmt: skip
     """Return the flat index of the first voxel on a segment that is not known free, or -1.
 
     The voxel of the start is not checked, that of the end is. distance2: (nx * ny * nz,) uint8, VoxelMap.distance2
     flattened. Both ends in voxel units and INSIDE the array: this is not checked. The result equals that of a voxel-by-voxel
     traversal, but the search jumps across the free ball around the current point: sphere tracing on exact distances less the
-    size of the voxels, so that no voxel is skipped.
+    half diagonals of both voxels, so that no voxel is skipped. height_weight: of these distances, see HeightMeasure.weight.
     """
     i, j, k = int(x0), int(y0), int(z0)
     end = (int(x1) * ny + int(y1)) * nz + int(z1)
@@ -98,8 +97,9 @@ def first_obstacle(
     dx = dx if abs(dx) > 1e-9 else 1e-9
     dy = dy if abs(dy) > 1e-9 else 1e-9
     dz = dz if abs(dz) > 1e-9 else 1e-9
-    length = math.sqrt(dx * dx + dy * dy + dz * dz)
-    per_step = 1.0 / length
+    per_step = 1.0 / math.sqrt(dx * dx + dy * dy + height_weight * dz * dz)
+    diagonal = math.sqrt(2.0 + height_weight)
+    jump2 = _WORTH_A_JUMP * (2.0 + height_weight)
     per_x, per_y, per_z = 1.0 / dx, 1.0 / dy, 1.0 / dz
     delta_x, delta_y, delta_z = abs(per_x), abs(per_y), abs(per_z)
     step_x, step_y, step_z = (ny * nz if dx > 0 else -ny * nz), (nz if dy > 0 else -nz), (1 if dz > 0 else -1)
@@ -118,13 +118,13 @@ def first_obstacle(
             return flat
         if flat == end:
             return -1
-        if d2 < _MIN_JUMP_DISTANCE2:
+        if d2 < jump2:
             tx += delta_x if along_x else 0.0
             ty += delta_y if along_y else 0.0
             tz += 0.0 if along_x | along_y else delta_z
             continue
-        while d2 >= _MIN_JUMP_DISTANCE2:
-            t += _FREE_RADIUS[d2] * per_step
+        while d2 >= jump2:
+            t += (_ROOT[d2] - diagonal) * per_step
             if t >= 1.0:
                 return -1
             i, j, k = int(x0 + t * dx), int(y0 + t * dy), int(z0 + t * dz)
@@ -140,4 +140,4 @@ def warm_up() -> None:
     state = np.full((2, 2, 2), FREE, dtype=np.uint8)
     state.setflags(write=False)
     visible_targets(state, np.full(3, 0.5), np.full((1, 3), 1.5), 0.0)
-    first_obstacle(state.reshape(-1), 2, 2, 0.5, 0.5, 0.5, 1.5, 1.5, 1.5)
+    first_obstacle(state.reshape(-1), 2, 2, 0.5, 0.5, 0.5, 1.5, 1.5, 1.5, 1.0)

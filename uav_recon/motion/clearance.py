@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from typing import NamedTuple
 
@@ -13,6 +14,8 @@ from uav_recon.types.maps import VoxelMap
 
 ROOT = np.sqrt(np.arange(256, dtype=np.float64))
 ROOT.setflags(write=False)
+NO_FINE = np.zeros((0, 1, 1, 1), dtype=np.uint8), np.zeros((0, 3)), 1.0
+FINE_STEP_M = 0.05
 CHECK_STEP_M = 0.02  # a sample is checked when the body has moved this far since the last checked one
 EXIT_LENGTH_M = (
     0.3  # the first part of the path, checked for MAX_CLEARANCE_LOSS_M only: the body must be able to leave a tight spot ...
@@ -26,35 +29,106 @@ MAX_CLEARANCE_LOSS_M = (
 class ClearanceMap(NamedTuple):
     """Map data for kernels, which take it as one argument.
 
-    distance2: (nx, ny, nz) squared distances in voxels.
+    distance2: (nx, ny, nz) squared distances in voxels. height_weight: HeightMeasure.weight, the largest of all maps.
     frame: (10,) origin (3), lower (3) and upper corner (3) of the box that the body's centre stays in, and the clearance that
         counts at the box's border; metres.
     resolution_m: edge of a voxel.
     root: (256,) square root of each value of a byte.
+    fine_distance2: (K, fx, fy, fz) squared distances in the fine maps, in their voxels.
+    fine_frame: (K, 3) their origins, metres. fine_resolution_m: edge of their voxels.
+    fine_credit_m: a fine map knows clearances better, so that this much less is enough; it is added to them.
     """
 
     distance2: ByteArray
     frame: FloatArray
     resolution_m: float
     root: FloatArray
+    fine_distance2: ByteArray
+    fine_frame: FloatArray
+    fine_resolution_m: float
+    fine_credit_m: float
+    height_weight: float
 
     @staticmethod
-    def of(voxels: VoxelMap, low_m: FloatArray, high_m: FloatArray, border_m: float) -> ClearanceMap:
+    def of(
+        voxels: VoxelMap, low_m: FloatArray, high_m: FloatArray, border_m: float, fine_credit_m: float = 0.0
+    ) -> ClearanceMap:
         """Return the clearances of a map inside a box (infinite corners: no box)."""
         frame = np.array([*voxels.grid.origin_world_m, *low_m, *high_m, border_m], dtype=np.float64)
-        return ClearanceMap(distance2=voxels.distance2, frame=frame, resolution_m=float(voxels.grid.resolution_m), root=ROOT)
+        fine, fine_frame, fine_resolution_m = NO_FINE
+        if voxels.fine:
+            fine = np.stack([one.distance2 for one in voxels.fine])
+            fine_frame = np.stack([one.grid.origin_world_m for one in voxels.fine])
+            fine_resolution_m = float(voxels.fine[0].grid.resolution_m)
+        fine.setflags(write=False)
+        return ClearanceMap(
+            distance2=voxels.distance2, frame=frame, resolution_m=float(voxels.grid.resolution_m), root=ROOT,
+            fine_distance2=fine, fine_frame=fine_frame, fine_resolution_m=fine_resolution_m, fine_credit_m=fine_credit_m,
+            height_weight=max(one.heights.weight for one in (voxels, *voxels.fine)),
+        )  # fmt: skip
+
+    def is_finer_than_needed(self, vertex: FloatArray, clearance_m: float) -> bool:
+        """Return True if a polyline (N, 3 or more) leads where only a fine map shows a clearance."""
+        if not len(self.fine_frame):
+            return False
+        pieces = [np.linspace(a, b, 2 + int(np.linalg.norm(b - a) / FINE_STEP_M)) for a, b in itertools.pairwise(vertex[:, :3])]
+        points = np.concatenate(pieces) if pieces else vertex[:, :3].copy()
+        found_m = np.empty(len(points))
+        coarse_clearances_at(self, points, found_m)
+        return bool((found_m < clearance_m).any())
 
 
 @kernel
 def clearance_at(clearance_map: ClearanceMap, x: float, y: float, z: float) -> float:
-    """Return the clearance of a point: metres to the nearest centre of a voxel not known free.
+    """Return the clearance of a point: metres to the nearest centre of a voxel not free.
 
-    It is 0 in such a voxel and outside the grid. Near a side of the box to stay in, it is at most the distance to that side
-    plus the clearance at the box's border.
-    The value is interpolated trilinearly between the eight voxel centres around the point. It is at least the value of the
-    point's own voxel less half a voxel, so that every path through cells that the planner calls flyable remains flyable.
+    That of the whole map, or that of a fine map and its credit, whichever is more; see coarse_clearance_at().
     """
-    distance2, frame, resolution_m, root = clearance_map
+    clearance_m = coarse_clearance_at(clearance_map, x, y, z)
+    for n in range(len(clearance_map.fine_frame)):
+        fine_m = _fine_clearance(clearance_map, n, x, y, z)
+        if fine_m > 0.0:
+            clearance_m = max(clearance_m, fine_m + clearance_map.fine_credit_m)
+    return float(clearance_m)
+
+
+@kernel
+def _fine_clearance(clearance_map: ClearanceMap, n: int, x: float, y: float, z: float) -> float:
+    """Return the clearance of a point in the n-th fine map.
+
+    It is 0 outside the map, and where it is not known free.
+    """
+    distance2, edge_m, root = clearance_map.fine_distance2[n], clearance_map.fine_resolution_m, clearance_map.root
+    u = (x - clearance_map.fine_frame[n, 0]) / edge_m - 0.5
+    v = (y - clearance_map.fine_frame[n, 1]) / edge_m - 0.5
+    w = (z - clearance_map.fine_frame[n, 2]) / edge_m - 0.5
+    i, j, k = math.floor(u), math.floor(v), math.floor(w)
+    nx, ny, nz = distance2.shape
+    if i < 0 or j < 0 or k < 0 or i + 1 >= nx or j + 1 >= ny or k + 1 >= nz:
+        return 0.0
+    f, g, h = u - i, v - j, w - k
+    near = (1 - h) * root[distance2[i, j, k]] + h * root[distance2[i, j, k + 1]]
+    left = (1 - h) * root[distance2[i, j + 1, k]] + h * root[distance2[i, j + 1, k + 1]]
+    ahead = (1 - h) * root[distance2[i + 1, j, k]] + h * root[distance2[i + 1, j, k + 1]]
+    far = (1 - h) * root[distance2[i + 1, j + 1, k]] + h * root[distance2[i + 1, j + 1, k + 1]]
+    return float(((1 - f) * ((1 - g) * near + g * left) + f * ((1 - g) * ahead + g * far)) * edge_m)
+
+
+@kernel
+def coarse_clearance_at(clearance_map: ClearanceMap, x: float, y: float, z: float) -> float:
+    """Return the clearance of a point in the whole map.
+
+    That is the distance in metres to the nearest centre of a voxel not known free. It is 0 in such a voxel and outside the
+    grid. Near a side of the box to stay in, it is at most the distance to that side plus the clearance at the box's border. The
+    value is interpolated trilinearly between the eight voxel centres around the point. It is at least the value of the point's
+    own voxel less half a voxel, so that every path through cells that the planner calls flyable remains flyable.
+    """
+    distance2, frame, resolution_m, root = (
+        clearance_map.distance2,
+        clearance_map.frame,
+        clearance_map.resolution_m,
+        clearance_map.root,
+    )
     nx, ny, nz = distance2.shape
     u, v, w = (x - frame[0]) / resolution_m, (y - frame[1]) / resolution_m, (z - frame[2]) / resolution_m
     i, j, k = math.floor(u), math.floor(v), math.floor(w)
@@ -77,6 +151,13 @@ def clearance_at(clearance_map: ClearanceMap, x: float, y: float, z: float) -> f
 
 
 @kernel
+def coarse_clearances_at(clearance_map: ClearanceMap, points: AnyArray, out: AnyArray) -> None:
+    """Fill ``out`` (N,) with coarse_clearance_at of each of the points (N, 3 or more)."""
+    for n in range(len(points)):
+        out[n] = coarse_clearance_at(clearance_map, points[n, 0], points[n, 1], points[n, 2])
+
+
+@kernel
 def clearances_at(clearance_map: ClearanceMap, points: AnyArray, out: AnyArray) -> None:
     """Fill ``out`` (N,) with clearance_at of each of the points (N, 3 or more)."""
     for n in range(len(points)):
@@ -93,13 +174,14 @@ def free_distances(clearance_map: ClearanceMap, points: AnyArray, heading: AnyAr
     for n in range(len(points)):
         dx, dy, dz = heading[n, 0], heading[n, 1], heading[n, 2]
         flat, went_m = math.sqrt(dx * dx + dy * dy + dz * dz), 0.0
+        share = flat / max(math.sqrt(dx * dx + dy * dy + clearance_map.height_weight * dz * dz), 1e-9)
         while flat > 1e-9 and went_m < way_m[n]:
-            share = went_m / flat
-            x, y, z = points[n, 0] + share * dx, points[n, 1] + share * dy, points[n, 2] + share * dz
+            part = went_m / flat
+            x, y, z = points[n, 0] + part * dx, points[n, 1] + part * dy, points[n, 2] + part * dz
             left_m = clearance_at(clearance_map, x, y, z) - min_m
             if left_m <= 0.0:
                 way_m[n] = went_m
-            went_m += max(left_m, 0.5 * clearance_map.resolution_m)
+            went_m += max(share * left_m, 0.5 * clearance_map.resolution_m)
 
 
 @kernel

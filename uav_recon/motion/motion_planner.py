@@ -59,6 +59,7 @@ class MotionPlanner:
     def __init__(
         self, config: MotionConfig, clearance_m: float, low_m: FloatArray | None = None, high_m: FloatArray | None = None,
         braking_mps2: float | None = None, hull_m: float = 0.0, yaw_policy: YawPolicy = AT_VIEWS,
+        passage_m: float | None = None,
     ) -> None:  # fmt: skip
         """Set the limits.
 
@@ -67,11 +68,13 @@ class MotionPlanner:
         low_m, high_m: (3,) corners of the box that the body's centre stays in; None = no box.
         braking_mps2: deceleration when a path turns out to be blocked; None = that of planned motion.
         hull_m: radius of the vehicle, which touches nothing while its autopilot flies on without setpoints for config.run_on_s.
-        yaw_policy: where the vehicle looks on its path.
+        yaw_policy: where the vehicle looks on its path. passage_m: clearance that is enough where a fine map shows it, at
+            PASSAGE_MPS; None = clearance_m.
         """
         self._low_m = np.full(3, -np.inf) if low_m is None else low_m
         self._high_m = np.full(3, np.inf) if high_m is None else high_m
         self._clearance_m = clearance_m
+        self._fine_credit_m = max(clearance_m - (clearance_m if passage_m is None else passage_m), 0.0)
         self._generator = TrajectoryGenerator.of(config, clearance_m, hull_m, yaw_policy)
         self._braking_ratio = (braking_mps2 or config.acceleration_mps2) / config.acceleration_mps2
         self._slow_generator = TrajectoryGenerator.of(
@@ -199,7 +202,7 @@ class MotionPlanner:
         return self._generator.yaw_policy.forecast(views, cells, clearance_map, max(start_s, newest_s + PLANNED_S))
 
     def _clearance_map(self, voxels: VoxelMap) -> ClearanceMap:
-        return ClearanceMap.of(voxels, self._low_m, self._high_m, self._clearance_m)
+        return ClearanceMap.of(voxels, self._low_m, self._high_m, self._clearance_m, self._fine_credit_m)
 
     def warm_up(self) -> None:
         """Compile the kernels, in a map of its own without the box to stay in."""
@@ -211,6 +214,8 @@ class MotionPlanner:
         goal = Viewpoint(np.array([2.0, 1.0, 1.0]), 0.5, 0.0)
         path = ViewPath((goal,), (goal.position_world[None],), PlanMode.EXPLORE, 0, 0, (), 0.0, 0.0)
         flown = planner.plan_from_rest(path, voxels, Setpoint.hold(np.ones(3), 0.0), 0.0, 0.5, 0)
+        fine = dataclasses.replace(voxels, fine=(voxels,))
+        planner.plan_from_rest(path, fine, Setpoint.hold(np.ones(3), 0.0), 0.0, 0.5, 0)
         if isinstance(flown, Trajectory):
             planner.plan_stop(flown, 1.0, 1)
             planner.is_still_clear(flown, 1.0, voxels)
@@ -238,10 +243,13 @@ class MotionPlanner:
         generator, wanted_m = self._generator, self._clearance_m
         if clearance_m is not None:
             generator, wanted_m = self._narrow_generator, self._clearance_m + NARROW_EXTRA_CLEARANCE_M
+        elif clearance_map.is_finer_than_needed(course.vertex, self._clearance_m):
+            wanted_m = self._clearance_m + NARROW_EXTRA_CLEARANCE_M
+        narrow = wanted_m > self._clearance_m
         for attempt in range(3):
             strung = course.with_stops(stop)
             band = ElasticBand.along(strung, self._generator.span_rad, before)
-            if attempt < 2 and clearance_m is not None:
+            if attempt < 2 and narrow:
                 band = centred(band, clearance_map, wanted_m)
             if attempt < 2:
                 band = band.relaxed(strung, clearance_map, wanted_m, min_m, NEAR_VIEW)

@@ -127,15 +127,16 @@ class SightForecast:
 @kernel
 def _line_is_free(clearance_map: ClearanceMap, here: AnyArray, there: AnyArray, length_m: float) -> bool:
     """Return True if a line of sight keeps clear of anything that may not be free."""
+    dx, dy, dz = there[0] - here[0], there[1] - here[1], there[2] - here[2]
+    slower = length_m / max(math.sqrt(dx * dx + dy * dy + clearance_map.height_weight * dz * dz), 1e-9)
     went_m = 0.0
     while went_m < length_m:
         share = went_m / length_m
-        x, y = here[0] + share * (there[0] - here[0]), here[1] + share * (there[1] - here[1])
-        z = here[2] + share * (there[2] - here[2])
+        x, y, z = here[0] + share * dx, here[1] + share * dy, here[2] + share * dz
         left_m = clearance_at(clearance_map, x, y, z) - LINE_M - LINE_SHARE * went_m
         if left_m <= 0.0:
             return False
-        went_m += max(left_m, 0.5 * clearance_map.resolution_m)
+        went_m += max(slower * left_m, 0.5 * clearance_map.resolution_m)
     return True
 
 

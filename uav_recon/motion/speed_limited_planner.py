@@ -36,10 +36,23 @@ class SpeedLimitedPlanner:
         self._cells: SurfaceCells | None = None
 
     @staticmethod
-    def of(config: Config, clearance_m: float, low_m: FloatArray, high_m: FloatArray) -> SpeedLimitedPlanner:
-        """Return the planner of a config. low_m, high_m: (3,) box that the body's centre stays in."""
+    def of(
+        config: Config, clearance_m: float, low_m: FloatArray, high_m: FloatArray, passage_m: float | None = None
+    ) -> SpeedLimitedPlanner:
+        """Return the planner of a config.
+
+        low_m, high_m: (3,) box that the body's centre stays in. passage_m: see MotionPlanner.
+        """
         safety, usual = config.safety, config.motion
-        limits = (clearance_m, low_m, high_m, safety.max_acceleration_mps2, safety.vehicle_radius_m, yaw_policy_of(config))
+        limits = (
+            clearance_m,
+            low_m,
+            high_m,
+            safety.max_acceleration_mps2,
+            safety.vehicle_radius_m,
+            yaw_policy_of(config),
+            passage_m,
+        )
         slow = usual.at_most(SLOW_SHARE * safety.retreat_speed_mps)
         return SpeedLimitedPlanner(MotionPlanner(usual, *limits), MotionPlanner(slow, *limits), usual.speed_mps)
 

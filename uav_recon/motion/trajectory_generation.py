@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from uav_recon.config import MotionConfig
-from uav_recon.motion.clearance import ClearanceMap, clearances_at, free_distances
+from uav_recon.motion.clearance import ClearanceMap, clearances_at, coarse_clearances_at, free_distances
 from uav_recon.motion.elastic_band import SPAN_M, SPAN_S, ElasticBand
 from uav_recon.motion.initial_state import InitialState
 from uav_recon.motion.node_speed_limits import CurveNodes, NodeLimits, node_speed_limits
@@ -31,6 +31,8 @@ from uav_recon.types.trajectory import Trajectory
 
 OPEN_M = 0.3  # full speed where the clearance exceeds the planning clearance by this
 SPREAD_M = 0.2  # the speed limit of a tight place applies this far before and behind it: smoothing mixes neighbours
+PASSAGE_MPS = 0.3  #: brake: speed where only a fine map shows enough clearance
+TIGHT_LESS_M = 0.02  # clearance below the planning distance from which on that is so
 RUN_ON_MPS = 0.2  #: brake: the speed limit of run_on_s is never lower: a vehicle has to make progress
 SHARE = 0.97  # share of the acceleration limits: the rest covers the distance between nodes ...
 FULL = 0.995  # ... and share of the speed limits
@@ -189,6 +191,11 @@ class TrajectoryGenerator:
         node_clearance_m = np.full(len(cap), np.inf)
         if clearance_map is not None:
             clearances_at(clearance_map, curve.place, node_clearance_m)
+            if len(clearance_map.fine_frame):
+                coarse_m = np.empty(len(cap))
+                coarse_clearances_at(clearance_map, curve.place, coarse_m)
+                tight = _within(curve.along_m, curve.along_m[coarse_m < self.clearance_m - TIGHT_LESS_M], SPREAD_M)
+                max_speed_mps = np.where(tight, np.minimum(max_speed_mps, PASSAGE_MPS), max_speed_mps)
         nodes = CurveNodes(
             slope=curve.slope, along_m=curve.along_m, node_clearance_m=node_clearance_m, max_speed_mps=max_speed_mps,
             view_node=band.view_node, per_span=PER_SPAN,
@@ -265,6 +272,8 @@ class TrajectoryGenerator:
         bent = slope + FEEDFORWARD_OVERSHOOT_S * np.sqrt(fastest_x) * across
         far_m = (self.speed + FEEDFORWARD_OVERSHOOT_S * self.acceleration) * self.run_on_s
         min_m = self.hull_m + 0.5 * clearance_map.resolution_m  # to the voxel's side
+        finer_m = 0.5 * (clearance_map.resolution_m - clearance_map.fine_resolution_m)
+        clearance_map = clearance_map._replace(fine_credit_m=finer_m)
         max_speed_mps = np.full(len(slope), np.inf)
         for heading in (slope, bent):
             way_m = np.full(len(slope), far_m)
@@ -299,3 +308,13 @@ class TrajectoryGenerator:
             begin_m = float(end_m)
         on_the_way_s = np.interp(on_the_way_m, curve.along_m, times)
         return TrajectorySamples(going_on + change, np.sort(np.concatenate((on_the_way_s, reached_s))) + lead_s)
+
+
+def _within(along_m: FloatArray, places_m: FloatArray, reach_m: float) -> BoolArray:
+    """Return a mask (M,) of the lengths along a path that are near one of others (K,)."""
+    if not len(places_m):
+        return np.zeros(len(along_m), dtype=np.bool_)
+    after = np.clip(np.searchsorted(places_m, along_m), 1, len(places_m)) - 1
+    before = np.minimum(after + 1, len(places_m) - 1)
+    nearest: BoolArray = np.minimum(np.abs(along_m - places_m[after]), np.abs(along_m - places_m[before])) <= reach_m
+    return nearest

@@ -41,6 +41,10 @@ def suited_to_path(
     """
     suited = []
     for view, leg in zip(views, legs, strict=True):
+        if not len(view.expected_voxels):
+            yaw_rad = view.task.viewpoint.yaw_rad
+            suited.append(view)
+            continue
         yaw_rad = _on_arrival(leg, yaw_rad)
         low_rad, high_rad = _range(view, lens, shape)
         best_rad = view.task.viewpoint.yaw_rad

@@ -26,6 +26,8 @@ from uav_recon.planning.frontier import rejection_counts
 from uav_recon.planning.frontier.frontier_views import LOW, FrontierViews
 from uav_recon.planning.frontier.frontiers import Frontiers, fence_box
 from uav_recon.planning.frontier.rejection_counts import count_rejected_frontiers
+from uav_recon.planning.passages import passages
+from uav_recon.planning.passages.passages import Passages
 from uav_recon.planning.paths import segments
 from uav_recon.planning.paths.path_cache import PathCache
 from uav_recon.planning.place_sight import PlaceSight
@@ -54,6 +56,7 @@ TOY_CAMERA = CameraGeometry(1.5, 1.0, np.zeros(3), -1.0, 1.0, 4.5)  # for warm_u
 TOY_CONFIG = PlannerConfig(clearance_m=0.3)
 MIN_UNKNOWN_VOXELS = 25  # voxels beyond the frontier that a last view must promise: a gap in a surface has fewer
 MIN_VISIBLE_SHARE = 0.4  # of planner.min_visible: surface elements that a last view must show
+SEARCH_LESS_M = 0.045  # clearance below that of a passage at which its fine map is wanted: voxels may show this much less
 SAME_SHARE = 0.5  # a task is dropped if the committed view settles this share of its voxels
 
 
@@ -64,11 +67,12 @@ class ViewPlanner:
     paths, in the same order, give the same results.
 
     fence_min_m, fence_max_m: (3,) corners in world of the box to be explored.
-    fence_inset_m: distance that the body keeps from the sides of the box.
+    fence_inset_m: distance that the body keeps from the sides of the box, (3,) or the same along each axis.
     travel_time_model: predicts the travel time of a path.
     timer: returns seconds; read only to fill task_s and step_s.
+    passage_m: clearance that the body needs in a narrow passage, as measured in fine maps; None = it uses none.
 
-    Public attributes, for NarrowPassagePlanner: config (with all values of the preset), camera (as the variant uses its
+    Public attributes, for FallbackPlanner: config (with all values of the preset), camera (as the variant uses its
     mount), and space, frontiers and visited in the state of the last request.
     """
 
@@ -82,11 +86,14 @@ class ViewPlanner:
         camera: CameraGeometry,
         travel_time_model: TravelTimeModel,
         timer: Callable[[], float] = time.perf_counter,
-        fence_inset_m: float | None = None,
+        fence_inset_m: float | FloatArray | None = None,
+        passage_m: float | None = None,
     ) -> None:
         self.fence_m = np.asarray(fence_min_m, dtype=np.float64), np.asarray(fence_max_m, dtype=np.float64)
         self.config = config = derived(config, *self.fence_m, camera)
         self._inset_m = config.clearance_m if fence_inset_m is None else fence_inset_m
+        self._passage_m = passage_m
+        self._passages: Passages | None = None
         self._travel_time_model = travel_time_model
         self._timer = timer
         self._variant = variant(config.variant, config)
@@ -174,7 +181,8 @@ class ViewPlanner:
         )
         committed = self._committed(context, request)
         sight = None if request.cells is None else PlaceSight(request.cells, self.camera)
-        shown, blind = self._shown(sight, self._not_refused(generated.proposals))
+        looks = [] if self._passages is None else self._passages.looks(context)
+        shown, blind = self._shown(sight, self._not_refused([*generated.proposals, *looks]))
         tasks = _drop_duplicate_tasks(committed, shown)
         tasks_made_s = self._timer()
         order, dropped = self._order(context, request, tasks, len(committed))
@@ -212,6 +220,11 @@ class ViewPlanner:
         newest = require_kind("voxels", voxels, VoxelMap, "OccupancyMapper.map")
         return self.plan(PlanRequest(newest, surface, pose.translation_m, pose.yaw_rad(), views))
 
+    @property
+    def fine_places(self) -> tuple[FloatArray, ...]:
+        """See interfaces.Planner."""
+        return () if self._passages is None else self._passages.places
+
     def accept(self, path: ViewPath) -> None:
         """Store what the views of a path made by plan() should settle."""
         if self._newest_path is not None and self._newest_path[0] is path:
@@ -246,8 +259,11 @@ class ViewPlanner:
         frame = (voxels.grid.shape, voxels.grid.resolution_m, *voxels.grid.origin_world_m.tolist())
         if frame != self._frame:
             self._frame = frame
-            self.space = FlyableSpace(voxels.grid, self.config.clearance_m, *self._box(voxels.grid, self._inset_m))
+            self.space = FlyableSpace(
+                voxels.grid, self.config.clearance_m, *self._box(voxels.grid, self._inset_m), voxels.heights
+            )
             self._path_cache = PathCache(self.space)
+            self._passages = self._new_passages(voxels)
         self.frontiers.mark_changed(self.view_history.evaluate_flown_views(request))
         self.frontiers.update(voxels, *self._box(voxels.grid, 0.0), self.view_history.exhausted)
         if request.views_left <= 0:
@@ -256,7 +272,20 @@ class ViewPlanner:
         exit_cells = self.space.locate_vehicle(request.position_world)
         if exit_cells is None:
             return Reason(ReasonCode.START_NOT_FREE)
+        if self._passages is not None and self._passages.update(request):
+            self.space.update(voxels)
+            exit_cells = self.space.locate_vehicle(request.position_world)
+            if exit_cells is None:
+                return Reason(ReasonCode.START_NOT_FREE)
         return PlanningContext(voxels, self.space, exit_cells, request.position_world)
+
+    def _new_passages(self, voxels: VoxelMap) -> Passages | None:
+        """Return the passages of a new map, None if narrow passages are not used."""
+        if self._passage_m is None or not self.explores:
+            return None
+        clearance_m = self._passage_m - SEARCH_LESS_M
+        tight = FlyableSpace(voxels.grid, clearance_m, *self._box(voxels.grid, self._inset_m), voxels.heights)
+        return Passages(self.space, tight, self._passage_m, self.camera)
 
     def _committed(self, context: PlanningContext, request: PlanRequest) -> list[CandidateView]:
         """Return the view being flown to, if it is still worth it, else an empty list.
@@ -298,7 +327,8 @@ class ViewPlanner:
 
     def _legs(self, nodes: list[int]) -> tuple[FloatArray, ...]:
         """Return the waypoints (N, 3) of the leg to each node of a tour."""
-        return tuple(self._path_cache.path_world(i, j) for i, j in zip([0, *nodes[:-1]], nodes, strict=True))
+        legs = (self._path_cache.path_world(i, j) for i, j in zip([0, *nodes[:-1]], nodes, strict=True))
+        return tuple(legs if self._passages is None else map(self._passages.along, legs))
 
     def _turned_to_path(
         self, request: PlanRequest, views: list[CandidateView], nodes: list[int], committed: int, sight: PlaceSight | None
@@ -356,7 +386,7 @@ class ViewPlanner:
             return Reason(ReasonCode.NO_FRONTIERS_LEFT, details=tuple(details))
         return Reason(ReasonCode.FRONTIERS_LEFT, (total,), tuple(details))
 
-    def _box(self, grid: GridSpec, inset_m: float) -> tuple[IntArray, IntArray]:
+    def _box(self, grid: GridSpec, inset_m: float | FloatArray) -> tuple[IntArray, IntArray]:
         return fence_box(grid, self.fence_m[0] + inset_m, self.fence_m[1] - inset_m)
 
     def _nothing(self, reason: Reason, start_s: float, tasks_made_s: float) -> NothingLeft:
@@ -398,7 +428,7 @@ def warm_up_frontiers() -> None:
 
 def warm_up_paths() -> None:
     """Compile the kernels of flyable space, paths, tours and gains: another third."""
-    for module in (traversal, segments, space, atsp, travel_time, view_history, gain_field, rejection_counts):
+    for module in (traversal, segments, space, atsp, travel_time, view_history, gain_field, rejection_counts, passages):
         module.warm_up()
 
 

@@ -15,6 +15,35 @@ TILE = 8  # columns along x and y of a tile, the unit in which changes of a map 
 LARGEST_DISTANCE_VOXELS = 15  # its square fits a byte
 
 
+@dataclass(frozen=True, slots=True)
+class HeightMeasure:
+    """Measure of the vertical part of a distance, for distances of a flat body.
+
+    half_voxels: half of the body's height, which does not count. slope: factor on the rest, at least 1: a body needs less
+    clearance above and below than its radius and its clearance at the sides.
+    """
+
+    half_voxels: float = 0.0
+    slope: float = 1.0
+
+    def squares(self, voxels: IntArray) -> IntArray:
+        """Return the squared distances (N,) of numbers of voxels (N,) along z.
+
+        They are rounded down, and 0 only for 0.
+        """
+        counted = self.slope * np.maximum(voxels - self.half_voxels, 0.0)
+        squares: IntArray = np.maximum(np.floor(counted**2 + 1e-9), voxels > 0).astype(np.int64)
+        return squares
+
+    @property
+    def weight(self) -> float:
+        """Squared factor by which a distance changes at most along z, of its change along x."""
+        return self.slope**2
+
+
+EUCLIDEAN = HeightMeasure()
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class GridSpec:
     """A voxel grid in C order (x, y, z).
@@ -62,6 +91,8 @@ class VoxelMap:
     Unknown is not free.
     tile_revision: (ceil(nx / TILE), ceil(ny / TILE)) int64, the revision at which anything in a tile of TILE x TILE columns
     last changed. A reader that knows an older revision of this map only has to read the changed tiles.
+    heights: how the vertical part of these distances counts.
+    fine: maps of a higher resolution of places in this map, all of one shape.
     """
 
     grid: GridSpec
@@ -70,6 +101,8 @@ class VoxelMap:
     tile_revision: IntArray
     revision: int
     map_epoch: int = 0
+    heights: HeightMeasure = EUCLIDEAN
+    fine: tuple[VoxelMap, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "state", frozen(np.asarray(self.state, dtype=np.uint8)))
@@ -77,10 +110,18 @@ class VoxelMap:
         object.__setattr__(self, "tile_revision", frozen(np.asarray(self.tile_revision, dtype=np.int64)))
 
     @staticmethod
-    def whole(grid: GridSpec, state: ByteArray, distance2: ByteArray, revision: int, map_epoch: int = 0) -> VoxelMap:
+    def whole(
+        grid: GridSpec,
+        state: ByteArray,
+        distance2: ByteArray,
+        revision: int,
+        map_epoch: int = 0,
+        heights: HeightMeasure = EUCLIDEAN,
+    ) -> VoxelMap:
         """Return a map in which every tile has the map's own revision."""
         tiles = (-(-grid.shape[0] // TILE), -(-grid.shape[1] // TILE))
-        return VoxelMap(grid, state, distance2, np.full(tiles, revision, dtype=np.int64), revision, map_epoch)
+        dated = np.full(tiles, revision, dtype=np.int64)
+        return VoxelMap(grid, state, distance2, dated, revision, map_epoch, heights)
 
     def changed_tiles(self, since_revision: int) -> IntArray:
         """Return the tiles (N, 2) that changed after a revision of the same map epoch.

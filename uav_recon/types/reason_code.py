@@ -474,7 +474,6 @@ class ReasonCode(str, Enum):
         "start-not-free", "no known-free path from here",
         "the vehicle is in space that is not known free, with no known-free path to where it may fly",
     )  # fmt: skip
-    IN_NARROW_PASSAGE = "in-narrow-passage", "in a narrow passage nothing else is begun"
     FRONTIERS_LEFT = "frontiers-left", "{0:d} frontiers left", "", (9999,)  # details: counts
     NO_FRONTIERS_LEFT = "no-frontiers-left", "no frontiers left"
     FRONTIERS_TOO_SMALL = "frontiers-too-small", "{0:d} too small", "", (9999,)

@@ -8,7 +8,7 @@ from scipy import ndimage
 
 from uav_recon.mapping.occupancy.distance_field import CHUNK, DistanceField, distance2_to_not_free, warm_up
 from uav_recon.types.frames import ByteArray, FloatArray
-from uav_recon.types.maps import FREE, OCCUPIED, TILE, UNKNOWN
+from uav_recon.types.maps import FREE, OCCUPIED, TILE, UNKNOWN, HeightMeasure
 
 
 def by_scipy(state: ByteArray, reach: int) -> FloatArray:
@@ -89,3 +89,17 @@ def test_is_fast_enough_to_be_recomputed_in_full() -> None:
         distance2_to_not_free(state, 11)
         took_s.append(time.perf_counter() - began_s)
     assert min(took_s) < 0.02  # 1-2 ms on an idle core; this only catches a lost optimisation
+
+
+@pytest.mark.parametrize("heights", [HeightMeasure(1.0, 2.29), HeightMeasure(0.0, 1.5), HeightMeasure(1.5, 2.4)])
+def test_heights_count_as_the_measure_says(heights: HeightMeasure) -> None:
+    rng, reach = np.random.default_rng(3), 9
+    state = np.where(rng.random((14, 13, 12)) < 0.004, OCCUPIED, FREE).astype(np.uint8)
+    padded = np.pad(state == FREE, reach)  # what is outside is not free
+    blocked, cells = np.argwhere(~padded), np.argwhere(state == FREE)
+    apart = np.abs(cells[:, None] + reach - blocked)
+    squared = apart[..., 0] ** 2 + apart[..., 1] ** 2 + heights.squares(apart[..., 2])
+    expected = np.minimum(squared.min(axis=1), reach**2)
+    found = distance2_to_not_free(state, reach, heights)
+    np.testing.assert_array_equal(found[tuple(cells.T)], expected)
+    assert not found[state != FREE].any()

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from uav_recon.planning.free_space.flyable_space import FlyableSpace
+from uav_recon.mapping.occupancy.distance_field import distance2_to_not_free
+from uav_recon.planning.free_space.flyable_space import FlyableSpace, height_measure
 from uav_recon.planning.paths.segments import segment_is_open
 from uav_recon.types.frames import ByteArray, IntArray
 from uav_recon.types.maps import FREE, OCCUPIED, TILE, UNKNOWN, GridSpec, VoxelMap
@@ -198,3 +199,48 @@ def test_a_map_of_another_grid_is_refused() -> None:
     space = FlyableSpace(world.grid, 0.35, np.zeros(3, dtype=np.int64), np.array(world.grid.shape))
     with pytest.raises(ValueError, match="shape"):
         space.update(ChangingMap((20, 20, 21)).voxels())
+
+
+@pytest.mark.parametrize(("radius_m", "height_m"), [(0.2, 0.2), (0.35, 0.25)])
+def test_a_flat_body_keeps_its_clearance_in_every_direction(radius_m: float, height_m: float) -> None:
+    """A body at the centre of a flyable voxel, against the nearest point of every voxel that is not free."""
+    rng, margin_m = np.random.default_rng(2), 0.12
+    clearance_m = radius_m + 0.2
+    heights = height_measure(clearance_m, height_m / 2, margin_m, RESOLUTION_M)
+    state = np.where(rng.random((50, 50, 30)) < 0.0008, OCCUPIED, FREE).astype(np.uint8)
+    grid = GridSpec(np.zeros(3), RESOLUTION_M, (50, 50, 30))
+    voxels = VoxelMap.whole(grid, state, distance2_to_not_free(state, 11, heights), 1, heights=heights)
+    space = FlyableSpace(grid, clearance_m, np.zeros(3, dtype=np.int64), np.array(grid.shape), heights)
+    space.update(voxels)
+    cells, blocked = np.argwhere(space.mask[1:-1, 1:-1, 1:-1]), np.argwhere(state != FREE)
+    apart_m = np.maximum(np.abs(cells[:, None] - blocked) - 0.5, 0.0) * RESOLUTION_M
+    beside_m = np.maximum(np.hypot(apart_m[..., 0], apart_m[..., 1]) - radius_m, 0.0)
+    above_m = np.maximum(apart_m[..., 2] - height_m / 2, 0.0)
+    least_m = np.hypot(beside_m, above_m).min()
+    assert 0.1 <= least_m <= 0.2
+    usual = FlyableSpace(grid, clearance_m, np.zeros(3, dtype=np.int64), np.array(grid.shape))
+    usual.update(VoxelMap.whole(grid, state, distance2_to_not_free(state, 11), 1))
+    assert space.mask.sum() > 1.2 * usual.mask.sum()  # and flies where a ball of its radius would not
+
+
+def test_opened_voxels_are_flyable_while_they_are_free() -> None:
+    world = ChangingMap((20, 20, 12))
+    world.paint(np.zeros(3, dtype=int), np.array([20, 20, 12]), FREE)
+    world.paint(np.array([9, 0, 0]), np.array([11, 20, 12]), OCCUPIED)
+    world.paint(np.array([9, 8, 0]), np.array([11, 13, 12]), FREE)
+    space = FlyableSpace(world.grid, 0.3, np.zeros(3, dtype=np.int64), np.array(world.grid.shape))
+    space.update(world.voxels())
+    here, beyond = world.grid.centre(np.array([4, 10, 6])), (16, 11, 7)
+    assert space.locate_vehicle(here) is not None
+    assert not space.reachable[beyond]
+    way = np.array([np.ravel_multi_index((i, 11, 7), space.mask.shape) for i in range(6, 16)])
+    space.set_opened(way)
+    space.update(world.voxels())
+    assert space.reachable[beyond] and space.reachable.ravel()[way].all()
+    world.paint(np.array([9, 8, 0]), np.array([11, 13, 12]), OCCUPIED)  # a door closes
+    space.update(world.voxels())
+    assert not space.reachable[beyond]
+    world.paint(np.array([9, 8, 0]), np.array([11, 13, 12]), FREE)
+    space.set_opened(np.zeros(0, dtype=np.int64))
+    space.update(world.voxels())
+    assert not space.reachable[beyond]

@@ -1,9 +1,9 @@
-"""Incremental exact Euclidean distance to the nearest voxel that is not known free.
+"""Incremental exact distance to the nearest voxel that is not known free.
 
-Separable (Saito and Toriwaki 1994: D(p) = min over q of D(q) + (p - q)²): along z and y in one plane of constant x, then
-along x. The distances within each plane are stored. A change therefore recomputes its own planes, and of the other planes
-only those within reach and only the interval of rows that really differ. Distances are capped at the reach. All loops are
-flat over (y, z) in bytes: a shift along y is an offset.
+It is Euclidean, or heights count more, see VoxelMap.heights. Separable (Saito and Toriwaki 1994: D(p) = min over q of
+D(q) + (p - q)²): along z and y in one plane of constant x, then along x. The distances within each plane are stored. A change
+therefore recomputes its own planes, and of the other planes only those within reach and only the interval of rows that really
+differ. Distances are capped at the reach. All loops are flat over (y, z) in bytes: a shift along y is an offset.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 
 from uav_recon.geometry.jit import kernel
 from uav_recon.types.frames import AnyArray, ByteArray, IntArray
-from uav_recon.types.maps import FREE, LARGEST_DISTANCE_VOXELS, TILE
+from uav_recon.types.maps import EUCLIDEAN, FREE, LARGEST_DISTANCE_VOXELS, TILE, HeightMeasure
 
 CHUNK = 64  # bytes; flat loops run over whole chunks and need no tail loop
 
@@ -24,6 +24,7 @@ class FieldMemory(NamedTuple):
 
     first, last: (nx,) the rows [first, last) of each plane of constant x that may have changed.
     border: (ny * nz + CHUNK,) distance to the nearer end of the voxel's column along z, at most the reach.
+    heights2: (reach + 1,) squared distance of each number of voxels along z.
     outside: (ny * nz + CHUNK,) a plane of voxels that are not free.
     planes: (nx * ny * nz + CHUNK,) squared distance within each plane of constant x.
     scratch: (3, ...) work arrays of one plane.
@@ -32,6 +33,7 @@ class FieldMemory(NamedTuple):
     first: IntArray
     last: IntArray
     border: ByteArray
+    heights2: ByteArray
     outside: ByteArray
     planes: ByteArray
     scratch: ByteArray
@@ -40,10 +42,10 @@ class FieldMemory(NamedTuple):
 class DistanceField:
     """Updates the squared distances of a map where its state changed."""
 
-    def __init__(self, shape: tuple[int, int, int], reach: int) -> None:
+    def __init__(self, shape: tuple[int, int, int], reach: int, heights: HeightMeasure = EUCLIDEAN) -> None:
         """Start with a grid (nx, ny, nz) without free voxels.
 
-        reach: distance cap in voxels, 1 to LARGEST_DISTANCE_VOXELS, else ValueError.
+        reach: distance cap in voxels, 1 to LARGEST_DISTANCE_VOXELS, else ValueError. heights: see VoxelMap.
         """
         if not 0 < reach <= LARGEST_DISTANCE_VOXELS:
             raise ValueError(f"reach {reach}: want 1 to {LARGEST_DISTANCE_VOXELS} voxels")
@@ -58,6 +60,7 @@ class DistanceField:
             first=self.first,
             last=self.last,
             border=np.resize(border, ny * nz + CHUNK),
+            heights2=np.minimum(heights.squares(np.arange(reach + 1)), reach**2).astype(np.uint8),
             outside=np.zeros(ny * nz + CHUNK, dtype=np.uint8),
             planes=np.zeros(nx * ny * nz + CHUNK, dtype=np.uint8),
             scratch=np.zeros((3, (ny + 2 * LARGEST_DISTANCE_VOXELS) * nz + 3 * CHUNK), dtype=np.uint8),
@@ -76,15 +79,15 @@ class DistanceField:
         _update(state, self._shape, self._reach, self._memory, distance2, tile_revision, revision)
 
 
-def distance2_to_not_free(state: ByteArray, reach: int) -> ByteArray:
+def distance2_to_not_free(state: ByteArray, reach: int, heights: HeightMeasure = EUCLIDEAN) -> ByteArray:
     """Return the SQUARED distance in voxels from each voxel to the nearest that is not FREE.
 
     Distances are measured between voxel centres. state: (nx, ny, nz) uint8. Returns (nx, ny, nz) uint8, exact below reach²
     and reach² from there on; 0 in voxels that are not free. Voxels outside the grid are not free. reach: at most
-    LARGEST_DISTANCE_VOXELS, else ValueError.
+    LARGEST_DISTANCE_VOXELS, else ValueError. heights: see VoxelMap.
     """
     nx, ny, nz = state.shape
-    field, distance2 = DistanceField((nx, ny, nz), reach), np.zeros(state.size + CHUNK, dtype=np.uint8)
+    field, distance2 = DistanceField((nx, ny, nz), reach, heights), np.zeros(state.size + CHUNK, dtype=np.uint8)
     field.invalidate_all()
     tiles = np.zeros((-(-nx // TILE), -(-ny // TILE)), dtype=np.int64)
     field.update(np.ascontiguousarray(state).reshape(-1), distance2, tiles, 1)
@@ -97,12 +100,12 @@ def warm_up() -> None:
 
 
 @kernel
-def _along_z(states: AnyArray, border: AnyArray, reach: int, now: AnyArray, then: AnyArray) -> None:
+def _along_z(states: AnyArray, border: AnyArray, heights2: AnyArray, reach: int, now: AnyArray, then: AnyArray) -> None:
     """Compute the squared distance along z for whole columns into now[CHUNK:].
 
-    states: flat; then: scratch; border: distance to the ends of the voxel's own column, beyond which nothing is free. A
-    shift can reach into the neighbouring column. This does not change the result, because the column end that it crosses is
-    nearer. The bytes beyond the columns do not change the result for the same reason.
+    states: flat; heights2: see FieldMemory; then: scratch; border: distance to the ends of the voxel's own column, beyond
+    which nothing is free. A shift can reach into the neighbouring column. This does not change the result, because the column
+    end that it crosses is nearer. The bytes beyond the columns do not change the result for the same reason.
     """
     size = -(-states.size // CHUNK) * CHUNK
     here, there = now[CHUNK:], then[CHUNK:]
@@ -115,7 +118,7 @@ def _along_z(states: AnyArray, border: AnyArray, reach: int, now: AnyArray, then
             here[n] = there[n]
         shift *= 2
     for n in range(size):
-        here[n] = np.uint8(here[n] * here[n])
+        here[n] = heights2[min(here[n], reach)]
 
 
 @kernel
@@ -193,7 +196,7 @@ def _renew_plane(state: ByteArray, shape: tuple[int, int, int], x: int, reach: i
     best, lines, spare = memory.scratch
     base = (inner - from_row) * nz
     plane = x * ny * nz
-    _along_z(state[plane + inner * nz : plane + outer * nz], memory.border, reach, lines[base:], spare)
+    _along_z(state[plane + inner * nz : plane + outer * nz], memory.border, memory.heights2, reach, lines[base:], spare)
     lines[CHUNK : CHUNK + base] = 0
     lines[CHUNK + (outer - from_row) * nz : CHUNK + (to_row - from_row) * nz] = 0
     size = (high - low) * nz

@@ -26,7 +26,7 @@ from uav_recon.mapping.occupancy.snapshot_pool import SnapshotPool
 from uav_recon.types.camera import Frame, Intrinsics, PosedFrame
 from uav_recon.types.frames import FloatArray, IntArray
 from uav_recon.types.free_cone import FreeCone
-from uav_recon.types.maps import LARGEST_DISTANCE_VOXELS, TILE, GridSpec, VoxelMap
+from uav_recon.types.maps import EUCLIDEAN, LARGEST_DISTANCE_VOXELS, TILE, GridSpec, HeightMeasure, VoxelMap
 from uav_recon.types.pose import Pose
 
 _OCCLUSION_RESET_DEPTH_M = 0.6  # depth reset behind a new obstacle: that of a person or a chair
@@ -60,16 +60,18 @@ class OccupancyMap:
         distance_cap_m: float,
         map_epoch: int = 0,
         pixel_stride: int = 1,
+        heights: HeightMeasure = EUCLIDEAN,
     ) -> None:
         """Start with all voxels unknown.
 
         A voxel whose centre is outside the fence box (world, metres) may be occupied, never free. pixel_stride: use only
-        every pixel_stride-th row and column of the depth.
+        every pixel_stride-th row and column of the depth. heights: of the distances, see VoxelMap.
         """
         self.grid = grid
         self._sensor = sensor
         self._max_range_m = float(max_range_m)
         self._pixel_stride = pixel_stride
+        self._heights = heights
         self._reach = min(int(np.ceil(distance_cap_m / grid.resolution_m)), LARGEST_DISTANCE_VOXELS)
         bounds = (np.array([fence_min_m, fence_max_m]) - grid.origin_world_m) / grid.resolution_m
         self._fence = np.clip(np.ceil(bounds - 0.5 - 1e-9), 0, np.array(grid.shape)).astype(np.int64)
@@ -84,8 +86,8 @@ class OccupancyMap:
         self._known = 0
         self._odds = np.zeros(int(np.prod(self.grid.shape)), dtype=np.int8)
         self._tile_revision = np.full([-(-n // TILE) for n in self.grid.shape[:2]], self._revision, dtype=np.int64)
-        self._distance = DistanceField(self.grid.shape, self._reach)
-        self._snapshots = SnapshotPool(self.grid, self._revision)
+        self._distance = DistanceField(self.grid.shape, self._reach, self._heights)
+        self._snapshots = SnapshotPool(self.grid, self._revision, self._heights)
         self._snapshot: VoxelMap | None = None
 
     @property

@@ -10,7 +10,7 @@ import numpy as np
 from uav_recon.geometry.jit import kernel
 from uav_recon.mapping.occupancy.distance_field import CHUNK
 from uav_recon.types.frames import AnyArray, ByteArray, IntArray
-from uav_recon.types.maps import TILE, GridSpec, VoxelMap
+from uav_recon.types.maps import EUCLIDEAN, TILE, GridSpec, HeightMeasure, VoxelMap
 
 
 class SnapshotBuffer:
@@ -33,8 +33,9 @@ class SnapshotPool:
     One owner writes; snapshots may be released in any thread.
     """
 
-    def __init__(self, grid: GridSpec, revision: int) -> None:
-        """Start with one buffer, all unknown, at a revision."""
+    def __init__(self, grid: GridSpec, revision: int, heights: HeightMeasure = EUCLIDEAN) -> None:
+        """Start with one buffer, all unknown, at a revision. heights: see VoxelMap."""
+        self._heights = heights
         self._grid = grid
         self._blank_revision = revision
         self._size = int(np.prod(grid.shape))
@@ -63,7 +64,7 @@ class SnapshotPool:
         view = np.asarray(_BufferOwner(canvas, (2, *self._grid.shape)))
         dated = tile_revision.copy()
         dated.setflags(write=False)
-        return VoxelMap(self._grid, view[0], view[1], dated, revision, map_epoch)
+        return VoxelMap(self._grid, view[0], view[1], dated, revision, map_epoch, self._heights)
 
     def _free(self) -> SnapshotBuffer:
         """Return the newest buffer without a snapshot in use, or a blank one.

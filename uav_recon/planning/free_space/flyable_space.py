@@ -13,7 +13,7 @@ from uav_recon.planning.free_space.reachability import ReachableSpace
 from uav_recon.planning.free_space.subvoxel_clearance import make_clearance_box
 from uav_recon.planning.free_space.voxel_blocks import EDGE
 from uav_recon.types.frames import ByteArray, FloatArray, IntArray
-from uav_recon.types.maps import FREE, TILE, GridSpec, VoxelMap
+from uav_recon.types.maps import EUCLIDEAN, FREE, TILE, GridSpec, HeightMeasure, VoxelMap
 
 NEVER = 256  # larger than any squared distance stored in a byte
 MAX_OPEN_SAMPLES = 12
@@ -21,15 +21,30 @@ CONFINED_M = 1.5  # along each axis from the vehicle: if there are fewer reachab
 CONFINED_M3 = 1.5  # ... this, it is confined
 
 
+def needed_distance2(clearance_m: float, resolution_m: float) -> int:
+    """Return the least squared distance in voxels for a clearance to the sides of voxels."""
+    return int(min(math.ceil((clearance_m / resolution_m + 0.5 - 1e-3) ** 2), NEVER))
+
+
+def height_measure(clearance_m: float, half_height_m: float, above_m: float, resolution_m: float) -> HeightMeasure:
+    """Return the measure of heights that gives a body less clearance above and below.
+
+    clearance_m: from the body's centre. half_height_m: of the body. above_m: clearance above and below it.
+    """
+    half = half_height_m / resolution_m
+    above = math.ceil((half_height_m + above_m) / resolution_m + 0.5 - 1e-3)
+    return HeightMeasure(half, max(math.sqrt(needed_distance2(clearance_m, resolution_m)) / (above - half), 1.0))
+
+
 class MapArrays(NamedTuple):
     """The arrays of a VoxelMap that the space depends on.
 
-    state, distance2: (nx, ny, nz). tile_revision: (tiles along x, along y).
+    state, distance2: (nx, ny, nz). tiles: (N, 2) the tiles to read.
     """
 
     state: ByteArray
     distance2: ByteArray
-    tile_revision: IntArray
+    tiles: IntArray
 
 
 class ClearanceRule(NamedTuple):
@@ -48,9 +63,11 @@ class SpaceArrays(NamedTuple):
     """Arrays of a FlyableSpace that an update writes; see there.
 
     blocks_shape: (3,) of the blocks of ``reachable_space``. changed: (blocks,) output, the changed blocks, each once.
+    opened: shape of the mask, 1 = flyable without the clearance, where it is known free.
     """
 
     mask: ByteArray
+    opened: ByteArray
     known_free: ByteArray
     open_samples: ByteArray
     mask_revision: IntArray
@@ -71,28 +88,31 @@ class FlyableSpace:
     open_samples: the same shape, for lines through the mask, see ``segment_is_open``. 0 where the mask is 0, else 1 + the
         number of following samples that the distance field shows to be open for every direction of the line. Lines begin
         and end in the mask, so they never leave the box.
-    clearance_box: (7,) clearance box for positions off a voxel centre, see ``make_clearance_box``.
+    clearance_box: (9,) clearance box for positions off a voxel centre, see ``make_clearance_box``.
     revision: increases with each change of mask or reachable.
     mask_revision, reachable_revision: (tiles along x, along y), the revision at which a tile of TILE x TILE columns last
         changed.
     block_revision: the same for the mask in the blocks of ``reachable_space``.
     """
 
-    def __init__(self, grid: GridSpec, clearance_m: float, low: IntArray, high: IntArray) -> None:
+    def __init__(
+        self, grid: GridSpec, clearance_m: float, low: IntArray, high: IntArray, heights: HeightMeasure = EUCLIDEAN
+    ) -> None:
         """Create an empty space: no voxel is known free.
 
-        Half a voxel is added to the clearance, because the distance field measures to a voxel's centre and an obstacle may
-        extend to its near face.
+        heights: of the map's distances, see VoxelMap. Half a voxel is added to the clearance, because the distance field
+        measures to a voxel's centre and an obstacle may extend to its near face.
         """
         self.grid = grid
-        needed2 = int(min(np.ceil((clearance_m / grid.resolution_m + 0.5 - 1e-3) ** 2), NEVER))
-        needed = math.sqrt(needed2) + math.sqrt(3.0)  # twice the distance from a point to its voxel's centre
+        needed2 = needed_distance2(clearance_m, grid.resolution_m)
+        needed = math.sqrt(needed2) + math.sqrt(2.0 + heights.weight)  # twice the distance from a point to its voxel's centre
+        step = 0.5 * heights.slope
         open_samples2 = np.array(
-            [min(math.ceil((needed + 0.5 * n) ** 2), NEVER) for n in range(1, MAX_OPEN_SAMPLES)], dtype=np.int64
+            [min(math.ceil((needed + step * n) ** 2), NEVER) for n in range(1, MAX_OPEN_SAMPLES)], dtype=np.int64
         )
         box = np.array([np.clip(low, 0, grid.shape), np.clip(high, 0, grid.shape)], dtype=np.int64)
         self._rule = ClearanceRule(box=box, needed2=needed2, open_samples2=open_samples2)
-        self.clearance_box = make_clearance_box(grid.shape, box[0], box[1], needed2)
+        self.clearance_box = make_clearance_box(grid.shape, box[0], box[1], needed2, heights)
         self._escape = EscapePath(grid.resolution_m)
         self._start()
 
@@ -106,9 +126,12 @@ class FlyableSpace:
         self.reachable_revision: IntArray = self.reachable_space.tile_revision
         self.mask_revision = np.zeros_like(self.reachable_revision)
         self.block_revision = np.zeros(len(self.reachable_space.blocks.counts), dtype=np.int64)
+        self._opened = np.zeros_like(self.mask)
+        self._reopened = np.zeros(self.mask_revision.shape, dtype=np.bool_)  # tiles whose opened voxels changed
         self._arrays = SpaceArrays(
-            mask=self.mask, known_free=self.known_free, open_samples=self.open_samples, mask_revision=self.mask_revision,
-            block_revision=self.block_revision, blocks_shape=self.reachable_space.blocks.shape,
+            mask=self.mask, opened=self._opened, known_free=self.known_free, open_samples=self.open_samples,
+            mask_revision=self.mask_revision, block_revision=self.block_revision,
+            blocks_shape=self.reachable_space.blocks.shape,
             changed=np.empty(len(self.reachable_space.blocks.counts), dtype=np.int64),
         )  # fmt: skip
         self.revision = 0
@@ -129,11 +152,28 @@ class FlyableSpace:
             self.mask_revision.fill(self.revision)
         since = self._seen[1] if voxels.map_epoch == self._seen[0] else -1
         self._seen = (voxels.map_epoch, voxels.revision)
-        arrays = MapArrays(state=voxels.state, distance2=voxels.distance2, tile_revision=voxels.tile_revision)
-        count = _renew(arrays, since, self._rule, self._arrays, self.revision + 1)
+        tiles = np.ascontiguousarray(np.argwhere((voxels.tile_revision > since) | self._reopened))
+        self._reopened.fill(False)
+        arrays = MapArrays(state=voxels.state, distance2=voxels.distance2, tiles=tiles)
+        count = _renew(arrays, self._rule, self._arrays, self.revision + 1)
         if count:
             self.revision += 1
             self.reachable_space.update(self.mask, self._arrays.changed[:count], self.revision)
+
+    def set_opened(self, flat: IntArray) -> None:
+        """Set the voxels that are flyable without the clearance, where they are known free.
+
+        flat: (N,) PADDED indices. A finer map has shown that the body fits there. They replace those of the last call. The next
+        update() applies them.
+        """
+        opened = self._opened.reshape(-1)
+        before = np.flatnonzero(opened)
+        if np.array_equal(before, flat):
+            return
+        opened[before] = 0
+        opened[flat] = 1
+        i, j, _ = np.unravel_index(np.concatenate([before, flat]), self.mask.shape)
+        self._reopened[(i - 1) // TILE, (j - 1) // TILE] = True
 
     def locate_vehicle(self, position_world: FloatArray) -> IntArray | None:
         """Return the flat cells from the vehicle's cell to the nearest flyable one, both included.
@@ -185,20 +225,21 @@ class FlyableSpace:
 
 @kernel
 def _renew(  # noqa: C901, PLR0912
-    voxels: MapArrays, since: int, rule: ClearanceRule, space: SpaceArrays, revision: int
+    voxels: MapArrays, rule: ClearanceRule, space: SpaceArrays, revision: int
 ) -> int:
-    """Update the arrays of a space in the changed tiles; return the number of changed blocks."""
-    state, distance2, tile_revision = voxels
+    """Update the arrays of a space in some tiles; return the number of changed blocks."""
+    state, distance2, tiles = voxels
     box, needed2, open_samples2 = rule
-    mask, known_free, open_samples, mask_revision, block_revision, blocks_shape, changed = space
+    mask, opened, known_free, open_samples, mask_revision, block_revision, blocks_shape, changed = space
     nx, ny, nz = state.shape
     count = 0
     column = np.zeros(nz, dtype=np.uint8)
-    for tile in np.argwhere(tile_revision > since):
+    for tile in tiles:
         for i in range(tile[0] * TILE, min(tile[0] * TILE + TILE, nx)):
             for j in range(tile[1] * TILE, min(tile[1] * TILE + TILE, ny)):
                 states, distances = state[i, j], distance2[i, j]
                 frees, masks, open_counts = known_free[i + 1, j + 1], mask[i + 1, j + 1], open_samples[i + 1, j + 1]
+                exempt = opened[i + 1, j + 1]
                 low, high = box[0, 2], box[1, 2]
                 if i < box[0, 0] or i >= box[1, 0] or j < box[0, 1] or j >= box[1, 1]:
                     high = low
@@ -207,7 +248,8 @@ def _renew(  # noqa: C901, PLR0912
                     frees[k + 1] = column[k]
                 differs = np.uint8(0)
                 for k in range(nz):
-                    column[k] &= np.uint8(distances[k] >= needed2) & np.uint8(k >= low) & np.uint8(k < high)
+                    enough = np.uint8(distances[k] >= needed2) | exempt[k + 1]
+                    column[k] &= enough & np.uint8(k >= low) & np.uint8(k < high)
                     differs |= column[k] ^ masks[k + 1]
                 for k in range(nz):
                     open_counts[k + 1] = column[k]

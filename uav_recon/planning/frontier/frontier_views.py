@@ -37,7 +37,7 @@ class FlyableInterface(ReachableInterface, Protocol):
 
     @property
     def clearance_box(self) -> FloatArray:
-        """Return the clearance box (7,); see subvoxel_clearance.make_clearance_box()."""
+        """Return the clearance box (9,); see subvoxel_clearance.make_clearance_box()."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,7 +189,7 @@ class FrontierViews:
         if not found:
             return []
         best_first = sorted(found, key=lambda row: (-int(self.view_cache.rows.shown[row]), self.view_cache.key[row]))
-        covering = self.view_cache.covering_views(best_first, voxels.distance2, voxels.grid.shape, lens, COVERED_SHARE)
+        covering = self.view_cache.covering_views(best_first, voxels, lens, COVERED_SHARE)
         place = {row: n for n, row in enumerate(found)}
         covering.sort(key=lambda one: place[one[0]])
         return [self._proposal(voxels.grid, row, cells) for row, cells in covering if len(cells) >= self._demand.min_cells]
@@ -244,7 +244,7 @@ def warm_up(config: PlannerConfig, camera: CameraGeometry) -> None:
     distance2.setflags(write=False)
     frontiers, views = Frontiers(), FrontierViews(config, camera)
     mask = np.zeros((42, 32, 22), dtype=np.uint8)
-    clearance_box = np.array([0.0, 0.0, 0.0, 40.0, 30.0, 20.0, 9.0])
+    clearance_box = np.array([0.0, 0.0, 0.0, 40.0, 30.0, 20.0, 9.0, 0.0, 1.0])
     for revision, reachable in enumerate((mask + np.uint8(1), mask)):
         space = _Anywhere(mask + np.uint8(1), reachable, revision, np.full((5, 4), revision, dtype=np.int64), clearance_box)
         voxels = VoxelMap.whole(grid, state, distance2, revision)

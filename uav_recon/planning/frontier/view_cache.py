@@ -12,8 +12,10 @@ from uav_recon.geometry.traversal import first_obstacle
 from uav_recon.planning.camera_frustum import LineOfSight, in_view, sight
 from uav_recon.planning.frontier.view_search import MAX_MOVE_TESTS, SearchScene, best_view
 from uav_recon.planning.frontier.visibility_bound import Int32Array
+from uav_recon.planning.frontier.visibility_rays import Scene
 from uav_recon.planning.view_sampling import ViewShell
 from uav_recon.types.frames import BoolArray, ByteArray, FloatArray, IntArray
+from uav_recon.types.maps import VoxelMap
 
 ROWS = 512  # cached results; the oldest are replaced first
 MAX_BLOCKERS = 2048
@@ -121,9 +123,7 @@ class ViewCache:
         held: list[int] = rows.tolist()
         return held
 
-    def covering_views(
-        self, rows: list[int], distance2: ByteArray, shape: tuple[int, int, int], lens: FloatArray, share: float
-    ) -> list[tuple[int, IntArray]]:
+    def covering_views(self, rows: list[int], voxels: VoxelMap, lens: FloatArray, share: float) -> list[tuple[int, IntArray]]:
         """Return the rows of few views that together show a share of what each view shows.
 
         Those that add most cells come first. Each is given with the flat indices of the cells that it shows and none before it
@@ -131,7 +131,8 @@ class ViewCache:
         """
         places, samples = np.array(rows, dtype=np.int64), self.rows.samples[rows]
         owner = np.full((len(rows), max(1, int(samples.max()))), -1, dtype=np.int64)
-        shows = _visibility(places, distance2.reshape(-1), shape, lens, self.rows, owner.shape[1])
+        scene = (voxels.distance2.reshape(-1), voxels.grid.shape, lens, voxels.heights.weight)
+        shows = _visibility(places, scene, self.rows, owner.shape[1])
         chosen = _greedy_cover(shows, samples, self.rows.shown[rows] / np.maximum(samples, 1), share, owner)
         owners, cells = [], [self.shown_cells[row] for row in rows]
         for n in range(len(rows)):
@@ -239,9 +240,7 @@ def _drop_invalid(  # noqa: C901, PLR0912
 
 
 @kernel
-def _visibility(
-    rows: IntArray, distance2: ByteArray, shape: tuple[int, int, int], lens: FloatArray, results: ViewRows, most: int
-) -> BoolArray:
+def _visibility(rows: IntArray, scene: Scene, results: ViewRows, most: int) -> BoolArray:
     """Return a mask (N, N, most): the view of a row shows a sample of the cells of another.
 
     Of its own cells it shows all.
@@ -249,13 +248,11 @@ def _visibility(
     pose, points, first, samples = results.pose, results.points, results.first, results.samples
     shows = np.zeros((len(rows), len(rows), most), dtype=np.bool_)
     for n in range(len(rows)):
-        line = sight(lens, pose[rows[n], :3], pose[rows[n], 3], pose[rows[n], 4])
+        line = sight(scene[2], pose[rows[n], :3], pose[rows[n], 3], pose[rows[n], 4])
         for other in range(len(rows)):
             row = rows[other]
             for cell in range(samples[row]):
-                shows[n, other, cell] = n == other or _shows(
-                    distance2, shape, lens, line, points[row], first[row, cell], first[row, cell + 1]
-                )
+                shows[n, other, cell] = n == other or _shows(scene, line, points[row], first[row, cell], first[row, cell + 1])
     return shows
 
 
@@ -305,18 +302,17 @@ def _greedy_cover(shows: BoolArray, samples: IntArray, cells: FloatArray, share:
 
 @kernel
 def _shows(
-    distance2: ByteArray,
-    shape: tuple[int, int, int],
-    lens: FloatArray,
+    scene: Scene,
     line: LineOfSight,
     points: FloatArray,
     a: int,
     b: int,
 ) -> bool:
+    distance2, shape, lens, weight = scene
     for m in range(a, b):
         x, y, z = points[m, 0], points[m, 1], points[m, 2]
         if in_view(lens, line, x, y, z) and (
-            first_obstacle(distance2, shape[1], shape[2], x, y, z, line[0], line[1], line[2]) < 0
+            first_obstacle(distance2, shape[1], shape[2], x, y, z, line[0], line[1], line[2], weight) < 0
         ):
             return True
     return False

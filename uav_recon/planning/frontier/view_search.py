@@ -15,7 +15,7 @@ import numpy as np
 from uav_recon.geometry.jit import kernel
 from uav_recon.geometry.rows import copy_row
 from uav_recon.planning.camera_frustum import CAM_X, CAM_Y, aim, look_at, sight
-from uav_recon.planning.free_space.subvoxel_clearance import CLEAR, SIDES2, blocking_voxel
+from uav_recon.planning.free_space.subvoxel_clearance import CLEAR, SIDES2, SLOPE, blocking_voxel
 from uav_recon.planning.frontier.camera_aiming import best_aim, count_in_frustum
 from uav_recon.planning.frontier.visibility_bound import (
     HASH_SIZE,
@@ -64,7 +64,7 @@ class SearchScene(NamedTuple):
     """The map and the space that a search reads, and the camera.
 
     distance2: (nx * ny * nz,) as in VoxelMap. shape: of the map. reachable: raveled, padded by one voxel on all sides.
-    clearance_box: (7,), of the space. lens: see camera_frustum.
+    clearance_box: (9,), of the space. lens: see camera_frustum.
     """
 
     distance2: ByteArray
@@ -117,7 +117,7 @@ def _cast_rays_from(  # noqa: PLR0911
     the view. The number of cells is 0 if it does not exceed ``to_exceed``. No ray is cast if the position could not show more
     than ``best`` even without obstacles.
     """
-    _, shape, lens = scene
+    _, shape, lens, _ = scene
     _, _, targets, centre = cluster
     facing, found, order, directions = work
     _, extents, blockers = record
@@ -181,7 +181,7 @@ def _rank_shell(
     Fills places (P, 3) and bounds (P,). Returns their number, the cells shown, and the numbers of positions tested, of
     blockers and of positions with rays cast.
     """
-    _, shape, lens = scene
+    _, shape, lens, _ = scene
     offsets, ends, quotas = shell
     _, first, targets, centre = cluster
     cells = len(first) - 1
@@ -272,7 +272,7 @@ def _hill_climb(
 
     total: cells shown by the view. Returns the cells shown, positions tested and blockers at the end.
     """
-    distance2, shape, _ = scene
+    distance2, shape, _, _ = scene
     tested_cells, extents, blockers = record
     cells, margin = len(cluster[1]) - 1, math.sqrt(clearance_box[SIDES2])
     hop, direction, steps = 0, 0, 0
@@ -328,7 +328,10 @@ def best_view(  # noqa: C901
     """
     distance2, shape, reachable, clearance_box, lens = space
     cells = len(first) - 1
-    scene, blocker_record = (distance2, shape, lens), (np.zeros(HASH_SIZE, dtype=np.int32), blockers)
+    scene, blocker_record = (
+        (distance2, shape, lens, clearance_box[SLOPE] ** 2),
+        (np.zeros(HASH_SIZE, dtype=np.int32), blockers),
+    )
     targets = distinct_targets(distance2, shape, points, first)
     cluster = (points, first, targets, centre)
     target_count = len(targets[1])

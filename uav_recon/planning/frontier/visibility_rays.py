@@ -15,7 +15,9 @@ from uav_recon.planning.camera_frustum import LineOfSight, in_view, sight
 from uav_recon.planning.frontier.visibility_bound import FITTING, HASH_SIZE, Int32Array, Targets
 from uav_recon.types.frames import BoolArray, ByteArray, Float32Array, FloatArray, IntArray
 
-Scene = tuple[ByteArray, tuple[int, int, int], FloatArray]  # distance2 raveled, its shape, the lens
+Scene = tuple[
+    ByteArray, tuple[int, int, int], FloatArray, float
+]  # distance2 raveled, its shape, the lens, HeightMeasure.weight
 Blockers = tuple[Int32Array, Int32Array]  # blockers: a hash table of them, and the list in order
 # result of the ray to a target
 UNASKED = 0
@@ -110,7 +112,7 @@ def visible_cells(
     order: (N,) order of the cells, changed: recently hidden cells are tested first.
     found: (U,) work array.
     """
-    distance2, shape, _ = scene
+    distance2, shape, _, weight = scene
     centres, _, links, first = targets
     found[:] = UNASKED
     visible, hidden = 0, 0
@@ -124,7 +126,7 @@ def visible_cells(
             asked = True
             if found[u] == UNASKED:
                 x, y, z = float(centres[0, u]), float(centres[1, u]), float(centres[2, u])
-                voxel = first_obstacle(distance2, shape[1], shape[2], x, y, z, line[0], line[1], line[2])
+                voxel = first_obstacle(distance2, shape[1], shape[2], x, y, z, line[0], line[1], line[2], weight)
                 found[u] = CLEAR if voxel < 0 else HIDDEN
                 if voxel >= 0:
                     count = record_blocker(voxel, blockers, count)
@@ -150,7 +152,7 @@ def confirm_visible(
 
     Rays are cast in both directions, because a line through an edge or corner of voxels may be clear in only one of them.
     """
-    distance2, shape, lens = scene
+    distance2, shape, lens, weight = scene
     line = sight(lens, view[:3], view[3], view[4])
     seen = np.zeros(len(first) - 1, dtype=np.bool_)
     for cell in range(len(seen)):
@@ -158,10 +160,10 @@ def confirm_visible(
             x, y, z = points[n, 0], points[n, 1], points[n, 2]
             if not in_view(lens, line, x, y, z):
                 continue
-            voxel = first_obstacle(distance2, shape[1], shape[2], x, y, z, line[0], line[1], line[2])
+            voxel = first_obstacle(distance2, shape[1], shape[2], x, y, z, line[0], line[1], line[2], weight)
             if voxel < 0:
                 own = (int(x) * shape[1] + int(y)) * shape[2] + int(z)
-                voxel = first_obstacle(distance2, shape[1], shape[2], line[0], line[1], line[2], x, y, z)
+                voxel = first_obstacle(distance2, shape[1], shape[2], line[0], line[1], line[2], x, y, z, weight)
                 if voxel < 0 or voxel == own:
                     seen[cell] = True
                     break
