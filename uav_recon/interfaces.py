@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Protocol, TypeVar, runtime_checkable
 
@@ -295,8 +295,8 @@ class OccupancyMapInterface(Protocol):
         """Fuse what a range finder found empty and return the number of voxels that became free."""
         ...
 
-    def refine(self, centre_world: FloatArray) -> None:
-        """Keep a fine map around a position (3,) from now on."""
+    def refine(self, places_world: Sequence[FloatArray]) -> None:
+        """Keep fine maps around positions (3,) from now on."""
         ...
 
     def reset(self, map_epoch: int) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -61,8 +62,8 @@ class OpenSpace:
         self.revision += 1
         return 1
 
-    def refine(self, centre_world: FloatArray) -> None:
-        self.refined.append(centre_world)
+    def refine(self, places_world: Sequence[FloatArray]) -> None:
+        self.refined += places_world
 
     def reset(self, map_epoch: int) -> None:
         self.epoch = map_epoch

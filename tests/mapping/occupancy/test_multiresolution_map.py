@@ -18,8 +18,8 @@ def test_a_fine_map_shows_where_a_wall_is_to_its_own_voxel() -> None:
     world, pose = MultiResolutionMap(voxels(), fine_map), looking(1.0, 0.0, 1.2)
     frame = posed(depth_of_box(pose, *ROOM), pose)
     assert not world.snapshot().fine
-    world.refine(np.array([3.0, 0.0, 1.2]))
-    world.refine(np.array([3.1, 0.1, 1.2]))  # the same place
+    world.refine([np.array([3.0, 0.0, 1.2])])
+    world.refine([np.array([3.1, 0.1, 1.2])])  # the same place
     for _ in range(4):
         world.integrate(frame)
     (fine,) = world.snapshot().fine
@@ -32,7 +32,7 @@ def test_a_fine_map_shows_where_a_wall_is_to_its_own_voxel() -> None:
 def test_a_snapshot_is_the_same_object_until_one_of_its_maps_changes() -> None:
     world, pose = MultiResolutionMap(voxels(), fine_map), looking(1.0, 0.0, 1.2)
     frame = posed(depth_of_box(pose, *ROOM), pose)
-    world.refine(np.array([2.5, 0.0, 1.2]))
+    world.refine([np.array([2.5, 0.0, 1.2])])
     world.integrate(frame)
     first = world.snapshot()
     assert world.snapshot() is first and first.fine
@@ -45,11 +45,16 @@ def test_a_snapshot_is_the_same_object_until_one_of_its_maps_changes() -> None:
 
 def test_a_new_epoch_drops_the_fine_maps_and_their_number_is_limited() -> None:
     world = MultiResolutionMap(voxels(), fine_map)
-    for n in range(MAX_FINE_MAPS + 3):
-        world.refine(np.array([0.4 * n, 0.0, 1.0]))
-    middles = [one.grid.origin_world_m[0] + 1.0 for one in world.snapshot().fine]
-    np.testing.assert_allclose(middles, 0.4 * np.arange(3, MAX_FINE_MAPS + 3), atol=0.02)
+    places = [np.array([0.4 * n, 0.0, 1.0]) for n in range(MAX_FINE_MAPS + 3)]
+    world.refine(places)
+    first = world.snapshot().fine
+    middles = [one.grid.origin_world_m[0] + 1.0 for one in first]
+    np.testing.assert_allclose(middles, 0.4 * np.arange(MAX_FINE_MAPS), atol=0.02)
+    world.refine(places)
+    assert world.snapshot().fine == first  # those that there is no room for push none out
+    world.refine([*places[1:MAX_FINE_MAPS], places[-1]])
+    assert world.snapshot().fine[:-1] == first[1:] and len(world.snapshot().fine) == MAX_FINE_MAPS
     world.reset(1)
     assert not world.snapshot().fine
-    world.refine(np.zeros(3))
+    world.refine([np.zeros(3)])
     assert world.snapshot().fine[0].map_epoch == 1

@@ -6,7 +6,7 @@ There the size of a voxel decides whether the vehicle fits.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 
@@ -20,8 +20,10 @@ from uav_recon.types.pose import Pose
 FINE_RESOLUTION_M = 0.025  #: plan: voxels of a fine map; LARGEST_DISTANCE_VOXELS of them reach beyond a hull and its margin
 FINE_SIZE_M = (2.0, 2.0, 1.2)  #: plan: box of a fine map: a passage, and the reach of its distances around that
 FINE_RANGE_M = 2.5  #: reject: depth beyond this in a fine map: its noise is more than a fine voxel
-MAX_FINE_MAPS = 12  #: plan: number of fine maps; the one refined longest ago is dropped
+MAX_FINE_MAPS = 12  #: plan: number of fine maps
 SAME_PLACE_M = 0.3  # a place this near to the centre of a fine map has that map
+
+Place = tuple[float, float, float]  # x, y, z in world, m
 
 
 class MultiResolutionMap:
@@ -37,7 +39,7 @@ class MultiResolutionMap:
         """
         self._coarse = coarse
         self._make_fine = make_fine
-        self._fine: dict[tuple[float, float, float], OccupancyMap] = {}
+        self._fine: dict[Place, OccupancyMap] = {}
         self._map_epoch = 0
         self._shown: VoxelMap | None = None
 
@@ -46,18 +48,21 @@ class MultiResolutionMap:
         """The grid of the whole map."""
         return self._coarse.grid
 
-    def refine(self, centre_world: FloatArray) -> None:
-        """Keep a fine map around a position (3,) from now on. Frames from before are not in it."""
-        place = tuple(float(x) for x in centre_world)
-        if any(np.linalg.norm(np.subtract(one, place)) < SAME_PLACE_M for one in self._fine):
-            return
-        if len(self._fine) == MAX_FINE_MAPS:
-            del self._fine[next(iter(self._fine))]
-        size_voxels = np.rint(np.array(FINE_SIZE_M) / FINE_RESOLUTION_M).astype(int)
-        first = np.rint(np.asarray(centre_world) / FINE_RESOLUTION_M - size_voxels / 2)
-        nx, ny, nz = size_voxels.tolist()
-        grid = GridSpec(first * FINE_RESOLUTION_M, FINE_RESOLUTION_M, (nx, ny, nz))
-        self._fine[place[0], place[1], place[2]] = self._make_fine(grid, self._map_epoch)
+    def refine(self, places_world: Sequence[FloatArray]) -> None:
+        """Keep fine maps around positions (3,) from now on, the first MAX_FINE_MAPS of them.
+
+        Frames from before are not in a new one. A map that is no longer asked for is dropped when its room is needed.
+        """
+        wanted = [(float(x), float(y), float(z)) for x, y, z in places_world]
+        for place in wanted:
+            if _is_near(place, self._fine):
+                continue
+            if len(self._fine) == MAX_FINE_MAPS:
+                unwanted = next((one for one in self._fine if not _is_near(one, wanted)), None)
+                if unwanted is None:
+                    return
+                del self._fine[unwanted]
+            self._fine[place] = self._make_fine(_grid_around(place), self._map_epoch)
 
     def reset(self, map_epoch: int) -> None:
         """See OccupancyMap."""
@@ -99,6 +104,19 @@ class MultiResolutionMap:
     def warm_up(self) -> None:
         """Compile every kernel on a small separate map."""
         self._coarse.warm_up()
+
+
+def _is_near(place: Place, others: Iterable[Place]) -> bool:
+    """Return True if one of some places is the same."""
+    return any(np.linalg.norm(np.subtract(one, place)) < SAME_PLACE_M for one in others)
+
+
+def _grid_around(place: Place) -> GridSpec:
+    """Return the grid of a fine map."""
+    size_voxels = np.rint(np.array(FINE_SIZE_M) / FINE_RESOLUTION_M).astype(int)
+    first = np.rint(np.array(place) / FINE_RESOLUTION_M - size_voxels / 2)
+    nx, ny, nz = size_voxels.tolist()
+    return GridSpec(first * FINE_RESOLUTION_M, FINE_RESOLUTION_M, (nx, ny, nz))
 
 
 def _may_show(world_from_depth: Pose, place_world: FloatArray) -> bool:

@@ -178,8 +178,7 @@ class Survey:
             return
         plan = self._pending_plan.result()
         self._pending_plan = None
-        for place in self._stages.planner.fine_places:
-            self._stages.voxels.refine(place)
+        self._stages.voxels.refine(self._stages.planner.fine_places)
         flying, leave_s = self._departure.flying, self._departure.leave_s
         if flying is not None:
             if flying is not self._executor.track.trajectory or now_s > leave_s:
