@@ -124,7 +124,7 @@ def flight_config(options: SimOptions, scene: Scene, runtime: Path) -> Config:
             "clearance_m": clearance_m,
         },
         "motion": limits.motion,
-        "mission": {"views": options.view_budget, "autostart": True},
+        "mission": {"autostart": True} | ({} if options.views is None else {"views": options.views}),
         "recording": {"folder": str(options.folder), "live": options.live, "rerun": options.mapper == "neural" or options.live},
         "runtime": {"folder": str(runtime)},
     }

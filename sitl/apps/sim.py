@@ -41,12 +41,14 @@ class FlownFlight:
     """A flight before its evaluation.
 
     fault: in one line, None without one. wall_s: its duration. times_real: speed of a lockstep flight, None in real time.
+    view_budget: maximum number of keyframes for the mapper.
     """
 
     scene: Scene
     fault: str | None
     wall_s: float
     times_real: float | None
+    view_budget: int
 
 
 def simulate(options: SimOptions) -> int:
@@ -105,7 +107,7 @@ def _conclude(options: SimOptions, flight: FlownFlight, console: Console) -> int
         result = {
             "completed": report.completed,
             "times_real": flight.times_real,
-            "view_budget": options.view_budget,
+            "view_budget": flight.view_budget,
             "report": report,
         }
         result_file.save(options.json, result)
@@ -142,7 +144,7 @@ def _fly_in_lockstep(options: SimOptions, runtime: Path, console: Console) -> Fl
     started_s, config = time.monotonic(), _save_config(options, scene, runtime)
     with interrupts() as land:
         flown = fly_in_lockstep(options, config, scene, console, land)
-    return FlownFlight(scene, flown.fault, time.monotonic() - started_s, flown.simulated_s / flown.wall_s)
+    return FlownFlight(scene, flown.fault, time.monotonic() - started_s, flown.simulated_s / flown.wall_s, config.mission.views)
 
 
 def _fly_in_real_time(options: SimOptions, runtime: Path, console: Console) -> FlownFlight:
@@ -162,10 +164,9 @@ def _fly_in_real_time(options: SimOptions, runtime: Path, console: Console) -> F
             _remove(logs)
             raise
         make_folder(options.folder)
-        started_s = time.monotonic()
-        _save_config(options, scene, runtime)
+        started_s, config = time.monotonic(), _save_config(options, scene, runtime)
         fault = processes.fly(_need_open3d)
-    return FlownFlight(scene, fault, time.monotonic() - started_s, None)
+    return FlownFlight(scene, fault, time.monotonic() - started_s, None, config.mission.views)
 
 
 def _jobs(options: SimOptions) -> list[KernelJob]:

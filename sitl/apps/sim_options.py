@@ -14,7 +14,6 @@ from sitl.apps.command_option import CommandOption, check_fields
 from sitl.camera.camera_error_scale import scale_of
 from uav_recon.app.option_validation import UsageError, mount_pitch_deg
 from uav_recon.app.reference_safety import MAX_SPEED_MPS
-from uav_recon.config import MissionConfig
 
 AUTOPILOTS = ("px4", "ardupilot")
 VARIANTS = ("adaptive", "merged", "reconstruct", "explore", "explore-yaw", "explore-then-refine", "evpp", "vpp")
@@ -92,8 +91,8 @@ VIEWS = CommandOption(
 class SimOptions:
     """The options as typed; the command line is made of these fields.
 
-    Raises UsageError with one line for a value that cannot be used. What is not typed, such as the number of views without
-    --views, is a property.
+    Raises UsageError with one line for a value that cannot be used. What is not typed, such as the model of the camera
+    without --camera, is a property.
     """
 
     scene: Annotated[
@@ -246,11 +245,6 @@ class SimOptions:
             return None
         x0, y0, z0, x1, y1, z1 = _numbers("--fence", "X0,Y0,Z0,X1,Y1,Z1", self.fence)
         return (x0, y0, z0, x1, y1, z1)
-
-    @property
-    def view_budget(self) -> int:
-        """Maximum number of keyframes for the mapper."""
-        return MissionConfig().views if self.views is None else self.views
 
     @property
     def camera_model(self) -> str:

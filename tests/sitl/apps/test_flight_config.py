@@ -19,7 +19,7 @@ from sitl.autopilots.px4.parameters import Px4Parameters
 from sitl.camera.camera_error_scale import DEFAULT_SCALE
 from sitl.camera.camera_errors import CameraErrors
 from sitl.scene.scene import Scene
-from uav_recon.config import Config, RangeUpConfig, load
+from uav_recon.config import Config, MissionConfig, RangeUpConfig, load
 from uav_recon.motion.yaw_policy import AT_VIEWS, YawAlongPath, yaw_policy_of
 
 SCENE = Scene(
@@ -65,6 +65,10 @@ def test_the_fence_of_the_product_is_the_box_of_the_scene(tmp_path: Path) -> Non
     assert config.link.url == "udp:127.0.0.1:15000"
     assert config.camera.pitch_down_deg == 10.0
     assert config.runtime.folder == tmp_path
+
+
+def test_no_views_typed_leave_the_budget_of_the_product(tmp_path: Path) -> None:
+    assert config_of(SimOptions(), tmp_path).mission.views == MissionConfig().views
 
 
 def test_the_pose_timeouts_add_up_to_less_than_the_landing_limit(tmp_path: Path) -> None:

@@ -9,19 +9,17 @@ import pytest
 
 from sitl.apps.sim_options import SimOptions
 from uav_recon.app.option_validation import UsageError
-from uav_recon.config import MissionConfig
 
 
 def test_the_defaults_are_the_built_in_room_with_a_tilted_d435i() -> None:
     options = SimOptions()
-    assert (options.scene, options.view_budget, options.mount) == (None, MissionConfig().views, "auto")
+    assert (options.scene, options.views, options.mount) == (None, None, "auto")
     assert (options.depth_noise, options.camera_model, options.variant, options.autopilot) == (
         "d435i",
         "d435i",
         "adaptive",
         "px4",
     )
-    assert SimOptions(scene="room.ply", views=40).view_budget == 40
 
 
 @pytest.mark.parametrize(
