@@ -98,10 +98,11 @@ class SimOptions:
     scene: Annotated[
         str | None,
         CommandOption(
-            "Folder with scene.json, mesh file (.ply .obj .glb .stl; metres, z up), random:SEED for a generated flat or "
-            "small:SEED for a generated room of 6 to 14 m², and others: --list-scenes. Default: the built-in room.",
+            "Folder with scene.json, mesh file (.ply .obj .glb .stl; metres, z up), random:SEED for a generated flat, "
+            "flat:SEED for one with doors, small:SEED for a room of 6 to 14 m², and others: --list-scenes. "
+            "Default: the built-in room.",
             SCENE_PANEL,
-            "PATH|random:SEED|small:SEED",
+            "PATH|random:SEED|flat:SEED|small:SEED",
         ),
     ] = None
     list_scenes: Annotated[bool, CommandOption("List the scenes that can be flown, and exit.", SCENE_PANEL)] = False

@@ -33,7 +33,7 @@ class SweepOptions:
     scenes: Annotated[
         str,
         CommandOption(
-            "Scenes: random, small, corridor, ... (a new one for each seed; `sim --list-scenes`), random:SEED, built-in, "
+            "Scenes: random, flat, small, ... (a new one for each seed; `sim --list-scenes`), random:SEED, built-in, "
             "folders, mesh files.",
             metavar="S,S,...",
         ),

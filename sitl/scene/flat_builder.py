@@ -32,10 +32,19 @@ class Area:
     x1: float
     y1: float
 
+    @classmethod
+    def across(cls, axis: int, low: float, high: float, begin: float, end: float) -> Area:
+        """Return the area from low to high along an axis, 0 = x, and from begin to end beside it."""
+        return cls(low, begin, high, end) if axis == 0 else cls(begin, low, end, high)
+
     @property
     def square_m(self) -> float:
         """Area, m²."""
         return (self.x1 - self.x0) * (self.y1 - self.y0)
+
+    def span(self, axis: int) -> tuple[float, float]:
+        """Return its lower and upper coordinate on an axis, 0 = x."""
+        return (self.x0, self.x1) if axis == 0 else (self.y0, self.y1)
 
     def touches(self, other: Area) -> bool:
         """Return True if the two overlap."""
@@ -63,6 +72,7 @@ class FlatBuilder:
         self.parts: list[Mesh] = []
         self.standing: list[Area] = []  # footprints of walls and furniture on the floor
         self.door_areas: list[Area] = []
+        self.no_lamps: list[Area] = []  # floor above which no lamp may hang
         self.rooms = [Area(0.0, 0.0, length_m, width_m)]
 
     # -- walls ----------------------------------------------------------------------------------------------------
@@ -108,6 +118,21 @@ class FlatBuilder:
         if bottom_m == 0.0:
             self.standing.append(wall)
 
+    def divide(self, room: Area, across: int, at: float, thick_m: float, left: float, door_m: float, lintel_m: float) -> Area:
+        """Divide a room by a wall with a doorway; return the doorway.
+
+        across: axis along which the wall is passed, 0 = x. at: its side of lower coordinate on that axis. left: jamb of lower
+        coordinate. lintel_m: height of the doorway.
+        """
+        (low, high), (side0, side1) = room.span(across), room.span(1 - across)
+        for begin, end, bottom in ((side0, left, 0.0), (left + door_m, side1, 0.0), (left, left + door_m, lintel_m)):
+            if end - begin > 1e-6 and self.height_m - bottom > 1e-6:
+                self.add_wall(Area.across(across, at, at + thick_m, begin, end), bottom, 1 - across, side1)
+        self.door_areas.append(Area.across(across, at - DOORSTEP_M, at + thick_m + DOORSTEP_M, left, left + door_m))
+        self.rooms.remove(room)
+        self.rooms += [Area.across(across, low, at, side0, side1), Area.across(across, at + thick_m, high, side0, side1)]
+        return Area.across(across, at, at + thick_m, left, left + door_m)
+
     # -- furniture ------------------------------------------------------------------------------------------------
 
     def furnish(self, room: Area, per_m2: tuple[float, float]) -> None:
@@ -126,7 +151,9 @@ class FlatBuilder:
         for _ in range(int(rng.integers(0, 2 + int(room.square_m / 20.0)))):
             lamp = furniture.hanging_lamp(w, rng, self.height_m)
             x, y = rng.uniform(room.x0 + 0.4, room.x1 - 0.4), rng.uniform(room.y0 + 0.4, room.y1 - 0.4)
-            self.parts.append(lamp.placed(x, y, 0.0))
+            place = Area(x, y, x, y).grown(lamp.half_x)
+            if not any(place.touches(other) for other in self.no_lamps):
+                self.parts.append(lamp.placed(x, y, 0.0))
 
     def _against_a_wall(self, room: Area, piece: Piece) -> None:
         rng = self.rng

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sitl.scene.flat_builder import DOORSTEP_M, Area, FlatBuilder, Start
+from sitl.scene.flat_builder import Area, FlatBuilder, Start
 from sitl.scene.mesh import Mesh, joined
 
 DOOR_M = (0.9, 1.6)  # width
@@ -71,25 +71,14 @@ def _divide(flat: FlatBuilder) -> None:
 
 def _split(flat: FlatBuilder, room: Area) -> None:
     """Add a wall with a doorway across the longer side of a room."""
-    rng, thick = flat.rng, flat.rng.uniform(0.08, 0.16)
-    along_x = room.x1 - room.x0 >= room.y1 - room.y0
-    low, high = (room.x0, room.x1) if along_x else (room.y0, room.y1)
-    side0, side1 = (room.y0, room.y1) if along_x else (room.x0, room.x1)
+    rng, thick_m = flat.rng, flat.rng.uniform(0.08, 0.16)
+    across = 0 if room.x1 - room.x0 >= room.y1 - room.y0 else 1
+    (low, high), (side0, side1) = room.span(across), room.span(1 - across)
 
-    def area(a: float, b: float, c: float, d: float) -> Area:
-        """Return the area from a to b across the wall and from c to d along it."""
-        return Area(a, c, b, d) if along_x else Area(c, a, d, b)
-
-    at = rng.uniform(low + NARROWEST_M, high - NARROWEST_M - thick)
-    if any(area(at, at + thick, side0, side1).touches(other) for other in flat.door_areas):
+    at = rng.uniform(low + NARROWEST_M, high - NARROWEST_M - thick_m)
+    if any(Area.across(across, at, at + thick_m, side0, side1).touches(other) for other in flat.door_areas):
         return  # the wall would block a doorway
-    door = min(rng.uniform(*DOOR_M), side1 - side0 - 0.3)
-    left = rng.uniform(side0 + 0.1, side1 - door - 0.1)
-    lintel = flat.height_m if rng.random() < 0.2 else min(rng.uniform(1.98, 2.15), flat.height_m)
-
-    for begin, end, bottom in ((side0, left, 0.0), (left + door, side1, 0.0), (left, left + door, lintel)):
-        if end - begin > 1e-6 and flat.height_m - bottom > 1e-6:
-            flat.add_wall(area(at, at + thick, begin, end), bottom, 1 if along_x else 0, side1)
-    flat.door_areas.append(area(at - DOORSTEP_M, at + thick + DOORSTEP_M, left, left + door))
-    flat.rooms.remove(room)
-    flat.rooms += [area(low, at, side0, side1), area(at + thick, high, side0, side1)]
+    door_m = min(rng.uniform(*DOOR_M), side1 - side0 - 0.3)
+    left = rng.uniform(side0 + 0.1, side1 - door_m - 0.1)
+    lintel_m = flat.height_m if rng.random() < 0.2 else min(rng.uniform(1.98, 2.15), flat.height_m)
+    flat.divide(room, across, at, thick_m, left, door_m, lintel_m)

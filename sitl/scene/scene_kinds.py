@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from sitl.scene import floor_plans
 from sitl.scene.flat_builder import Start
+from sitl.scene.flats_with_doors import flat_with_doors
 from sitl.scene.floor_plans import FloorPlan
 from sitl.scene.generated_rooms import FLAT, SMALL_ROOM, RoomKind, generated_room
 from sitl.scene.mesh import Mesh
@@ -48,6 +49,7 @@ def _planned(plan: FloorPlan, what: str, size: str) -> SceneKind:
 KINDS = {
     "random": _drawn(FLAT, "a generated flat, another for each SEED (0, 1, 2, ...)", "12 to 70 m²"),
     "small": _drawn(SMALL_ROOM, "a generated small room with furniture", "6 to 14 m²"),
+    "flat": SceneKind(flat_with_doors, "a generated flat with doors of 0.65 to 1.2 m, some of them half open", "20 to 75 m²"),
     "door": SceneKind(
         lambda width_cm, fine: floor_plans.two_rooms(0.01 * width_cm).build(width_cm, fine),
         "two rooms with a doorway CM wide", "32 m²", "CM", 50, 200,

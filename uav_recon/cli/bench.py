@@ -20,7 +20,7 @@ JsonOption = Annotated[
 ]
 SceneOption = Annotated[
     str | None,
-    typer.Option(metavar="PATH|random:SEED|small:SEED", help="Scene as for `sim`. Default: the built-in room."),
+    typer.Option(metavar="PATH|random:SEED|flat:SEED|small:SEED", help="Scene as for `sim`. Default: the built-in room."),
 ]
 PoseNoiseOption = Annotated[
     str, typer.Option(metavar="CM,DEG", help="Standard deviation of the error of the given poses, per axis.")
@@ -240,7 +240,7 @@ def bench_slam(
     scene: Annotated[
         list[str] | None,
         typer.Option(
-            metavar="PATH|random:SEED|small:SEED|built-in",
+            metavar="PATH|random:SEED|flat:SEED|small:SEED|built-in",
             help="Scene as for `sim`; repeat the option for several. Default: built-in."
         ),
     ] = None,

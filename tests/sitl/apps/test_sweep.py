@@ -63,7 +63,7 @@ def test_mounts_and_autopilots_are_combined_and_each_case_repeats_its_own() -> N
         ({"mount": "foo"}, "--mount foo: want gimbal, or fixed:DEG"),
         (
             {"scenes": "/nope"},
-            "--scenes /nope: no such scene; want random, small, corridor, hall, l-shape, dead-end, tall, random:SEED, ",
+            "--scenes /nope: no such scene; want random, small, flat, corridor, hall, l-shape, dead-end, tall, random:SEED, ",
         ),
         ({"scenes": ""}, "--scenes : no such scene"),
         ({"scenes": "random,"}, "--scenes : no such scene"),
