@@ -11,6 +11,8 @@ from scipy import ndimage
 from uav_recon.config import PlannerConfig, VariantName
 from uav_recon.planning.camera_frustum import CameraGeometry
 from uav_recon.planning.candidate_view import CandidateView
+from uav_recon.planning.frontier.frontier_views import FrontierViews
+from uav_recon.planning.frontier.places_left import count_places_left
 from uav_recon.planning.task_generation import GeneratedTasks, TaskQuery
 from uav_recon.planning.tour.travel_time import YawWhileFlying
 from uav_recon.planning.view_history import ARRIVED_M
@@ -453,3 +455,126 @@ def test_what_a_view_that_was_given_up_should_settle_is_not_planned_again() -> N
 def test_flyable_components_of_the_test_rooms_are_one() -> None:
     distance = ndimage.distance_transform_edt(~MEETING_ROOM) * 0.1
     assert ndimage.label(distance >= 0.4, structure=np.ones((3, 3, 3)))[1] == 1
+
+
+def half_known() -> ByteArray:
+    """Return a room whose far half is unknown."""
+    state = np.where(room((6.0, 4.0, 2.5), []), OCCUPIED, FREE).astype(np.uint8)
+    state[35:-1, 1:-1, 1:-1] = UNKNOWN
+    return state
+
+
+def test_openings_that_were_given_up_are_places_left_unseen() -> None:
+    """Views of them led to no result, so the planner has no task; the flight did not see everything."""
+    state, position = half_known(), np.array([1.5, 2.0, 1.2])
+    planner = planner_for(state)
+    assert isinstance(planner.plan(PlanRequest(voxel_map(state), None, position, 0.0, 10)), ViewPath)
+    planner.view_history.exhausted[:] = 1
+    planner.frontiers.mark_changed(np.arange(state.size))
+    answer = planner.plan(PlanRequest(voxel_map(state, 1), None, position, 0.0, 10))
+    assert isinstance(answer, NothingLeft)
+    assert (answer.reason.code, answer.reason.values) == (ReasonCode.PLACES_LEFT_UNSEEN, (1,))
+    assert answer.reason.details[0] == Reason(ReasonCode.FRONTIERS_VIEWED_WITHOUT_RESULT, (1,))
+    assert answer.reason.details[-1].code is ReasonCode.FRONTIERS_LEFT
+    assert answer.reason.text().startswith("1 place(s) left unseen: 1 viewed without result, 1 frontiers left: ")
+
+
+def test_views_that_are_refused_again_and_again_leave_places_unseen() -> None:
+    state, position = half_known(), np.array([1.5, 2.0, 1.2])
+    planner = planner_for(state)
+    for _ in range(60):
+        request = PlanRequest(voxel_map(state), None, position, 0.0, 10, next_view=NextView.LEFT)
+        answer = planner.plan(request)
+        if isinstance(answer, NothingLeft):
+            break
+        planner.accept(answer)
+    assert isinstance(answer, NothingLeft)
+    assert answer.reason.code is ReasonCode.PLACES_LEFT_UNSEEN
+
+
+def below_unknown() -> ByteArray:
+    """Return a room of which the part below the ceiling is unknown."""
+    state = np.where(room((6.0, 4.0, 2.5), []), OCCUPIED, FREE).astype(np.uint8)
+    state[1:-1, 1:-1, 20:-1] = UNKNOWN
+    return state
+
+
+@pytest.mark.parametrize(
+    ("reason", "counted"),
+    [
+        (None, ReasonCode.FRONTIERS_NOT_FLOWN_TO),
+        (ReasonCode.FRONTIERS_TOO_FEW_CELLS, ReasonCode.FRONTIERS_TOO_FEW_CELLS),
+        (ReasonCode.FRONTIERS_OUT_OF_VIEW, None),
+        (ReasonCode.FRONTIERS_TOO_NARROW, None),
+        (ReasonCode.FRONTIERS_NOT_REACHABLE, None),
+    ],
+)
+def test_openings_side_by_side_are_one_place_unless_nothing_could_show_them(
+    reason: ReasonCode | None, counted: ReasonCode | None
+) -> None:
+    state = half_known()
+    planner, request = planner_for(state), PlanRequest(voxel_map(state), None, np.array([1.5, 2.0, 1.2]), 0.0, 10)
+    planner.plan(request)
+    openings = planner.frontiers.openings
+    assert openings > 1
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(FrontierViews, "reasons_of_clusters", lambda self, voxels, space, frontiers, rows: [reason] * len(rows))
+        views = FrontierViews(planner.config, planner.camera)
+        exhausted = planner.view_history.exhausted
+        found = count_places_left(request.voxels, planner.space, planner.frontiers, exhausted, views)
+    assert found == ({} if counted is None else {counted: 1})
+
+
+@pytest.mark.parametrize("where", ["behind a closed door", "below the ceiling", "outside the fence"])
+def test_what_the_vehicle_could_not_have_seen_is_no_place_left(where: str) -> None:
+    state = np.where(room((6.0, 4.0, 2.5), [(3.0, 0, 0, 3.1, 4.0, 2.5)]), OCCUPIED, FREE).astype(np.uint8)
+    size_m = (np.array(state.shape) - 2) * 0.1
+    if where == "behind a closed door":
+        state[45:-1, 1:-1, 1:-1] = UNKNOWN
+    elif where == "outside the fence":
+        state[2:30, 30:-1, 1:-1] = UNKNOWN
+        size_m[1] = 2.85
+    else:
+        state = below_unknown()
+    planner = ViewPlanner(PlannerConfig(), np.zeros(3), size_m, FIXED, YawWhileFlying(0.8, 0.8), timer=lambda: 0.0)
+    answer = planner.plan(PlanRequest(voxel_map(state), None, np.array([1.5, 1.0, 1.2]), 0.0, 10))
+    assert isinstance(answer, NothingLeft), where
+    assert answer.reason.code is ReasonCode.FRONTIERS_LEFT, answer.reason.text()
+
+
+def test_a_gap_that_was_viewed_without_result_is_no_place_left() -> None:
+    state = np.where(room((6.0, 4.0, 2.5), []), OCCUPIED, FREE).astype(np.uint8)
+    state[57:61, 10:13, 10:13] = UNKNOWN  # no more than 36 voxels
+    planner, position = planner_for(state), np.array([1.5, 2.0, 1.2])
+    planner.plan(PlanRequest(voxel_map(state), None, position, 0.0, 10))
+    planner.view_history.exhausted[:] = 1
+    planner.frontiers.mark_changed(np.arange(state.size))
+    answer = planner.plan(PlanRequest(voxel_map(state, 1), None, position, 0.0, 10))
+    assert isinstance(answer, NothingLeft)
+    assert answer.reason.code is ReasonCode.FRONTIERS_LEFT
+    assert ReasonCode.FRONTIERS_VIEWED_WITHOUT_RESULT in answer.reason.codes()
+
+
+def test_a_passage_that_is_too_narrow_is_named_at_the_end() -> None:
+    state = np.where(MEETING_ROOM, OCCUPIED, FREE).astype(np.uint8)
+    planner = planner_for(state)
+    named = Reason(ReasonCode.PASSAGE_TOO_NARROW, (0.53, 0.57, 4.1, 1.2))
+
+    class Closed:
+        places = ()
+
+        def update(self, request: PlanRequest) -> bool:
+            return False
+
+        def looks(self, context: object) -> list[CandidateView]:
+            return []
+
+        def too_narrow(self) -> list[Reason]:
+            return [named] * 20
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(planner, "_new_passages", lambda voxels: Closed())
+        answer = planner.plan(PlanRequest(voxel_map(state), None, np.array([3.0, 1.0, 1.2]), 0.0, 10))
+    assert isinstance(answer, NothingLeft)
+    assert answer.reason == Reason(ReasonCode.NO_FRONTIERS_LEFT, details=(named,) * 4)
+    assert "an opening at (4.1, 1.2) is too narrow: the map shows 0.53 m, 0.57 m are needed" in answer.reason.text()

@@ -25,6 +25,7 @@ from uav_recon.planning.frontier import frontier_views as views
 from uav_recon.planning.frontier import rejection_counts
 from uav_recon.planning.frontier.frontier_views import LOW, FrontierViews
 from uav_recon.planning.frontier.frontiers import Frontiers, fence_box
+from uav_recon.planning.frontier.places_left import count_places_left
 from uav_recon.planning.frontier.rejection_counts import count_rejected_frontiers
 from uav_recon.planning.passages import passages
 from uav_recon.planning.passages.passages import Passages
@@ -57,6 +58,7 @@ TOY_CONFIG = PlannerConfig(clearance_m=0.3)
 MIN_UNKNOWN_VOXELS = 25  # voxels beyond the frontier that a last view must promise: a gap in a surface has fewer
 MIN_VISIBLE_SHARE = 0.4  # of planner.min_visible: surface elements that a last view must show
 SEARCH_LESS_M = 0.045  # clearance below that of a passage at which its fine map is wanted: voxels may show this much less
+MOST_NAMED = 4  # openings that are too narrow: the widest of them are named
 SAME_SHARE = 0.5  # a task is dropped if the committed view settles this share of its voxels
 
 
@@ -372,7 +374,8 @@ class ViewPlanner:
 
         It counts the frontiers by reason, the dropped surface tasks, and the views that do not show where the vehicle is.
 
-        Example: '14 frontiers left: 9 too narrow, 5 outside the fence', or 'no frontiers left'.
+        It names the openings that are too narrow. Example: '14 frontiers left: 9 too narrow, 5 outside the fence', or 'no
+        frontiers left'. Places that could have been seen come first: '2 place(s) left unseen: 2 viewed without result, 14 ...'.
         """
         counts = {
             **dict(sorted(self._source.reasons(context, self.frontiers).items())),
@@ -382,9 +385,23 @@ class ViewPlanner:
         details = [Reason(code, (n,)) for code, n in counts.items() if n]
         details += [Reason(ReasonCode.SURFACE_NOT_WORTH, (not_worth,))] if not_worth else []
         details += [Reason(ReasonCode.VIEWS_BLIND, (blind,))] if blind else []
+        details += [] if self._passages is None else self._passages.too_narrow()[:MOST_NAMED]
         if not total:
-            return Reason(ReasonCode.NO_FRONTIERS_LEFT, details=tuple(details))
-        return Reason(ReasonCode.FRONTIERS_LEFT, (total,), tuple(details))
+            frontiers = Reason(ReasonCode.NO_FRONTIERS_LEFT, details=tuple(details))
+        else:
+            frontiers = Reason(ReasonCode.FRONTIERS_LEFT, (total,), tuple(details))
+        return self._with_places_left(context, frontiers)
+
+    def _with_places_left(self, context: PlanningContext, frontiers: Reason) -> Reason:
+        """Return the reason for an empty plan, after the places that could have been seen, if any."""
+        if not self.explores:
+            return frontiers
+        views, exhausted = FrontierViews(self.config, self.camera), self.view_history.exhausted
+        counts = count_places_left(context.voxels, context.space, self.frontiers, exhausted, views)
+        if not counts:
+            return frontiers
+        details = (*(Reason(code, (n,)) for code, n in counts.items()), frontiers)
+        return Reason(ReasonCode.PLACES_LEFT_UNSEEN, (sum(counts.values()),), details)
 
     def _box(self, grid: GridSpec, inset_m: float | FloatArray) -> tuple[IntArray, IntArray]:
         return fence_box(grid, self.fence_m[0] + inset_m, self.fence_m[1] - inset_m)

@@ -474,6 +474,7 @@ class ReasonCode(str, Enum):
         "start-not-free", "no known-free path from here",
         "the vehicle is in space that is not known free, with no known-free path to where it may fly",
     )  # fmt: skip
+    PLACES_LEFT_UNSEEN = "places-left-unseen", "{0:d} place(s) left unseen", "", (9999,)  # details: counts
     FRONTIERS_LEFT = "frontiers-left", "{0:d} frontiers left", "", (9999,)  # details: counts
     NO_FRONTIERS_LEFT = "no-frontiers-left", "no frontiers left"
     FRONTIERS_TOO_SMALL = "frontiers-too-small", "{0:d} too small", "", (9999,)
@@ -483,6 +484,12 @@ class ReasonCode(str, Enum):
     FRONTIERS_TOO_FEW_CELLS = "frontiers-too-few-cells", "{0:d} with too few cells in view", "", (9999,)
     FRONTIERS_NOT_REACHABLE = "frontiers-not-reachable", "{0:d} not reachable", "", (9999,)
     FRONTIERS_OUT_OF_VIEW = "frontiers-out-of-view", "{0:d} out of the camera's view", "", (9999,)
+    FRONTIERS_NOT_FLOWN_TO = "frontiers-not-flown-to", "{0:d} with a view that was not flown to", "", (9999,)
+    PASSAGE_TOO_NARROW = (
+        "passage-too-narrow", "opening {0:.2f} m wide < {1:.2f} m at {2:.1f} {3:.1f}",
+        "an opening at ({2:.1f}, {3:.1f}) is too narrow: the map shows {0:.2f} m, {1:.2f} m are needed",
+        (0.57, 0.57, -123.4, -123.4),
+    )  # fmt: skip
     SURFACE_NOT_WORTH = "surface-not-worth", "{0:d} surface tasks not worth their flight", "", (9999,)
     VIEWS_BLIND = "views-blind", "{0:d} views do not show where the vehicle is", "", (9999,)
 

@@ -7,6 +7,7 @@ import pytest
 from doorway import CAMERA, HERE, MIDDLE_M, PASSAGE_M, WALL_M, Doorway
 
 from uav_recon.planning.candidate_view import PlanningContext
+from uav_recon.types.frames import FloatArray
 
 
 @pytest.mark.parametrize("width_m", [0.66, 0.7, 0.8, 0.9])
@@ -84,3 +85,38 @@ def test_the_measured_width_is_that_of_the_opening() -> None:
         (passage,) = door.passages._known
         assert width_m - 0.1 <= passage.width_m <= width_m
         assert passage.width_m >= 2 * PASSAGE_M - 0.025 - 1e-9
+
+
+def look_at(door: Doorway) -> tuple[FloatArray, float]:
+    """The next look at the passage: position and heading."""
+    (view,) = door.passages.looks(PlanningContext(door.voxels, door.usual, np.zeros(1, dtype=np.int64), HERE))
+    return view.task.viewpoint.position_world, view.task.viewpoint.yaw_rad
+
+
+def test_an_opening_that_is_too_narrow_is_named_once_it_was_looked_at() -> None:
+    door = Doorway(0.7)
+    door.plan()
+    place, yaw_rad = look_at(door)
+    assert not door.passages.too_narrow(), "not measured yet"
+    door.plan(door.fine(0.57))
+    assert not door.passages.too_narrow(), "seen in passing: a look comes first"
+    look_at(door)
+    door.plan(door.fine(0.57, revision=2), position=place, yaw_rad=yaw_rad)
+    (reason,) = door.passages.too_narrow()
+    width_m, needed_m, x, y = (float(value) for value in reason.values)
+    assert 0.45 <= width_m < needed_m == pytest.approx(2 * PASSAGE_M - 0.025, abs=0.006)
+    np.testing.assert_allclose((x, y), (3.0, MIDDLE_M), atol=0.25)
+    door.plan(door.fine(0.4, revision=3))
+    assert door.passages.too_narrow() == [reason], "a look that shows less of it does not make it narrower"
+    assert f"is too narrow: the map shows {width_m:.2f} m, {needed_m:.2f} m are needed" in reason.text()
+
+
+def test_an_opening_that_is_open_or_closed_entirely_is_not_named() -> None:
+    for width_m in (0.8, 0.0):
+        door = Doorway(0.8)
+        door.plan()
+        place, yaw_rad = look_at(door)
+        door.plan(door.fine(width_m), position=place, yaw_rad=yaw_rad)
+        assert not door.passages.too_narrow()
+        door.plan(door.fine(0.5 if width_m else 0.0, revision=2))  # a door leaf after the vehicle could pass
+        assert not door.passages.too_narrow()

@@ -135,14 +135,16 @@ class FrontierViews:
 
         Evaluates every cluster again; meant for the end of a flight.
         """
+        found = self.reasons_of_clusters(voxels, space, frontiers, frontiers.rows())
+        return Counter(reason for reason in found if reason is not None)
+
+    def reasons_of_clusters(
+        self, voxels: VoxelMap, space: FlyableInterface, frontiers: Frontiers, clusters: IntArray
+    ) -> list[ReasonCode | None]:
+        """Return why each of some clusters (rows of the table) has no view, None if it has one."""
         self._keep_map(frontiers, voxels.grid.resolution_m)
-        counts: Counter[ReasonCode] = Counter()
         lens = self._camera.lens(voxels.grid.resolution_m, self._camera.range_m)
-        for cluster in frontiers.rows().tolist():
-            reason = self._reason(voxels, space, frontiers, cluster, lens)
-            if reason is not None:
-                counts[reason] += 1
-        return counts
+        return [self._reason(voxels, space, frontiers, cluster, lens) for cluster in clusters.tolist()]
 
     def _cached_rows(self, voxels: VoxelMap, space: FlyableInterface, frontiers: Frontiers, clusters: IntArray) -> list[int]:
         """Return the rows of the valid cached results of these clusters, -1 for none.

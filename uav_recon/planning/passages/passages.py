@@ -15,6 +15,8 @@ from uav_recon.planning.passages.passage_search import FoundPassage, PassageSear
 from uav_recon.planning.passages.widest_path import straightened, widest_path
 from uav_recon.types.frames import FloatArray, IntArray
 from uav_recon.types.maps import FREE, OCCUPIED, GridSpec, VoxelMap
+from uav_recon.types.reason import Reason
+from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.tasks import PlanRequest, Task, TaskKind, Viewpoint
 
 SEARCH_EVERY = 4  # plans in motion from one search to the next; at rest every plan searches
@@ -35,14 +37,17 @@ class Passage:
     """One narrow passage.
 
     near_world, far_world: (3,) positions with the usual clearance before and behind it. voxels_behind: flyable voxels there.
-    width_m: least width as measured in its fine map, 0 as long as that shows no way through. path_world: (M, 3) the widest way
-    through, empty if it is too narrow. opened: (N,) flat PADDED voxels around it. looks: number of looks taken.
+    width_m: least width as measured in its fine map, 0 as long as that shows no way through. widest_m: the largest of these so
+    far. needed_m: that for which it is open. path_world: (M, 3) the widest way through, empty if it is too narrow. opened: (N,)
+    flat PADDED voxels around it. looks: number of looks taken.
     """
 
     near_world: FloatArray
     far_world: FloatArray
     voxels_behind: int
     width_m: float = 0.0
+    widest_m: float = 0.0
+    needed_m: float = 0.0
     path_world: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
     opened: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     looks: int = 0
@@ -122,6 +127,16 @@ class Passages:
                     one.look = view.task.viewpoint
         return views
 
+    def too_narrow(self) -> list[Reason]:
+        """Return a reason for each passage that was looked at and never open, the widest first.
+
+        It gives the widest that was measured: later looks from other places may show less of an opening.
+        """
+        closed = [one for one in self._known if one.looks and 0.0 < one.widest_m < one.needed_m]
+        closed.sort(key=lambda one: -one.widest_m)
+        places = [(one.widest_m, one.needed_m, *one.middle_world[:2].tolist()) for one in closed]
+        return [Reason(ReasonCode.PASSAGE_TOO_NARROW, values) for values in places]
+
     def along(self, leg_world: FloatArray) -> FloatArray:
         """Return a polyline (N, 3) in world that takes the widest way through each passage.
 
@@ -151,6 +166,8 @@ class Passages:
         bounds_m = self._usual.world_from_padded(self._usual.clearance_box[:SIDES2].reshape(2, 3) + 1.0)
         path, clearance_m = widest_path(fine, passage.near_world, passage.far_world, END_M, heights_m=bounds_m[:, 2])
         passage.width_m = max(2.0 * clearance_m - fine.grid.resolution_m, 0.0)
+        passage.widest_m = max(passage.widest_m, passage.width_m)
+        passage.needed_m = 2.0 * self._needed_m - fine.grid.resolution_m
         opened, passage.path_world = np.zeros(0, dtype=np.int64), path[:0]
         if clearance_m >= self._needed_m:
             passage.path_world = straightened(fine, path, self._needed_m)
