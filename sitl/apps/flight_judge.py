@@ -305,8 +305,8 @@ def summary(report: Report, folder: Path) -> str:
         return "not measured" if value is None else f"{value:.{digits}f}{unit}"
 
     lines = [
-        *([report.headline] if report.headline != report.outcome else []),
-        ": ".join(filter(None, (report.outcome, report.stop_reason))),
+        *([report.headline] if report.unseen is not None and report.unseen.text else []),
+        ": ".join(filter(None, (report.outcome, report.stop_reason))),  # the reason begins with what was left
         f"flight {report.flight_time_s:.0f} s, path {report.path_length_m:.1f} m, {report.views} views, "
         f"explored {figure(report.explored_fraction, '')}",
         f"min clearance {figure(safety.min_clearance_m, ' m')}, contacts {safety.contacts}, "

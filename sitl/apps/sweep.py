@@ -131,6 +131,7 @@ def summary(records: list[Record]) -> dict[str, object]:
     return {
         "flights": len(records),
         "completed": sum(record.outcome == "completed" for record in records),
+        "completed_early": sum(record.outcome == "completed" and bool(record.ended_early) for record in records),
         "not_completed": sum(record.outcome != "completed" for record in records),
         "contacts": sum(record.contacts or 0 for record in records),
         "errors": sum(bool(record.error) for record in records),
@@ -182,11 +183,13 @@ def _conclude(records: list[Record], console: Console) -> int:
         groups.setdefault((kind, case.radius_m, case.variant, case.mount, case.autopilot), []).append(record)
     for (kind, radius_m, variant, mount, autopilot), some in sorted(groups.items()):
         completed, broken = sum(r.outcome == "completed" for r in some), sum(bool(r.error) for r in some)
+        early = sum(r.outcome == "completed" and bool(r.ended_early) for r in some)
         contacts = sum(r.contacts or 0 for r in some)
         clearances = [r.min_clearance_m for r in some if r.min_clearance_m is not None]
         say(
-            f"{kind}, radius {radius_m:.2f} m, {variant}, {mount}, {autopilot}: {len(some)} flights, {completed} completed, "
-            f"{contacts} contacts, {broken} errors, min clearance {_number(min(clearances, default=None), 3, 0)} m"
+            f"{kind}, radius {radius_m:.2f} m, {variant}, {mount}, {autopilot}: {len(some)} flights, {completed} completed "
+            f"({early} before everything was seen), {contacts} contacts, {broken} errors, "
+            f"min clearance {_number(min(clearances, default=None), 3, 0)} m"
         )
         flight_s, path_m, views, explored, recall, recall_s, times = (_middle(some, name) for name in MEDIANS)
         say(

@@ -54,7 +54,8 @@ class Record:
     error: the first line of an exception, "" without one.
     times_real: simulated time divided by wall time of the flight alone; times_real_processor: by its processor time.
     odometry_ate_cm: error of the odometry's path after rigid alignment. recall_90_s: time at which the surface first recalled
-    90 % of the truth; recall: at the end. commit: of the flight, see host_info.commit().
+    90 % of the truth; recall: at the end. commit: of the flight, see host_info.commit(). ended_early: what ended the
+    survey before everything was seen, "" if nothing did.
     """
 
     case: Case
@@ -78,6 +79,7 @@ class Record:
     error: str = ""
     trace: str = ""
     recall: float | None = None
+    ended_early: str = ""
 
     @property
     def bad(self) -> bool:
@@ -130,7 +132,7 @@ def _fly(case: Case, folder: Path, truth: bool) -> Record:
         report.explored_fraction, report.time_to_recall_s.get("0.90"), safety.min_clearance_m, safety.contacts,
         safety.refusals, safety.failsafes, planning.hover_wait_s, planning.total_s, ate_cm,
         flight.simulated_s / flight.wall_s, flight.simulated_s / flight.processor_s,
-        recall=report.recall_over_time[-1][2] if report.recall_over_time else None,
+        recall=report.recall_over_time[-1][2] if report.recall_over_time else None, ended_early=report.ended_early,
     )  # fmt: skip
 
 

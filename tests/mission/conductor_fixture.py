@@ -90,13 +90,14 @@ class ThreeViews:
         self.left = [np.array([1.5, 0.0, 1.1]), np.array([1.5, 1.5, 1.1]), np.array([0.0, 1.5, 1.1])]
         self.no_way_home = self.settled = self.explored = False
         self.fine_places: tuple[FloatArray, ...] = ()
+        self.nothing = TOO_NARROW
         self.accepted: list[ViewPath] = []
         self.asked: list[PlanRequest] = []
 
     def plan(self, request: PlanRequest) -> ViewPath | NothingLeft:
         self.asked.append(request)
         if not self.left:
-            return NothingLeft(TOO_NARROW, 0.01, 0.02)
+            return NothingLeft(self.nothing, 0.01, 0.02)
         return self._to(request, *(Viewpoint(place, 0.5, 0.26) for place in self.left[:2]))
 
     def route(self, request: PlanRequest, goal: Viewpoint) -> ViewPath | NothingLeft:

@@ -541,3 +541,14 @@ def test_it_plans_no_motion_while_the_pilot_goes_back(desk: Desk) -> None:
     desk.slow_reason = None
     desk.run(1.0)
     assert len(desk.planner.asked) > asked
+
+
+def test_places_left_unseen_are_said_when_the_flight_ends(desk: Desk) -> None:
+    left = Reason(ReasonCode.PLACES_LEFT_UNSEEN, (2,), (Reason(ReasonCode.FRONTIERS_VIEWED_WITHOUT_RESULT, (2,)), TOO_NARROW))
+    desk.planner.nothing = left
+    desk.conductor.requests.start()
+    desk.run(120.0, until=Phase.DONE)
+    desk.conductor.close(desk.clock.now_s())
+    outcome = read_timeline(desk.folder).outcomes[-1]
+    assert (outcome.outcome, outcome.ended_early) == ("completed", "2 place(s) left unseen")
+    assert outcome.stop_reason == "2 place(s) left unseen: 2 viewed without result, 2 frontiers left: 2 too narrow"

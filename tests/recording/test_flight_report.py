@@ -13,6 +13,7 @@ import pytest
 from uav_recon.recording.flight_log import FlightLog, read_timeline
 from uav_recon.recording.flight_report import FlightInfo, build_report, publish
 from uav_recon.recording.report import Report, ReportSight
+from uav_recon.recording.report_page import verdict
 from uav_recon.types.perception_status import PerceptionStatus
 from uav_recon.types.pose import Pose
 from uav_recon.types.reason import Reason
@@ -193,3 +194,42 @@ def test_a_sight_that_was_predicted_but_not_measured_has_no_measured_times(tmp_p
     assert "<th>Above 2 cm</th><td>–</td>" in page
     assert (tmp_path / "pictures" / "place.png").exists()
     assert page.count("How well the place was known, and how well the view should show it.</figcaption>") == 1
+
+
+PLACES = Reason(ReasonCode.PLACES_LEFT_UNSEEN, (2,), (Reason(ReasonCode.FRONTIERS_VIEWED_WITHOUT_RESULT, (2,)),))
+SPENT = Reason(ReasonCode.VIEWS_SPENT, (40,))
+
+
+@pytest.mark.parametrize(
+    ("stop_reason", "headline"),
+    [
+        (None, "completed"),
+        (Reason(ReasonCode.NO_FRONTIERS_LEFT), "completed"),
+        (Reason(ReasonCode.FRONTIERS_LEFT, (9,), (Reason(ReasonCode.FRONTIERS_TOO_NARROW, (9,)),)), "completed"),
+        (PLACES, "completed, 2 place(s) left unseen"),
+        (SPENT.with_detail(Reason(ReasonCode.FRONTIERS_IN_LAST_PLAN, (12,))),
+         "completed, view budget of 40 spent, 12 frontiers left in the last plan"),
+        (SPENT.with_detail(Reason(ReasonCode.FRONTIERS_IN_LAST_PLAN, (0,))), "completed, view budget of 40 spent"),
+        (Reason(ReasonCode.PLANS_FAILED, (5,), (Reason(ReasonCode.NO_KNOWN_PATH),)), "completed, 5 plans in a row not flyable"),
+    ],
+)  # fmt: skip
+def test_the_headline_says_what_ended_a_flight_before_everything_was_seen(
+    tmp_path: Path, stop_reason: Reason | None, headline: str
+) -> None:
+    log = FlightLog(tmp_path)
+    log.outcome(40.0, None, stop_reason)
+    log.close()
+    report = build_report(tmp_path, CARD, wall_s=55.0)
+    assert report.completed, "frontiers that are left do not make it an aborted flight"
+    assert report.headline == headline
+    title, mood = verdict(report)
+    assert (title.lower(), mood) == (headline, "good" if headline == "completed" else "fair")
+    assert report.stop_reason == ("" if stop_reason is None else stop_reason.text())
+
+
+def test_an_aborted_flight_says_why_it_was_aborted_and_no_more(tmp_path: Path) -> None:
+    log = FlightLog(tmp_path)
+    log.outcome(40.0, Reason(ReasonCode.OPERATOR_LAND), PLACES)
+    log.close()
+    report = build_report(tmp_path, CARD, wall_s=55.0)
+    assert report.headline == report.outcome == f"aborted: {Reason(ReasonCode.OPERATOR_LAND).text()}"

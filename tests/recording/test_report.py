@@ -53,6 +53,7 @@ def tree() -> dict[str, Any]:
         "sight": {
             "weak_s": 21.62, "blind_s": 8.4, "longest_blind_s": 3.1, "predicted_weak_s": 30.26, "predicted_blind_s": 9.8,
         },
+        "ended_early": "",
     }  # fmt: skip
 
 

@@ -51,6 +51,7 @@ from uav_recon.types.vehicle import FlightPhase, VehicleState
 
 if TYPE_CHECKING:
     from uav_recon.mapping.neural.worker.mapper_client import ProcessMapper
+    from uav_recon.recording.report import Report
 
 LOG = logging.getLogger(__name__)
 
@@ -261,8 +262,8 @@ def mission(config_path: Path, flight: Path | None) -> int:
         journal.refused_views(clock.now_s(), mapper.refused())
         journal.close()
         _stop_recorder(recorder)
-    _write_report(config, folder, clock.now_s() - begun_s)
-    LOG.info("%s", outcome_text(aborted))
+    report = _write_report(config, folder, clock.now_s() - begun_s)
+    LOG.info("%s", ": ".join(filter(None, (outcome_text(aborted), report.stop_reason))))
     return 0
 
 
@@ -328,13 +329,15 @@ def _start_mapper(config: Config, folder: Path) -> ProcessMapper:
         raise UserError(str(error), EXIT_CONFIG) from None
 
 
-def _write_report(config: Config, folder: Path, wall_s: float) -> None:
+def _write_report(config: Config, folder: Path, wall_s: float) -> Report:
     from uav_recon.app.unseen_space import with_unseen
     from uav_recon.recording.flight_report import FlightInfo, build_report, publish
 
     mount = "gimbal" if config.camera.mount == "gimbal" else f"fixed:{config.camera.pitch_down_deg:g}"
     card = FlightInfo(folder.name, config.planner.variant, config.link.autopilot, mount)
-    publish(with_unseen(build_report(folder, card, wall_s), config, folder), folder)
+    report = with_unseen(build_report(folder, card, wall_s), config, folder)
+    publish(report, folder)
+    return report
 
 
 def _start_recorder(config_path: Path, folder: Path) -> subprocess.Popen[bytes]:

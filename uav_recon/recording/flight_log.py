@@ -22,11 +22,13 @@ from uav_recon.types.frames import FloatArray
 from uav_recon.types.perception_status import PerceptionStatus
 from uav_recon.types.pose import Pose
 from uav_recon.types.reason import Reason, codes_of, text_of
+from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.vehicle import MissionProgress
 
 TIMELINE = "timeline.jsonl"
 TAKE_OFF = "take-off"
 _ON_THE_GROUND = ("idle", "ready", "done")
+SEEN_TO_THE_END = (ReasonCode.NO_FRONTIERS_LEFT, ReasonCode.FRONTIERS_LEFT)
 _LOG = logging.getLogger(__name__)
 
 
@@ -152,7 +154,7 @@ class PerceptionRecord:
 class OutcomeRecord:
     """Outcome of the flight: "completed" or "aborted: reason".
 
-    stop_reason: reason for the end of the survey.
+    stop_reason: reason for the end of the survey. ended_early: what ended it before everything was seen, '' if nothing did.
     """
 
     stamp_s: Float
@@ -160,6 +162,7 @@ class OutcomeRecord:
     stop_reason: str
     codes: tuple[str, ...] = ()
     stop_codes: tuple[str, ...] = ()
+    ended_early: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -324,7 +327,8 @@ class FlightLog:
     def outcome(self, stamp_s: float, aborted: Reason | None, stop_reason: Reason | None) -> None:
         """Add the last line. aborted: None for a flight that was completed."""
         codes, stop_codes = codes_of(aborted), codes_of(stop_reason)
-        self._write("outcome", OutcomeRecord(stamp_s, outcome_text(aborted), text_of(stop_reason), codes, stop_codes))
+        early = early_end_text(stop_reason)
+        self._write("outcome", OutcomeRecord(stamp_s, outcome_text(aborted), text_of(stop_reason), codes, stop_codes, early))
 
     def close(self) -> None:
         """Close the file."""
@@ -343,6 +347,17 @@ class FlightLog:
 def outcome_text(aborted: Reason | None) -> str:
     """Return how a flight ended, in words: "completed" or "aborted: reason"."""
     return "completed" if aborted is None else f"aborted: {aborted.text()}"
+
+
+def early_end_text(stop_reason: Reason | None) -> str:
+    """Return what ended the survey before everything was seen, in words; '' if nothing did.
+
+    Frontiers that the vehicle could not have seen do not count. Example: '2 place(s) left unseen'.
+    """
+    if stop_reason is None or stop_reason.code in SEEN_TO_THE_END:
+        return ""
+    frontiers = [one for one in stop_reason.details if one.code is ReasonCode.FRONTIERS_IN_LAST_PLAN and one.values != (0,)]
+    return ", ".join(one.text() for one in (Reason(stop_reason.code, stop_reason.values), *frontiers))
 
 
 def read_timeline(folder: Path) -> Timeline:

@@ -89,6 +89,7 @@ def build_report(folder: Path, card: FlightInfo, wall_s: float) -> Report:
         correction=timeline.perception[-1].correction if timeline.perception else "",
         earlier_map=timeline.perception[-1].earlier_map if timeline.perception else "",
         sight=_sight(timeline),
+        ended_early=outcome.ended_early if outcome else "",
     )
 
 

@@ -138,6 +138,7 @@ class Report:
     rejected_by_perception: depth frames, poses and inertial samples that perception rejected, by reason; None if it published
     no counts. camera: its streams, and what was wrong with it, as texts. odometry: against the true path; None without it.
     unseen: space that the flight left unknown; None without a map, and in reports from before it was measured.
+    ended_early: what ended the survey before everything was seen, as text; '' if nothing did.
     sight: how well the view showed the place; None where it is not predicted, and in reports from before it was.
     """
 
@@ -175,6 +176,7 @@ class Report:
     odometry: ReportOdometry | None = None
     unseen: ReportUnseen | None = None
     sight: ReportSight | None = None
+    ended_early: str = ""
 
     @property
     def completed(self) -> bool:
@@ -183,9 +185,14 @@ class Report:
 
     @property
     def headline(self) -> str:
-        """The outcome; of a completed flight, also what it left unseen if that is much."""
-        unseen = self.unseen.text if self.completed and self.unseen is not None else ""
-        return f"{self.outcome}, but {unseen}" if unseen else self.outcome
+        """The outcome; of a completed flight, also what ended it early, and what it left unseen.
+
+        The latter if it is much.
+        """
+        if not self.completed:
+            return self.outcome
+        unseen = f", but {self.unseen.text}" if self.unseen is not None and self.unseen.text else ""
+        return self.outcome + (f", {self.ended_early}" if self.ended_early else "") + unseen
 
     def times_oracle(self, recall: str) -> float | None:
         """Return the time to one of TIMED_RECALLS over the oracle's; None if either is unknown."""

@@ -57,7 +57,7 @@ def verdict(report: Report) -> tuple[str, str]:
         return f"Completed, but with {_count(report.safety.contacts, 'contact')}", "bad"
     if report.safety.failsafes:
         return f"Completed, with {_count(report.safety.failsafes, 'failsafe')}", "fair"
-    if report.unseen is not None and report.unseen.text:
+    if report.headline != report.outcome:
         return report.headline[:1].upper() + report.headline[1:], "fair"
     return "Completed" + (" without contact" if report.safety.contacts == 0 else ""), "good"
 

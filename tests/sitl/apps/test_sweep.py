@@ -158,3 +158,14 @@ def test_a_summary_counts_all_flights_and_names_their_commits() -> None:
     assert (told["contacts"], told["errors"], told["min_clearance_m"]) == (2, 1, 0.0)
     assert (told["min_explored"], told["median_flight_s"]) == (None, 20.0)
     assert told["commits"] == ["abc", "def"]
+
+
+def test_a_summary_counts_flights_that_ended_before_everything_was_seen() -> None:
+    early = "2 place(s) left unseen"
+    records = [
+        Record(BROKEN, "completed", f"{early}: 2 viewed without result", ended_early=early),
+        Record(BROKEN, "completed", "no frontiers left"),
+        Record(BROKEN, "aborted: battery", early, ended_early=early),
+    ]
+    told = summary(records)
+    assert (told["completed"], told["completed_early"], told["not_completed"]) == (2, 1, 1)
