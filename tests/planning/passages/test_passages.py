@@ -64,17 +64,30 @@ def test_a_path_through_it_leads_along_the_middle() -> None:
     np.testing.assert_array_equal(door.passages.along(inside)[[0, -1]], inside)
 
 
-def test_a_closed_passage_is_looked_at_twice_from_before_it() -> None:
-    door = Doorway(0.8)
+def test_a_closed_passage_is_looked_at_twice_from_before_it_and_from_two_places() -> None:
+    door, places = Doorway(0.8), []
     door.plan()
-    for _ in range(2):
+    for most_aside_m, most_rad in ((0.4, 0.3), (0.8, 0.7)):
         context = PlanningContext(door.voxels, door.usual, np.zeros(1, dtype=np.int64), HERE)
         (view,) = door.passages.looks(context)
         place, yaw_rad = view.task.viewpoint.position_world, view.task.viewpoint.yaw_rad
-        assert 0.9 <= 3.0 - place[0] <= 2.0 and abs(place[1] - MIDDLE_M) < 0.4
-        assert abs(yaw_rad) < 0.3 and view.task.viewpoint.pitch_down_rad == CAMERA.pitch_min_rad
+        places.append(place)
+        assert 0.9 <= 3.0 - place[0] <= 2.0 and abs(place[1] - MIDDLE_M) < most_aside_m
+        assert abs(yaw_rad) < most_rad and view.task.viewpoint.pitch_down_rad == CAMERA.pitch_min_rad
         door.plan(position=place, yaw_rad=yaw_rad)
+    assert np.linalg.norm(places[1] - places[0]) > 0.4
     assert not door.passages.looks(PlanningContext(door.voxels, door.usual, np.zeros(1, dtype=np.int64), HERE))
+
+
+def test_a_passage_without_a_fine_map_is_closed_again() -> None:
+    door = Doorway(0.8)
+    door.plan()
+    door.plan(door.fine(0.8))
+    assert door.leads_through()
+    door.plan()
+    assert not door.leads_through()
+    door.plan(door.fine(0.8))
+    assert door.leads_through()
 
 
 def test_the_measured_width_is_that_of_the_opening() -> None:

@@ -71,11 +71,14 @@ class MultiResolutionMap:
         self._fine.clear()
 
     def integrate(self, posed: PosedFrame) -> int:
-        """See OccupancyMap. A fine map in view costs about a millisecond."""
+        """See OccupancyMap. A fine map in view costs about a millisecond.
+
+        Thin gaps in it are closed, see thin_gaps.
+        """
         changed = self._coarse.integrate(posed)
         for place, fine in self._fine.items():
-            if _may_show(posed.world_from_depth, np.array(place)):
-                fine.integrate(posed)
+            if _may_show(posed.world_from_depth, np.array(place)) and fine.integrate(posed):
+                fine.close_thin_gaps()
         return changed
 
     def integrate_cone(self, cone: FreeCone) -> int:

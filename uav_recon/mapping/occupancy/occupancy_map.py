@@ -23,6 +23,7 @@ from uav_recon.mapping.occupancy.grid_camera import GridCamera
 from uav_recon.mapping.occupancy.log_odds import FREE_AT, MIN_LOG_ODDS, copy_changed, new_states
 from uav_recon.mapping.occupancy.occlusion_reset import reset_behind_new_obstacles
 from uav_recon.mapping.occupancy.snapshot_pool import SnapshotPool
+from uav_recon.mapping.occupancy.thin_gaps import close_thin_gaps
 from uav_recon.types.camera import Frame, Intrinsics, PosedFrame
 from uav_recon.types.frames import FloatArray, IntArray
 from uav_recon.types.free_cone import FreeCone
@@ -132,6 +133,15 @@ class OccupancyMap:
             raise ValueError(f"cone of map epoch {cone.map_epoch} given to voxels of epoch {self._map_epoch}")
         return self._list_changes(clear_cone(cone, self.grid, self._odds))
 
+    def close_thin_gaps(self) -> int:
+        """Free what is unknown between free voxels and one voxel thick.
+
+        Returns the number of voxels that became free.
+        """
+        state = self._snapshots.current.state
+        number = close_thin_gaps(state, self.grid.shape, self._odds, self._scratch.listed)
+        return self._apply_state_changes(number)
+
     def declare_free(self, centre_world: FloatArray, radius_m: float, z_min_m: float, z_max_m: float) -> None:
         """Set the voxels in an upright cylinder free, as declared by the operator.
 
@@ -178,6 +188,7 @@ class OccupancyMap:
         held = []
         for _ in range(3):  # the second snapshot uses another buffer than the first
             small.integrate(PosedFrame(frame, Pose.from_yaw(0.0, np.array([1.0, 1.0, 0.2]))))
+            small.close_thin_gaps()
             held.append(small.snapshot())
             small.declare_free(np.ones(3), 0.5 * len(held), 0.0, 2.0)
 

@@ -28,6 +28,8 @@ LOOK_M = 1.3  # distance of a look from the middle of a passage
 MOST_LOOK_M = 2.0  # ... at most
 OFF_AXIS = 0.7  # metres of distance that a look from one radian beside the axis is worth less
 MOST_LOOKS = 2  # looks at a passage that it takes to see that it is too narrow
+SAME_LOOK_M = 0.6  # looks from nearer places than this show the same edges, so a second look is from farther aside ...
+SAME_LOOK_WORSE_M = 1.0  # ... unless that is this much worse
 LOOKED_M = 0.35  # a look counts as taken within this distance ...
 LOOKED_RAD = 0.4  # ... and this difference in heading
 
@@ -37,9 +39,10 @@ class Passage:
     """One narrow passage.
 
     near_world, far_world: (3,) positions with the usual clearance before and behind it. voxels_behind: flyable voxels there.
-    width_m: least width as measured in its fine map, 0 as long as that shows no way through. widest_m: the largest of these so
-    far. needed_m: that for which it is open. path_world: (M, 3) the widest way through, empty if it is too narrow. opened: (N,)
-    flat PADDED voxels around it. looks: number of looks taken.
+    width_m: least width as measured in its fine map, 0 as long as that shows no way through. widest_m: the largest of these.
+    needed_m: that for which it is open. path_world: (M, 3) the widest way through, empty if it is too narrow. opened: (N,) flat
+    PADDED voxels around it. looked_from_world: positions of the looks taken. measured: corner in world and revision of the fine
+    map that it was measured in.
     """
 
     near_world: FloatArray
@@ -50,8 +53,8 @@ class Passage:
     needed_m: float = 0.0
     path_world: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
     opened: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
-    looks: int = 0
-    measured_revision: int = -1
+    looked_from_world: list[FloatArray] = field(default_factory=list)
+    measured: tuple[float, ...] = ()
     look: Viewpoint | None = None
 
     @property
@@ -120,7 +123,7 @@ class Passages:
         views = []
         for one in self._known:
             one.look = None
-            if not one.is_open and one.looks < MOST_LOOKS:
+            if not one.is_open and len(one.looked_from_world) < MOST_LOOKS:
                 view = self._view_of(one, context)
                 if view is not None:
                     views.append(view)
@@ -132,7 +135,7 @@ class Passages:
 
         It gives the widest that was measured: later looks from other places may show less of an opening.
         """
-        closed = [one for one in self._known if one.looks and 0.0 < one.widest_m < one.needed_m]
+        closed = [one for one in self._known if one.looked_from_world and 0.0 < one.widest_m < one.needed_m]
         closed.sort(key=lambda one: -one.widest_m)
         places = [(one.widest_m, one.needed_m, *one.middle_world[:2].tolist()) for one in closed]
         return [Reason(ReasonCode.PASSAGE_TOO_NARROW, values) for values in places]
@@ -153,16 +156,21 @@ class Passages:
         for one in self._known:
             if np.linalg.norm(one.middle_world - middle) < SAME_M:
                 one.near_world, one.far_world, one.voxels_behind = ends[0], ends[1], found.voxels_behind
-                one.measured_revision = -1
+                one.measured = ()
                 return
         self._known.append(Passage(ends[0], ends[1], found.voxels_behind))
 
     def _measure(self, passage: Passage, voxels: VoxelMap) -> bool:
         """Measure a passage in its fine map; return True if its way through has changed."""
         fine = _nearest_fine(voxels, passage.middle_world)
-        if fine is None or fine.revision == passage.measured_revision:
+        if fine is None:  # what no map shows is closed
+            changed = passage.is_open
+            passage.opened, passage.path_world, passage.measured = passage.opened[:0], passage.path_world[:0], ()
+            return changed
+        measured = (*fine.grid.origin_world_m.tolist(), fine.revision)
+        if measured == passage.measured:
             return False
-        passage.measured_revision = fine.revision
+        passage.measured = measured
         bounds_m = self._usual.world_from_padded(self._usual.clearance_box[:SIDES2].reshape(2, 3) + 1.0)
         path, clearance_m = widest_path(fine, passage.near_world, passage.far_world, END_M, heights_m=bounds_m[:, 2])
         passage.width_m = max(2.0 * clearance_m - fine.grid.resolution_m, 0.0)
@@ -181,7 +189,7 @@ class Passages:
     def _count_looks(self, request: PlanRequest) -> None:
         for one in self._known:
             if one.look is not None and _at(one.look, request.position_world, request.yaw_rad):
-                one.looks += 1
+                one.looked_from_world.append(one.look.position_world)
                 one.look = None
 
     def _view_of(self, passage: Passage, context: PlanningContext) -> CandidateView | None:
@@ -197,6 +205,9 @@ class Passages:
         away_m = np.linalg.norm(towards[:, :2], axis=1)
         off_rad = np.arccos(np.clip(towards[:, :2] @ axis / np.maximum(away_m, 1e-9), -1.0, 1.0))
         worse_m = np.abs(away_m - LOOK_M) + OFF_AXIS * off_rad + np.abs(towards[:, 2])
+        for place_world in passage.looked_from_world:
+            aside_m = np.linalg.norm(middle - towards - place_world, axis=1)
+            worse_m += SAME_LOOK_WORSE_M * np.maximum(1.0 - aside_m / SAME_LOOK_M, 0.0)
         worse_m[(away_m > MOST_LOOK_M) | (off_rad > 1.0)] = np.inf
         for best in np.argsort(worse_m)[:20]:
             place = cells[best] + 0.5
