@@ -74,3 +74,24 @@ def test_motion_plans_by_the_ages_that_the_guard_will_find() -> None:
     found_s = np.array([guard.ages_s(hull, 20.0).max() for hull in hulls])
     np.testing.assert_allclose(planned_s, np.where(np.isfinite(found_s), found_s + OLDER_S, 0.0), atol=1e-6)
     assert 0.1 < np.isfinite(found_s).mean() < 0.9
+    for older_s in (0.0, 45.0, 65.0, 170.0):  # views of up to 20 s more
+        now_s = 20.0 + older_s
+        refused = forecast.is_refused(direction, place, np.full(300, now_s), np.ones(300, dtype=np.bool_))
+        ahead = (place[:, :3] + guard.reach_m * direction).tolist()
+        seen = [guard.saw_free((x, y, z), now_s, unit) for (x, y, z), unit in zip(ahead, direction, strict=True)]
+        differ = refused != ~np.array(seen)
+        assert not (differ & ~refused).any() and differ.mean() < 0.03, "motion is refused OLDER_S sooner"
+        assert older_s > 100.0 or 0.05 < refused.mean() < 0.95
+
+
+def test_older_views_are_farther_apart_and_none_is_lost_at_once() -> None:
+    sight, now_s = RecentViewMemory(180.0, POSITION_M), 0.0
+    views: RecentViews | None = None
+    for n in range(600):
+        now_s = 0.4 * n
+        views = sight.add(posed(now_s, Pose.from_yaw(0.0, np.array([0.0, 0.0, 1.0])))) or views
+    assert views is not None
+    ages_s, apart_s = now_s - views.stamp_s, np.diff(views.stamp_s)
+    assert len(ages_s) < 170 and 170.0 < ages_s[0] <= 180.0 and ages_s[-1] == 0.0
+    assert (apart_s <= np.maximum(0.41, 0.07 * ages_s[:-1])).all()
+    np.testing.assert_allclose(apart_s[ages_s[:-1] < 10.0], 0.4, atol=1e-9)

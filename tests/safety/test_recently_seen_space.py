@@ -66,6 +66,27 @@ def test_it_forgets() -> None:
     assert not young.saw_free((1.0, 0.0, 1.0), 1.0)
 
 
+@pytest.mark.parametrize(
+    ("direction", "longest_s"), [((0, 0, 1), 30), ((0.8, 0, 0.6), 30), ((0.9, 0, 0.43), 10), ((0, 0, -1), 10)]
+)
+def test_a_steep_climb_may_rely_on_older_views(direction: tuple[float, float, float], longest_s: float) -> None:
+    sight, place = looked(), (2.0, 0.0, 1.0)
+    assert sight.saw_free(place, 5.0 + longest_s - 0.01, np.array(direction))
+    assert not sight.saw_free(place, 5.0 + longest_s + 0.01, np.array(direction))
+    assert not sight.saw_free((4.1, 0.0, 1.0), 6.0, np.array(direction))
+
+
+def test_it_keeps_a_view_of_each_part_of_the_longest_memory() -> None:
+    sight = RecentlySeenSpace(blind_memory_s=10.0, vehicle_radius_m=HULL_RADIUS_M)
+    for n in range(3000):  # at 30 Hz for 100 s, along y
+        sight.add(frame(3.0, n / 30), Pose.from_yaw(0.0, np.array([1.0, n / 300, 1.0])))
+    y = np.linspace(9.99 - 3.0, 9.99, 50)  # where it was in the last 30 s
+    places = np.column_stack([np.full(50, 1.0), y, np.full(50, 1.0)])
+    ages_s = sight.ages_s(places, 2999 / 30, 30.0)
+    np.testing.assert_allclose(ages_s, np.maximum((9.99 - y) * 10.0 - HULL_RADIUS_M * 10.0, 0.0), atol=0.2)
+    assert (sight.ages_s(places, 2999 / 30)[ages_s > 10.2] == math.inf).all()
+
+
 def test_no_return_is_not_free() -> None:
     assert not looked(math.nan).saw_free((2.0, 0.0, 1.0), 6.0)
 
@@ -85,11 +106,12 @@ def test_each_cell_speaks_for_itself_and_each_view_counts() -> None:
 def test_more_views_than_it_keeps_push_out_the_oldest() -> None:
     sight = looked()
     turned = Pose.from_yaw(math.pi, np.array([-3.0, 0.0, 1.0]))
-    for n in range(1, 160):
+    up = np.array([0.0, 0.0, 1.0])
+    for n in range(1, 480):
         sight.add(frame(1.0, 5.0 + n * 0.0625), turned)
-    assert sight.saw_free((2.0, 0.0, 1.0), 15.0)
-    sight.add(frame(1.0, 15.0), turned)
-    assert not sight.saw_free((2.0, 0.0, 1.0), 15.0)
+    assert sight.saw_free((2.0, 0.0, 1.0), 35.0, up)
+    sight.add(frame(1.0, 35.0), turned)
+    assert not sight.saw_free((2.0, 0.0, 1.0), 35.0, up)
 
 
 def test_views_are_spread_over_the_memory_so_that_a_fast_camera_does_not_shorten_it() -> None:

@@ -187,8 +187,9 @@ def make_motion(config: Config, clearance_m: float) -> SpeedLimitedPlanner:
 def make_recent_view_memory(config: Config) -> RecentViewMemory:
     """Return the mission's memory of the views that raise the speed limit outside the view."""
     from uav_recon.mapping.recent_view_memory import RecentViewMemory
+    from uav_recon.safety.sight_speed_limit import longest_memory_s
 
-    return RecentViewMemory(config.safety.blind_stale_s, np.array(config.camera.position_body_m))
+    return RecentViewMemory(longest_memory_s(config.safety.blind_memory_s), np.array(config.camera.position_body_m))
 
 
 def is_perception_aware(config: Config) -> bool:

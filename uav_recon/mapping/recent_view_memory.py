@@ -5,8 +5,6 @@ The guard has a memory of its own and does not rely on this one.
 
 from __future__ import annotations
 
-from collections import deque
-
 import numpy as np
 
 from uav_recon.geometry import min_range_binning
@@ -19,10 +17,11 @@ from uav_recon.types.pose import Pose
 from uav_recon.types.recent_views import RecentViews
 
 _SPACING_S = 0.35  # between stored views: the guard stores as many over a memory of 60 s
+_SPACING_SHARE = 0.03  # of their age: between older views: where one saw, the next saw nearly the same
 
 
 class RecentViewMemory:
-    """Stores the views of the last ``memory_s`` seconds.
+    """Stores views of the last ``memory_s`` seconds: all of the last ten, fewer of those before.
 
     camera_body_m: (3,) position of the camera on the body.
     """
@@ -30,7 +29,7 @@ class RecentViewMemory:
     def __init__(self, memory_s: float, camera_body_m: FloatArray) -> None:
         self._memory_s = memory_s
         self._camera_body_m = camera_body_m
-        self._views: deque[tuple[MinRangeGrid, Pose]] = deque()
+        self._views: list[tuple[MinRangeGrid, Pose]] = []
         self._map_epoch = 0
 
     def add(self, posed: PosedFrame) -> RecentViews | None:
@@ -47,8 +46,7 @@ class RecentViewMemory:
         if self._views and self._views[-1][0].range_m.shape != nearby.range_m.shape:
             self._views.clear()
         self._views.append((nearby, posed.world_from_depth))
-        while stamp_s - self._views[0][0].stamp_s > self._memory_s:
-            self._views.popleft()
+        self._views = _thinned(self._views, stamp_s, self._memory_s)
         return self._all()
 
     def _all(self) -> RecentViews:
@@ -71,3 +69,15 @@ class RecentViewMemory:
     def warm_up() -> None:
         """Compile every kernel."""
         min_range_binning.warm_up()
+
+
+def _thinned(views: list[tuple[MinRangeGrid, Pose]], now_s: float, memory_s: float) -> list[tuple[MinRangeGrid, Pose]]:
+    """Return the views within the memory, farther apart the older they are."""
+    kept: list[tuple[MinRangeGrid, Pose]] = []
+    for n, one in enumerate(views):
+        age_s = now_s - one[0].stamp_s
+        newer_s = views[n + 1][0].stamp_s if n + 1 < len(views) else np.inf
+        if age_s > memory_s or (kept and newer_s - kept[-1][0].stamp_s < _SPACING_SHARE * age_s):
+            continue
+        kept.append(one)
+    return kept

@@ -15,7 +15,7 @@ import numpy as np
 from uav_recon.geometry.jit import kernel
 from uav_recon.motion.clearance import ClearanceMap, clearance_at
 from uav_recon.motion.path_sight import PathSight
-from uav_recon.safety.sight_speed_limit import SightSpeedLimit, entered_points
+from uav_recon.safety.sight_speed_limit import SightSpeedLimit, entered_points, memory_s
 from uav_recon.types.frames import AnyArray, BoolArray, Float32Array, FloatArray, IntArray
 from uav_recon.types.maps import FREE, GridSpec, VoxelMap
 from uav_recon.types.recent_views import RecentViews
@@ -109,19 +109,47 @@ class SightForecast:
         nodes = np.flatnonzero(asked)
         if not len(nodes):
             return limit_mps
-        length = np.linalg.norm(direction[nodes], axis=1, keepdims=True)
         stopping_m = np.full(len(nodes), self.hull.stopping_m)
-        reach_m = self.hull.radius_m + REACH_M
-        unit = direction[nodes] / np.maximum(length, 1e-9)
-        points = entered_points(place[nodes, :3], unit, stopping_m, self.hull.radius_m, reach_m)
+        points = entered_points(place[nodes, :3], _unit(direction[nodes]), stopping_m, self.hull.radius_m, self._reach_m)
+        limit_mps[nodes] = self.limit.at(self._ages_s(points, nodes, place, reached_s))
+        return limit_mps
+
+    def is_refused(self, direction: FloatArray, place: FloatArray, reached_s: FloatArray, asked: BoolArray) -> BoolArray:
+        """Return a mask (M,) of the positions at which the guard refuses even a slow motion.
+
+        It has not seen the next space for too long. The arguments are those of max_speed_mps().
+        """
+        refused = np.zeros(len(place), dtype=np.bool_)
+        nodes = np.flatnonzero(asked)
+        if len(nodes):
+            unit = _unit(direction[nodes])
+            points = (place[nodes, :3] + self._reach_m * unit)[:, None]
+            refused[nodes] = self._ages_s(points, nodes, place, reached_s) > memory_s(self.limit.blind_memory_s, unit)
+        return refused
+
+    @property
+    def _reach_m(self) -> float:
+        return self.hull.radius_m + REACH_M
+
+    def _ages_s(self, points: FloatArray, nodes: IntArray, place: FloatArray, reached_s: FloatArray) -> FloatArray:
+        """Return the ages (N,) of points (N, K, 3) when the nodes (N,) are reached: of the oldest.
+
+        place: (M, 5) positions, of which the nodes are indices. reached_s: (M,) instants.
+        """
         seen_s = np.empty(len(nodes))
         path = HullPath(
             place=np.vstack([self.place, place]), reached_s=np.concatenate([self.reached_s, reached_s]),
             tangents=self.tangents, radius_m=self.hull.radius_m, oldest_s=self.limit.blind_stale_s,
         )  # fmt: skip
         _last_seen_s(points, nodes + len(self.place), path, RecentViewArrays.of(self.views), self.clearance_map, seen_s)
-        limit_mps[nodes] = self.limit.at(reached_s[nodes] - seen_s + OLDER_S)
-        return limit_mps
+        ages_s: FloatArray = reached_s[nodes] - seen_s + OLDER_S
+        return ages_s
+
+
+def _unit(direction: FloatArray) -> FloatArray:
+    """Return directions (N, 3) of length one."""
+    unit: FloatArray = direction / np.maximum(np.linalg.norm(direction, axis=1, keepdims=True), 1e-9)
+    return unit
 
 
 @kernel

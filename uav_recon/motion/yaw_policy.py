@@ -33,6 +33,8 @@ SHORT_M = 0.15  # horizontal; on a shorter edge it turns for its view only
 TURNS_IN_M = 0.1  # length of an edge within which it turns: nearly on the spot
 # flight where the camera does not look counts as longer by this factor: it may be refused, and shows a drift of the pose later
 PREFERRED = 1.4
+# ... and by this factor where the guard would refuse it
+REFUSED = 10.0
 USUAL_SHARE = 0.6  # mean speed on a path as a share of the greatest
 # lengths of the path within which it turns at the start of an edge, and to the view at its end; pairs are compared
 TURNS_M = ((TURNS_IN_M, TURNS_IN_M), (TURNS_IN_M, 0.5), (TURNS_IN_M, 1.0), (0.5, 0.5), (1.0, 1.0))
@@ -299,9 +301,12 @@ class YawAlongPath:
         for _ in range(1 if forecast is None else 2):
             limit_mps = np.minimum(limit_mps, self.max_speed_mps(step, place, forecast, begin_s + np.cumsum(piece_s)))
             piece_s = self._piece_s(limit_mps, piece_m, turning_s)
-        weight = np.where(np.isfinite(limit_mps), PREFERRED, 1.0)
-        if forecast is not None and forecast.sight is not None:
-            weight = weight * forecast.sight.weight(place)
+        blind = np.isfinite(limit_mps)
+        weight = np.where(blind, PREFERRED, 1.0)
+        if forecast is not None:
+            weight[forecast.is_refused(step[:, :3], place, begin_s + np.cumsum(piece_s), blind)] = REFUSED
+            if forecast.sight is not None:
+                weight = weight * forecast.sight.weight(place)
         weighted_s = float(np.sum(weight * piece_s))
         return PathPass(place, begin_s + np.cumsum(piece_s), weighted_s, bool((limit_mps <= self.blind_speed_mps).any()))
 

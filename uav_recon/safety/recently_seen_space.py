@@ -11,39 +11,44 @@ import numpy as np
 
 from uav_recon.safety.envelope import Vec3
 from uav_recon.safety.free_cone_memory import FreeConeMemory
+from uav_recon.safety.sight_speed_limit import longest_memory_s, memory_s
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.free_cone import FreeCone
 from uav_recon.types.min_range_grid import MinRangeGrid, in_view
 from uav_recon.types.pose import Pose
 
-_VIEWS = 160  #: internal: stored views, spread over blind_memory_s: ten seconds of them at 15 Hz
+_VIEWS = 160  #: internal: stored views in each blind_memory_s, evenly spread: ten seconds of them at 15 Hz
 _BEFORE_M = 0.05  #: refuse: a motion outside the view into space nearer to a seen return than this, which is range noise
 
 
 class RecentlySeenSpace:
-    """The last views with their cells' nearest returns, past positions of the hull, free cones."""
+    """The last views with their cells' nearest returns, past positions of the hull, free cones.
+
+    They are kept for as long as any motion may rely on them, see sight_speed_limit.memory_s().
+    """
 
     def __init__(self, *, blind_memory_s: float, vehicle_radius_m: float) -> None:
         self.memory_s = blind_memory_s
         self.radius_m = vehicle_radius_m
         self.reach_m = vehicle_radius_m + _BEFORE_M  # from the body's centre to what the hull reaches next
         self._count = 0
-        self._stamp_s = np.full(_VIEWS, -math.inf)
-        self._depth_from_odom = np.zeros((_VIEWS, 3, 3))
-        self._place_m = np.zeros((_VIEWS, 3))
-        self._body_m = np.full((_VIEWS, 3), math.inf)
-        self._range_m: FloatArray = np.zeros((_VIEWS, 1, 1))
+        views = round(_VIEWS * longest_memory_s(blind_memory_s) / blind_memory_s)
+        self._stamp_s = np.full(views, -math.inf)
+        self._depth_from_odom = np.zeros((views, 3, 3))
+        self._place_m = np.zeros((views, 3))
+        self._body_m = np.full((views, 3), math.inf)
+        self._range_m: FloatArray = np.zeros((views, 1, 1))
         self._half_tan = np.ones(2)
         self._cones = FreeConeMemory(blind_memory_s, before_m=_BEFORE_M)
 
     def add(self, nearby: MinRangeGrid, odom_from_body: Pose) -> None:
         """Store a frame taken from this pose."""
         if self._range_m.shape[1:] != nearby.range_m.shape:
-            self._range_m = np.zeros((_VIEWS, *nearby.range_m.shape))
+            self._range_m = np.zeros((len(self._stamp_s), *nearby.range_m.shape))
             self._stamp_s[:] = -math.inf
-        if nearby.stamp_s - self._stamp_s[self._count % _VIEWS - 1] < self.memory_s / _VIEWS:
+        n = self._count % len(self._stamp_s)
+        if nearby.stamp_s - self._stamp_s[n - 1] < self.memory_s / _VIEWS:
             return
-        n = self._count % _VIEWS
         self._count = self._count + 1
         odom_from_depth = odom_from_body @ nearby.body_from_depth
         self._stamp_s[n] = nearby.stamp_s
@@ -60,16 +65,20 @@ class RecentlySeenSpace:
         self._stamp_s[:] = -math.inf
         self._cones.forget()
 
-    def saw_free(self, place_m: Vec3, now_s: float) -> bool:
-        """Return True if a view within the memory saw past this position, or the hull was there."""
-        return bool(np.isfinite(self.ages_s(np.array([place_m]), now_s)[0]))
+    def saw_free(self, place_m: Vec3, now_s: float, direction: FloatArray | None = None) -> bool:
+        """Return True if a view within the memory saw past this position, or the hull was there.
 
-    def ages_s(self, places_m: FloatArray, now_s: float) -> FloatArray:
+        direction: (3,) unit vector in odom of the motion that enters it, None = level.
+        """
+        within_s = self.memory_s if direction is None else float(memory_s(self.memory_s, direction))
+        return bool(self.ages_s(np.array([place_m]), now_s, within_s)[0] <= within_s)
+
+    def ages_s(self, places_m: FloatArray, now_s: float, within_s: float | None = None) -> FloatArray:
         """Return the ages (N,) of the newest views that saw past positions (N, 3) or were there.
 
-        A free cone around a position counts as such a view. Infinity where none within the memory did.
+        A free cone around a position counts as such a view. Infinity where none within the memory did, or within within_s.
         """
-        fresh = np.flatnonzero(now_s - self._stamp_s <= self.memory_s)
+        fresh = np.flatnonzero(now_s - self._stamp_s <= (self.memory_s if within_s is None else within_s))
         off_m = places_m[None] - self._body_m[fresh, None]
         there = np.einsum("vni,vni->vn", off_m, off_m) <= self.radius_m**2
         seen = np.einsum("vij,vnj->vni", self._depth_from_odom[fresh], places_m[None] - self._place_m[fresh, None])

@@ -12,6 +12,10 @@ import numpy as np
 
 from uav_recon.types.frames import FloatArray
 
+#: refuse: a climb into space not seen within blind_memory_s, if its direction has less than this vertical part
+_CLIMB_SHARE = 0.5
+#: refuse: a steeper climb into space not seen within this multiple of it: what comes into a room comes from the side or below
+_CLIMB_MEMORY_FACTOR = 3.0
 _STEEP_SHARE = 0.1  #: internal: a direction with a smaller level part has no side of its own
 #: refuse: a motion outside the view that is too fast for the age of the space this far off its path, of the hull's radius
 _OFF_SHARE = 0.7
@@ -37,6 +41,19 @@ class SightSpeedLimit:
         share = np.clip((age_s - self.blind_fresh_s) / fall_s, 0.0, 1.0)
         limit_mps = self.full_speed_mps + share * (self.blind_speed_mps - self.full_speed_mps)
         return np.where(age_s <= self.blind_memory_s, limit_mps, 0.0)
+
+
+def memory_s(blind_memory_s: float, direction: FloatArray) -> FloatArray:
+    """Return the age (s) up to which space that was seen is entered at blind_speed_mps.
+
+    direction: (..., 3) unit vectors in world. A steep climb may rely on older views.
+    """
+    return blind_memory_s * np.where(direction[..., 2] >= _CLIMB_SHARE, _CLIMB_MEMORY_FACTOR, 1.0)
+
+
+def longest_memory_s(blind_memory_s: float) -> float:
+    """Return the greatest value of memory_s()."""
+    return _CLIMB_MEMORY_FACTOR * blind_memory_s
 
 
 def entered_points(
