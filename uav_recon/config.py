@@ -295,7 +295,7 @@ class PlannerConfig(Section):
     view_spacing_m: Annotated[float, Field(ge=0.05, le=100.0)] | None = None  # l_res, view spacing; unset: where surface is new
     end_factor: Annotated[float, Field(ge=1.0, le=10.0)] = 3.0  # alpha, factor on R_loc, N_rec, L_exec when no frontier is left
     downsample: Annotated[int, Field(ge=1, le=50)] = 5  # N_down, use every N-th surface element
-    worth_share: Annotated[float, Field(ge=0.0, le=1.0)] = 0.15  # min. share of the best gain per second of surface tasks
+    worth_share: Annotated[float, Field(ge=0.0, le=1.0)] = 0.3  # min. share of the best gain per second of surface tasks
     perception_aware: bool | None = None  # prefer views that show where the vehicle is; unset: with the embedded SLAM
 
 

@@ -7,8 +7,8 @@ from uav_recon.types.tasks import PlanMode
 
 
 def chosen(rule: ModeRule, *distance_m: float, gaps_m: tuple[float, ...] = (), farther: int = 0) -> PlanMode:
-    opening = np.array([True] * len(distance_m) + [False] * len(gaps_m), dtype=np.bool_)
-    return rule.choose(np.array([*distance_m, *gaps_m], dtype=np.float64), opening, farther)
+    openings = np.array([1] * len(distance_m) + [0] * len(gaps_m), dtype=np.int64)
+    return rule.choose(np.array([*distance_m, *gaps_m], dtype=np.float64), openings, farther)
 
 
 def test_explores_only_with_more_than_enough_near_frontiers_and_more_than_their_share() -> None:
@@ -25,6 +25,16 @@ def test_the_share_is_that_of_all_openings() -> None:
     rule = Adaptive(near_distance_m=1.5, near_count=3, near_share=0.2)
     assert chosen(rule, *[1.0] * 5, farther=19) is PlanMode.EXPLORE
     assert chosen(rule, *[1.0] * 5, farther=20) is PlanMode.MERGED
+
+
+def test_a_view_counts_as_often_as_there_are_openings_that_it_covers() -> None:
+    rule = Adaptive(near_distance_m=1.5, near_count=3, near_share=0.2)
+    near, far = np.array([1.0, 1.2]), np.array([1.0, 5.0])
+    assert rule.choose(near, np.array([3, 1]), 15) is PlanMode.EXPLORE
+    assert rule.choose(near, np.array([3, 1]), 16) is PlanMode.MERGED
+    assert rule.choose(near, np.array([3, 0]), 0) is PlanMode.MERGED
+    assert rule.choose(far, np.array([4, 15]), 0) is PlanMode.EXPLORE
+    assert rule.choose(far, np.array([4, 16]), 0) is PlanMode.MERGED
 
 
 def test_gaps_in_front_of_walls_are_not_counted() -> None:

@@ -22,7 +22,7 @@ def test_every_name_makes_its_own_objects(name: VariantName) -> None:
     assert one.name == name
     assert one.kinds
     assert one.task_ordering is not other.task_ordering  # it has the state of one flight
-    assert isinstance(one.mode_rule.choose(np.ones(5), np.ones(5, dtype=np.bool_), 0), PlanMode)
+    assert isinstance(one.mode_rule.choose(np.ones(5), np.ones(5, dtype=np.int64), 0), PlanMode)
 
 
 @pytest.mark.parametrize(

@@ -214,7 +214,7 @@ class _Mapping:
     def _plan(self, now_s: float) -> None:
         request = PlanRequest(
             self._voxels.snapshot(), self.mapper.surface(), self._body.translation_m, self._body.yaw_rad(),
-            max(self.log.views_left, 1),
+            max(self.log.views_left, 1), keyframes=tuple(self.log.keyframes),
         )  # fmt: skip
         self.log.plan(now_s, self._planner.plan(request), 0.0)
 

@@ -17,7 +17,7 @@ from uav_recon.planning.paths.path_cache import PathCache
 from uav_recon.planning.reconstruction.gain_field import FieldViews
 from uav_recon.planning.reconstruction.surface_views import SurfaceViews
 from uav_recon.planning.variants import Variant
-from uav_recon.types.frames import Float32Array, FloatArray
+from uav_recon.types.frames import Float32Array, FloatArray, IntArray
 from uav_recon.types.maps import SurfaceElements
 from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.tasks import PlanMode, TaskKind
@@ -91,15 +91,15 @@ class ClusterTasks:
     def propose(self, query: TaskQuery) -> GeneratedTasks:
         """See TaskSource."""
         context, path_cache = query.context, query.path_cache
-        found, later = self._explore(context, query.frontiers)
-        explore, farther = found[:MAX_FRONTIERS], found[MAX_FRONTIERS:]
+        found, openings, later = self._explore(context, query.frontiers)
+        explore = found[:MAX_FRONTIERS]
         path_cache.update(context.exit_cells, context.position_world, view_positions(explore))
-        opening = np.array([_is_opening(one) for one in explore], dtype=np.bool_)
-        mode = self._variant.mode_rule.choose(path_cache.lengths_m[0, 1:], opening, later + sum(map(_is_opening, farther)))
+        farther = later + int(openings[MAX_FRONTIERS:].sum())
+        mode = self._variant.mode_rule.choose(path_cache.lengths_m[0, 1:], openings[:MAX_FRONTIERS], farther)
         spare, frontiers = query.views_left - len(explore), len(found) + later
         if mode is PlanMode.EXPLORE or TaskKind.RECONSTRUCT not in self._variant.kinds or spare <= 0:
             return GeneratedTasks(mode, explore, frontiers)
-        ended = self._explores and not opening.any()
+        ended = self._explores and not any(one.task.gain >= OPENING for one in explore)
         surface, widening = self._surface(query, ended=ended, only=not explore)
         tasks = (explore + surface[:spare])[:MAX_TASKS]
         return GeneratedTasks(mode, tasks, frontiers, widening, explored=ended and not later)
@@ -122,21 +122,20 @@ class ClusterTasks:
             return Counter()
         return self._views.reasons(context.voxels, context.space, frontiers)
 
-    def _explore(self, context: PlanningContext, frontiers: Frontiers) -> tuple[list[CandidateView], int]:
-        """Return the tasks of the nearest frontiers, and the number of openings not searched yet.
+    def _explore(self, context: PlanningContext, frontiers: Frontiers) -> tuple[list[CandidateView], IntArray, int]:
+        """Return the tasks of the nearest frontiers, and the number of openings of each (N,).
+
+        The last result is the number of openings not searched yet.
 
         Openings come first. The gain of a task is the unknown volume beyond all frontier cells that its view shows.
         """
         if not self._explores:
-            return [], 0
+            return [], np.zeros(0, dtype=np.int64), 0
         found = self._views.update(context.voxels, context.space, frontiers, context.position_world)
         gains = frontiers.unknown_beyond(context.voxels, [one.expected_voxels for one in found.proposals])
-        with_gains = zip(found.proposals, gains.tolist(), strict=True)
-        return [one.with_gain(gain) for one, gain in with_gains if gain >= self._min_unknown], found.openings_later
-
-
-def _is_opening(proposal: CandidateView) -> bool:
-    return proposal.task.gain >= OPENING
+        kept = [n for n, gain in enumerate(gains.tolist()) if gain >= self._min_unknown]
+        tasks = [found.proposals[n].with_gain(gains[n]) for n in kept]
+        return tasks, found.openings[kept], found.openings_later
 
 
 def view_positions(proposals: list[CandidateView]) -> FloatArray:

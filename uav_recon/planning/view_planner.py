@@ -35,10 +35,13 @@ from uav_recon.planning.place_sight import PlaceSight
 from uav_recon.planning.presets import derived
 from uav_recon.planning.reconstruction import gain_field
 from uav_recon.planning.reconstruction.gain_field import FieldViews
+from uav_recon.planning.reconstruction.seen_surface import SeenSurface
+from uav_recon.planning.reconstruction.surface_elements import ElementsCache
 from uav_recon.planning.reconstruction.surface_views import SurfaceViews
 from uav_recon.planning.route_planning import route_to
 from uav_recon.planning.task_generation import ClusterTasks, GainField, GeneratedTasks, TaskQuery, TaskSource, view_positions
 from uav_recon.planning.tour import atsp, travel_time
+from uav_recon.planning.tour.rooms import Rooms
 from uav_recon.planning.tour.task_ordering import best_by_rate
 from uav_recon.planning.tour.travel_time import TravelTimeModel, YawWhileFlying, time_costs
 from uav_recon.planning.variants import Variant, variant
@@ -100,8 +103,11 @@ class ViewPlanner:
         self._timer = timer
         self._variant = variant(config.variant, config)
         self.camera = self._variant.camera(camera)
-        self._source = _source(config, self._variant, self.camera)
+        self._elements = ElementsCache(config.downsample)
+        self._seen_surface = SeenSurface(self.camera, self._elements)
+        self._source = _source(config, self._variant, self.camera, self._elements)
         self.frontiers = Frontiers()
+        self._rooms = Rooms(float(self.fence_m[0][2]))
         self.view_history = ViewHistory()
         self._frame: tuple[object, ...] = ()
         self._low_demand: TaskSource | None = None  # made when first needed
@@ -163,7 +169,7 @@ class ViewPlanner:
         if self._asked is None or self._asked[0] is not request or self._variant.views != "clusters":
             return None
         if self._low_demand is None:
-            self._low_demand = _low_demand_source(self.config, self._variant, self.camera)
+            self._low_demand = _low_demand_source(self.config, self._variant, self.camera, self._elements)
         found = self._choose(self._low_demand, request, self._asked[1], self._timer())
         return found if isinstance(found, ViewPath) else None
 
@@ -267,6 +273,7 @@ class ViewPlanner:
             self._path_cache = PathCache(self.space)
             self._passages = self._new_passages(voxels)
         self.frontiers.mark_changed(self.view_history.evaluate_flown_views(request))
+        self._seen_surface.update(request, self.view_history.surface_cosine_sums)
         self.frontiers.update(voxels, *self._box(voxels.grid, 0.0), self.view_history.exhausted)
         if request.views_left <= 0:
             return Reason(ReasonCode.NO_VIEWS_LEFT)
@@ -317,7 +324,11 @@ class ViewPlanner:
             # one view may open the way to others
             return [1] if committed else [best_by_rate([one.task for one in tasks], costs_s)], 0
         # the tour begins at the committed view
-        kept = self._variant.task_ordering.order([one.task for one in tasks[committed:]], costs_s[committed:, committed:])
+        views = [one.task for one in tasks[committed:]]
+        start_world = tasks[committed - 1].task.viewpoint.position_world if committed else context.position_world
+        places = np.array([start_world, *(task.viewpoint.position_world for task in views)])
+        rooms = self._rooms.of(context.voxels, places)
+        kept = self._variant.task_ordering.order(views, costs_s[committed:, committed:], rooms)
         order = [*range(1, committed + 1), *(int(node) + committed for node in kept.order)]
         return order[: request.views_left], kept.dropped
 
@@ -410,18 +421,21 @@ class ViewPlanner:
         return NothingLeft(reason, task_s=tasks_made_s - start_s, step_s=self._timer() - start_s)
 
 
-def _source(config: PlannerConfig, planner_variant: Variant, camera: CameraGeometry) -> TaskSource:
+def _source(config: PlannerConfig, planner_variant: Variant, camera: CameraGeometry, elements: ElementsCache) -> TaskSource:
     views = FrontierViews(config, camera)
     if planner_variant.views == "field":
         return GainField(FieldViews(config, camera), views)
-    return ClusterTasks(config, planner_variant, views, SurfaceViews(config, camera))
+    return ClusterTasks(config, planner_variant, views, SurfaceViews(config, camera, elements))
 
 
-def _low_demand_source(config: PlannerConfig, planner_variant: Variant, camera: CameraGeometry) -> TaskSource:
+def _low_demand_source(
+    config: PlannerConfig, planner_variant: Variant, camera: CameraGeometry, elements: ElementsCache
+) -> TaskSource:
     """Return the source of the tasks that are flown before the flight ends with views left."""
     less = config.model_copy(update={"min_visible": max(round(MIN_VISIBLE_SHARE * config.min_visible), 1)})
     views = FrontierViews(config, camera, LOW)
-    return ClusterTasks(less, planner_variant, views, SurfaceViews(less, camera), min_unknown=MIN_UNKNOWN_VOXELS)
+    surfaces = SurfaceViews(less, camera, elements)
+    return ClusterTasks(less, planner_variant, views, surfaces, min_unknown=MIN_UNKNOWN_VOXELS)
 
 
 def _drop_duplicate_tasks(committed: list[CandidateView], proposals: list[CandidateView]) -> list[CandidateView]:

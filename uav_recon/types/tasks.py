@@ -10,6 +10,7 @@ import numpy as np
 from uav_recon.types.frames import FloatArray, frozen
 from uav_recon.types.localizability import SurfaceCells
 from uav_recon.types.maps import SurfaceElements, VoxelMap
+from uav_recon.types.pose import Pose
 from uav_recon.types.reason import Reason
 
 
@@ -108,7 +109,7 @@ class PlanRequest:
     """All inputs of a plan; the same request gives the same plan.
 
     next_view: what became of the next view of the accepted path. cells: surface by which the camera tells where it is; None if
-    that does not matter.
+    that does not matter. keyframes: world_from_depth of the keyframes of this map epoch, oldest first.
     """
 
     voxels: VoxelMap
@@ -119,3 +120,4 @@ class PlanRequest:
     velocity_world_mps: FloatArray = field(default_factory=lambda: np.zeros(3))
     next_view: NextView = NextView.KEPT
     cells: SurfaceCells | None = None
+    keyframes: tuple[Pose, ...] = ()

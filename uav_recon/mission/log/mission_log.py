@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from uav_recon.interfaces import Journal
 from uav_recon.mission.state_machine import Phase
 from uav_recon.types.camera import PosedFrame
 from uav_recon.types.frames import FloatArray
+from uav_recon.types.pose import Pose
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
 from uav_recon.types.tasks import NothingLeft, TaskKind, ViewPath
@@ -31,6 +32,8 @@ class MissionLog:
     note: Reason | None = None
     stop_reason: Reason | None = None
     aborted: Reason | None = None
+    keyframes: list[Pose] = field(default_factory=list)  # world_from_depth of those of the newest map epoch, oldest first
+    _map_epoch: int = 0
 
     @property
     def views_left(self) -> int:
@@ -44,6 +47,10 @@ class MissionLog:
     def view(self, posed: PosedFrame) -> None:
         """Log a keyframe."""
         self.views += 1
+        if posed.map_epoch != self._map_epoch:
+            self._map_epoch = posed.map_epoch
+            self.keyframes.clear()
+        self.keyframes.append(posed.world_from_depth)
         self.journal.view(posed.frame.stamp_s, self.views, posed.world_from_depth)
 
     def plan(self, stamp_s: float, path: ViewPath | NothingLeft, waited_s: float) -> None:

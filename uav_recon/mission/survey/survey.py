@@ -158,7 +158,7 @@ class Survey:
         start, surface = departure.setpoint, self._surface()
         request = PlanRequest(
             voxels, surface, start.position_m, start.yaw_rad, self._log.views_left, start.velocity_mps, self._next_view,
-            None if self._stages.localizability is None else self._stages.localizability.cells,
+            None if self._stages.localizability is None else self._stages.localizability.cells, tuple(self._log.keyframes),
         )  # fmt: skip
         self._next_view = NextView.KEPT
         self._departure = departure

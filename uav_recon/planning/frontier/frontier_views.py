@@ -59,11 +59,13 @@ LOW = ViewDemand(3, specks=True)  # of the last views before home
 class FrontierProposals:
     """Tasks for frontiers, nearest cluster first.
 
+    openings: (N,) number of openings, clusters with much unknown space beyond, that each of the N tasks stands for.
     without_view: number of clusters without a view.
     later: number of clusters left for later plans; openings_later: those of them that are openings.
     """
 
     proposals: list[CandidateView]
+    openings: IntArray
     without_view: int
     later: int
     openings_later: int
@@ -99,6 +101,7 @@ class FrontierViews:
         here = (position_world - grid.origin_world_m) / grid.resolution_m
         lens, total = self._camera.lens(grid.resolution_m, self._camera.range_m), frontiers.table.size(specks=specks)
         found: list[int] = []
+        openings: list[int] = []  # those of the found
         without, later, asked, wanted = 0, 0, 0, min(BATCH, total)
         searches = SEARCHES * max(1, voxels.revision - self._revision)
         self._revision = voxels.revision
@@ -119,6 +122,8 @@ class FrontierViews:
                 elif self._meets_demand(row):
                     self.view_cache.used[row] = self._plans
                     found.append(row)
+                    if frontiers.table.rows.beyond[cluster] >= OPENING:
+                        openings.append(row)
                 else:
                     without += 1
             if not found and asked < total:
@@ -127,8 +132,8 @@ class FrontierViews:
                     nearest = frontiers.table.nearest(here, total, specks=specks)
                 wanted = min(2 * wanted, wanted + MAX_MORE, total)
         openings_later = frontiers.openings - int(np.count_nonzero(frontiers.table.rows.beyond[nearest[:asked]] >= OPENING))
-        proposals = self._proposals(voxels, found, lens)
-        return FrontierProposals(proposals, without, total - asked + later, max(openings_later, 0))
+        proposals, counts = self._proposals(voxels, found, openings, lens)
+        return FrontierProposals(proposals, counts, without, total - asked + later, max(openings_later, 0))
 
     def reasons(self, voxels: VoxelMap, space: FlyableInterface, frontiers: Frontiers) -> Counter[ReasonCode]:
         """Count the clusters without a view, by reason.
@@ -182,19 +187,27 @@ class FrontierViews:
     def _meets_demand(self, row: int) -> bool:
         return bool(self.view_cache.rows.shown[row] >= self._demand.min_cells)
 
-    def _proposals(self, voxels: VoxelMap, found: list[int], lens: FloatArray) -> list[CandidateView]:
-        """Return tasks for the views that together cover the clusters.
+    def _proposals(
+        self, voxels: VoxelMap, found: list[int], openings: list[int], lens: FloatArray
+    ) -> tuple[list[CandidateView], IntArray]:
+        """Return tasks for views that together cover the clusters, and the openings of each (N,).
 
         Those of the nearest clusters come first. A view from far away may show several clusters at once. A task promises the
-        cells that no larger one shows.
+        cells that no larger one shows. It stands for the openings whose own view is nearer to it than to any other task.
         """
         if not found:
-            return []
+            return [], np.zeros(0, dtype=np.int64)
         best_first = sorted(found, key=lambda row: (-int(self.view_cache.rows.shown[row]), self.view_cache.key[row]))
         covering = self.view_cache.covering_views(best_first, voxels, lens, COVERED_SHARE)
         place = {row: n for n, row in enumerate(found)}
         covering.sort(key=lambda one: place[one[0]])
-        return [self._proposal(voxels.grid, row, cells) for row, cells in covering if len(cells) >= self._demand.min_cells]
+        covering = [one for one in covering if len(one[1]) >= self._demand.min_cells]
+        counts = np.zeros(len(covering), dtype=np.int64)
+        if covering and openings:
+            places = self.view_cache.rows.pose[:, :3]
+            away = np.linalg.norm(places[openings, None] - places[[row for row, _ in covering]], axis=2)
+            counts += np.bincount(away.argmin(axis=1), minlength=len(covering))
+        return [self._proposal(voxels.grid, row, cells) for row, cells in covering], counts
 
     def _proposal(self, grid: GridSpec, row: int, cells: IntArray) -> CandidateView:
         x, y, z, yaw, pitch = self.view_cache.rows.pose[row].tolist()

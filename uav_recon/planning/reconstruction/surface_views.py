@@ -43,7 +43,8 @@ class SurfaceViews:
     The cache holds the last surface, sorted by cell.
     """
 
-    def __init__(self, config: PlannerConfig, camera: CameraGeometry) -> None:
+    def __init__(self, config: PlannerConfig, camera: CameraGeometry, elements: ElementsCache | None = None) -> None:
+        """Prepare the places of views. elements: a cache to be shared; None = its own."""
         self._config = config
         self._camera = camera
         radii_m = (*_TIGHT_RADII_M, *np.linspace(config.shell_min_m, config.shell_max_m, 3))
@@ -52,7 +53,7 @@ class SurfaceViews:
         self._offsets_m = np.concatenate(
             [shell(camera, tuple(float(r) for r in radii_m), 1.0), edge_shell(camera, edge_m, 1.0)]
         )
-        self._elements = ElementsCache(config.downsample)
+        self._elements = ElementsCache(config.downsample) if elements is None else elements
 
     def propose(
         self, context: PlanningContext, surface: SurfaceElements | None, cosine_sums: Float32Array, factor: float

@@ -13,20 +13,22 @@ import numpy as np
 from uav_recon.planning.tour.atsp import best_tour
 from uav_recon.planning.tour.stopping_rule import VIEW_S, KeptTour, StoppingRule
 from uav_recon.planning.tour.task_deferral import not_deferred
-from uav_recon.types.frames import BoolArray, FloatArray
+from uav_recon.types.frames import BoolArray, FloatArray, IntArray
 from uav_recon.types.tasks import Task, TaskKind
 
 DETOUR_SHARE = 0.5  # share of the time to the next frontier that may be spent on surface beside the path ...
 DETOUR_S = 3.0  # ... or this time, if it is longer
+ROOM_CHANGE_S = 20.0  # price of a change of the room in a tour
 
 
 class TaskOrdering(Protocol):
     """Orders the tasks of one plan. Call it once per plan. Never blocks."""
 
-    def order(self, tasks: Sequence[Task], costs_s: FloatArray) -> KeptTour:
+    def order(self, tasks: Sequence[Task], costs_s: FloatArray, rooms: IntArray | None = None) -> KeptTour:
         """Return the nodes to fly to, in order.
 
-        costs_s: (N + 1, N + 1) seconds; node 0 is the vehicle, node n is tasks[n - 1].
+        costs_s: (N + 1, N + 1) seconds; node 0 is the vehicle, node n is tasks[n - 1]. rooms: (N + 1,) labels of their
+        rooms, see planning.tour.rooms; None = one room.
         """
         ...
 
@@ -34,25 +36,26 @@ class TaskOrdering(Protocol):
 class Tour:
     """The paper's ordering: the shortest open tour.
 
-    Beyond the paper, it leaves out deferred tasks and tasks that are not worth their flight.
+    Beyond the paper, it leaves out deferred tasks and tasks that are not worth their flight, and a change of the room has a
+    price, so that a room is left once, finished.
     """
 
     def __init__(self, stopping_rule: StoppingRule) -> None:
         self._stopping_rule = stopping_rule
 
-    def order(self, tasks: Sequence[Task], costs_s: FloatArray) -> KeptTour:
+    def order(self, tasks: Sequence[Task], costs_s: FloatArray, rooms: IntArray | None = None) -> KeptTour:
         """See TaskOrdering."""
-        now = not_deferred(tasks, costs_s)
-        kept = self._of(now, tasks, costs_s)
-        return kept if len(kept.order) or now.all() else self._of(~now, tasks, costs_s)
+        rooms = np.zeros(len(tasks) + 1, dtype=np.int64) if rooms is None else rooms
+        now = not_deferred(tasks, costs_s, rooms)
+        kept = self._of(now, tasks, costs_s, rooms)
+        return kept if len(kept.order) or now.all() else self._of(~now, tasks, costs_s, rooms)
 
-    def _of(self, which: BoolArray, tasks: Sequence[Task], costs_s: FloatArray) -> KeptTour:
+    def _of(self, which: BoolArray, tasks: Sequence[Task], costs_s: FloatArray, rooms: IntArray) -> KeptTour:
         """Return the tour of the tasks selected by a mask (N,)."""
-        if which.all():
-            return self._stopping_rule.keep(tasks, costs_s, best_tour(costs_s))
         nodes = np.flatnonzero(np.concatenate(([True], which)))
-        costs_s = np.ascontiguousarray(costs_s[nodes][:, nodes])
-        kept = self._stopping_rule.keep([tasks[node - 1] for node in nodes[1:]], costs_s, best_tour(costs_s))
+        costs_s, rooms = np.ascontiguousarray(costs_s[nodes][:, nodes]), rooms[nodes]
+        tour = best_tour(costs_s + ROOM_CHANGE_S * (rooms[:, None] != rooms[None, :]))
+        kept = self._stopping_rule.keep([tasks[node - 1] for node in nodes[1:]], costs_s, tour)
         return KeptTour(nodes[kept.order], kept.dropped)
 
 
@@ -62,8 +65,8 @@ class Greedy:
     def __init__(self, stopping_rule: StoppingRule) -> None:
         self._stopping_rule = stopping_rule
 
-    def order(self, tasks: Sequence[Task], costs_s: FloatArray) -> KeptTour:
-        """See TaskOrdering."""
+    def order(self, tasks: Sequence[Task], costs_s: FloatArray, rooms: IntArray | None = None) -> KeptTour:
+        """See TaskOrdering. It does not regard rooms."""
         best = [best_by_rate(tasks, costs_s)] if len(tasks) else []
         return self._stopping_rule.keep(tasks, costs_s, np.array(best, dtype=np.int64))
 
@@ -83,8 +86,8 @@ class FrontierWithDetours:
     def __init__(self, stopping_rule: StoppingRule) -> None:
         self._stopping_rule = stopping_rule
 
-    def order(self, tasks: Sequence[Task], costs_s: FloatArray) -> KeptTour:
-        """See TaskOrdering."""
+    def order(self, tasks: Sequence[Task], costs_s: FloatArray, rooms: IntArray | None = None) -> KeptTour:
+        """See TaskOrdering. It does not regard rooms."""
         frontiers = [n for n, task in enumerate(tasks, 1) if task.kind is TaskKind.EXPLORE]
         surface = [n for n, task in enumerate(tasks, 1) if task.kind is TaskKind.RECONSTRUCT]
         if not frontiers:
