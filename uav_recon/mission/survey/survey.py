@@ -5,6 +5,8 @@ A plan is ready before the one before it ends, so that the vehicle does not stop
 
 from __future__ import annotations
 
+from collections import deque
+
 import numpy as np
 
 from uav_recon.interfaces import Pending
@@ -28,7 +30,8 @@ MAX_FAILED_PLANS = 5  #: return: after this many plans in a row that could not b
 SAME_PLACE_M = 0.05  #: plan: a motion that ends nearer to the present one's end is not worth leaving it
 AHEAD_S = 1.6  #: plan: a plan leaves its predecessor this long before that one's end, so that it does not brake in between
 STOPPED_AGAIN_S = 5.0  #: plan: two stops within this time: the space ahead was not seen lately, so the vehicle looks round
-LOOK_AFTER_STOPS = 3  #: plan: stops by space not seen lately, without a view in between, after which the vehicle looks round
+LOOK_AFTER_STOPS = 3  #: plan: stops by space not seen lately within LOOK_WITHIN_S after which the vehicle looks round
+LOOK_WITHIN_S = 15.0  #: plan: see LOOK_AFTER_STOPS
 #: return: the place became uncertain this many times without a view in between; flights that were completed had up to 2
 MOST_UNSURE_STOPS = 4
 LEAD_S = 0.25  #: plan: from a plan's start to the instant at which it leaves the present motion, added to its declared cost
@@ -62,7 +65,7 @@ class Survey:
         self._looked_round = self._settled = self._look_again = False
         self._next_view = NextView.KEPT
         self._stopped_s = self._held_s = -np.inf
-        self._unseen_stops = self._stopped_with = 0  # stops by space not seen lately since the last view, views left then
+        self._unseen_s: deque[float] = deque([-np.inf] * LOOK_AFTER_STOPS, LOOK_AFTER_STOPS)  # the last stops by unseen space
         self._unsure_stops = self._unsure_with = 0  # the same by an uncertain place
         self._asked_revision = -1
         self.interrupt()
@@ -96,9 +99,10 @@ class Survey:
                 self._log.stop_reason = Reason(ReasonCode.PLACE_UNSURE_OFTEN, (self._unsure_stops,), (reason,))
         elif NOT_SEEN & codes:
             self._next_view = NextView.REFUSED
-            self._unseen_stops = self._unseen_stops + 1 if self._log.views_left == self._stopped_with else 1
-            self._stopped_with = self._log.views_left
-            again = self._unseen_stops % LOOK_AFTER_STOPS == 0
+            self._unseen_s.append(now_s)
+            again = now_s - self._unseen_s[0] < LOOK_WITHIN_S
+            if again:
+                self._unseen_s.extend([-np.inf] * LOOK_AFTER_STOPS)
         else:
             again = now_s - self._stopped_s < STOPPED_AGAIN_S
             self._stopped_s = -np.inf if again else now_s
