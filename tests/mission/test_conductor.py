@@ -366,6 +366,24 @@ def test_stopped_by_space_not_seen_it_asks_for_another_view_and_looks_round_at_t
     assert [request.next_view for request in desk.planner.asked] == [NextView.REFUSED, NextView.REFUSED]
 
 
+def test_stopped_by_space_not_seen_its_nose_turns_before_it_flies_another_way(desk: Desk) -> None:
+    desk.conductor.requests.start()
+    desk.run(60.0, until=Phase.SURVEY)
+    while desk.speed_mps() < 0.3:
+        desk.run(0.1)
+    desk.planner.left = [np.array([-3.0, 0.0, 1.1])]
+    desk.note = Reason(ReasonCode.REFUSED, details=(Reason(ReasonCode.NOT_SEEN_RECENTLY, (1.0, 0.0, 1.1)),))
+    desk.refusals += 1
+    desk.run(0.5)
+    turned_rad = 0.0
+    while desk.speed_mps() < 0.05:
+        assert desk.intent.trajectory is not None
+        turned_rad = max(turned_rad, float(np.ptp(desk.intent.trajectory.yaw_rad)))
+        desk.run(0.1)
+    assert desk.intent.trajectory is not None
+    assert 2.0 < turned_rad < 4.0 and abs(math.remainder(float(desk.intent.trajectory.yaw_rad[0]) - math.pi, math.tau)) < 0.1
+
+
 def test_no_views_are_taken_while_its_pilot_holds_the_vehicle_elsewhere(desk: Desk) -> None:
     desk.conductor.requests.start()
     desk.run(60.0, until=Phase.SURVEY)

@@ -5,6 +5,7 @@ A plan is ready before the one before it ends, so that the vehicle does not stop
 
 from __future__ import annotations
 
+import math
 from collections import deque
 
 import numpy as np
@@ -32,6 +33,8 @@ AHEAD_S = 1.6  #: plan: a plan leaves its predecessor this long before that one'
 STOPPED_AGAIN_S = 5.0  #: plan: two stops within this time: the space ahead was not seen lately, so the vehicle looks round
 LOOK_AFTER_STOPS = 3  #: plan: stops by space not seen lately within LOOK_WITHIN_S after which the vehicle looks round
 LOOK_WITHIN_S = 15.0  #: plan: see LOOK_AFTER_STOPS
+TURN_FIRST_RAD = 0.6  #: plan: after such a stop, the nose turns before a motion that begins farther than this beside it ...
+TURN_FIRST_M = 0.25  #: plan: ... on its first part, level
 #: return: the place became uncertain this many times without a view in between; flights that were completed had up to 2
 MOST_UNSURE_STOPS = 4
 LEAD_S = 0.25  #: plan: from a plan's start to the instant at which it leaves the present motion, added to its declared cost
@@ -68,6 +71,7 @@ class Survey:
         self._unseen_s: deque[float] = deque([-np.inf] * LOOK_AFTER_STOPS, LOOK_AFTER_STOPS)  # the last stops by unseen space
         self._unsure_stops = self._unsure_with = 0  # the same by an uncertain place
         self._asked_revision = -1
+        self._turns_first = False  # the last motion was stopped by space not seen lately
         self.interrupt()
 
     def interrupt(self) -> None:
@@ -99,6 +103,7 @@ class Survey:
                 self._log.stop_reason = Reason(ReasonCode.PLACE_UNSURE_OFTEN, (self._unsure_stops,), (reason,))
         elif NOT_SEEN & codes:
             self._next_view = NextView.REFUSED
+            self._turns_first = True
             self._unseen_s.append(now_s)
             again = now_s - self._unseen_s[0] < LOOK_WITHIN_S
             if again:
@@ -120,7 +125,7 @@ class Survey:
             self._pending_plan = None  # it would begin where the vehicle is no more, as an older hold does
             self._hold_again(now_s, vehicle)
         elif self._pending_plan is not None:
-            self._fly_plan(now_s)
+            self._fly_plan(now_s, vehicle)
         elif resting and not self._looked_round:
             self._look_round(now_s, vehicle, self._parameters.survey_views)
         elif self._look_again:
@@ -177,7 +182,7 @@ class Survey:
         surface = mapper.surface()
         return NOTHING_LEARNED if surface is None and not mapper.alive() else surface
 
-    def _fly_plan(self, now_s: float) -> None:
+    def _fly_plan(self, now_s: float, vehicle: VehicleState) -> None:
         if self._pending_plan is None or not self._pending_plan.done():
             return
         plan = self._pending_plan.result()
@@ -193,6 +198,14 @@ class Survey:
                 self._log.discarded_plan(now_s, plan.path)
                 return
             self._replan_s = now_s + RETHINK_S
+        rests = not self._departure.setpoint.velocity_mps.any()
+        if self._turns_first and rests and isinstance(plan.motion, Trajectory):
+            self._turns_first = False
+            turn_rad = _turn_before(plan.motion)
+            if abs(turn_rad) > TURN_FIRST_RAD:
+                self._log.discarded_plan(now_s, plan.path)
+                self._replan_s = now_s + self._executor.turn(now_s, vehicle, turn_rad, 0)
+                return  # plan again with what it sees then
         self._log.plan(now_s, plan.path, 0.0 if flying is not None else now_s - self._resting_since_s)
         if isinstance(plan.path, NothingLeft):
             return
@@ -223,6 +236,16 @@ class Survey:
         self._replan_s = now_s + RETHINK_S
         if self._log.failed_in_a_row >= MAX_FAILED_PLANS:
             self._log.stop_reason = Reason(ReasonCode.PLANS_FAILED, (MAX_FAILED_PLANS,), (reason,))
+
+
+def _turn_before(motion: Trajectory) -> float:
+    """Return the turn of the nose (rad) to where a motion leads first, 0 for a climb or a turn."""
+    step_m = motion.position_m[:, :2] - motion.position_m[0, :2]
+    away = np.flatnonzero(np.hypot(step_m[:, 0], step_m[:, 1]) >= TURN_FIRST_M)
+    if not len(away):
+        return 0.0
+    x, y = step_m[away[0]]
+    return math.remainder(math.atan2(y, x) - float(motion.yaw_rad[0]), math.tau)
 
 
 def _goes_back(vehicle: VehicleState) -> bool:
