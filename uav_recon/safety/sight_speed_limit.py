@@ -10,11 +10,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from uav_recon.types.frames import FloatArray
+from uav_recon.types.frames import BoolArray, FloatArray
 
-#: refuse: a climb into space not seen within blind_memory_s, if its direction has less than this vertical part
+#: refuse: a climb whose direction has less than this vertical part, if the camera does not look its way, into space not seen
+#: within blind_memory_s
 _CLIMB_SHARE = 0.5
-#: refuse: a steeper climb into space not seen within this multiple of it: what comes into a room comes from the side or below
+#: refuse: any other climb into space not seen within this multiple of it: what comes into a room comes from the side or below
 _CLIMB_MEMORY_FACTOR = 3.0
 _STEEP_SHARE = 0.1  #: internal: a direction with a smaller level part has no side of its own
 #: refuse: a motion outside the view that is too fast for the age of the space this far off its path, of the hull's radius
@@ -43,12 +44,14 @@ class SightSpeedLimit:
         return np.where(age_s <= self.blind_memory_s, limit_mps, 0.0)
 
 
-def memory_s(blind_memory_s: float, direction: FloatArray) -> FloatArray:
+def memory_s(blind_memory_s: float, direction: FloatArray, level_in_view: BoolArray) -> FloatArray:
     """Return the age (s) up to which space that was seen is entered at blind_speed_mps.
 
-    direction: (..., 3) unit vectors in world. A steep climb may rely on older views.
+    A steep climb may rely on older views, and so may any climb whose way the camera looks: then it sees what comes towards it
+    at its own height. direction: (..., 3) unit vectors in world. level_in_view: (...) True if the camera sees their level part.
     """
-    return blind_memory_s * np.where(direction[..., 2] >= _CLIMB_SHARE, _CLIMB_MEMORY_FACTOR, 1.0)
+    climbs = (direction[..., 2] >= _CLIMB_SHARE) | ((direction[..., 2] > 0.0) & level_in_view)
+    return blind_memory_s * np.where(climbs, _CLIMB_MEMORY_FACTOR, 1.0)
 
 
 def longest_memory_s(blind_memory_s: float) -> float:
