@@ -356,6 +356,18 @@ def test_after_a_refused_motion_another_view_comes_first_and_each_place_is_tried
     assert not near[0, 1]
 
 
+def test_the_first_leg_of_a_path_may_be_accepted_alone() -> None:
+    world = looked_round(TWO_ROOMS)
+    planner = planner_for(world.state)
+    path = planner.plan(world.request())
+    assert isinstance(path, ViewPath) and len(path.viewpoints) > 1
+    planner.accept(path.first())
+    first = planner.view_history.next_expected_view(world.position, world.yaw_rad)
+    assert first is not None and first.task is path.tasks[0]
+    view = path.viewpoints[0]
+    assert planner.view_history.next_expected_view(view.position_world, view.yaw_rad) is None
+
+
 @pytest.mark.parametrize(("low", "confined"), [(10, True), (4, False)])
 def test_where_the_vehicle_can_hardly_move_each_plan_has_one_view(low: int, confined: bool) -> None:
     known = np.zeros(MEETING_ROOM.shape, dtype=np.uint8)

@@ -234,9 +234,14 @@ class ViewPlanner:
         return () if self._passages is None else self._passages.places
 
     def accept(self, path: ViewPath) -> None:
-        """Store what the views of a path made by plan() should settle."""
-        if self._newest_path is not None and self._newest_path[0] is path:
-            self.view_history.set_expected_views(*self._newest_path)
+        """Store what the views of a path made by plan(), or of its first leg, should settle."""
+        if self._newest_path is None:
+            return
+        newest, views = self._newest_path
+        count = len(path.viewpoints)
+        same = all(one is other for one, other in zip(path.tasks, newest.tasks, strict=False))
+        if same and 0 < count == len(path.tasks) <= len(views):
+            self.view_history.set_expected_views(path, views[:count])
 
     def next_view_has_gain(self, voxels: VoxelMap, position_world: FloatArray, yaw_rad: float) -> bool:
         """Return True if the next view of the accepted path still has a gain in a newer map."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 
 import numpy as np
@@ -83,6 +83,10 @@ class ViewPath:
     frontiers: int = 0
     explored: bool = False
 
+    def first(self) -> ViewPath:
+        """Return the path to its first view alone."""
+        return replace(self, viewpoints=self.viewpoints[:1], waypoints_world=self.waypoints_world[:1], tasks=self.tasks[:1])
+
 
 @dataclass(frozen=True, slots=True)
 class NothingLeft:
@@ -100,7 +104,7 @@ class NextView(Enum):
     """Outcome of the next view of a path, and the reason if no image of it will come."""
 
     KEPT = "kept"
-    REFUSED = "refused"  # the guard refused the motion to it, because space on it was not seen lately
+    REFUSED = "refused"  # the guard refused the motion to it, because space on it was not seen lately, or none was found
     LEFT = "left"  # the vehicle left the way to it, because its place is uncertain there
 
 

@@ -232,6 +232,7 @@ class Survey:
 
     def _give_up_plan(self, reason: Reason, now_s: float) -> None:
         self._log.failed_in_a_row += 1
+        self._next_view = NextView.REFUSED  # else the next plan would be the same
         self._log.refusal(now_s, Reason(ReasonCode.PLAN_NOT_FLYABLE, details=(reason,)))
         self._replan_s = now_s + RETHINK_S
         if self._log.failed_in_a_row >= MAX_FAILED_PLANS:

@@ -94,9 +94,15 @@ class AsyncPlanner:
     def _flown(
         self, path: ViewPath | NothingLeft, request: PlanRequest, rest: Setpoint, spacing_m: float, identifier: int
     ) -> PlanResult:
+        """Plan from rest, to the first view alone if a later leg cannot be flown."""
         if isinstance(path, NothingLeft):
             return PlanResult(path, path.reason)
-        return PlanResult(path, self._motion.plan_from_rest(path, request.voxels, rest, 0.0, spacing_m, identifier))
+        motion = self._motion.plan_from_rest(path, request.voxels, rest, 0.0, spacing_m, identifier)
+        if isinstance(motion, Reason) and len(path.viewpoints) > 1:
+            alone = self._motion.plan_from_rest(path.first(), request.voxels, rest, 0.0, spacing_m, identifier)
+            if isinstance(alone, Trajectory):
+                return PlanResult(path.first(), alone)
+        return PlanResult(path, motion)
 
     def _homed(
         self,
