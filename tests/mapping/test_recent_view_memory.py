@@ -11,7 +11,7 @@ from uav_recon.mapping.recent_view_memory import RecentViewMemory
 from uav_recon.motion.clearance import ClearanceMap
 from uav_recon.motion.sight_forecast import OLDER_S, EnteredHull, SightForecast
 from uav_recon.safety.recently_seen_space import RecentlySeenSpace
-from uav_recon.safety.sight_speed_limit import SightSpeedLimit, entered_points, memory_s
+from uav_recon.safety.sight_speed_limit import SightSpeedLimit, entered_points
 from uav_recon.types.camera import Frame, Intrinsics, PosedFrame, body_from_camera
 from uav_recon.types.maps import FREE, GridSpec, VoxelMap
 from uav_recon.types.pose import Pose
@@ -74,13 +74,11 @@ def test_motion_plans_by_the_ages_that_the_guard_will_find() -> None:
     found_s = np.array([guard.ages_s(hull, 20.0).max() for hull in hulls])
     np.testing.assert_allclose(planned_s, np.where(np.isfinite(found_s), found_s + OLDER_S, 0.0), atol=1e-6)
     assert 0.1 < np.isfinite(found_s).mean() < 0.9
-    level_in_view = rng.uniform(size=300) < 0.5
     for older_s in (0.0, 45.0, 65.0, 170.0):  # views of up to 20 s more
         now_s = 20.0 + older_s
-        refused = forecast.is_refused(direction, place, np.full(300, now_s), np.ones(300, dtype=np.bool_), level_in_view)
+        refused = forecast.is_refused(direction, place, np.full(300, now_s), np.ones(300, dtype=np.bool_))
         ahead = (place[:, :3] + guard.reach_m * direction).tolist()
-        within_s = memory_s(60.0, direction, level_in_view).tolist()
-        seen = [guard.saw_free((x, y, z), now_s, within) for (x, y, z), within in zip(ahead, within_s, strict=True)]
+        seen = [guard.saw_free((x, y, z), now_s, unit) for (x, y, z), unit in zip(ahead, direction, strict=True)]
         differ = refused != ~np.array(seen)
         assert not (differ & ~refused).any() and differ.mean() < 0.03, "motion is refused OLDER_S sooner"
         assert older_s > 100.0 or 0.05 < refused.mean() < 0.95

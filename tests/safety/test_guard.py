@@ -369,28 +369,6 @@ def test_outside_the_view_the_speed_falls_with_the_age_of_the_last_sight(speed_m
         assert reason.code is (ReasonCode.SPEED_OUT_OF_VIEW if speed_mps > 0.3 else ReasonCode.NOT_SEEN_RECENTLY)
 
 
-@pytest.mark.parametrize(
-    ("way", "age_s", "cleared"),
-    [
-        ((0.08, 0.0, 0.0452), 170.0, True), ((0.08, 0.0, 0.0452), 181.0, False),  # ahead, 29.5 degrees up: above the image
-        ((0.08, 0.0, 0.06), 170.0, True), ((-0.08, 0.0, 0.0452), 59.0, True), ((-0.08, 0.0, 0.0452), 61.0, False),  # back
-        ((-0.08, 0.0, 0.06), 170.0, True), ((0.0, 0.0, 0.1), 170.0, True), ((0.0, 0.0, -0.1), 61.0, False),
-    ],
-)  # fmt: skip
-def test_a_climb_above_what_the_camera_sees_may_rely_on_older_views(
-    way: tuple[float, float, float], age_s: float, cleared: bool
-) -> None:
-    sight = RecentlySeenSpace(blind_memory_s=60.0, vehicle_radius_m=HULL_RADIUS_M)
-    guard, start = guard_of(bounds=dataclasses.replace(BOUNDS, blind_speed_mps=0.3), sight=sight), np.array([1.6, 0.0, 1.0])
-    sight.add(frame(9.0, 100.0), Pose.from_yaw(0.0, start - 3.0 * np.array([1.0, 0.0, 0.0])))
-    now_s = 100.0 + age_s
-    guard.clear(None, situation(now_s - 0.5, position_m=(1.6, 0.0, 1.0)))
-    x, y, z = (start + 0.1 * np.array(way)).tolist()
-    _, refusal = guard.clear(proposal((x, y, z), way), situation(now_s))
-    assert (refusal is None) is cleared, refusal
-    assert refusal is None or refusal.reason.code is ReasonCode.NOT_SEEN_RECENTLY
-
-
 def test_fast_outside_the_view_needs_the_whole_hull_and_its_stopping_way_seen() -> None:
     """At 1 m/s the hull stops 0.25 m on, and reaches 1.4 m from the camera; beside the way stands a post."""
     assert backwards(1.0, 1.0, range_m=1.6) is None

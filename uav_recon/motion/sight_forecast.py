@@ -114,22 +114,17 @@ class SightForecast:
         limit_mps[nodes] = self.limit.at(self._ages_s(points, nodes, place, reached_s))
         return limit_mps
 
-    def is_refused(
-        self, direction: FloatArray, place: FloatArray, reached_s: FloatArray, asked: BoolArray, level_in_view: BoolArray
-    ) -> BoolArray:
+    def is_refused(self, direction: FloatArray, place: FloatArray, reached_s: FloatArray, asked: BoolArray) -> BoolArray:
         """Return a mask (M,) of the positions at which the guard refuses even a slow motion.
 
-        It has not seen the next space for too long. level_in_view: (M,) see sight_speed_limit.memory_s(). The other arguments
-        are those of max_speed_mps().
+        It has not seen the next space for too long. The arguments are those of max_speed_mps().
         """
         refused = np.zeros(len(place), dtype=np.bool_)
         nodes = np.flatnonzero(asked)
         if len(nodes):
             unit = _unit(direction[nodes])
             points = (place[nodes, :3] + self._reach_m * unit)[:, None]
-            refused[nodes] = self._ages_s(points, nodes, place, reached_s) > memory_s(
-                self.limit.blind_memory_s, unit, level_in_view[nodes]
-            )
+            refused[nodes] = self._ages_s(points, nodes, place, reached_s) > memory_s(self.limit.blind_memory_s, unit)
         return refused
 
     @property

@@ -304,8 +304,7 @@ class YawAlongPath:
         blind = np.isfinite(limit_mps)
         weight = np.where(blind, PREFERRED, 1.0)
         if forecast is not None:
-            level_in_view = self.sees(step[:, :3] * (1.0, 1.0, 0.0), place[:, 3], place[:, 4])
-            weight[forecast.is_refused(step[:, :3], place, begin_s + np.cumsum(piece_s), blind, level_in_view)] = REFUSED
+            weight[forecast.is_refused(step[:, :3], place, begin_s + np.cumsum(piece_s), blind)] = REFUSED
             if forecast.sight is not None:
                 weight = weight * forecast.sight.weight(place)
         weighted_s = float(np.sum(weight * piece_s))

@@ -18,7 +18,7 @@ from uav_recon.safety.obstacle_speed_limit import ForwardDepth, Margins, fastest
 from uav_recon.safety.recently_seen_space import RecentlySeenSpace
 from uav_recon.safety.refusals import RefusalCounter
 from uav_recon.safety.setpoint_continuity import ClearedMotion, ContinuityCheck
-from uav_recon.safety.sight_speed_limit import SightSpeedLimit, entered_points, memory_s
+from uav_recon.safety.sight_speed_limit import SightSpeedLimit, entered_points
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
@@ -243,16 +243,12 @@ class Guard:
         asked = not retreating and bounds.blind_speed_mps < self.envelope.max_speed_mps
         if not asked or ahead.sees(direction_body) or self.envelope.in_column(motion.position_m):
             return None
-        level = inputs.body_from_odom @ np.array([direction[0], direction[1], 0.0])
-        within_s = float(memory_s(self.seen_space.memory_s, direction, np.asarray(ahead.sees(level))))
-        return self._sight_fault(motion, direction, speed_mps, within_s, inputs.now_s)
+        return self._sight_fault(motion, direction, speed_mps, inputs.now_s)
 
-    def _sight_fault(
-        self, motion: ClearedMotion, direction: FloatArray, speed_mps: float, within_s: float, now_s: float
-    ) -> Reason | None:
+    def _sight_fault(self, motion: ClearedMotion, direction: FloatArray, speed_mps: float, now_s: float) -> Reason | None:
         """Check the speed outside the view by the age of the last free sight.
 
-        It is that of the space that the hull enters until it stands. A slow motion enters what was seen within within_s.
+        It is that of the space that the hull enters until it stands.
         """
         place_m, reach_m = np.array(motion.position_m), self.seen_space.reach_m
         if speed_mps > self.bounds.blind_speed_mps + 1e-6:
@@ -261,7 +257,9 @@ class Guard:
             limit_mps = self._sight_limit.at(self.seen_space.ages_s(hull[0], now_s)).min()
             return None if speed_mps <= limit_mps + 1e-6 else Reason(ReasonCode.SPEED_OUT_OF_VIEW, (speed_mps,))
         x, y, z = (place_m + direction * reach_m).tolist()
-        return None if self.seen_space.saw_free((x, y, z), now_s, within_s) else Reason(ReasonCode.NOT_SEEN_RECENTLY, (x, y, z))
+        return (
+            None if self.seen_space.saw_free((x, y, z), now_s, direction) else Reason(ReasonCode.NOT_SEEN_RECENTLY, (x, y, z))
+        )
 
     def _brake(self, inputs: GuardInputs) -> Setpoint:
         """Slow down along the last cleared velocity within the acceleration limit, then hold."""

@@ -11,7 +11,7 @@ import numpy as np
 
 from uav_recon.safety.envelope import Vec3
 from uav_recon.safety.free_cone_memory import FreeConeMemory
-from uav_recon.safety.sight_speed_limit import longest_memory_s
+from uav_recon.safety.sight_speed_limit import longest_memory_s, memory_s
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.free_cone import FreeCone
 from uav_recon.types.min_range_grid import MinRangeGrid, in_view
@@ -65,12 +65,13 @@ class RecentlySeenSpace:
         self._stamp_s[:] = -math.inf
         self._cones.forget()
 
-    def saw_free(self, place_m: Vec3, now_s: float, within_s: float | None = None) -> bool:
+    def saw_free(self, place_m: Vec3, now_s: float, direction: FloatArray | None = None) -> bool:
         """Return True if a view within the memory saw past this position, or the hull was there.
 
-        within_s: as sight_speed_limit.memory_s() returns it; None = blind_memory_s.
+        direction: (3,) unit vector in odom of the motion that enters it, None = level.
         """
-        return bool(np.isfinite(self.ages_s(np.array([place_m]), now_s, within_s)[0]))
+        within_s = self.memory_s if direction is None else float(memory_s(self.memory_s, direction))
+        return bool(self.ages_s(np.array([place_m]), now_s, within_s)[0] <= within_s)
 
     def ages_s(self, places_m: FloatArray, now_s: float, within_s: float | None = None) -> FloatArray:
         """Return the ages (N,) of the newest views that saw past positions (N, 3) or were there.

@@ -10,12 +10,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from uav_recon.types.frames import BoolArray, FloatArray
+from uav_recon.types.frames import FloatArray
 
-#: refuse: a climb whose direction has less than this vertical part, if the camera does not look its way, into space not seen
-#: within blind_memory_s
+#: refuse: a climb into space not seen within blind_memory_s, if its direction has less than this vertical part
 _CLIMB_SHARE = 0.5
-#: refuse: any other climb into space not seen within this multiple of it: what comes into a room comes from the side or below
+#: refuse: a steeper climb into space not seen within this multiple of it: what comes into a room comes from the side or below
 _CLIMB_MEMORY_FACTOR = 3.0
 _STEEP_SHARE = 0.1  #: internal: a direction with a smaller level part has no side of its own
 #: refuse: a motion outside the view that is too fast for the age of the space this far off its path, of the hull's radius
@@ -44,14 +43,12 @@ class SightSpeedLimit:
         return np.where(age_s <= self.blind_memory_s, limit_mps, 0.0)
 
 
-def memory_s(blind_memory_s: float, direction: FloatArray, level_in_view: BoolArray) -> FloatArray:
+def memory_s(blind_memory_s: float, direction: FloatArray) -> FloatArray:
     """Return the age (s) up to which space that was seen is entered at blind_speed_mps.
 
-    A steep climb may rely on older views, and so may any climb whose way the camera looks: then it sees what comes towards it
-    at its own height. direction: (..., 3) unit vectors in world. level_in_view: (...) True if the camera sees their level part.
+    direction: (..., 3) unit vectors in world. A steep climb may rely on older views.
     """
-    climbs = (direction[..., 2] >= _CLIMB_SHARE) | ((direction[..., 2] > 0.0) & level_in_view)
-    return blind_memory_s * np.where(climbs, _CLIMB_MEMORY_FACTOR, 1.0)
+    return blind_memory_s * np.where(direction[..., 2] >= _CLIMB_SHARE, _CLIMB_MEMORY_FACTOR, 1.0)
 
 
 def longest_memory_s(blind_memory_s: float) -> float:
