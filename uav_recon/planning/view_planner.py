@@ -238,9 +238,8 @@ class ViewPlanner:
         if self._newest_path is None:
             return
         newest, views = self._newest_path
-        count = len(path.viewpoints)
-        same = all(one is other for one, other in zip(path.tasks, newest.tasks, strict=False))
-        if same and 0 < count == len(path.tasks) <= len(views):
+        count = len(path.tasks)
+        if path is newest or (count and path.tasks == newest.tasks[:count]):
             self.view_history.set_expected_views(path, views[:count])
 
     def next_view_has_gain(self, voxels: VoxelMap, position_world: FloatArray, yaw_rad: float) -> bool:

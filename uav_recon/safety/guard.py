@@ -257,9 +257,8 @@ class Guard:
             limit_mps = self._sight_limit.at(self.seen_space.ages_s(hull[0], now_s)).min()
             return None if speed_mps <= limit_mps + 1e-6 else Reason(ReasonCode.SPEED_OUT_OF_VIEW, (speed_mps,))
         x, y, z = (place_m + direction * reach_m).tolist()
-        return (
-            None if self.seen_space.saw_free((x, y, z), now_s, direction) else Reason(ReasonCode.NOT_SEEN_RECENTLY, (x, y, z))
-        )
+        seen = self.seen_space.saw_free((x, y, z), now_s, direction)
+        return None if seen else Reason(ReasonCode.NOT_SEEN_RECENTLY, (x, y, z))
 
     def _brake(self, inputs: GuardInputs) -> Setpoint:
         """Slow down along the last cleared velocity within the acceleration limit, then hold."""

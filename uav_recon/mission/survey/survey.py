@@ -215,6 +215,7 @@ class Survey:
             self._give_up_plan(plan.motion, now_s)
             return
         self._log.failed_in_a_row = 0
+        self._turns_first = False
         self._resting_since_s = np.inf
         if flying is None:
             self._executor.fly(plan.motion, now_s)

@@ -52,8 +52,8 @@ def labels(free: BoolArray, core: float) -> IntArray:
     """
     away = ndimage.distance_transform_edt(np.pad(free, 1))[1:-1, 1:-1]
     cores, count = ndimage.label(away >= core, structure=np.ones((3, 3)))
-    if not count:
-        return np.zeros(free.shape, dtype=np.int64)
+    if count <= 1:
+        return np.full(free.shape, count, dtype=np.int64)
     nearest = ndimage.distance_transform_edt(cores == 0, return_distances=False, return_indices=True)
     label: IntArray = cores[tuple(nearest)].astype(np.int64)
     return label
