@@ -7,6 +7,7 @@ from sitl.faults.fault import Onset
 from sitl.faults.injectors import operator_silence
 from sitl.faults.injectors.base import Injector
 from sitl.faults.injectors.companion import Crash
+from sitl.faults.injectors.crossing_person import CROSSED, PersonCrosses
 from sitl.faults.injectors.depth_camera import (
     APPEARED,
     AlteredDepth,
@@ -34,6 +35,7 @@ from sitl.faults.injectors.process_signals import ProcessKilled
 from sitl.faults.injectors.vehicle_and_autopilot import Reboot
 from sitl.faults.judges import odometry_metrics
 from sitl.faults.judges import reaction_metrics as m
+from sitl.faults.judges.ghost_voxels import GHOSTS
 from sitl.faults.judges.map_integrity import AGAIN, CLAIMED, FREED, Claims, MapIntegrityCheck, Tally
 from sitl.faults.table.acceptance_limits import (
     COMPLETES,
@@ -56,6 +58,14 @@ from sitl.faults.table.scenario import SHORT_VIEWS, Limit, Scenario
 FAST = Onset(speed_mps=0.6)
 STILL = Onset(speed_mps=0.0, min_view_depth_m=3.8)
 ONCE = Limit("frames mapped again", m.noted(AGAIN), 0.0, "")
+
+PERSON = (
+    Limit("the person comes", m.noted(CROSSED), 150.0, "s"),
+    Limit("distance from the hull to the person", lambda e: e.min_obstacle_distance_m, 0.50, "m", at_least=True),
+    COMPLETES,
+    Limit("voxels of the person left", m.noted(GHOSTS), 0.0, ""),
+    clear(0.10),
+)
 
 TABLE_C = (
     Scenario(
@@ -216,6 +226,27 @@ TABLE_C = (
             clear(0.10),
         ),
         observe_s=120.0,
+    ),
+    Scenario(
+        "C11",
+        "person crosses",
+        "a person 1.8 m high and 0.5 m wide walks across the view, 0.8 to 2 m ahead, at 0.6 to 1.5 m/s: in flight; in hover",
+        lambda n: [PersonCrosses(hovering=n % 2 == 1)],
+        PERSON,
+        observe_s=300.0,
+        views=SHORT_VIEWS,
+    ),
+    Scenario(
+        "C11b",
+        "person crosses, own poses",
+        "as C11, with poses of the embedded SLAM",
+        lambda n: [PersonCrosses(hovering=n % 2 == 1)],
+        PERSON,
+        observe_s=300.0,
+        views=SHORT_VIEWS,
+        arena="room",
+        poses="slam",
+        camera="d435i",
     ),
 )
 
