@@ -192,6 +192,36 @@ def test_a_step_aside_reckons_with_all_that_is_seen_of_what_comes_on(evasion: Ob
     assert left * way.position_m[-1][1] < -0.8, "its nearest corner is straight ahead, and the rest of it to one side"
 
 
+def _crossing(away_m: float, passes_m: float, mps: float = 1.0) -> list[SuddenObstacle]:
+    """A body 0.5 m wide; its near side passes before the vehicle at passes_m, and is away_m ahead of that at first."""
+    sights = []
+    for n in range(4):
+        left_m = away_m - mps * 0.15 * n + np.linspace(-0.25, 0.25, MANY)
+        places = HERE + np.column_stack([np.full(MANY, passes_m), left_m, np.zeros(MANY)])
+        away = np.linalg.norm((places - HERE)[:, :2], axis=1)
+        sights.append(SuddenObstacle(1.0 + 0.15 * n, places[np.argsort(away)], float(away.min()), n + 1, 0.15 * n))
+    return sights
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+@pytest.mark.parametrize(("passes_m", "comes"), [(0.0, True), (0.55, True), (0.65, False), (0.8, False), (1.5, False)])
+def test_what_crosses_is_waited_for_and_what_comes_is_stepped_aside_from(
+    evasion: ObstacleEvasion, passes_m: float, comes: bool, side: float
+) -> None:
+    """Both come nearer all the time; only the path of the second one leads to the vehicle."""
+    for sight in _crossing(side * 1.8, passes_m, side):
+        evasion.update(sight)
+    assert evasion.must_stop(1.5)
+    assert (evasion.step_aside(REST, _inputs(1.5)) is not None) is comes
+
+
+def test_what_crosses_does_not_land_a_vehicle_without_room_aside(evasion: ObstacleEvasion) -> None:
+    for sight in _crossing(1.8, 1.0):
+        evasion.update(sight)
+    nowhere = np.zeros(GRID.shape, np.bool_)
+    assert evasion.step_aside(REST, _inputs(1.5, _free(nowhere))) is None
+
+
 def test_what_stands_is_not_given_way_to_while_the_vehicle_still_comes_nearer(evasion: ObstacleEvasion) -> None:
     box = np.tile(HERE + np.array([0.9, 0.0, 0.0]), (MANY, 1))
     evasion.update(SuddenObstacle(1.0, box, 1.1))  # seen from 0.2 m before the rest, then from 0.1 m

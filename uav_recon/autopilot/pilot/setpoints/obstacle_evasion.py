@@ -32,7 +32,10 @@ _STEP_M = 1.2  #: evade: length of a step aside
 _STEP_MPS = 0.5  #: evade: speed of a step aside
 _LATE_S = 0.5  #: evade: a step takes effect after this time: its motion is smoothed, and followed with a lag
 _PASS_M = 0.4  #: evade: no step that passes the obstacle closer to the body's centre: with hull and error it leads into it
-_RADIUS_M = 0.20  #: internal: hull radius that _STOP_M and _PASS_M are for; they grow by as much as the hull is larger
+_COMES_M = 0.6  #: evade: an obstacle comes if its straight path leads this near to the body's centre; others are waited for
+_RADIUS_M = (
+    0.20  #: internal: hull radius that _STOP_M, _PASS_M and _COMES_M are for; they grow by as much as the hull is larger
+)
 #: evade: clearance beside the hull, and inside the inset, tried in this order: of plans, of paths back, of the guard
 _CLEARANCES_M = ((0.20, 0.10), (0.10, 0.03), (0.0, 0.0))
 _AFTER_S = 1.0  #: hold: after a step aside no trajectory is flown for this time
@@ -51,6 +54,7 @@ class ObstacleEvasion:
         self._guard = guard
         self._stop_m = _STOP_M + (vehicle_radius_m - _RADIUS_M)
         self._pass_m = _PASS_M + (vehicle_radius_m - _RADIUS_M)
+        self._comes_m = _COMES_M + (vehicle_radius_m - _RADIUS_M)
         self._heard: list[SuddenObstacle] = []
         self._ghost_s = -math.inf
 
@@ -78,14 +82,15 @@ class ObstacleEvasion:
         """Return a trajectory from rest out of the path of an approaching obstacle.
 
         None if nothing approaches for sure, a reason if no end is known free. It approaches if its positions come nearer to the
-        rest position, from each sight to the next: the vehicle itself still comes nearer while it stops. Where possible the
-        clearance is that of planned paths; otherwise it is smaller: coming near a wall is better than coming near the obstacle.
+        rest position, from each sight to the next: the vehicle itself still comes nearer while it stops; and if its straight
+        path leads there: a person who crosses comes nearer, too, and is waited for. Where possible the clearance is that of
+        planned paths; otherwise it is smaller: coming near a wall is better than coming near the obstacle.
         """
         here = rest.position_m
         if not self._is_confirmed() or _level_m(self._heard[-1].places_m[0], here) > _EVADE_M:
             return None
         coming_mps = self._coming_mps(here)
-        if not _COMING_MPS <= coming_mps <= _FASTEST_MPS:
+        if not _COMING_MPS <= coming_mps <= _FASTEST_MPS or self._passes_m(here) > self._comes_m:
             return None
         ends = _ways_aside(here, self._heard[-1].places_m, coming_mps, self._pass_m)
         for room_m, inside_m in _CLEARANCES_M:
@@ -112,13 +117,31 @@ class ObstacleEvasion:
     def _fresh(self, now_s: float) -> bool:
         return now_s - self._heard[-1].stamp_s <= _FRESH_S
 
+    def _sights(self) -> list[SuddenObstacle]:
+        """Return the newest sights in a row, oldest first."""
+        newest_s = self._heard[-1].stamp_s
+        return [one for one in self._heard[-self._heard[-1].sights :] if newest_s - one.stamp_s <= _FRESH_S]
+
+    def _passes_m(self, here: FloatArray) -> float:
+        """Return how near to a position the obstacle's straight path leads (m), level.
+
+        Its track is that of the centre of what is seen of it. All that is seen moves along.
+        """
+        sights = self._sights()
+        stamp_s, centre = (
+            np.array([one.stamp_s for one in sights]),
+            np.array([one.places_m[:, :2].mean(axis=0) for one in sights]),
+        )
+        since_s = stamp_s - stamp_s.mean()
+        velocity = since_s @ centre / max(float(since_s @ since_s), 1e-9)
+        return _nearest_m(sights[-1].places_m[:, :2] - here[:2], velocity)
+
     def _coming_mps(self, here: FloatArray) -> float:
         """Return the lower of the approach speeds in the older and newer half of the newest sights.
 
         Infinity if one of them is no such speed.
         """
-        newest_s = self._heard[-1].stamp_s
-        sights = [one for one in self._heard[-self._heard[-1].sights :] if newest_s - one.stamp_s <= _FRESH_S]
+        sights = self._sights()
         ends = (sights[0], sights[len(sights) // 2], sights[-1])
         speeds = [
             (_level_m(a.places_m[0], here) - _level_m(b.places_m[0], here)) / (b.stamp_s - a.stamp_s)
@@ -144,6 +167,13 @@ class ObstacleEvasion:
 
 def _level_m(a: FloatArray, b: FloatArray) -> float:
     return math.hypot(*(a - b)[:2].tolist())
+
+
+def _nearest_m(off_m: FloatArray, velocity_mps: FloatArray) -> float:
+    """Return the least distance (m) from the origin of positions (N, 2) that move on at a velocity (2,)."""
+    speed2 = max(float(velocity_mps @ velocity_mps), 1e-9)
+    until_s = np.maximum(-(off_m @ velocity_mps) / speed2, 0.0)
+    return float(np.linalg.norm(off_m + until_s[:, None] * velocity_mps, axis=1).min())
 
 
 def _ways_aside(here: FloatArray, places: FloatArray, coming_mps: float, min_pass_m: float) -> list[FloatArray]:
