@@ -77,7 +77,9 @@ class MultiResolutionMap:
         """
         changed = self._coarse.integrate(posed)
         for place, fine in self._fine.items():
-            if _may_show(posed.world_from_depth, np.array(place)) and fine.integrate(posed):
+            if not _may_show(posed.world_from_depth, np.array(place)):
+                fine.give_up_provisional(posed.frame.stamp_s)
+            elif fine.integrate(posed):
                 fine.close_thin_gaps()
         return changed
 

@@ -3,7 +3,8 @@
 Voxel-centric: each voxel in view is projected into the frame. The frame frees a voxel only if EVERY depth in its footprint
 lies behind it by more than half its extent and the depth noise. So a grazing ray cannot carve a wall, and a hole (NaN) frees
 nothing. A return marks the voxel it ends in; within one frame, marking takes precedence over freeing. If the marked voxel
-was free, an obstacle has appeared, and the free space behind it becomes unknown.
+was free, an obstacle has appeared, and the free space behind it becomes unknown. It is provisional for a while, see
+provisional_voxels: what walks through the room does not stay in the map.
 
 All updates are incremental: the states and the number of known voxels are stored, the distance field is updated around the
 changes when a snapshot is requested, and a snapshot reuses the memory of an old one that is no longer referenced.
@@ -22,6 +23,7 @@ from uav_recon.mapping.occupancy.distance_field import DistanceField
 from uav_recon.mapping.occupancy.grid_camera import GridCamera
 from uav_recon.mapping.occupancy.log_odds import FREE_AT, MIN_LOG_ODDS, copy_changed, new_states
 from uav_recon.mapping.occupancy.occlusion_reset import reset_behind_new_obstacles
+from uav_recon.mapping.occupancy.provisional_voxels import ProvisionalVoxels
 from uav_recon.mapping.occupancy.snapshot_pool import SnapshotPool
 from uav_recon.mapping.occupancy.thin_gaps import close_thin_gaps
 from uav_recon.types.camera import Frame, Intrinsics, PosedFrame
@@ -77,6 +79,7 @@ class OccupancyMap:
         bounds = (np.array([fence_min_m, fence_max_m]) - grid.origin_world_m) / grid.resolution_m
         self._fence = np.clip(np.ceil(bounds - 0.5 - 1e-9), 0, np.array(grid.shape)).astype(np.int64)
         self._scratch = FrameScratch(grid, max_range_m)
+        self._provisional = ProvisionalVoxels()
         self._revision = 0
         self.reset(map_epoch)
 
@@ -85,6 +88,7 @@ class OccupancyMap:
         self._revision += 1
         self._map_epoch = map_epoch
         self._known = 0
+        self._provisional.clear()
         self._odds = np.zeros(int(np.prod(self.grid.shape)), dtype=np.int8)
         self._tile_revision = np.full([-(-n // TILE) for n in self.grid.shape[:2]], self._revision, dtype=np.int64)
         self._distance = DistanceField(self.grid.shape, self._reach, self._heights)
@@ -118,11 +122,22 @@ class OccupancyMap:
         )  # fmt: skip
         number = fuse(depth_m, camera, self.grid.shape, scratch.pooled, scratch.hits, self._odds, scratch.listed)
         known = self._snapshots.current.state
-        return self._apply_state_changes(
-            reset_behind_new_obstacles(
-                scratch.listed, number, self._odds, known, self.grid.shape, origin, _OCCLUSION_RESET_DEPTH_M / resolution_m
-            )
+        behind = reset_behind_new_obstacles(
+            scratch.listed, number, self._odds, known, self.grid.shape, origin, _OCCLUSION_RESET_DEPTH_M / resolution_m
         )
+        return self._apply_state_changes(
+            self._provisional.update(scratch.listed, behind, known, self._odds, posed.frame.stamp_s)
+        )
+
+    def give_up_provisional(self, stamp_s: float) -> int:
+        """Give up the provisional voxels that had no return for a while before an instant, without a frame.
+
+        Returns the number of voxels that changed state.
+        """
+        if not self._provisional.any:
+            return 0
+        state = self._snapshots.current.state
+        return self._apply_state_changes(self._provisional.update(self._scratch.listed, 0, state, self._odds, stamp_s))
 
     def integrate_cone(self, cone: FreeCone) -> int:
         """Integrate what a range finder found empty; returns the number of voxels that became free.

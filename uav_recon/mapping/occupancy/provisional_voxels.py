@@ -1,0 +1,104 @@
+"""Provisional voxels: returns where free space was known, until they are confirmed or given up.
+
+A body that walks through a room is there for less than a second at each place. Where it was, the log-odds keep it until the
+camera looks there again. So a voxel that was free is provisional from its first return on, and so is the space behind it that
+has become unknown. It is not free as long as that lasts. It is confirmed if its returns go on for CONFIRMED_S, and becomes
+unknown if there is none for GIVEN_UP_S.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from uav_recon.geometry.jit import kernel
+from uav_recon.mapping.occupancy.log_odds import FREE_AT, OCCUPIED_AT
+from uav_recon.types.frames import AnyArray, BoolArray, FloatArray, IntArray
+from uav_recon.types.maps import FREE, UNKNOWN
+
+#: plan: returns in a voxel that was free are confirmed after this time; a body of 0.5 m that walks at 0.6 m/s stays for 1.2 s
+CONFIRMED_S = 2.0
+GIVEN_UP_S = 2.5  #: plan: a provisional voxel without a return for this time becomes unknown
+FORGOTTEN_S = 20.0  #: plan: unknown space behind returns where free space was known is no longer provisional after this time
+MOST_ODDS = OCCUPIED_AT + 4  #: internal: upper clamp of their log-odds: each further return shows, and they are soon free again
+_MOST = 1 << 16  #: internal: number of provisional voxels; more are confirmed at once
+
+
+class ProvisionalVoxels:
+    """The provisional voxels of one map. Not thread-safe.
+
+    Flat indices in order of their first return, with the instants (s) of the first and newest one.
+    """
+
+    def __init__(self) -> None:
+        self._flat = np.zeros(_MOST, dtype=np.int64)
+        self._odds = np.zeros(_MOST, dtype=np.int8)  # after the newest frame
+        self._first_s = np.zeros(_MOST)
+        self._last_s = np.zeros(_MOST)
+        self._number = 0
+
+    def clear(self) -> None:
+        """Forget all of them."""
+        self._number = 0
+
+    @property
+    def any(self) -> bool:
+        """True if there are provisional voxels."""
+        return self._number > 0
+
+    def seen_at(self, stamp_s: float) -> IntArray:
+        """Return the flat indices (N,) of those with a return in the frame of an instant."""
+        found: IntArray = self._flat[: self._number][self._last_s[: self._number] == stamp_s]
+        return found
+
+    def update(self, listed: IntArray, number: int, state: AnyArray, odds: AnyArray, stamp_s: float) -> int:
+        """Bring them up to a frame that was fused; returns the new length of the list.
+
+        listed[:number], state, odds: as after reset_behind_new_obstacles(). Appends those that were given up.
+        """
+        self._number, number = _update(
+            listed, number, state, odds, stamp_s, self._flat, self._odds, self._first_s, self._last_s, self._number
+        )
+        return number
+
+
+@kernel
+def _update(
+    listed: IntArray, number: int, state: AnyArray, odds: AnyArray, stamp_s: float, flat: IntArray, kept_odds: AnyArray,
+    first_s: FloatArray, last_s: FloatArray, count: int,
+) -> tuple[int, int]:  # fmt: skip
+    """Return the number of provisional voxels and the new length of the list, see ProvisionalVoxels.update()."""
+    kept, listing = 0, number
+    for n in range(count):
+        index = flat[n]
+        value, first, last = odds[index], first_s[n], last_s[n]
+        if value > kept_odds[n]:
+            first, last = stamp_s if kept_odds[n] <= 0 else first, stamp_s
+        gone = stamp_s - last >= (GIVEN_UP_S if value > 0 else FORGOTTEN_S)
+        if value <= FREE_AT or last - first >= CONFIRMED_S or (gone and value <= 0):
+            continue
+        if gone and listing < listed.size:
+            odds[index] = 0
+            listed[listing] = index
+            listing += 1
+            continue
+        odds[index] = min(value, MOST_ODDS)
+        flat[kept], kept_odds[kept], first_s[kept], last_s[kept] = index, odds[index], first, last
+        kept += 1
+    for n in range(number):
+        index = listed[n]
+        outside = state[index] == UNKNOWN and odds[index] < OCCUPIED_AT  # of the fence: seen free, but not FREE
+        if (state[index] == FREE or outside) and odds[index] > FREE_AT and kept < flat.size:
+            flat[kept], kept_odds[kept], first_s[kept], last_s[kept] = index, odds[index], stamp_s, stamp_s
+            kept += 1
+    return kept, listing
+
+
+def in_any(index: IntArray, shape: tuple[int, int, int], flat: IntArray, reach_voxels: int) -> BoolArray:
+    """Return for voxels (N, 3) whether they are at most reach_voxels along each axis from one of ``flat`` (M,)."""
+    near = np.zeros(tuple(n + 2 * reach_voxels for n in shape), dtype=np.bool_)
+    for step in np.ndindex(*(2 * reach_voxels + 1,) * 3):
+        near[tuple(axis + by for axis, by in zip(np.unravel_index(flat, shape), step, strict=True))] = True
+    inside = ((index >= 0) & (index < np.array(shape))).all(axis=1)
+    found = np.zeros(len(index), dtype=np.bool_)
+    found[inside] = near[tuple((index[inside] + reach_voxels).T)]
+    return found
