@@ -194,9 +194,12 @@ class SlamTracker:
         self.gyro.add(samples)
         self._begin.add_imu(samples)
 
-    def track(self, frame: Frame, body_from_depth: Pose) -> StampedPose | None:
-        """Return the body's pose at what the frame shows; None if it is not known."""
-        view = PreparedView(frame)
+    def track(self, frame: Frame, body_from_depth: Pose, still: Frame | None = None) -> StampedPose | None:
+        """Return the body's pose at what the frame shows; None if it is not known.
+
+        still: the frame without the parts that move, if there are any.
+        """
+        view = PreparedView(frame if still is None else still)
         if self._state is None or self._begin.starts_again(frame.stamp_s, self._state.odom_from_body.translation_m):
             return self._start(view, body_from_depth)
         if not frame.stamp_s > self._state.stamp_s:

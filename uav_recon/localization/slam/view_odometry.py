@@ -19,6 +19,7 @@ from uav_recon.localization.fusion.inertial_check import InertialCheck
 from uav_recon.localization.fusion.pose_stream_health import most_quality
 from uav_recon.localization.slam.kept_map import KeptMap, NoKeptMap
 from uav_recon.localization.slam.motion_filter import PredictedMotion, propagate
+from uav_recon.localization.slam.moving_parts import MovingParts
 from uav_recon.localization.slam.place_errors import PLACE
 from uav_recon.localization.slam.slam_tracker import SlamTracker
 from uav_recon.localization.slam.track_start import OdomAt
@@ -75,6 +76,7 @@ class ViewOdometry:
         self.rejected: Counter[PoseRejection] = Counter()
         self.check = InertialCheck(tracker.gyro.at)
         self._gate = ImuSampleGate(self.rejected)
+        self._moving = MovingParts()
         self.source_excluded = False
         self.confirmed_s = -math.inf
         self.newest_pose_s = -math.inf
@@ -93,8 +95,11 @@ class ViewOdometry:
         self.tracker.add_imu(self._gate.valid(samples, now_s))
 
     def track(self, frame: Frame, body_from_depth: Pose) -> StampedPose | None:
-        """Track a frame. Return the body's pose at what it shows, None if it is not known."""
-        pose = self.tracker.track(frame, body_from_depth)
+        """Track a frame. Return the body's pose at what it shows, None if it is not known.
+
+        What moves in the view is left out of it.
+        """
+        pose = self.tracker.track(frame, body_from_depth, self._still(frame, body_from_depth))
         state = self.tracker.state
         if state is None:
             return None
@@ -114,6 +119,13 @@ class ViewOdometry:
             self._nodes.popleft()
         return pose
 
+    def _still(self, frame: Frame, body_from_depth: Pose) -> Frame:
+        """Return a frame without the parts that move against the predicted pose."""
+        if not self._nodes or frame.stamp_s <= self._nodes[-1].stamp_s:
+            return frame
+        motion, attitude = self._propagated(self._nodes[-1], frame.stamp_s)
+        return self._moving.without(frame, Pose(attitude.quat_wxyz, motion.place_m) @ body_from_depth)
+
     @property
     def sure(self) -> bool:
         """True if the newest frames in a row were sure of the place, and odometry is there."""
@@ -124,6 +136,7 @@ class ViewOdometry:
         """Begin a new map at the next frame, from other odometry; see SlamTracker.restart."""
         self.tracker.restart(odom_at)
         self.check.forget()
+        self._moving.forget()
         self._nodes.clear()
         self.newest_pose = None
         self._returning, self._sure_frames, self._sure_s = 0, _SURE_FRAMES, -math.inf
