@@ -16,7 +16,6 @@ from sitl.faults.injectors.obstacle import Obstacle
 from sitl.faults.judges.ghost_voxels import GHOSTS, HOLES, ghost_voxels, hole_voxels
 from sitl.geometry.quaternion import yaw_of
 
-F64 = NDArray[np.float64]
 CROSSED = "person crossed"  # key in notes: seconds from the onset to the first step
 LEFT = "person left"  # key in notes: seconds from the onset to the end of the walk
 
@@ -24,12 +23,15 @@ HALF_M = (0.25, 0.25, 0.9)  # a body 1.8 m high and 0.5 m wide
 FLOOR_M = -0.1  # height of the floor in the world
 NEAR_M = (0.8, 2.0)  # level distance from the body's centre to the person's near side as the person crosses the axis
 WALK_MPS = (0.6, 1.5)
-STOPS_S = 1.0  # a vehicle in flight that brakes at the first sight moves on by its speed times this time
-FLYING_MPS = 0.35  # a faster vehicle flies
+STOPS_S = 1.5  # a vehicle in flight that brakes as the person comes into view moves on by its speed times this time
+FLYING_MPS = 0.3  # a faster vehicle flies
 HOVERING_MPS = 0.1  # a slower one hovers
-BESIDE_M = 0.35  # from the image's edge to the person's centre, at the beginning and at the end
+TURNING_RADPS = 0.15  # a faster turn may keep the person out of the image
+ENTERS_MPS = 0.3  # the image's edge moves on with the vehicle; the person comes in at least this much faster
+BESIDE_M = 0.05  # from the image's edge to the person, at the beginning and at the end
 OUT_RAD = math.radians(60.0)  # off the nose: outside the image, as a whole
 LONGEST_S = 20.0  # from the end of the crossing: the person is gone in any case
+HALF_TAN = 0.5 * DEPTH_SPEC.width / DEPTH_SPEC.fx
 GONE = (0.0, 0.0, -100.0)
 _KNEE_M = 0.2  # what is lower than this does not stop a person
 
@@ -60,7 +62,13 @@ class Walk:
 
 
 def walk_before(
-    position_m: tuple[float, float, float], yaw_rad: float, stop_m: float, near_m: float, speed_mps: float, side: int, now_s: float
+    position_m: tuple[float, float, float],
+    yaw_rad: float,
+    stop_m: float,
+    near_m: float,
+    speed_mps: float,
+    side: int,
+    now_s: float,
 ) -> Walk:
     """Return the walk across the axis of a camera that looks along yaw_rad.
 
@@ -69,19 +77,18 @@ def walk_before(
     ahead, left = (math.cos(yaw_rad), math.sin(yaw_rad)), (-math.sin(yaw_rad), math.cos(yaw_rad))
     half_m = HALF_M[0] * (abs(ahead[0]) + abs(ahead[1]))  # the box is parallel to the world's axes
     away_m = stop_m + near_m + half_m
-    tan = 0.5 * DEPTH_SPEC.width / DEPTH_SPEC.fx
-    beside_m = (away_m + half_m) * tan + BESIDE_M
+    beside_m = (away_m + half_m) * HALF_TAN + half_m + BESIDE_M
     x, y = (position_m[k] + away_m * ahead[k] + side * beside_m * left[k] for k in (0, 1))
     return Walk(now_s, (x, y), (-side * left[0], -side * left[1]), speed_mps, 2.0 * beside_m)
 
 
-def is_clear(walk: Walk, surface_m: F64) -> bool:
+def is_clear(walk: Walk, surface_m: NDArray[np.float32]) -> bool:
     """Return whether no surface (N, 3) is where a camera may see the person on the walk."""
     start, way = np.array(walk.start_m), np.array(walk.way)
     off = surface_m[:, :2] - start
     along, aside = off @ way, np.abs(off @ np.array([-way[1], way[0]]))
     half_m, high = HALF_M[0] * math.sqrt(2.0), surface_m[:, 2] - FLOOR_M
-    inside = (along >= BESIDE_M) & (along <= walk.across_m - BESIDE_M) & (aside <= half_m)
+    inside = (along >= half_m) & (along <= walk.across_m - half_m) & (aside <= half_m)
     return not bool((inside & (high >= _KNEE_M) & (high <= 2.0 * HALF_M[2])).any())
 
 
@@ -99,7 +106,9 @@ class PersonCrosses(Injector):
         self._walk: Walk | None = None
         self._left_s = math.inf
         self._obstacle: Obstacle | None = None
+        self._before: NDArray[np.uint8] | None = None  # states of the map's voxels before the person came
         self._drawn = (0.0, 0.0, 1)
+        self._last = (-math.inf, 0.0)  # instant and heading of the turn before
 
     def begin(self, at: InjectionContext) -> None:
         """Draw distance, speed and side."""
@@ -111,6 +120,8 @@ class PersonCrosses(Injector):
             self._walk = self._next_walk(at)
             if self._walk is not None:
                 at.notes[CROSSED] = since_s
+                known = at.channels.voxels.latest()
+                self._before = None if known is None else known.state.copy()
                 self._obstacle = Obstacle(at.now_s, HALF_M, self._place)
                 add_obstacle(at, self._obstacle)
         elif self._left_s == math.inf and self._is_out(at, self._walk):
@@ -126,8 +137,9 @@ class PersonCrosses(Injector):
         stamps_s = np.arange(self._walk.start_s, until_s, 0.5 * HALF_M[0] / self._walk.speed_mps)
         places = np.array([self._walk.place(float(t)) for t in stamps_s])
         surface = at.world.clearance.bins.points
-        at.notes[GHOSTS] = float(sum(ghost_voxels(one, places, HALF_M, surface) for one in (known, *known.fine)))
-        at.notes[HOLES] = float(hole_voxels(known, places, HALF_M, surface))
+        fine = sum(ghost_voxels(one, None, places, HALF_M, surface) for one in known.fine)
+        at.notes[GHOSTS] = float(ghost_voxels(known, self._before, places, HALF_M, surface) + fine)
+        at.notes[HOLES] = float(hole_voxels(known, self._before, places, HALF_M, surface))
 
     def _place(self, now_s: float) -> tuple[float, float, float]:
         assert self._walk is not None
@@ -136,14 +148,19 @@ class PersonCrosses(Injector):
     def _next_walk(self, at: InjectionContext) -> Walk | None:
         """Return the walk that may begin now, None if none may."""
         truth, (near_m, walk_mps, side) = at.world.flyer.truth(), self._drawn
-        speed_mps = math.hypot(*truth.velocity[:2])
+        speed_mps, yaw_rad, (last_s, last_rad) = math.hypot(*truth.velocity[:2]), yaw_of(truth.quat_wxyz), self._last
+        turned_rad = abs(math.remainder(yaw_rad - last_rad, math.tau))
+        self._last = at.now_s, yaw_rad
+        if turned_rad > TURNING_RADPS * (at.now_s - last_s):
+            return None
         if not truth.armed or truth.position[2] < AIRBORNE_M or "LAND" in truth.mode:
             return None
         ahead = off_nose_rad(truth.velocity, truth.quat_wxyz) <= AHEAD_RAD
         if speed_mps > HOVERING_MPS if self._hovering else not (speed_mps >= FLYING_MPS and ahead):
             return None
-        stop_m = 0.0 if self._hovering else speed_mps * STOPS_S
-        walk = walk_before(truth.position, yaw_of(truth.quat_wxyz), stop_m, near_m, walk_mps, side, at.now_s)
+        if walk_mps < HALF_TAN * speed_mps + ENTERS_MPS:
+            return None
+        walk = walk_before(truth.position, yaw_rad, speed_mps * STOPS_S, near_m, walk_mps, side, at.now_s)
         return walk if is_clear(walk, at.world.clearance.bins.points) else None
 
     def _is_out(self, at: InjectionContext, walk: Walk) -> bool:
