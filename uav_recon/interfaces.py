@@ -287,6 +287,11 @@ class LocalizabilityInterface(Protocol):
 class OccupancyMapInterface(Protocol):
     """The occupancy map. No call blocks; each costs a few milliseconds."""
 
+    @property
+    def shows_motion(self) -> bool:
+        """True if the newest frame shows something where free space was known a moment ago."""
+        ...
+
     def integrate(self, posed: PosedFrame) -> int:
         """Fuse a frame and return the number of changed voxels."""
         ...

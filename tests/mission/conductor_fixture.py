@@ -44,6 +44,7 @@ class OpenSpace:
     """Voxels that are free everywhere over a floor, or nowhere once `closed`; `table`: what stands on the floor."""
 
     closed = False
+    shows_motion = False
     table: tuple[slice, slice, slice] | None = None
     revision = epoch = 0
 

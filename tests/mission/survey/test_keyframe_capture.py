@@ -63,3 +63,14 @@ def test_the_budget_of_views_is_kept(desk: Desk) -> None:
     case = CaptureCase(desk, views=0)
     case.keyframes.capture(10.7, posed_frame(10.5), surveying=True)
     assert desk.mapper.stamps == [] and case.log.views == 0
+
+
+def test_a_frame_that_shows_something_that_moves_is_no_view_and_a_planned_one_waits(
+    desk: Desk, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    case = CaptureCase(desk, views=3)
+    monkeypatch.setattr(desk.budget, "selects", lambda posed, views_left, explored: True)
+    for stamp_s, moves in ((10.4, True), (10.6, True), (10.8, False)):
+        monkeypatch.setattr(desk.voxels, "shows_motion", moves)
+        case.keyframes.capture(stamp_s, posed_frame(stamp_s), surveying=True)
+    assert desk.mapper.stamps == [10.8]

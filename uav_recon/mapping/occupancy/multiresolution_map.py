@@ -48,6 +48,11 @@ class MultiResolutionMap:
         """The grid of the whole map."""
         return self._coarse.grid
 
+    @property
+    def shows_motion(self) -> bool:
+        """See OccupancyMap."""
+        return self._coarse.shows_motion
+
     def refine(self, places_world: Sequence[FloatArray]) -> None:
         """Keep fine maps around positions (3,) from now on, the first MAX_FINE_MAPS of them.
 

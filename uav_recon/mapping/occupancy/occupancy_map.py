@@ -33,6 +33,7 @@ from uav_recon.types.maps import EUCLIDEAN, LARGEST_DISTANCE_VOXELS, TILE, GridS
 from uav_recon.types.pose import Pose
 
 _OCCLUSION_RESET_DEPTH_M = 0.6  # depth reset behind a new obstacle: that of a person or a chair
+_MOVING_VOXELS = 12  #: plan: a frame with returns in this many provisional voxels shows something that moves
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,8 +127,13 @@ class OccupancyMap:
             scratch.listed, number, self._odds, known, self.grid.shape, origin, _OCCLUSION_RESET_DEPTH_M / resolution_m
         )
         return self._apply_state_changes(
-            self._provisional.update(scratch.listed, behind, known, self._odds, posed.frame.stamp_s)
+            self._provisional.update(scratch.listed, number, behind, known, self._odds, posed.frame.stamp_s)
         )
+
+    @property
+    def shows_motion(self) -> bool:
+        """True if the newest frame shows something where free space was known a moment ago."""
+        return self._provisional.shown >= _MOVING_VOXELS
 
     def give_up_provisional(self, stamp_s: float) -> int:
         """Give up the provisional voxels that had no return for a while before an instant, without a frame.
@@ -137,7 +143,7 @@ class OccupancyMap:
         if not self._provisional.any:
             return 0
         state = self._snapshots.current.state
-        return self._apply_state_changes(self._provisional.update(self._scratch.listed, 0, state, self._odds, stamp_s))
+        return self._apply_state_changes(self._provisional.update(self._scratch.listed, 0, 0, state, self._odds, stamp_s))
 
     def integrate_cone(self, cone: FreeCone) -> int:
         """Integrate what a range finder found empty; returns the number of voxels that became free.

@@ -12,7 +12,7 @@ import numpy as np
 
 from uav_recon.geometry.jit import kernel
 from uav_recon.mapping.occupancy.log_odds import FREE_AT, OCCUPIED_AT
-from uav_recon.types.frames import AnyArray, BoolArray, FloatArray, IntArray
+from uav_recon.types.frames import AnyArray, FloatArray, IntArray
 from uav_recon.types.maps import FREE, UNKNOWN
 
 #: plan: returns in a voxel that was free are confirmed after this time; a body of 0.5 m that walks at 0.6 m/s stays for 1.2 s
@@ -26,7 +26,8 @@ _MOST = 1 << 16  #: internal: number of provisional voxels; more are confirmed a
 class ProvisionalVoxels:
     """The provisional voxels of one map. Not thread-safe.
 
-    Flat indices in order of their first return, with the instants (s) of the first and newest one.
+    Flat indices in order of their first return, with the instants (s) of the first and newest one. ``shown``: number of them
+    with a return in the newest frame.
     """
 
     def __init__(self) -> None:
@@ -34,45 +35,42 @@ class ProvisionalVoxels:
         self._odds = np.zeros(_MOST, dtype=np.int8)  # after the newest frame
         self._first_s = np.zeros(_MOST)
         self._last_s = np.zeros(_MOST)
-        self._number = 0
+        self._number = self.shown = 0
 
     def clear(self) -> None:
         """Forget all of them."""
-        self._number = 0
+        self._number = self.shown = 0
 
     @property
     def any(self) -> bool:
         """True if there are provisional voxels."""
         return self._number > 0
 
-    def seen_at(self, stamp_s: float) -> IntArray:
-        """Return the flat indices (N,) of those with a return in the frame of an instant."""
-        found: IntArray = self._flat[: self._number][self._last_s[: self._number] == stamp_s]
-        return found
-
-    def update(self, listed: IntArray, number: int, state: AnyArray, odds: AnyArray, stamp_s: float) -> int:
+    def update(self, listed: IntArray, fused: int, number: int, state: AnyArray, odds: AnyArray, stamp_s: float) -> int:
         """Bring them up to a frame that was fused; returns the new length of the list.
 
-        listed[:number], state, odds: as after reset_behind_new_obstacles(). Appends those that were given up.
+        listed[:fused]: as from fuse(). listed[:number], state, odds: as after reset_behind_new_obstacles(). Appends those that
+        were given up.
         """
-        self._number, number = _update(
-            listed, number, state, odds, stamp_s, self._flat, self._odds, self._first_s, self._last_s, self._number
+        self._number, self.shown, number = _update(
+            listed, fused, number, state, odds, stamp_s, self._flat, self._odds, self._first_s, self._last_s, self._number
         )
         return number
 
 
 @kernel
 def _update(
-    listed: IntArray, number: int, state: AnyArray, odds: AnyArray, stamp_s: float, flat: IntArray, kept_odds: AnyArray,
-    first_s: FloatArray, last_s: FloatArray, count: int,
-) -> tuple[int, int]:  # fmt: skip
-    """Return the number of provisional voxels and the new length of the list, see ProvisionalVoxels.update()."""
-    kept, listing = 0, number
+    listed: IntArray, fused: int, number: int, state: AnyArray, odds: AnyArray, stamp_s: float, flat: IntArray,
+    kept_odds: AnyArray, first_s: FloatArray, last_s: FloatArray, count: int,
+) -> tuple[int, int, int]:  # fmt: skip
+    """Return the number of provisional voxels, of those with a return, and of the list, see ProvisionalVoxels.update()."""
+    kept, shown, listing = 0, 0, number
     for n in range(count):
         index = flat[n]
         value, first, last = odds[index], first_s[n], last_s[n]
         if value > kept_odds[n]:
             first, last = stamp_s if kept_odds[n] <= 0 else first, stamp_s
+            shown += 1
         gone = stamp_s - last >= (GIVEN_UP_S if value > 0 else FORGOTTEN_S)
         if value <= FREE_AT or last - first >= CONFIRMED_S or (gone and value <= 0):
             continue
@@ -90,15 +88,5 @@ def _update(
         if (state[index] == FREE or outside) and odds[index] > FREE_AT and kept < flat.size:
             flat[kept], kept_odds[kept], first_s[kept], last_s[kept] = index, odds[index], stamp_s, stamp_s
             kept += 1
-    return kept, listing
-
-
-def in_any(index: IntArray, shape: tuple[int, int, int], flat: IntArray, reach_voxels: int) -> BoolArray:
-    """Return for voxels (N, 3) whether they are at most reach_voxels along each axis from one of ``flat`` (M,)."""
-    near = np.zeros(tuple(n + 2 * reach_voxels for n in shape), dtype=np.bool_)
-    for step in np.ndindex(*(2 * reach_voxels + 1,) * 3):
-        near[tuple(axis + by for axis, by in zip(np.unravel_index(flat, shape), step, strict=True))] = True
-    inside = ((index >= 0) & (index < np.array(shape))).all(axis=1)
-    found = np.zeros(len(index), dtype=np.bool_)
-    found[inside] = near[tuple((index[inside] + reach_voxels).T)]
-    return found
+            shown += int(n < fused)
+    return kept, shown, listing

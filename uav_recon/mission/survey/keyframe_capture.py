@@ -21,8 +21,11 @@ class KeyframeCapture:
     def capture(self, now_s: float, posed: PosedFrame, surveying: bool) -> None:
         """Give the mapper a frame that is a planned view or, while surveying, worth a view.
 
-        Views of the look round and of the tasks are taken in any case, if the vehicle is on its track.
+        Views of the look round and of the tasks are taken in any case, if the vehicle is on its track. A frame that shows
+        something that moves is no view: the model would keep it. A planned view waits for the next frame.
         """
+        if self._stages.voxels.shows_motion:
+            return
         planned = self._schedule.take(posed.frame.stamp_s) and self._track.is_on_track(now_s)
         if self._log.views_left <= 0 or not (planned or (surveying and self._is_worth_a_view(posed))):
             return
