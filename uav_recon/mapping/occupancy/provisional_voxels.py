@@ -19,8 +19,8 @@ from uav_recon.types.maps import FREE, UNKNOWN
 CONFIRMED_S = 2.0
 GIVEN_UP_S = 2.5  #: plan: a provisional voxel without a return for this time becomes unknown
 FORGOTTEN_S = 20.0  #: plan: unknown space behind returns where free space was known is no longer provisional after this time
-MOST_ODDS = OCCUPIED_AT + 4  #: internal: upper clamp of their log-odds: each further return shows, and they are soon free again
-_MOST = 1 << 16  #: internal: number of provisional voxels; more are confirmed at once
+MOST_ODDS = 6  #: internal: upper clamp of their log-odds: each further return shows, and they are soon free again
+_MOST = 65_536  #: internal: number of provisional voxels; more are confirmed at once
 
 
 class ProvisionalVoxels:

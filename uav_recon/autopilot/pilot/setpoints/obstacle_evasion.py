@@ -33,9 +33,8 @@ _STEP_MPS = 0.5  #: evade: speed of a step aside
 _LATE_S = 0.5  #: evade: a step takes effect after this time: its motion is smoothed, and followed with a lag
 _PASS_M = 0.4  #: evade: no step that passes the obstacle closer to the body's centre: with hull and error it leads into it
 _COMES_M = 0.6  #: evade: an obstacle comes if its straight path leads this near to the body's centre; others are waited for
-_RADIUS_M = (
-    0.20  #: internal: hull radius that _STOP_M, _PASS_M and _COMES_M are for; they grow by as much as the hull is larger
-)
+#: internal: hull radius that _STOP_M, _PASS_M and _COMES_M are for; they grow by as much as the hull is larger
+_RADIUS_M = 0.20
 #: evade: clearance beside the hull, and inside the inset, tried in this order: of plans, of paths back, of the guard
 _CLEARANCES_M = ((0.20, 0.10), (0.10, 0.03), (0.0, 0.0))
 _AFTER_S = 1.0  #: hold: after a step aside no trajectory is flown for this time
