@@ -1,4 +1,4 @@
-"""Person who walks straight across the camera's axis before the vehicle, and is gone afterwards."""
+"""Person who walks straight across the camera's axis and is gone afterwards."""
 
 from __future__ import annotations
 
@@ -28,6 +28,7 @@ FLYING_MPS = 0.3  # a faster vehicle flies
 HOVERING_MPS = 0.1  # a slower one hovers
 TURNING_RADPS = 0.15  # a faster turn may keep the person out of the image
 ENTERS_MPS = 0.3  # the image's edge moves on with the vehicle; the person comes in at least this much faster
+DRAWN_S = 20.0  # another walk is drawn if the scene leaves no room for this one within this time
 BESIDE_M = 0.05  # from the image's edge to the person, at the beginning and at the end
 OUT_RAD = math.radians(60.0)  # off the nose: outside the image, as a whole
 LONGEST_S = 20.0  # from the end of the crossing: the person is gone in any case
@@ -107,16 +108,22 @@ class PersonCrosses(Injector):
         self._left_s = math.inf
         self._obstacle: Obstacle | None = None
         self._before: NDArray[np.uint8] | None = None  # states of the map's voxels before the person came
-        self._drawn = (0.0, 0.0, 1)
+        self._drawn, self._drawn_s = (0.0, 0.0, 1), 0.0
         self._last = (-math.inf, 0.0)  # instant and heading of the turn before
 
     def begin(self, at: InjectionContext) -> None:
         """Draw distance, speed and side."""
+        self._draw(at)
+
+    def _draw(self, at: InjectionContext) -> None:
         self._drawn = at.dice.uniform(*NEAR_M), at.dice.uniform(*WALK_MPS), at.dice.choice((-1, 1))
 
     def turn(self, at: InjectionContext, since_s: float) -> None:
         """Let the person come once it is time, and go once nobody sees it."""
         if self._walk is None:
+            if since_s >= self._drawn_s + DRAWN_S:
+                self._drawn_s = since_s
+                self._draw(at)
             self._walk = self._next_walk(at)
             if self._walk is not None:
                 at.notes[CROSSED] = since_s

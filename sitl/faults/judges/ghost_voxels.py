@@ -16,11 +16,11 @@ _UNKNOWN, _OCCUPIED = 0, 2
 
 
 def ghost_voxels(known: Any, before: Any, places_m: F64, half_m: tuple[float, float, float], surface_m: Points) -> int:
-    """Return the number of occupied voxels of a map inside the swept volume and off the true surface.
+    """Return the number of occupied voxels that the body has left in a map.
 
-    before: the states of the same voxels before the body came, None if the map is younger; what was occupied then is not the
-    body's. places_m: (N, 3) centres of the upright box with half extents half_m. surface_m: (M, 3) points of the scene's
-    surface.
+    They lie inside the swept volume and off the true surface. before: the states of the same voxels before the body came, None
+    if the map is younger; what was occupied then is not the body's. places_m: (N, 3) centres of the upright box with half
+    extents half_m. surface_m: (M, 3) points of the scene's surface.
     """
     return _left(known, before, _OCCUPIED, places_m, half_m, surface_m)
 

@@ -30,7 +30,10 @@ _MOST_SHARE = 0.5  #: reject: no part, if more than this share of the cells seem
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _PastView:
-    """What a view looked past: nearest range of each cell and those around it, NaN where that is not known."""
+    """A past view.
+
+    range_m: the nearest return in the cell or beside it, NaN where that is not known.
+    """
 
     stamp_s: float
     odom_from_depth: Pose
@@ -82,7 +85,10 @@ class MovingParts:
 
 
 def _eroded(grid: MinRangeGrid) -> FloatArray:
-    """Return for each cell the nearest return in it and the eight around it; NaN where one is missing or hardly seen."""
+    """Return for each cell the nearest return in it and the eight around it.
+
+    NaN where one of them has none, or is hardly seen.
+    """
     nearest, range_m = np.full(grid.range_m.shape, np.nan), np.where(grid.full, grid.range_m, np.nan)
     rows, columns = range_m.shape
     around = [range_m[i : rows - 2 + i, j : columns - 2 + j] for i in range(3) for j in range(3)]

@@ -136,7 +136,7 @@ class OccupancyMap:
         return self._provisional.shown >= _MOVING_VOXELS
 
     def give_up_provisional(self, stamp_s: float) -> int:
-        """Give up the provisional voxels that had no return for a while before an instant, without a frame.
+        """Give up the provisional voxels without a return for a while, without a frame.
 
         Returns the number of voxels that changed state.
         """

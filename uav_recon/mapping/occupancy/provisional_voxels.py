@@ -1,4 +1,4 @@
-"""Provisional voxels: returns where free space was known, until they are confirmed or given up.
+"""Provisional voxels: returns in known-free space, until they are confirmed or given up.
 
 A body that walks through a room is there for less than a second at each place. Where it was, the log-odds keep it until the
 camera looks there again. So a voxel that was free is provisional from its first return on, and so is the space behind it that
@@ -63,7 +63,10 @@ def _update(
     listed: IntArray, fused: int, number: int, state: AnyArray, odds: AnyArray, stamp_s: float, flat: IntArray,
     kept_odds: AnyArray, first_s: FloatArray, last_s: FloatArray, count: int,
 ) -> tuple[int, int, int]:  # fmt: skip
-    """Return the number of provisional voxels, of those with a return, and of the list, see ProvisionalVoxels.update()."""
+    """Return the number of provisional voxels, of those with a return, and of the list.
+
+    See ProvisionalVoxels.update().
+    """
     kept, shown, listing = 0, 0, number
     for n in range(count):
         index = flat[n]

@@ -169,7 +169,10 @@ def _level_m(a: FloatArray, b: FloatArray) -> float:
 
 
 def _nearest_m(off_m: FloatArray, velocity_mps: FloatArray) -> float:
-    """Return the least distance (m) from the origin of positions (N, 2) that move on at a velocity (2,)."""
+    """Return the least distance (m) from the origin of positions that move straight on.
+
+    off_m (N, 2), velocity_mps (2,).
+    """
     speed2 = max(float(velocity_mps @ velocity_mps), 1e-9)
     until_s = np.maximum(-(off_m @ velocity_mps) / speed2, 0.0)
     return float(np.linalg.norm(off_m + until_s[:, None] * velocity_mps, axis=1).min())
