@@ -48,6 +48,7 @@ def test_what_crosses_is_left_out_and_the_wall_stays(parts: MovingParts) -> None
         assert np.isnan(still[20:80, body]).all()
         assert np.isfinite(np.delete(still, np.r_[body], axis=1)).mean() > 0.95
         assert np.nanmin(still) == WALL_M
+        assert parts.moved_s == (6 + n) * PERIOD_S
 
 
 def test_what_stays_belongs_to_the_room_after_a_while(parts: MovingParts) -> None:
@@ -64,6 +65,7 @@ def test_a_camera_that_moves_sees_nothing_move() -> None:
         x = 0.6 * PERIOD_S * n
         frame = _frame(n, _depth(slice(70, 90), 3.5 - x, WALL_M - x))
         assert parts.without(frame, _at(x + float(dice.uniform(-0.05, 0.05)))) is frame
+    assert parts.moved_s == -np.inf
 
 
 def test_where_most_of_the_view_moves_the_track_is_wrong(parts: MovingParts) -> None:

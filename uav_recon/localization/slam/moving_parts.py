@@ -6,6 +6,7 @@ frame without what stands where the views of the last second saw free space.
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from dataclasses import dataclass, replace
 
@@ -25,6 +26,7 @@ _NEARER_SHARE = 0.06  #: reject: the same, added as a share of the range
 _FARTHEST_M = 5.0  # beyond, the noise of depth is as large
 _DEEP_M = 0.5  # depth of a body: returns beside it and farther behind it are the room's
 _CELLS = 2  # fewer cells are noise
+_PERSON_CELLS = 6  #: reject: this many cells that move may have moved the track
 _MOST_SHARE = 0.5  #: reject: no part, if more than this share of the cells seems to move: then the track is wrong
 
 
@@ -42,10 +44,14 @@ class _PastView:
 
 
 class MovingParts:
-    """The views of the last second of one camera. Not thread-safe; about 0.4 ms a frame."""
+    """The views of the last second of one camera. Not thread-safe; about 0.4 ms a frame.
+
+    ``moved_s``: stamp of the newest frame with so much of it that the track may be wrong, -inf before the first.
+    """
 
     def __init__(self) -> None:
         self._views: deque[_PastView] = deque()
+        self.moved_s = -math.inf
 
     def forget(self) -> None:
         """Forget all views: the track begins again."""
@@ -64,7 +70,9 @@ class MovingParts:
         moving = self._moving(grid, odom_from_depth)
         if not self._views or frame.stamp_s - self._views[-1].stamp_s >= _MEMORY_S / _VIEWS:
             self._views.append(_PastView(frame.stamp_s, odom_from_depth, grid.half_tan, _eroded(grid)))
-        few = not _CELLS <= np.count_nonzero(moving) <= _MOST_SHARE * np.count_nonzero(np.isfinite(grid.range_m))
+        cells = np.count_nonzero(moving)
+        self.moved_s = frame.stamp_s if cells >= _PERSON_CELLS else self.moved_s
+        few = not _CELLS <= cells <= _MOST_SHARE * np.count_nonzero(np.isfinite(grid.range_m))
         return frame if few else replace(frame, depth_m=_without(frame.depth_m, np.where(moving, grid.range_m, np.inf)))
 
     def _moving(self, grid: MinRangeGrid, odom_from_depth: Pose) -> BoolArray:

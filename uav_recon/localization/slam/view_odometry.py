@@ -127,6 +127,11 @@ class ViewOdometry:
         return self._moving.without(frame, Pose(attitude.quat_wxyz, motion.place_m) @ body_from_depth)
 
     @property
+    def moved_s(self) -> float:
+        """Stamp of the newest frame in which so much moved that the track may be wrong; -inf before the first."""
+        return self._moving.moved_s
+
+    @property
     def sure(self) -> bool:
         """True if the newest frames in a row were sure of the place, and odometry is there."""
         there = self.newest_pose is not None and self.newest_pose.health is PoseHealth.GOOD
