@@ -36,7 +36,10 @@ def _left(known: Any, before: Any, state: int, places_m: F64, half_m: tuple[floa
     half = np.array(half_m)
     if not len(places_m) or not len(centres):
         return 0
-    box = (places_m.min(axis=0) - half, places_m.max(axis=0) + half)
+    low, high = places_m.min(axis=0) - half, places_m.max(axis=0) + half
+    if len(surface_m):  # what is seen outside the scene is a wall of it, seen with errors
+        low, high = np.maximum(low, surface_m.min(axis=0)), np.minimum(high, surface_m.max(axis=0))
+    box = (low, high)
     centres = centres[((centres >= box[0]) & (centres <= box[1])).all(axis=1)]
     inside = [bool((np.abs(places_m - centre) <= half).all(axis=1).any()) for centre in centres]
     near_m = NEAR_VOXELS * known.grid.resolution_m

@@ -11,7 +11,7 @@ from uav_recon.types.maps import FREE, OCCUPIED, UNKNOWN, GridSpec, VoxelMap
 GRID = GridSpec(np.zeros(3), 0.1, (30, 10, 10))
 HALF_M = (0.1, 0.1, 0.4)
 WALK = np.array([[x, 0.45, 0.45] for x in np.arange(0.5, 2.5, 0.05)])
-WALL = np.array([[2.0, 0.45, z] for z in np.arange(0.0, 1.0, 0.02)], np.float32)
+WALL = np.array([[2.0, y, z] for z in np.arange(0.0, 1.0, 0.02) for y in (0.0, 0.45, 1.0)], np.float32)
 NONE = np.zeros((0, 3), np.float32)
 
 
@@ -28,8 +28,11 @@ def test_only_what_the_body_swept_is_left_of_it() -> None:
 
 
 def test_the_true_surface_is_not_left_of_it() -> None:
-    known = _known((17, 4, 4), (18, 4, 4), (20, 4, 4))
-    assert ghost_voxels(known, None, WALK, HALF_M, WALL) == 1, "0.25 m from the wall; the next one is 0.15 m off"
+    known = _known((17, 4, 4), (18, 4, 4), (20, 4, 4), (23, 4, 4))
+    scene = np.concatenate([WALL, WALL - np.array([2.0, 0.0, 0.0], np.float32)])
+    assert ghost_voxels(known, None, WALK, HALF_M, scene) == 1, (
+        "0.25 m from the wall; the next one is 0.15 m off, the last outside"
+    )
 
 
 def test_what_was_occupied_before_is_not_left_of_it() -> None:

@@ -124,16 +124,12 @@ class ObstacleEvasion:
     def _passes_m(self, here: FloatArray) -> float:
         """Return how near to a position the obstacle's straight path leads (m), level.
 
-        Its track is that of the centre of what is seen of it. All that is seen moves along.
+        Its track is that of the centre of what is seen of it. All that is seen moves along. The greater value of all sights
+        and of their newer half counts: at the image's edge the track of what comes into view turns.
         """
         sights = self._sights()
-        stamp_s, centre = (
-            np.array([one.stamp_s for one in sights]),
-            np.array([one.places_m[:, :2].mean(axis=0) for one in sights]),
-        )
-        since_s = stamp_s - stamp_s.mean()
-        velocity = since_s @ centre / max(float(since_s @ since_s), 1e-9)
-        return _nearest_m(sights[-1].places_m[:, :2] - here[:2], velocity)
+        newer = sights[(len(sights) - 1) // 2 :]
+        return max(_track_passes_m(each, here) for each in (sights, newer))
 
     def _coming_mps(self, here: FloatArray) -> float:
         """Return the lower of the approach speeds in the older and newer half of the newest sights.
@@ -166,6 +162,15 @@ class ObstacleEvasion:
 
 def _level_m(a: FloatArray, b: FloatArray) -> float:
     return math.hypot(*(a - b)[:2].tolist())
+
+
+def _track_passes_m(sights: list[SuddenObstacle], here: FloatArray) -> float:
+    """Return how near to a position (3,) the straight path through some sights leads (m), level."""
+    stamp_s = np.array([one.stamp_s for one in sights])
+    centre = np.array([one.places_m[:, :2].mean(axis=0) for one in sights])
+    since_s = stamp_s - stamp_s.mean()
+    velocity_mps = since_s @ centre / max(float(since_s @ since_s), 1e-9)
+    return _nearest_m(sights[-1].places_m[:, :2] - here[:2], velocity_mps)
 
 
 def _nearest_m(off_m: FloatArray, velocity_mps: FloatArray) -> float:
