@@ -49,9 +49,8 @@ _BOTH_SHARE = 0.5
 _BOTH_FACTOR = 0.5  #: reject: ... by more than this share of its contradiction to the source
 _CHECKED_S = 1.2  #: reject: no source, unless the view was compared with the inertial samples within this time
 _LEFT_M = 0.05  #: retreat: while more than this of the error is not yet out of odometry, the place is uncertain
-_MOVED_S = (
-    1.0  #: reject: no source for this time after a part of the view moved, and by nothing from before: it may move the track
-)
+#: reject: no source for this time after a part of the view moved, and by nothing from before: it may move the track
+_MOVED_S = 1.0
 _ONSET_S = 0.6  #: internal: time before its detection at which a fault had not begun
 _EVERYTHING: FloatArray = np.eye(3)
 
