@@ -46,7 +46,7 @@ class _PastView:
 class MovingParts:
     """The views of the last second of one camera. Not thread-safe; about 0.4 ms a frame.
 
-    ``moved_s``: stamp of the newest frame with so much of it that the track may be wrong, -inf before the first.
+    ``moved_s``: stamp of the newest frame of which a large part moved: the track may be wrong. -inf before the first.
     """
 
     def __init__(self) -> None:

@@ -128,7 +128,7 @@ class ViewOdometry:
 
     @property
     def moved_s(self) -> float:
-        """Stamp of the newest frame in which so much moved that the track may be wrong; -inf before the first."""
+        """Stamp of the newest frame of which a large part moved; -inf before the first."""
         return self._moving.moved_s
 
     @property
