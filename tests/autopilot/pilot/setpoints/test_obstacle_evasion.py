@@ -204,7 +204,7 @@ def _crossing(away_m: float, passes_m: float, mps: float = 1.0) -> list[SuddenOb
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
-@pytest.mark.parametrize(("passes_m", "comes"), [(0.0, True), (0.55, True), (0.65, False), (0.8, False), (1.5, False)])
+@pytest.mark.parametrize(("passes_m", "comes"), [(0.0, True), (0.35, True), (0.45, False), (0.8, False), (1.5, False)])
 def test_what_crosses_is_waited_for_and_what_comes_is_stepped_aside_from(
     evasion: ObstacleEvasion, passes_m: float, comes: bool, side: float
 ) -> None:

@@ -32,7 +32,7 @@ _STEP_M = 1.2  #: evade: length of a step aside
 _STEP_MPS = 0.5  #: evade: speed of a step aside
 _LATE_S = 0.5  #: evade: a step takes effect after this time: its motion is smoothed, and followed with a lag
 _PASS_M = 0.4  #: evade: no step that passes the obstacle closer to the body's centre: with hull and error it leads into it
-_COMES_M = 0.6  #: evade: an obstacle comes if its straight path leads this near to the body's centre; others are waited for
+_COMES_M = 0.4  #: evade: an obstacle comes if its straight path leads this near to the body's centre; others are waited for
 #: internal: hull radius that _STOP_M, _PASS_M and _COMES_M are for; they grow by as much as the hull is larger
 _RADIUS_M = 0.20
 #: evade: clearance beside the hull, and inside the inset, tried in this order: of plans, of paths back, of the guard
