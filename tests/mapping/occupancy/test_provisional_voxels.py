@@ -77,6 +77,22 @@ def test_a_frame_tells_whether_it_shows_something_that_moves() -> None:
     assert [*told, space.shows_motion] == [False, True, False, False], "at last it stays"
 
 
+def test_returns_beside_a_surface_are_the_surface() -> None:
+    """A wall that is seen 0.15 m too near for a moment, by errors of camera and pose, is neither motion nor given up."""
+    space = _known_room()
+    room = _occupied(space)
+    for n in range(4):
+        frame = _posed(10.0 + n * PERIOD_S, HERE)
+        depth_m = frame.frame.depth_m.copy()
+        depth_m[60:80, 90:120] -= 0.15
+        space.integrate(PosedFrame(Frame(frame.frame.stamp_s, 0, depth_m, LENS, NO_COLOUR, LENS, Pose.identity()), HERE))
+        assert not space.shows_motion
+    nearer = _occupied(space)
+    assert nearer > room + 12
+    space.integrate(_posed(20.0, AWAY))
+    assert _occupied(space) >= nearer
+
+
 def test_what_stays_is_there_for_good() -> None:
     space = _known_room()
     last_s = _body(space, 10.0, CONFIRMED_S + 1.0)

@@ -80,7 +80,7 @@ class OccupancyMap:
         bounds = (np.array([fence_min_m, fence_max_m]) - grid.origin_world_m) / grid.resolution_m
         self._fence = np.clip(np.ceil(bounds - 0.5 - 1e-9), 0, np.array(grid.shape)).astype(np.int64)
         self._scratch = FrameScratch(grid, max_range_m)
-        self._provisional = ProvisionalVoxels()
+        self._provisional = ProvisionalVoxels(grid.shape)
         self._revision = 0
         self.reset(map_epoch)
 
