@@ -78,13 +78,13 @@ def test_a_frame_tells_whether_it_shows_something_that_moves() -> None:
 
 
 def test_returns_beside_a_surface_are_the_surface() -> None:
-    """A wall that is seen 0.15 m too near for a moment, by errors of camera and pose, is neither motion nor given up."""
+    """A wall that is seen 0.25 m too near for a moment, by errors of camera and pose, is neither motion nor given up."""
     space = _known_room()
     room = _occupied(space)
-    for n in range(4):
+    for n in range(12):
         frame = _posed(10.0 + n * PERIOD_S, HERE)
         depth_m = frame.frame.depth_m.copy()
-        depth_m[60:80, 90:120] -= 0.15
+        depth_m[60:80, 90:120] -= 0.25
         space.integrate(PosedFrame(Frame(frame.frame.stamp_s, 0, depth_m, LENS, NO_COLOUR, LENS, Pose.identity()), HERE))
         assert not space.shows_motion
     nearer = _occupied(space)

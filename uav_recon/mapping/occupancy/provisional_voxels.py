@@ -67,7 +67,7 @@ class ProvisionalVoxels:
 
 @kernel
 def _is_apart(index: int, state: AnyArray, shape: tuple[int, int, int], provisional: AnyArray) -> bool:
-    """Return True if a voxel is farther than SURFACE_VOXELS from all that is not free, apart from provisional voxels."""
+    """Return True if no voxel near is occupied or unknown, other than provisional ones."""
     column = index // shape[2]
     x, y, z = column // shape[1], column % shape[1], index % shape[2]
     for i in range(max(x - SURFACE_VOXELS, 0), min(x + SURFACE_VOXELS + 1, shape[0])):
