@@ -9,11 +9,13 @@ there are the surface itself, seen with the errors of camera and pose.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from uav_recon.geometry.jit import kernel
 from uav_recon.mapping.occupancy.log_odds import FREE_AT, OCCUPIED_AT
-from uav_recon.types.frames import AnyArray, FloatArray, IntArray
+from uav_recon.types.frames import AnyArray, BoolArray, FloatArray, IntArray
 from uav_recon.types.maps import FREE, OCCUPIED, UNKNOWN
 
 #: plan: returns in a voxel that was free are confirmed after this time; a body of 0.5 m that walks at 0.6 m/s stays for 1.2 s
@@ -25,26 +27,38 @@ MOST_ODDS = 6  #: internal: upper clamp of their log-odds: each further return s
 _MOST = 65_536  #: internal: number of provisional voxels; more are confirmed at once
 
 
+class _Entries(NamedTuple):
+    """Provisional voxels in order of their first return; only the first ones are in use.
+
+    Each (_MOST,). flat: indices. apart: from all surfaces and from unknown space. odds: after the newest frame. first_s, last_s: instants of
+    the first and newest return. listed: (nx * ny * nz,) voxels that are among them.
+    """
+
+    flat: IntArray
+    apart: BoolArray
+    odds: AnyArray
+    first_s: FloatArray
+    last_s: FloatArray
+    listed: BoolArray
+
+
 class ProvisionalVoxels:
     """The provisional voxels of one map. Not thread-safe.
 
-    Flat indices in order of their first return, with the instants (s) of the first and newest one. ``shown``: number of them
-    with a return in the newest frame that are away from all surfaces. shape: of the map.
+    ``shown``: number of them with a return in the newest frame that are away from all surfaces. shape: of the map.
     """
 
     def __init__(self, shape: tuple[int, int, int]) -> None:
         self._shape = shape
-        self._listed = np.zeros(int(np.prod(shape)), dtype=np.bool_)
-        self._flat = np.zeros(_MOST, dtype=np.int64)
-        self._apart = np.zeros(_MOST, dtype=np.bool_)  # from all surfaces and from unknown space
-        self._odds = np.zeros(_MOST, dtype=np.int8)  # after the newest frame
-        self._first_s = np.zeros(_MOST)
-        self._last_s = np.zeros(_MOST)
+        self._entries = _Entries(
+            flat=np.zeros(_MOST, dtype=np.int64), apart=np.zeros(_MOST, dtype=np.bool_), odds=np.zeros(_MOST, dtype=np.int8),
+            first_s=np.zeros(_MOST), last_s=np.zeros(_MOST), listed=np.zeros(int(np.prod(shape)), dtype=np.bool_),
+        )  # fmt: skip
         self._number = self.shown = 0
 
     def clear(self) -> None:
         """Forget all of them."""
-        self._listed[self._flat[: self._number]] = False
+        self._entries.listed[self._entries.flat[: self._number]] = False
         self._number = self.shown = 0
 
     @property
@@ -59,9 +73,8 @@ class ProvisionalVoxels:
         were given up.
         """
         self._number, self.shown, number = _update(
-            listed, fused, number, state, odds, stamp_s, self._shape, self._listed, self._flat, self._apart, self._odds,
-            self._first_s, self._last_s, self._number,
-        )  # fmt: skip
+            listed, fused, number, state, odds, self._shape, stamp_s, self._entries, self._number
+        )
         return number
 
 
@@ -81,14 +94,14 @@ def _is_apart(index: int, state: AnyArray, shape: tuple[int, int, int], provisio
 
 @kernel
 def _update(
-    listed: IntArray, fused: int, number: int, state: AnyArray, odds: AnyArray, stamp_s: float, shape: tuple[int, int, int],
-    provisional: AnyArray, flat: IntArray, apart: AnyArray, kept_odds: AnyArray, first_s: FloatArray, last_s: FloatArray,
-    count: int,
+    listed: IntArray, fused: int, number: int, state: AnyArray, odds: AnyArray, shape: tuple[int, int, int], stamp_s: float,
+    entries: _Entries, count: int,
 ) -> tuple[int, int, int]:  # fmt: skip
     """Return the number of provisional voxels, of those with a return, and of the list.
 
     See ProvisionalVoxels.update().
     """
+    flat, apart, kept_odds, first_s, last_s, provisional = entries
     kept, shown, listing = 0, 0, number
     for n in range(count):
         index = flat[n]
