@@ -52,7 +52,10 @@ class Toy:
 
     def call(self) -> int:
         """Return outer(10) of a process of its own."""
-        environment = os.environ | {"NUMBA_CACHE_DIR": str(self.kernels), "PYTHONPATH": str(self.package.parent)}
+        environment = os.environ | {
+            "NUMBA_CACHE_DIR": str(self.kernels), "PYTHONPATH": str(self.package.parent),
+            "PYTHONDONTWRITEBYTECODE": "1",  # bytecode of the same second and size would hide a change of the source
+        }  # fmt: skip
         command = [sys.executable, "-c", "from toy.caller import outer; print(outer(10))"]
         return int(subprocess.run(command, env=environment, check=True, capture_output=True, text=True).stdout)
 
