@@ -140,7 +140,7 @@ TABLE_E = (
         "another system, another component, MAVLink 1: modes, disarm, terminate, positions",
         lambda n: [SpoofedSystem(*((42, 1), (1, 77), COMPANION, (1, 1))[n % 4], version_1=n % 4 == 3)],
         (NO_FAILSAFE, COMPLETES, reports(*codes.INTRUDERS, within_s=1.0)),
-        observe_s=180.0,
+        observe_s=240.0,
         views=SHORT_VIEWS,
     ),
     Scenario(
