@@ -30,8 +30,8 @@ _MOST = 65_536  #: internal: number of provisional voxels; more are confirmed at
 class _Entries(NamedTuple):
     """Provisional voxels in order of their first return; only the first ones are in use.
 
-    Each (_MOST,). flat: indices. apart: from all surfaces and from unknown space. odds: after the newest frame. first_s, last_s: instants of
-    the first and newest return. listed: (nx * ny * nz,) voxels that are among them.
+    Each (_MOST,). flat: indices. apart: from all surfaces and from unknown space. odds: after the newest frame. first_s and
+    last_s: instants of the first and newest return. listed: (nx * ny * nz,) voxels that are among them.
     """
 
     flat: IntArray
