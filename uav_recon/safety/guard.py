@@ -19,6 +19,7 @@ from uav_recon.safety.recently_seen_space import RecentlySeenSpace
 from uav_recon.safety.refusals import RefusalCounter
 from uav_recon.safety.setpoint_continuity import ClearedMotion, ContinuityCheck
 from uav_recon.safety.sight_speed_limit import SightSpeedLimit, entered_points
+from uav_recon.safety.takeoff_view import takeoff_view_fault
 from uav_recon.types.frames import FloatArray
 from uav_recon.types.reason import Reason
 from uav_recon.types.reason_code import ReasonCode
@@ -147,13 +148,15 @@ class Guard:
         self.seen_space.forget()
 
     def takeoff_fault(self, inputs: GuardInputs, height_m: float) -> Reason | None:
-        """Return why the vehicle may not climb, None if the column is confirmed free that high."""
+        """Return why the vehicle may not climb, None if column and view are free."""
         here, top = inputs.position_m, (inputs.position_m[0], inputs.position_m[1], height_m)
         if inputs.free is None or inputs.ahead is None:
             return Reason(ReasonCode.TAKEOFF_COLUMN_NOT_SEEN)
         if not (self.envelope.in_column(here) and self.envelope.in_column(top)):
             return Reason(ReasonCode.TAKEOFF_COLUMN_OUTSIDE_FENCE)
-        return None if inputs.free.admits(here, top) else Reason(ReasonCode.TAKEOFF_COLUMN_NOT_FREE)
+        if not inputs.free.admits(here, top):
+            return Reason(ReasonCode.TAKEOFF_COLUMN_NOT_FREE)
+        return takeoff_view_fault(inputs.ahead.nearby)
 
     def _fault(self, proposal: SetpointProposal, inputs: GuardInputs) -> Reason | None:
         """Return why a proposal is not flown: the first check that fails, None if all pass."""

@@ -35,6 +35,7 @@ class ForwardDepth:
     """The nearest returns of one frame as positions about the body's centre."""
 
     def __init__(self, nearby: MinRangeGrid, hull_radius_m: float) -> None:
+        self.nearby = nearby
         self.stamp_s = nearby.stamp_s
         self._radius_m = hull_radius_m
         self._half_tan = nearby.half_tan

@@ -38,8 +38,16 @@ class MinRangeGrid:
     def points(self) -> FloatArray:
         """Return the returns (N, 3) in the depth imager's axes, along the rays of the cell centres."""
         there = np.isfinite(self.range_m)
-        found: FloatArray = _rays(*self.range_m.shape, *self.half_tan)[there] * self.range_m[there][:, None]
+        found: FloatArray = ray_directions(self)[there] * self.range_m[there][:, None]
         return found
+
+
+def ray_directions(grid: MinRangeGrid) -> FloatArray:
+    """Return the unit vectors (rows, columns, 3) through the cell centres.
+
+    They are in the depth imager's axes.
+    """
+    return _rays(*grid.range_m.shape, *grid.half_tan)
 
 
 def in_view(seen: FloatArray, half_tan: FloatArray, shape: tuple[int, ...]) -> tuple[BoolArray, FloatArray, FloatArray]:

@@ -84,6 +84,15 @@ class ReasonCode(str, Enum):
         "takeoff-column-outside-fence", "column outside the fence", "the take-off column is not inside the fence",
     )  # fmt: skip
     TAKEOFF_COLUMN_NOT_FREE = "takeoff-column-not-free", "column not known free", "the take-off column is not known free"
+    TAKEOFF_VIEW_BLOCKED = (
+        "takeoff-view-blocked", "camera blocked at {0:.2f} m (min. {1:.2f})",
+        "something stands {0:.2f} m before the camera; it must be free for {1:.2f} m", (12.34, 12.34),
+    )  # fmt: skip
+    TAKEOFF_VIEW_BLANK = (
+        "takeoff-view-blank", "{0:.0%} of the view blank (max. {1:.0%})",
+        "{0:.0%} of the view above the horizon has no depth, the limit is {1:.0%}: uncover the camera, light the room, or turn "
+        "the vehicle towards something within 6 m", (1.0, 1.0),
+    )  # fmt: skip
     TAKEOFF_REFUSED = "takeoff-refused", "take-off refused"  # details: why
 
     # --- pose gate: why a pose is not fed ----------------------------------------------------------------------------
