@@ -54,6 +54,7 @@ TESTS = {
     "obstacle_speed_limit": ("test_obstacle_speed_limit", *BY_GUARD),
     "recently_seen_space": ("test_recently_seen_space", *BY_GUARD),
     "sight_speed_limit": ("test_sight_speed_limit", *BY_GUARD),
+    "takeoff_view": ("test_takeoff_view",),
     "free_cone_memory": ("test_free_cone_memory",),
     "free_cone_rule": ("test_free_cone_rule", "test_free_cone_memory"),
 }
